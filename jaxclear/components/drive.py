@@ -1,0 +1,103 @@
+"""Prescribed motions of one coordinate. A driven coordinate is a function of time and leaves the equations of motion.
+
+A drive returns position, speed and acceleration at a time: `motion(time) -> (q, dq/dt, d2q/dt2)`, in rad or m.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxclear.ground.numerics import smooth_step
+from jaxclear.ground.quantity import Scalar, quantity
+
+
+class AbstractDrive(eqx.Module):
+    """A coordinate as a function of time."""
+
+    @abstractmethod
+    def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
+        """(position, speed, acceleration) at `time` [s]."""
+
+
+class ConstantSpeed(AbstractDrive):
+    """q = start + speed t."""
+
+    speed: Scalar = quantity(unit="rad/s", meaning="constant speed (m/s for a sliding joint)")
+    start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
+
+    def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
+        return self.start + self.speed * time, self.speed, 0
+
+
+class Harmonic(AbstractDrive):
+    """q = offset + amplitude sin(2 pi frequency t + phase)."""
+
+    amplitude: Scalar = quantity(unit="rad", meaning="amplitude (m for a sliding joint)")
+    frequency: Scalar = quantity(unit="Hz", meaning="frequency")
+    phase: Scalar = quantity(0.0, "rad", "phase at time zero")
+    offset: Scalar = quantity(0.0, "rad", "mean position (m for a sliding joint)")
+
+    def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
+        omega = 2 * jnp.pi * self.frequency
+        sine = self.amplitude * jnp.sin(omega * time + self.phase)
+        cosine = self.amplitude * jnp.cos(omega * time + self.phase)
+        return self.offset + sine, omega * cosine, -omega * omega * sine
+
+
+class RampUp(AbstractDrive):
+    """Starts at rest and reaches a constant speed after `duration`, the speed following a cubic step."""
+
+    speed: Scalar = quantity(unit="rad/s", meaning="final speed (m/s for a sliding joint)")
+    duration: Scalar = quantity(unit="s", meaning="time until the final speed is reached")
+    start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
+
+    def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
+        s = jnp.clip(time / self.duration, 0.0, 1.0)
+        position = self.duration * (s**3 - 0.5 * s**4) + jnp.maximum(time - self.duration, 0.0)
+        return (
+            self.start + self.speed * position,
+            self.speed * smooth_step(time, 0.0, self.duration),
+            self.speed * 6.0 * s * (1.0 - s) / self.duration,
+        )
+
+
+class Position(AbstractDrive):
+    """Any twice differentiable function of time, a JAX function or a module with numbers of its own: q = function(t)."""
+
+    function: Callable
+
+    def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
+        def rate(at):
+            return jax.jvp(self.function, (at,), (jnp.ones_like(at),))
+
+        time = jnp.asarray(time, float)
+        (position, speed), (_, acceleration) = jax.jvp(rate, (time,), (jnp.ones_like(time),))
+        return position, speed, acceleration
+
+
+class Speed(AbstractDrive):
+    """A speed given as a function of time; the position is its integral from time zero.
+
+    The integral is taken by Gauss-Legendre quadrature over [0, t] in `pieces` pieces, so that the drive stays a pure
+    function of time; error below 1e-12 relative where the speed is smooth on the scale t / pieces.
+    """
+
+    function: Callable
+    start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
+    pieces: int = eqx.field(static=True, default=16)
+
+    def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
+        import numpy as np
+
+        nodes, weights = np.polynomial.legendre.leggauss(8)
+        edges = np.arange(self.pieces)[:, None]
+        shares = ((edges + 0.5 * (nodes + 1.0)) / self.pieces).ravel()
+        weights = np.tile(0.5 * weights / self.pieces, self.pieces)
+        time = jnp.asarray(time, float)
+        travelled = time * jnp.sum(jnp.asarray(weights) * jax.vmap(self.function)(time * jnp.asarray(shares)))
+        speed, acceleration = jax.jvp(self.function, (time,), (jnp.ones_like(time),))
+        return self.start + travelled, speed, acceleration

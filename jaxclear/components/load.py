@@ -1,0 +1,185 @@
+"""What acts on bodies besides joints: gravity, forces, torques, springs and dampers.
+
+A load sees a `Sight` of the marker it acts on (place and velocity in the ground frame) and returns forces and torques in the
+ground frame. Springs tell their stored energy, dampers their dissipated power, so that the energy balance can be closed;
+every other force counts as input.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+
+from jaxclear.components.body import Marker
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.pose import Pose
+from jaxclear.ground.quantity import Scalar, as_number, as_vector, quantity, vector
+
+
+class Sight(NamedTuple):
+    """A marker as a load sees it: pose in the ground frame, velocity and angular velocity in ground axes."""
+
+    pose: Pose
+    velocity: sp.Vec
+    spin: sp.Vec
+
+
+class Action(NamedTuple):
+    """Force [N] through a marker's origin and torque [N m] on its body, in ground axes."""
+
+    marker: Marker
+    force: sp.Vec
+    torque: sp.Vec
+
+
+class Effect(NamedTuple):
+    """What a load does at one instant; energies in J, power in W. `external` power enters the mechanism."""
+
+    actions: tuple[Action, ...]
+    stored: Any
+    dissipated: Any
+    external: Any
+
+
+class AbstractLoad(eqx.Module):
+    """A load on bodies, or on the coordinate of a joint of the tree."""
+
+
+class AbstractBodyLoad(AbstractLoad):
+    """Acts on bodies through markers."""
+
+    @abstractmethod
+    def markers(self) -> tuple[Marker, ...]:
+        """The markers it needs to see."""
+
+    @abstractmethod
+    def effect(self, time: Scalar, sights: tuple[Sight, ...]) -> Effect:
+        """Forces and energies at an instant."""
+
+
+class AbstractCoordinateLoad(AbstractLoad):
+    """Acts on the single coordinate of a revolute or prismatic connection, child against parent."""
+
+    connection: eqx.AbstractVar[str]
+
+    @abstractmethod
+    def force(self, time: Scalar, position: Scalar, speed: Scalar) -> tuple[Any, Any, Any, Any]:
+        """(generalised force, stored energy, dissipated power, external power)."""
+
+
+class Gravity(AbstractLoad):
+    """Uniform gravity on all bodies, as an acceleration in the ground frame."""
+
+    acceleration: tuple = vector((0.0, -9.81), "m/s^2", "acceleration of free fall, ground frame")
+
+
+def _vector_or_function(value: Any) -> Any:
+    return value if callable(value) else as_vector(value)
+
+
+def _number_or_function(value: Any) -> Any:
+    return value if callable(value) else as_number(value)
+
+
+def _at(value: Any, time: Scalar) -> Any:
+    return value(time) if callable(value) else value
+
+
+class Force(AbstractBodyLoad):
+    """A force at a marker: 2 or 3 numbers [N] or a function of time, in ground axes, or in the marker's if `follows`."""
+
+    marker: Marker
+    value: tuple | Callable = eqx.field(
+        converter=_vector_or_function, metadata={"unit": "N", "meaning": "force, or a function of time"}
+    )
+    follows: bool = eqx.field(static=True, default=False)
+
+    def markers(self):
+        return (self.marker,)
+
+    def effect(self, time, sights):
+        force = sp.vec3(tuple(_at(self.value, time)))
+        if self.follows:
+            force = sp.apply(sights[0].pose.rotation, force)
+        return Effect((Action(self.marker, force, sp.ZERO),), 0, 0, sp.dot(force, sights[0].velocity))
+
+
+class Torque(AbstractBodyLoad):
+    """A torque on a body: 1 number (about z), 3 numbers [N m] or a function of time; axes as in `Force`."""
+
+    marker: Marker
+    value: tuple | Callable = eqx.field(
+        converter=_vector_or_function, metadata={"unit": "N m", "meaning": "torque, or a function of time"}
+    )
+    follows: bool = eqx.field(static=True, default=False)
+
+    def markers(self):
+        return (self.marker,)
+
+    def effect(self, time, sights):
+        value = tuple(_at(self.value, time))
+        torque = (0, 0, *value) if len(value) == 1 else sp.vec3(value)
+        if self.follows:
+            torque = sp.apply(sights[0].pose.rotation, torque)
+        return Effect((Action(self.marker, sp.ZERO, torque),), 0, 0, sp.dot(torque, sights[0].spin))
+
+
+class Spring(AbstractBodyLoad):
+    """Spring and damper between two markers, along the line between them: F = k (l - l0) + d dl/dt, positive in tension."""
+
+    start: Marker
+    end: Marker
+    stiffness: Scalar | None = quantity(None, "N/m", "stiffness")
+    free_length: Scalar = quantity(0.0, "m", "length without force")
+    damping: Scalar | None = quantity(None, "N s/m", "viscous damping")
+
+    def markers(self):
+        return (self.start, self.end)
+
+    def effect(self, time, sights):
+        line = sp.minus(sights[1].pose.translation, sights[0].pose.translation)
+        length = safe_sqrt(sp.dot(line, line))
+        direction = tuple(0 if sp.is_zero(x) else safe_divide(x, length) for x in line)
+        rate = sp.dot(direction, sp.minus(sights[1].velocity, sights[0].velocity))
+        stretch = length - self.free_length
+        tension, stored, dissipated = 0, 0, 0
+        if self.stiffness is not None:
+            tension, stored = self.stiffness * stretch, 0.5 * self.stiffness * stretch * stretch
+        if self.damping is not None:
+            tension, dissipated = sp.add(tension, sp.mul(self.damping, rate)), sp.mul(self.damping, sp.mul(rate, rate))
+        pull = sp.scale(tension, direction)
+        reaction = tuple(sp.neg(x) for x in pull)
+        return Effect((Action(self.start, pull, sp.ZERO), Action(self.end, reaction, sp.ZERO)), stored, dissipated, 0)
+
+
+class JointSpring(AbstractCoordinateLoad):
+    """Spring and damper on the coordinate of a revolute or prismatic connection (N m/rad, N m s/rad; N/m, N s/m if sliding)."""
+
+    connection: str = eqx.field(static=True)
+    stiffness: Scalar | None = quantity(None, "N m/rad", "stiffness (N/m for a sliding joint)")
+    rest: Scalar = quantity(0.0, "rad", "coordinate without force (m for a sliding joint)")
+    damping: Scalar | None = quantity(None, "N m s/rad", "viscous damping (N s/m for a sliding joint)")
+
+    def force(self, time, position, speed):
+        force, stored, dissipated = 0, 0, 0
+        if self.stiffness is not None:
+            stretch = position - self.rest
+            force, stored = -self.stiffness * stretch, 0.5 * self.stiffness * stretch * stretch
+        if self.damping is not None:
+            force, dissipated = sp.sub(force, self.damping * speed), self.damping * speed * speed
+        return force, stored, dissipated, 0
+
+
+class JointTorque(AbstractCoordinateLoad):
+    """A torque [N m] (force [N] if sliding) on a connection's coordinate, child against parent; a function of time or a number."""
+
+    connection: str = eqx.field(static=True)
+    value: Scalar | Callable = eqx.field(
+        converter=_number_or_function, metadata={"unit": "N m", "meaning": "torque, or a function of time"}
+    )
+
+    def force(self, time, position, speed):
+        force = _at(self.value, time)
+        return force, 0, 0, force * speed

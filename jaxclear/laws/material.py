@@ -1,0 +1,43 @@
+"""What a body is made of, as far as a contact law asks.
+
+One question: which elastic modulus does a pair of surfaces press with? Sources of the numbers beside each factory.
+"""
+
+import equinox as eqx
+
+from jaxclear.ground.quantity import Scalar, quantity
+
+
+class Material(eqx.Module):
+    """Linear isotropic elasticity plus what wear and mass need. Range: 0 <= poisson_ratio < 1/2, small strain.
+
+    `hardness` and `density` are `None` where nothing asks for them.
+    """
+
+    young_modulus: Scalar = quantity(unit="Pa", meaning="Young's modulus")
+    poisson_ratio: Scalar = quantity(unit="1", meaning="Poisson's ratio")
+    hardness: Scalar | None = quantity(None, "Pa", "indentation hardness")
+    density: Scalar | None = quantity(None, "kg/m^3", "mass density")
+
+    @property
+    def plane_strain_modulus(self) -> Scalar:
+        """E / (1 - nu^2) [Pa]: the modulus of a half-space pressed along a line."""
+        return self.young_modulus / (1 - self.poisson_ratio * self.poisson_ratio)
+
+
+def combined_modulus(a: Material, b: Material) -> Scalar:
+    """E* [Pa] of two bodies pressed together: 1/E* = (1 - nu_a^2)/E_a + (1 - nu_b^2)/E_b.
+
+    Symmetric in the two; below either body's plane-strain modulus. Source: Johnson 1985, Contact Mechanics, ch. 4.
+    """
+    return 1 / (1 / a.plane_strain_modulus + 1 / b.plane_strain_modulus)
+
+
+def steel() -> Material:
+    """Bearing steel of the four-bar paper (001, Table II: 206.8 GPa, 0.29); hardness and density of a plain steel."""
+    return Material(206.8e9, 0.29, hardness=2e9, density=7800.0)
+
+
+def aluminium() -> Material:
+    """Aluminium as in DyS's table of cylinder contact (69 GPa, 0.35); hardness and density of a wrought alloy."""
+    return Material(69e9, 0.35, hardness=1e9, density=2700.0)

@@ -1,0 +1,190 @@
+"""One clearance joint at one instant: from relative motion to forces, rates of the laws' memories and lost material.
+
+Normal forces act along the gradient of the indentation with respect to the relative displacement, so normal power is exactly
+-F_n d(delta)/dt, worn and tilted surfaces included. Friction acts at the point of touch, against the relative velocity of
+the two material points there.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxclear.components.clearance import AbstractClearance, Pairing, Touch
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part, rounded_norm, safe_sqrt
+from jaxclear.ground.pose import Pose
+from jaxclear.laws.friction import AbstractBristleFriction
+
+# Slip speeds are rounded here [m/s]: far below any transition speed, only so that the direction of slip exists at rest.
+SLIP_ROUNDING = 1e-14
+# Time [s] in which the bristles of an open contact straighten.
+BRISTLE_RELEASE = 1e-4
+
+
+class Relative(NamedTuple):
+    """Motion of the journal's marker as seen from the (moving) bearing's marker, in the bearing's axes."""
+
+    pose: Pose
+    velocity: sp.Vec
+    spin: sp.Vec
+
+
+class PointState(NamedTuple):
+    """What one possible contact remembers: speed of first touch [m/s] and bristle deflections [m], where its laws do."""
+
+    impact_speed: Any
+    bristles: tuple
+
+
+class PointReport(NamedTuple):
+    """One possible contact at an instant, SI units; slip and traction along the touch's sliding directions."""
+
+    indentation: Any
+    rate: Any
+    normal_force: Any
+    slip_speed: Any
+    traction: Any
+    place: sp.Vec
+
+
+class JointReport(NamedTuple):
+    """A clearance joint at an instant: wrench on the journal about its marker in the bearing's axes, rates and powers."""
+
+    force: sp.Vec
+    torque: sp.Vec
+    memory_rates: tuple[PointState, ...]
+    wear_rates: dict[str, tuple]
+    contact_power: Any
+    contact_loss: Any
+    friction_loss: Any
+    points: tuple[PointReport, ...]
+
+
+def memory_template(pairing: Pairing, touch: Touch) -> PointState:
+    """Initial memory of a contact: nothing remembered, straight bristles; `None` and () where a law has no memory."""
+    bristles = (0.0,) * len(touch.tangents) if isinstance(pairing.friction, AbstractBristleFriction) else ()
+    return PointState(0.0 if pairing.contact.remembers_impact_speed else None, bristles)
+
+
+def evaluate(
+    joint: AbstractClearance,
+    pairings: tuple[Pairing, ...],
+    relative: Relative,
+    memory: tuple[PointState, ...],
+    worn: dict[str, Any],
+) -> JointReport:
+    """Forces of a clearance joint; `worn` are the depth maps that feed back into the gap."""
+    offset = relative.pose.translation
+    axes = tuple(sp.transpose(relative.pose.rotation)[k] for k in joint.axes)
+    indentations, gradients = _indentations(joint, offset, axes, worn)
+    touches = joint.touches(offset, axes, indentations)
+    force, torque, powers, reports, rates = sp.ZERO, sp.ZERO, [], [], []
+    for k, (pairing, touch) in enumerate(zip(pairings, touches, strict=True)):
+        slope, turns = gradients[k]
+        rate = sp.dot(slope, relative.velocity)
+        for axis, turn in zip(axes, turns, strict=True):
+            rate = sp.add(rate, sp.dot(turn, sp.cross(relative.spin, axis)))
+        normal = pairing.contact.normal_force(indentations[k], rate, memory[k].impact_speed)
+        push = sp.scale(-normal, slope)
+        twist = sp.plus(sp.ZERO, *[sp.scale(-normal, sp.cross(a, t)) for a, t in zip(axes, turns, strict=True)])
+        slip = _slip(relative, touch)
+        speed = rounded_norm(*[s for s in slip if not sp.is_zero(s)], width=SLIP_ROUNDING)
+        traction, bristle_rates = _traction(pairing, touch, normal, slip, speed, memory[k])
+        arm = sp.minus(touch.place, offset)
+        force = sp.plus(force, push, traction)
+        torque = sp.plus(torque, twist, sp.cross(arm, traction))
+        elastic = pairing.contact.elastic_force(indentations[k])
+        drag = 0.0 if pairing.friction is None else safe_sqrt(sp.dot(traction, traction))
+        loss = sp.neg(sp.dot(traction, _velocity_at(relative, touch)))
+        powers.append((normal * rate, (normal - elastic) * rate, loss))
+        rates.append(PointState(_impact_speed_rate(pairing, indentations[k], rate, memory[k]), bristle_rates))
+        reports.append(PointReport(indentations[k], rate, normal, speed, drag, touch.place))
+    wear_rates = _wear_rates(joint, pairings, offset, axes, indentations, reports)
+    sums = [sp.total(parts) for parts in zip(*powers, strict=True)]
+    return JointReport(force, torque, tuple(rates), wear_rates, *sums, tuple(reports))
+
+
+def _indentations(joint, offset, axes, worn):
+    """Indentations and, for each, its gradient by the offset and by each axis, with structural zeros kept."""
+    leaves, structure = jax.tree.flatten((offset, axes))
+    varying = [i for i, leaf in enumerate(leaves) if not isinstance(leaf, int)]
+
+    def overlaps(arrays):
+        filled = list(leaves)
+        for i, array in zip(varying, arrays, strict=True):
+            filled[i] = array
+        return joint.indentations(*jax.tree.unflatten(structure, filled), worn)
+
+    arrays = [leaves[i] for i in varying]
+    values = overlaps(arrays)
+    gradients = []
+    for k in range(len(values)):
+        slopes = [0] * len(leaves)
+        for i, slope in zip(varying, jax.grad(lambda a, k=k: overlaps(a)[k])(arrays), strict=True):
+            slopes[i] = slope
+        gradients.append(jax.tree.unflatten(structure, slopes))
+    return values, gradients
+
+
+def _velocity_at(relative, touch):
+    """Velocity of the journal's material point at the touch, seen from the bearing."""
+    arm = sp.minus(touch.place, relative.pose.translation)
+    return sp.plus(relative.velocity, sp.cross(relative.spin, arm))
+
+
+def _tangential(touch, vector):
+    """The part of a vector across the normal; directions given as a whole basis include the normal."""
+    if len(touch.tangents) < 3:
+        return vector
+    along = sp.dot(vector, touch.normal)
+    return sp.minus(vector, sp.scale(along, touch.normal))
+
+
+def _slip(relative, touch):
+    velocity = _tangential(touch, _velocity_at(relative, touch))
+    return tuple(sp.dot(velocity, tangent) for tangent in touch.tangents)
+
+
+def _traction(pairing, touch, normal, slip, speed, memory):
+    """Friction force on the journal and the rates of the bristles."""
+    law = pairing.friction
+    if law is None:
+        return sp.ZERO, ()
+    if isinstance(law, AbstractBristleFriction):
+        law_rates = [law.deflection_rate(z, s, speed) for z, s in zip(memory.bristles, slip, strict=True)]
+        shares = [
+            law.coefficient(z, r, s) for z, r, s in zip(memory.bristles, law_rates, slip, strict=True)
+        ]
+        rates = tuple(
+            jnp.where(normal > 0, r, -z / BRISTLE_RELEASE) for z, r in zip(memory.bristles, law_rates, strict=True)
+        )
+    else:
+        share = law.coefficient(speed) / speed
+        shares, rates = [sp.mul(share, s) for s in slip], ()
+    pull = sp.plus(
+        sp.ZERO, *[sp.scale(sp.mul(-normal, share), t) for share, t in zip(shares, touch.tangents, strict=True)]
+    )
+    return _tangential(touch, pull) if rates else pull, rates
+
+
+def _impact_speed_rate(pairing, indentation, rate, memory):
+    """The remembered speed follows the approach speed while the contact is open and stays while it is closed."""
+    if memory.impact_speed is None:
+        return None
+    follow = (positive_part(rate) - memory.impact_speed) / pairing.contact.memory_time
+    return jnp.where(indentation < 0, follow, 0.0)
+
+
+def _wear_rates(joint, pairings, offset, axes, indentations, reports):
+    """For each surface and each contact that wears it: (volume rate, location features)."""
+    rates = {}
+    for surface, (_, wearing) in joint.maps().items():
+        entries = []
+        for k, (pairing, report) in enumerate(zip(pairings, reports, strict=True)):
+            if pairing.wears:
+                volume = wearing.law.volume_rate(report.normal_force, report.slip_speed, report.traction)
+                features = joint.features(surface, offset, axes, indentations, k)
+                entries.append((wearing.acceleration * volume, features))
+        rates[surface] = tuple(entries)
+    return rates

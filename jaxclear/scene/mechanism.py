@@ -1,0 +1,223 @@
+"""A mechanism: bodies, connections and loads by name, checked before anything is traced.
+
+The numbers are leaves of a pytree; names, joint types and what is absent are its structure. Values that are being traced are
+not checked: they were when the mechanism was built with numbers.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxclear.components.body import GROUND, Body, Connection
+from jaxclear.components.clearance import AbstractClearance, BallSocket, JournalBearing, PlanarJournalBearing, SliderGuide
+from jaxclear.components.joint import AbstractJoint, drive_of
+from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, AbstractLoad, Gravity
+from jaxclear.ground.quantity import as_number, parameters
+from jaxclear.scene.loops import Baumgarte
+from jaxclear.scene.topology import Topology, grow
+
+
+def _guess(value: Any) -> tuple:
+    values = (value,) if np.ndim(value) == 0 else tuple(value)
+    return tuple(as_number(x) for x in values)
+
+
+class Mechanism(eqx.Module):
+    """Bodies held together by connections, under loads.
+
+    `start` gives rough joint coordinates by connection (or floating body): 1 number, all the joint's coordinates, or for a
+    spherical joint 3 numbers (a rotation vector [rad]); `speeds` likewise, in the joint's own speeds. What is not given
+    starts at the joint's home, at rest. Raises `ValueError` with a sentence naming what is wrong.
+    """
+
+    bodies: dict[str, Body]
+    connections: dict[str, Connection]
+    loads: dict[str, AbstractLoad]
+    start: dict[str, tuple]
+    speeds: dict[str, tuple]
+    stabilisation: Baumgarte | None
+    topology: Topology = eqx.field(static=True)
+
+    def __init__(
+        self,
+        bodies: Mapping[str, Body],
+        connections: Mapping[str, Connection],
+        loads: Mapping[str, AbstractLoad] | None = None,
+        *,
+        start: Mapping[str, Any] | None = None,
+        speeds: Mapping[str, Any] | None = None,
+        stabilisation: Baumgarte | None | str = "default",
+    ):
+        self.bodies, self.connections, self.loads = dict(bodies), dict(connections), dict(loads or {})
+        self.start = {name: _guess(value) for name, value in (start or {}).items()}
+        self.speeds = {name: _guess(value) for name, value in (speeds or {}).items()}
+        check_names(self.bodies, self.connections, self.loads)
+        check_numbers(self.bodies, self.connections)
+        self.topology = grow(self.bodies, self.connections)
+        self.stabilisation = Baumgarte() if stabilisation == "default" else stabilisation
+        check_structure(self)
+
+    def parameters(self) -> Any:
+        """All numbers of the mechanism with unit and meaning, as a pandas table."""
+        import pandas
+
+        return pandas.DataFrame(
+            [row for part in ("bodies", "connections", "loads") for row in parameters({part: getattr(self, part)})]
+        )
+
+
+def check_names(bodies: dict, connections: dict, loads: dict) -> None:
+    """Names must refer to something, types must be what the slot expects, and every body must be held."""
+    if not bodies:
+        raise ValueError("a mechanism needs at least one body.")
+    if GROUND in bodies:
+        raise ValueError(f'"{GROUND}" is the fixed frame and cannot be a body; choose another name.')
+    for name, body in bodies.items():
+        _expect(body, Body, f'body "{name}"', "a jaxclear.Body")
+    known = f"the bodies are {', '.join(map(repr, bodies))} and '{GROUND}'"
+    for name, connection in connections.items():
+        _expect(connection, Connection, f'connection "{name}"', "a jaxclear.Connection")
+        _expect(connection.joint, (AbstractJoint, AbstractClearance), f'the joint of connection "{name}"', "a joint")
+        for marker in (connection.parent, connection.child):
+            if marker.body not in bodies and marker.body != GROUND:
+                raise ValueError(f'connection "{name}" refers to body "{marker.body}", which does not exist: {known}.')
+        if connection.parent.body == connection.child.body:
+            raise ValueError(f'connection "{name}" joins "{connection.parent.body}" to itself; it needs two bodies.')
+    for name, load in loads.items():
+        _expect(load, AbstractLoad, f'load "{name}"', "a jaxclear.load")
+        if isinstance(load, AbstractBodyLoad):
+            for marker in load.markers():
+                if marker.body not in bodies and marker.body != GROUND:
+                    raise ValueError(f'load "{name}" acts on body "{marker.body}", which does not exist: {known}.')
+        if isinstance(load, AbstractCoordinateLoad):
+            joint = connections[load.connection].joint if load.connection in connections else None
+            if not isinstance(joint, AbstractJoint) or len(joint.home) != 1:
+                raise ValueError(
+                    f'load "{name}" acts on the coordinate of connection "{load.connection}", which must be an ideal '
+                    "revolute or prismatic joint of this mechanism."
+                )
+    _check_reach(bodies, connections)
+
+
+def _check_reach(bodies: dict, connections: dict) -> None:
+    reached, frontier = {GROUND}, [GROUND]
+    while frontier:
+        body = frontier.pop()
+        for connection in connections.values():
+            ends = [connection.parent.body, connection.child.body]
+            if body in ends:
+                other = ends[1 - ends.index(body)]
+                if other not in reached:
+                    reached.add(other)
+                    frontier.append(other)
+    lost = [body for body in bodies if body not in reached]
+    if lost:
+        raise ValueError(
+            f"no chain of connections leads from the ground to {', '.join(map(repr, lost))}; connect it, or let it float "
+            'with jaxclear.joint.Free() from "ground".'
+        )
+
+
+def _expect(thing: Any, kind: Any, what: str, wanted: str) -> None:
+    if not isinstance(thing, kind):
+        raise ValueError(f"{what} is {thing!r}; it must be {wanted}.")
+
+
+def concrete(value: Any) -> float | None:
+    """The number, or None where it is absent or being traced."""
+    return None if value is None or isinstance(value, jax.core.Tracer) else float(value)
+
+
+def check_numbers(bodies: dict, connections: dict) -> None:
+    """Masses, inertias and joint dimensions must be possible."""
+    for name, body in bodies.items():
+        mass = concrete(body.mass)
+        if mass is not None and not mass > 0:
+            raise ValueError(f'body "{name}" has mass {mass} kg; a mass must be positive.')
+        _check_inertia(name, body)
+    for name, connection in connections.items():
+        if isinstance(connection.joint, AbstractClearance):
+            _check_clearance(name, connection.joint)
+
+
+def _check_inertia(name: str, body: Body) -> None:
+    values = [concrete(value) for value in body.inertia]
+    if any(value is None for value in values):
+        return
+    if len(values) == 1:
+        if not values[0] > 0:
+            raise ValueError(f'body "{name}" has inertia {values[0]} kg m2 about z; it must be positive.')
+        return
+    matrix = np.array(jax.tree.map(float, body.inertia_matrix()))
+    moments = np.linalg.eigvalsh(matrix)
+    if not moments[0] > 0:
+        raise ValueError(
+            f'body "{name}" has principal moments of inertia {moments.round(9)} kg m2; all three must be positive '
+            "(the matrix must be positive definite)."
+        )
+    if moments[0] + moments[1] < moments[2] * (1 - 1e-9):
+        raise ValueError(
+            f'body "{name}" has principal moments of inertia {moments}; no body has one larger than the sum of the '
+            "other two."
+        )
+
+
+def _check_clearance(name: str, joint: AbstractClearance) -> None:
+    known = (PlanarJournalBearing, JournalBearing, BallSocket, SliderGuide)
+    if not isinstance(joint, known):
+        return
+    clearance = concrete(joint.clearance)
+    if clearance is not None and not clearance >= 0:
+        raise ValueError(
+            f'joint "{name}" has clearance {clearance} m; it must not be negative (an interference fit is no clearance).'
+        )
+    outer_name = {BallSocket: "socket_radius", SliderGuide: "width"}.get(type(joint), "bearing_radius")
+    outer = concrete(getattr(joint, outer_name))
+    if outer is not None and not outer > (clearance or 0.0):
+        raise ValueError(f'joint "{name}" has {outer_name} {outer} m; it must be larger than the clearance {clearance} m.')
+    if isinstance(joint, (PlanarJournalBearing, JournalBearing)):
+        length = concrete(joint.length)
+        if length is not None and not length > 0:
+            raise ValueError(f'joint "{name}" has bearing length {length} m; it must be positive.')
+    if isinstance(joint, JournalBearing):
+        journal = concrete(joint.journal_length)
+        if journal is not None and length is not None and journal < length:
+            raise ValueError(
+                f'joint "{name}" has a journal of length {journal} m in a bearing of {length} m; the journal must reach '
+                "through the bearing, because contact is evaluated at the bearing's two end planes."
+            )
+
+
+def check_structure(mechanism: Mechanism) -> None:
+    """Drives, loads and starting values must fit the tree."""
+    topology, connections = mechanism.topology, mechanism.connections
+    for name in topology.loops:
+        if drive_of(connections[name].joint) is not None:
+            raise ValueError(
+                f'connection "{name}" is driven but closes a loop of driven joints; a loop can follow one of them only.'
+            )
+    for name, load in mechanism.loads.items():
+        if isinstance(load, AbstractCoordinateLoad):
+            if topology.branch_of(load.connection) is None or drive_of(connections[load.connection].joint) is not None:
+                raise ValueError(
+                    f'load "{name}" acts on connection "{load.connection}", whose coordinate is driven or cut to close a '
+                    "loop; put the load on markers (jaxclear.load.Torque) or on another connection."
+                )
+    if sum(isinstance(load, Gravity) for load in mechanism.loads.values()) > 1:
+        raise ValueError("a mechanism has more than one load.Gravity; give one.")
+    homes = {}
+    for branch in topology.branches:
+        joint_name = branch.body if branch.connection is None else branch.connection
+        homes[joint_name] = branch
+    for what, given in (("start", mechanism.start), ("speeds", mechanism.speeds)):
+        for name in given:
+            if name not in homes:
+                raise ValueError(
+                    f'{what} names "{name}", which carries no coordinates; those that do are '
+                    f"{', '.join(map(repr, homes))}."
+                )
+            if homes[name].coordinates.start == homes[name].coordinates.stop:
+                raise ValueError(f'{what} names "{name}", whose motion is prescribed or fixed; leave it out.')

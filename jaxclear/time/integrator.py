@@ -1,0 +1,148 @@
+"""How a state is carried from one saving time to the next. Each integrator states what it trades.
+
+`Adaptive` (any diffrax solver under error control) is the reference; `FixedStep` (explicit Runge-Kutta) does the same work for
+every sample, so it wins in batches, and it is the one to differentiate through.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.ground.quantity import Scalar, quantity
+
+# Outcomes of an advance; the sentence is the result a run ends with.
+OUTCOMES = (
+    "The run reached its end.",
+    "The step size fell below the smallest allowed: the equations are too stiff or not finite here.",
+    "The allowed number of steps between two saved times was used up.",
+    "The state became infinite or not a number.",
+)
+# Share of an interval below which a step is given up.
+SMALLEST_STEP = 1e-11
+REACHED, TOO_SMALL, TOO_MANY, NOT_FINITE = range(4)
+
+
+class Advance(NamedTuple):
+    """Outcome of one interval: state at its end, steps accepted and rejected, typical step, index into `OUTCOMES`."""
+
+    state: Any
+    accepted: Any
+    rejected: Any
+    step: Any
+    outcome: Any
+
+
+class AbstractIntegrator(eqx.Module):
+    """Carries a state over an interval. `reversible` tells whether reverse-mode derivatives pass."""
+
+    reverse_differentiable: eqx.AbstractClassVar[bool]
+
+    @abstractmethod
+    def advance(
+        self, field: Callable, start: Scalar, stop: Scalar, state: Any, step: Scalar, controlled: int
+    ) -> Advance:
+        """From `start` to `stop` [s]; `step` is the typical step of the last interval (0: none yet). The first `controlled`
+        entries of the state are held to the tolerance; the others follow them."""
+
+
+class Adaptive(AbstractIntegrator):
+    """A diffrax solver under error control: cost follows difficulty.
+
+    Use as reference and for single runs. Local error per step below rtol |y| + atol times each entry's scale; memories of
+    laws, worn volumes and energies follow the motion and are not controlled. In a batch all samples wait for the slowest. Do
+    not differentiate a finished run near contact (52 % wrong in a measurement); see `jaxclear.sensitivity`.
+    Stiff scenes (large friction over tiny transition speeds) may prefer solver=diffrax.Kvaerno5().
+    """
+
+    reverse_differentiable: ClassVar = False
+    solver: diffrax.AbstractSolver = eqx.field(default_factory=diffrax.Tsit5)
+    rtol: Scalar = quantity(1e-7, "1", "relative local error of coordinates and speeds")
+    atol: Scalar = quantity(1e-9, "1", "absolute local error of coordinates [m, rad] and speeds [m/s, rad/s]")
+    largest_step: Scalar | None = quantity(None, "s", "largest step")
+    most_steps: int = eqx.field(static=True, default=200_000)
+
+    def advance(self, field, start, stop, state, step, controlled):
+        interval = stop - start
+        controller = diffrax.PIDController(
+            rtol=self.rtol,
+            atol=self.atol,
+            norm=lambda error: jnp.max(jnp.abs(error[:controlled])) if controlled else jnp.zeros(()),
+            dtmin=SMALLEST_STEP * jnp.maximum(interval, SMALLEST_STEP),
+            dtmax=self.largest_step,
+            force_dtmin=False,
+        )
+        arrays, rest = eqx.partition(field, eqx.is_array)
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(lambda time, y, args: eqx.combine(args, rest)(time, y)),
+            self.solver,
+            start,
+            stop,
+            jnp.where(step > 0, jnp.minimum(step, interval), 1e-2 * interval),
+            state,
+            args=arrays,
+            stepsize_controller=controller,
+            saveat=diffrax.SaveAt(t1=True),
+            max_steps=self.most_steps,
+            adjoint=diffrax.ForwardMode(),
+            throw=False,
+        )
+        stats, results = solution.stats, diffrax.RESULTS
+        failed = jnp.where(solution.result == results.max_steps_reached, TOO_MANY, TOO_SMALL)
+        outcome = jnp.where(solution.result == results.successful, REACHED, failed)
+        accepted = stats["num_accepted_steps"]
+        typical = interval / jnp.maximum(accepted, 1)
+        return Advance(solution.ys[-1], accepted, stats["num_rejected_steps"], typical, outcome)
+
+
+# Explicit Runge-Kutta methods for fixed steps, as (nodes, matrix below the diagonal, weights).
+TABLEAUX: dict[str, tuple] = {
+    "euler": ((0.0,), ((0.0,),), (1.0,)),
+    "heun": ((0.0, 1.0), ((0.0, 0.0), (1.0, 0.0)), (0.5, 0.5)),
+    "rk4": (
+        (0.0, 0.5, 0.5, 1.0),
+        ((0.0,) * 4, (0.5, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),
+        (1 / 6, 1 / 3, 1 / 3, 1 / 6),
+    ),
+}
+
+
+class FixedStep(AbstractIntegrator):
+    """Explicit Runge-Kutta with equal steps: the same cost for every sample, so the choice for batches.
+
+    Steps are shortened a little to meet the saving times. No error control: halve `step` to see the error. Stable for
+    step < 2.8 / omega (rk4), omega = sqrt(contact stiffness / mass), of the order of 1e4 rad/s in a steel bearing.
+    """
+
+    reverse_differentiable: ClassVar = True
+    step: Scalar = quantity(2e-5, "s", "largest step")
+    method: str = eqx.field(static=True, default="rk4")
+
+    def __check_init__(self):
+        if self.method not in TABLEAUX:
+            raise ValueError(f"no fixed-step method {self.method!r}; there are {', '.join(TABLEAUX)}.")
+
+    def advance(self, field, start, stop, state, step, controlled):
+        count = jnp.maximum(jnp.ceil((stop - start) / self.step * (1 - 1e-9)), 1.0)
+        h = (stop - start) / count
+        nodes, matrix, weights = (np.array(part) for part in TABLEAUX[self.method])
+
+        def one(index, y):
+            time = start + index * h
+            slopes = []
+            for node, row in zip(nodes, matrix, strict=True):
+                inner = y
+                for factor, slope in zip(row, slopes, strict=False):
+                    inner = inner + (h * factor) * slope if factor else inner
+                slopes.append(field(time + node * h, inner))
+            return y + h * sum(w * slope for w, slope in zip(weights, slopes, strict=True))
+
+        steps = count.astype(int)
+        end = jax.lax.fori_loop(0, steps, one, state)
+        outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)
+        return Advance(end, steps, jnp.zeros_like(steps), h, outcome)

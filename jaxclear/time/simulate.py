@@ -1,0 +1,178 @@
+"""From a mechanism to a trajectory: the start is assembled, then the state is carried from one saving time to the next.
+
+Worn surfaces enter the gap as they were at the last saving time, and are updated at every saving time: wear is slow, the
+motion is fast, and a map that is constant within an interval costs the equations of motion nothing but its reading.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.laws.friction import AbstractBristleFriction, AbstractSlipFriction
+from jaxclear.scene import dynamics
+from jaxclear.scene.initial import assemble
+from jaxclear.scene.loops import Baumgarte
+from jaxclear.scene.mechanism import Mechanism
+from jaxclear.scene.state import Layout, lay_out
+from jaxclear.scene.system import System, prepare
+from jaxclear.time import progress
+from jaxclear.time.integrator import OUTCOMES, REACHED, AbstractIntegrator, Adaptive
+from jaxclear.time.trajectory import Trajectory
+
+Worn = dict[str, dict[str, Array]]
+
+
+class SimulationError(RuntimeError):
+    """A run that ended early; the sentence says where and why. `trajectory` holds what was computed."""
+
+    def __init__(self, sentence: str, trajectory: Trajectory):
+        super().__init__(sentence)
+        self.trajectory = trajectory
+
+
+class Field(eqx.Module):
+    """The state's rate as a function of time and state, with the worn surfaces of the current interval."""
+
+    system: System
+    worn: Worn
+    stabilisation: Baumgarte | None
+    layout: Layout = eqx.field(static=True)
+
+    def __call__(self, time: Any, state: Float[Array, " n"]) -> Float[Array, " n"]:
+        entries = [state[i] for i in range(self.layout.size)]
+        return sp.stack(dynamics.rates(self.system, self.layout, self.stabilisation, self.worn, time, entries))
+
+
+def unworn(system: System) -> Worn:
+    """Depth maps of new surfaces, by joint and surface."""
+    return {
+        name: {surface: jnp.zeros(wear_map.cells) for surface, (wear_map, _) in bearing.joint.maps().items()}
+        for name, bearing in system.bearings.items()
+        if bearing.joint.maps()
+    }
+
+
+def deposit(system: System, layout: Layout, worn: Worn, before: Array, after: Array) -> Worn:
+    """Depth maps after what was lost between two states."""
+    worn = {name: dict(surfaces) for name, surfaces in worn.items()}
+    for slot in layout.wear:
+        wear_map = system.bearings[slot.bearing].joint.maps()[slot.surface][0]
+        change = after[slot.start : slot.start + 1 + len(slot.averaged)] - before[
+            slot.start : slot.start + 1 + len(slot.averaged)
+        ]
+        features: list[Any] = [0.0] * slot.feature_count
+        for place, i in enumerate(slot.averaged):
+            features[i] = safe_divide(change[1 + place], change[0])
+        for i, value in slot.constants:
+            features[i] = value
+        old = worn[slot.bearing][slot.surface]
+        worn[slot.bearing][slot.surface] = wear_map.deposit(old, change[:1], sp.stack(features)[None])
+    return worn
+
+
+def run(
+    mechanism: Mechanism,
+    coordinates: Array,
+    speeds: Array,
+    times: Float[Array, " saves"],
+    integrator: AbstractIntegrator,
+    balance: bool = False,
+    report: bool = False,
+    worn: Worn | None = None,
+) -> Trajectory:
+    """The pure core of `simulate`: from consistent coordinates and speeds to a trajectory; maps and differentiates."""
+    system = prepare(mechanism)
+    layout = lay_out(system, balance)
+    state = jnp.concatenate([coordinates, speeds, jnp.zeros(layout.size - layout.memory_start)])
+    worn = unworn(system) if worn is None else worn
+
+    def interval(carry, span):
+        state, worn, step, outcome, ended = carry
+        start, stop, share = span
+        running = outcome == REACHED
+        field = Field(system, worn, mechanism.stabilisation, layout)
+        result = integrator.advance(field, start, jnp.where(running, stop, start), state, step, layout.memory_start)
+        sound = jnp.all(jnp.isfinite(result.state))
+        kept = jnp.where(running & sound, result.state, state)
+        worn = deposit(system, layout, worn, state, kept)
+        if report:
+            jax.debug.callback(progress.advance, share)
+        outcome = jnp.where(running, result.outcome, outcome)
+        ended = jnp.where(running & (outcome == REACHED), stop, ended)
+        counts = (jnp.where(running, result.accepted, 0), jnp.where(running, result.rejected, 0))
+        return (kept, worn, result.step, outcome, ended), (kept, counts)
+
+    spans = (times[:-1], times[1:], (times[1:] - times[:-1]) / (times[-1] - times[0]))
+    first = (state, worn, jnp.zeros(()), jnp.asarray(REACHED), times[0])
+    (_, worn, _, outcome, ended), (states, (accepted, rejected)) = jax.lax.scan(interval, first, spans)
+    states = jnp.concatenate([state[None], states])
+    return Trajectory(mechanism, times, states, worn, outcome, ended, accepted.sum(), rejected.sum(), balance)
+
+
+_run = eqx.filter_jit(run)
+
+
+def saving_times(duration: Any, save: Any) -> Array:
+    """Times to save at: a number of equally spaced ones, or the given ones with 0 in front if it is missing."""
+    if np.ndim(save) == 0:
+        return jnp.linspace(0.0, jnp.asarray(duration, float), int(save))
+    times = np.asarray(save, float)
+    if times.size < 1 or np.any(np.diff(times) <= 0) or times[0] < 0 or not times[-1] <= float(duration):
+        raise ValueError("the times to save at must increase from 0 or later to at most the duration.")
+    times = times if times[0] == 0 else np.concatenate([[0.0], times])
+    return jnp.asarray(times if times[-1] == duration else np.concatenate([times, [duration]]))
+
+
+def check_compliant(mechanism: Mechanism) -> None:
+    """Every friction law must be one that a compliant contact can use."""
+    for name in mechanism.topology.clearances:
+        for pairing in mechanism.connections[name].joint.pairings():
+            law = pairing.friction
+            if law is not None and not isinstance(law, (AbstractSlipFriction, AbstractBristleFriction)):
+                raise ValueError(
+                    f'joint "{name}" has set-valued friction {type(law).__name__}, which has no force law; on a compliant '
+                    "contact use a regularised one, such as friction.ThreeZone or friction.LuGre."
+                )
+
+
+def simulate(
+    mechanism: Mechanism,
+    duration: float,
+    *,
+    integrator: AbstractIntegrator | None = None,
+    save: Any = 501,
+    start_concentric: bool = True,
+    balance: bool = False,
+    progress_bar: bool = False,
+    throw: bool = True,
+) -> Trajectory:
+    """Simulate a mechanism for `duration` [s] from its own start.
+
+    `save`: number of equally spaced saving times, or the times [s]; worn surfaces are updated at these times.
+    `integrator`: `jaxclear.integrator.Adaptive()` by default. `start_concentric`: journals start in the middle of their
+    bearings; False leaves the given start as it is but for ideal loops. `balance`: also integrate the energies that
+    `Trajectory.energy_balance` needs. Changing numbers, duration or tolerances does not compile again; changing the number
+    of saving times does. Raises `ValueError` for a mechanism that cannot start, and, unless `throw=False`,
+    `SimulationError` with a sentence for a run that ends early.
+    """
+    if not float(duration) > 0:
+        raise ValueError(f"the duration is {duration} s; it must be positive.")
+    check_compliant(mechanism)
+    start = assemble(mechanism, start_concentric)
+    integrator = Adaptive() if integrator is None else integrator
+    times = saving_times(duration, save)
+    with progress.bar(progress_bar, "simulating"):
+        trajectory = _run(mechanism, start.coordinates, start.speeds, times, integrator, balance, progress_bar)
+        trajectory = jax.block_until_ready(trajectory)
+    if throw and not trajectory.succeeded:
+        raise SimulationError(trajectory.result, trajectory)
+    return trajectory
+
+
+__all__ = ["OUTCOMES", "SimulationError", "simulate"]

@@ -1,0 +1,294 @@
+"""What a simulation returns: states over time, and by name everything that follows from them.
+
+Poses, contacts, reactions and energies are computed from the saved states when asked for, so a run pays for none of them.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.components.body import GROUND
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import quaternion_from_rotation
+from jaxclear.scene import dynamics, state
+from jaxclear.scene.mechanism import Mechanism
+from jaxclear.scene.system import prepare
+from jaxclear.time.integrator import OUTCOMES, REACHED
+
+
+class BodyHistory(eqx.Module):
+    """Motion of a body in the ground frame: place of its centre of mass [m], orientation (time, 3, 3), velocity of the centre
+    of mass [m/s], angular velocity [rad/s] in ground axes."""
+
+    com: Float[Array, "time 3"]
+    rotation: Float[Array, "time 3 3"]
+    velocity: Float[Array, "time 3"]
+    spin: Float[Array, "time 3"]
+    origin: Float[Array, "time 3"]
+
+    @property
+    def quaternion(self) -> np.ndarray:
+        """Orientation as unit quaternions, scalar first."""
+        return quaternion_from_rotation(np.asarray(self.rotation))
+
+
+class ContactHistory(eqx.Module):
+    """A clearance joint over time, in the bearing's axes; one column per possible contact. SI units."""
+
+    offset: Float[Array, "time 3"]
+    axis: Float[Array, "time 3"]
+    indentation: Float[Array, "time contacts"]
+    normal_force: Float[Array, "time contacts"]
+    slip_speed: Float[Array, "time contacts"]
+    traction: Float[Array, "time contacts"]
+    place: Float[Array, "time contacts 3"]
+    force: Float[Array, "time 3"]
+    torque: Float[Array, "time 3"]
+
+
+class ReactionHistory(eqx.Module):
+    """Force [N] and torque [N m] that the child receives from the parent at the child's marker, in ground axes."""
+
+    force: Float[Array, "time 3"]
+    torque: Float[Array, "time 3"]
+
+
+class EnergyHistory(eqx.Module):
+    """Energy balance [J]: kinetic + potential + contact_stored + losses = start + input + error."""
+
+    kinetic: Float[Array, " time"]
+    potential: Float[Array, " time"]
+    contact_stored: Float[Array, " time"]
+    contact_loss: Float[Array, " time"]
+    friction_loss: Float[Array, " time"]
+    damping_loss: Float[Array, " time"]
+    input: Float[Array, " time"]
+    error: Float[Array, " time"]
+
+
+class Trajectory(eqx.Module):
+    """A simulated run. `states` (time, n) are the raw states; `worn` are depth maps [m] by joint and surface at the end."""
+
+    mechanism: Mechanism
+    time: Float[Array, " time"]
+    states: Float[Array, "time n"]
+    worn: dict[str, dict[str, Array]]
+    outcome: Array
+    ended: Array
+    accepted_steps: Array
+    rejected_steps: Array
+    balanced: bool = eqx.field(static=True)
+
+    @property
+    def succeeded(self) -> Any:
+        """True where the run reached its end."""
+        return self.outcome == REACHED
+
+    @property
+    def result(self) -> str:
+        """A sentence: that the run reached its end, or when and why it did not."""
+        sentence = OUTCOMES[int(self.outcome)]
+        if self.succeeded:
+            return sentence
+        return f"The run ended early, after {float(self.ended):.6g} s. {sentence}"
+
+    def state_names(self) -> list[str]:
+        """Names of the columns of `states`."""
+        system = prepare(self.mechanism)
+        return state.names(system, state.lay_out(system, self.balanced))
+
+    def body(self, name: str) -> BodyHistory:
+        """Motion of a body."""
+        self._known(name, self.mechanism.bodies, "body")
+        return _body(self, name)
+
+    def marker(self, body: str, at: Any) -> Float[Array, "time 3"]:
+        """Place of a point of a body, given in the body frame [m], in the ground frame over time."""
+        history = self.body(body)
+        return history.origin + jnp.einsum("tij,j->ti", history.rotation, sp.stack(sp.vec3(tuple(at))))
+
+    def contact(self, name: str) -> ContactHistory:
+        """Forces and gaps of a clearance joint."""
+        self._known(name, self.mechanism.topology.clearances, "clearance joint")
+        return _contact(self, name)
+
+    def reaction(self, name: str) -> ReactionHistory:
+        """Force and torque in a connection, ideal or with clearance."""
+        self._known(name, self.mechanism.connections, "connection")
+        return _reaction(self, name)
+
+    def coordinate(self, name: str) -> Float[Array, "time q"]:
+        """Coordinates of a connection (or floating body) of the tree."""
+        return self._columns(name, "coordinates")
+
+    def speed(self, name: str) -> Float[Array, "time v"]:
+        """Speeds of a connection (or floating body) of the tree."""
+        return self._columns(name, "speeds")
+
+    def _columns(self, name, kind):
+        topology = self.mechanism.topology
+        for branch in topology.branches:
+            if name in (branch.connection, branch.body if branch.connection is None else None):
+                place = getattr(branch, kind)
+                shift = 0 if kind == "coordinates" else topology.coordinate_count
+                return self.states[:, place.start + shift : place.stop + shift]
+        raise ValueError(f'"{name}" carries no coordinates: it is driven, has clearance, or closes a loop.')
+
+    def worn_volume(self, joint: str, surface: str) -> Float[Array, " time"]:
+        """Volume lost by a surface of a joint over time [m3]."""
+        layout = state.lay_out(prepare(self.mechanism), self.balanced)
+        slots = [slot for slot in layout.wear if (slot.bearing, slot.surface) == (joint, surface)]
+        if not slots:
+            raise ValueError(f'surface "{surface}" of joint "{joint}" does not wear in this mechanism.')
+        return sum(self.states[:, slot.start] for slot in slots)
+
+    def drift(self) -> dict[str, Float[Array, " time"]]:
+        """Largest residual [m, 1] of each loop closure over time, by the joint that closes the loop."""
+        return _drift(self)
+
+    def energy_balance(self) -> EnergyHistory:
+        """Energies over time; needs a run with `balance=True`."""
+        if not self.balanced:
+            raise ValueError("this run did not track energies; simulate with balance=True.")
+        return _energies(self)
+
+    def to_dataset(self) -> Any:
+        """Everything as an xarray Dataset with units."""
+        from jaxclear.time.dataset import to_dataset
+
+        return to_dataset(self)
+
+    def _known(self, name, names, kind):
+        if name not in names or name == GROUND:
+            raise ValueError(f'no {kind} "{name}" in this mechanism; there are {", ".join(map(repr, names)) or "none"}.')
+
+
+def _over_time(trajectory: Trajectory, function: Any) -> Any:
+    """Maps function(system, motions, forces-or-None inputs) over the saved states."""
+    mechanism = trajectory.mechanism
+    system = prepare(mechanism)
+    layout = state.lay_out(system, trajectory.balanced)
+
+    def one(time, entries):
+        q, v = state.unpack_motion(system, entries)
+        motions = dynamics.move(system, q, v, time)
+        return sp.dense(function(system, layout, motions, q, v, time, entries))
+
+    columns = [trajectory.states[:, i] for i in range(layout.size)]
+    return jax.vmap(one)(trajectory.time, columns)
+
+
+def _reports(trajectory, system, layout, motions, entries):
+    return dynamics.touch(system, motions, state.unpack_memories(layout, entries), trajectory.worn)
+
+
+@eqx.filter_jit
+def _body(trajectory, name):
+    def one(system, layout, motions, q, v, time, entries):
+        index = system.topology.index(name)
+        link, motion = system.links[index], motions[index]
+        frame = link.frame
+        pose = motion.pose.after(frame)
+        centre = sp.vec3(trajectory.mechanism.bodies[name].com)
+        inner = frame.point(centre)
+        velocity = sp.plus(motion.twist.linear, sp.cross(motion.twist.angular, inner))
+        rotation = motion.pose.rotation
+        return BodyHistory(
+            pose.point(centre),
+            pose.rotation,
+            sp.apply(rotation, velocity),
+            sp.apply(rotation, motion.twist.angular),
+            pose.translation,
+        )
+
+    return _arrays(_over_time(trajectory, one))
+
+
+def _arrays(history):
+    """Tuples of columns stacked to arrays with time first."""
+    def pack(value):
+        if isinstance(value, tuple):
+            return jnp.stack([pack(part) for part in value], axis=1)
+        return value
+
+    return type(history)(**{name: pack(getattr(history, name)) for name in history.__dataclass_fields__})
+
+
+@eqx.filter_jit
+def _contact(trajectory, name):
+    def one(system, layout, motions, q, v, time, entries):
+        report = _reports(trajectory, system, layout, motions, entries)[name]
+        pose = dynamics.relative_motion(system.bearings[name].closure, motions)[1]
+        axis = sp.transpose(pose.rotation)[2]
+        points = report.points
+        fields = [tuple(getattr(p, f) for p in points) for f in ("indentation", "normal_force", "slip_speed", "traction")]
+        places = tuple(p.place for p in points)
+        return ContactHistory(pose.translation, axis, *fields, places, report.force, report.torque)
+
+    return _arrays(_over_time(trajectory, one))
+
+
+def _solved(trajectory, system, layout, motions, q, v, time, entries):
+    reports = _reports(trajectory, system, layout, motions, entries)
+    forces = dynamics.act(system, motions, reports, q, v, time)
+    return forces, dynamics.solve(system, forces, trajectory.mechanism.stabilisation)
+
+
+@eqx.filter_jit
+def _reaction(trajectory, name):
+    topology = trajectory.mechanism.topology
+
+    def one(system, layout, motions, q, v, time, entries):
+        forces, solution = _solved(trajectory, system, layout, motions, q, v, time, entries)
+        branch = topology.branch_of(name)
+        if branch is not None:
+            index = topology.branches.index(branch)
+            wrench = dynamics.joint_wrenches(system, forces, solution)[index]
+            rotation = motions[index].pose.rotation
+            force, torque = sp.apply(rotation, wrench.force), sp.apply(rotation, wrench.torque)
+            if branch.reversed:
+                force, torque = (tuple(sp.neg(x) for x in part) for part in (force, torque))
+            return ReactionHistory(force, torque)
+        if name in topology.clearances:
+            closure, report = system.bearings[name].closure, forces.reports[name]
+            force, torque = report.force, report.torque
+        else:
+            wanted = system.closures[topology.loops.index(name)]
+            found = dynamics.closure_wrenches(system, motions, solution.multipliers)
+            closure, force, torque, _ = next(entry for entry in found if entry[0] is wanted)
+        rotation = dynamics.relative_motion(closure, motions)[0].parent_pose.rotation
+        return ReactionHistory(sp.apply(rotation, force), sp.apply(rotation, torque))
+
+    return _arrays(_over_time(trajectory, one))
+
+
+@eqx.filter_jit
+def _drift(trajectory):
+    def one(system, layout, motions, q, v, time, entries):
+        return {
+            name: jnp.max(jnp.abs(sp.stack(dynamics.closure_rows(system, motions, closure).values)))
+            for name, closure in zip(system.topology.loops, system.closures, strict=True)
+        }
+
+    return _over_time(trajectory, one)
+
+
+@eqx.filter_jit
+def _energies(trajectory):
+    def one(system, layout, motions, q, v, time, entries):
+        reports = _reports(trajectory, system, layout, motions, entries)
+        forces = dynamics.act(system, motions, reports, q, v, time)
+        return (*dynamics.mechanical_energy(system, forces), *entries[layout.energy_start :])
+
+    kinetic, potential, supplied, contact_work, contact_loss, friction_loss, damping_loss = _over_time(trajectory, one)
+    stored = contact_work - contact_loss
+    total = kinetic + potential + contact_work + friction_loss + damping_loss
+    error = total - total[0] - supplied
+    return EnergyHistory(kinetic, potential, stored, contact_loss, friction_loss, damping_loss, supplied, error)
+
+
+

@@ -1,0 +1,114 @@
+"""Finding every law of a family, building it, and the two checks that all families share: derivatives and units."""
+
+import dataclasses
+import re
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pint
+
+from jaxclear.laws.stiffness import Shape, fitted
+
+UNITS = pint.UnitRegistry()
+# A new set of base units, none a power of another: length, mass, time.
+SCALES = {"[length]": 1e3, "[mass]": 7.0, "[time]": 0.3}
+OPTIONAL_SLOTS = {"restitution": 0.9, "viscous": 0.01, "exponent": 1.4}
+
+
+def shape():
+    return Shape(9.9e-3, 10e-3, 30e-3)
+
+
+def members(abstract):
+    """Every concrete class below `abstract`, in order of name."""
+    found = set()
+    for child in abstract.__subclasses__():
+        found |= set(members(child))
+        if not child.__name__.startswith("Abstract"):
+            found.add(child)
+    return sorted(found, key=lambda law: law.__name__)
+
+
+def variants(law):
+    """The law with its defaults, and with each optional slot filled."""
+    yield fitted(law(), shape())
+    for field in dataclasses.fields(law):
+        if field.name in OPTIONAL_SLOTS and field.default is None:
+            yield fitted(law(**{field.name: OPTIONAL_SLOTS[field.name]}), shape())
+
+
+def family(abstract):
+    """(identifier, law) of every variant of every member, as pytest likes them."""
+    return [(f"{cls.__name__}-{index}", law) for cls in members(abstract) for index, law in enumerate(variants(cls))]
+
+
+def assert_finite(tree, what):
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        assert np.all(np.isfinite(leaf)), f"{what}: not finite at {jax.tree_util.keystr(path)}: {leaf}"
+
+
+def assert_finite_derivatives(function, law, arguments):
+    """Value, grad, jvp and vmap of grad, by the arguments and by every parameter of the law, at rows of arguments."""
+
+    def value(law, row):
+        return function(law, *row)
+
+    def everything(row):
+        tangent = (jax.tree.map(jnp.ones_like, law), jnp.ones_like(row))
+        return value(law, row), jax.grad(value, argnums=(0, 1))(law, row), jax.jvp(value, (law, row), tangent)[1]
+
+    rows = jnp.asarray(np.array(arguments, dtype=float))
+    results = jax.jit(jax.vmap(everything))(rows)
+    assert_finite(results, type(law).__name__)
+    single = jax.jit(everything)(rows[0])
+    for one, all_ in zip(jax.tree.leaves(single), jax.tree.leaves(results)):
+        np.testing.assert_allclose(one, all_[0], rtol=1e-12, atol=1e-300)
+    pulled = sum(jnp.sum(leaf, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(results[1]))
+    # forward and reverse mode are the same sum in another order; terms of either sign cancel to rounding
+    size = sum(jnp.sum(jnp.abs(leaf), axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(results[1]))
+    assert np.all(np.abs(pulled - results[2]) <= 1e-12 * size + 1e-300)
+
+
+def unit_factor(unit, exponents):
+    """By how much a number of this unit grows in the new base units; field names stand for exponents."""
+    for name, exponent in exponents.items():
+        unit = re.sub(rf"\b{name}\b", str(exponent), unit)
+    dimensions = UNITS.Quantity(1.0, "" if unit == "1" else unit).dimensionality
+    return float(np.prod([SCALES[base] ** -power for base, power in dimensions.items()]))
+
+
+def in_new_units(law):
+    """The same law with every number converted by the unit of its field."""
+    fields = {field.name: field for field in dataclasses.fields(law) if not field.metadata.get("static", False)}
+    exponents = {"exponent": 1.5 if getattr(law, "exponent", None) is None else float(law.exponent)}
+    values = {
+        name: getattr(law, name) * unit_factor(field.metadata["unit"], exponents)
+        for name, field in fields.items()
+        if getattr(law, name) is not None
+    }
+    return type(law)(**values)
+
+
+def assert_unit_free(law, function, arguments, units, result_unit):
+    converted = in_new_units(law)
+    for row in arguments:
+        scaled = [jnp.asarray(x * unit_factor(unit, {})) for x, unit in zip(row, units)]
+        expected = function(law, *map(jnp.asarray, row)) * unit_factor(result_unit, {})
+        # rounding of the unit factors, amplified by logarithms and powers
+        np.testing.assert_allclose(function(converted, *scaled), expected, rtol=1e-11)
+
+
+def grid(*axes):
+    return np.stack([axis.ravel() for axis in np.meshgrid(*map(np.asarray, axes), indexing="ij")], axis=-1).astype(float)
+
+
+def evaluate(function, rows):
+    """The function at every row of arguments; a method of a law is compiled once per class, not once per call."""
+    return np.asarray(_mapped(function, jnp.asarray(rows)))
+
+
+@eqx.filter_jit
+def _mapped(function, rows):
+    return jax.vmap(lambda row: function(*row))(rows)

@@ -1,0 +1,183 @@
+"""Every contact law, conformal ones included, keeps the contract; Hertz, Kelvin-Voigt and the exact rebound are oracles."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from contracts import CONTACT_CHECKS, contact_contract, contact_never_pulls, rebound
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from law_family import family, shape
+from scipy.optimize import brentq
+
+from jaxclear.laws import conformal, contact, hysteresis  # noqa: F401 (conformal: its laws join the family)
+from jaxclear.laws.material import Material, combined_modulus, steel
+from jaxclear.laws.stiffness import HertzStiffness, LengthOf, Shape, fitted
+
+LAWS = family(contact.AbstractContactLaw)
+
+
+@pytest.mark.parametrize("check", CONTACT_CHECKS, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("law", [law for _, law in LAWS], ids=[name for name, _ in LAWS])
+def test_contact_law_keeps_the_contract(law, check):
+    check(law)
+
+
+def test_whole_contract_takes_an_unfitted_law():
+    contact_contract(contact.Hertz(HertzStiffness(steel(), steel())))
+
+
+def test_contract_refuses_a_law_that_pulls():
+    # Not a subclass, so that the walk over the family never meets it.
+    class Sticky(eqx.Module):
+        def normal_force(self, indentation, rate, impact_speed):
+            return indentation * (1e8 + 1e9 * rate)
+
+    with pytest.raises(AssertionError):
+        contact_never_pulls(Sticky())
+
+
+def test_hertz_sphere_in_socket_matches_hand_calculation():
+    """Four-bar paper (001), eq. 2 and Table II: 206.8 GPa, 0.29, radii 9.8 and 10 mm."""
+    h = (1 - 0.29**2) / (np.pi * 206.8e9)
+    expected = 4 / (3 * np.pi * 2 * h) * np.sqrt(9.8e-3 * 10e-3 / 0.2e-3)
+    law = fitted(contact.Hertz(HertzStiffness(steel(), steel())), Shape(9.8e-3, 10e-3))
+    np.testing.assert_allclose(law.stiffness, expected, rtol=1e-12)
+    np.testing.assert_allclose(law.normal_force(1e-6, 0.0, 0.0), expected * 1e-9, rtol=1e-12)
+
+
+def test_hertz_stiffness_differentiates_in_the_clearance():
+    """K ~ ((R - c) R / c)^(1/2), so dK/dc = -K R / (2 c (R - c)) at a fixed outer radius R."""
+    radius, clearance = 10e-3, 1e-4
+
+    def stiffness(clearance):
+        return fitted(contact.Hertz(HertzStiffness(steel(), steel())), Shape(radius - clearance, radius)).stiffness
+
+    expected = -stiffness(clearance) * radius / (2 * clearance * (radius - clearance))
+    for slope in (jax.grad(stiffness)(clearance), jax.jit(jax.jacfwd(stiffness))(clearance)):
+        np.testing.assert_allclose(slope, expected, rtol=1e-9)
+
+
+def test_combined_modulus_of_a_rigid_partner_is_the_other_bodys():
+    soft, rigid = Material(70e9, 0.3), Material(1e30, 0.0)
+    np.testing.assert_allclose(combined_modulus(soft, rigid), 70e9 / (1 - 0.09), rtol=1e-12)
+    np.testing.assert_allclose(combined_modulus(soft, soft), 70e9 / (1 - 0.09) / 2, rtol=1e-12)
+
+
+def test_journal_larger_than_its_bearing_is_refused_by_name_of_the_remedy():
+    with pytest.raises(ValueError, match="outer radius must be the larger one"):
+        Shape(10e-3, 9.9e-3)
+
+
+def test_line_contact_without_length_is_refused():
+    with pytest.raises(ValueError, match="Shape.length"):
+        LengthOf().value(Shape(9e-3, 10e-3))
+
+
+def test_fits_are_found_at_any_depth():
+    nested = fitted((contact.Hertz(HertzStiffness(steel(), steel())), {"line": conformal.Johnson()}), shape())
+    assert all(eqx.is_array(leaf) and leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(nested))
+    np.testing.assert_allclose(nested[1]["line"].clearance, 1e-4, rtol=1e-9)
+
+
+def test_deepest_indentation_of_an_elastic_impact():
+    """Energy: m v^2 / 2 = 2 K delta^(5/2) / 5; the force does that work on the way in."""
+    law = contact.Hertz(1e10)
+    deepest = (5 * 1.0 * 0.1**2 / (4 * 1e10)) ** (2 / 5)
+    depth = np.linspace(0, deepest, 20001)
+    work = np.trapezoid(jax.vmap(law.elastic_force)(depth), depth)
+    np.testing.assert_allclose(work, 0.5 * 0.1**2, rtol=1e-6)
+    assert abs(rebound(law) - 1) < 1e-6
+
+
+def test_kelvin_voigt_rebounds_as_the_damped_oscillator():
+    """Without pulling the mass leaves when K x + D v = 0: e = exp(-zeta phi / sqrt(1 - zeta^2)), Schwager & Poschel 2007."""
+    stiffness, mass, zeta = 1e8, 1.0, 0.1
+    law = contact.KelvinVoigt(stiffness, 2 * zeta * np.sqrt(stiffness * mass), onset_depth=1e-9)
+    omega, damped = np.sqrt(stiffness / mass), np.sqrt(stiffness / mass) * np.sqrt(1 - zeta**2)
+    time = brentq(lambda t: 2 * zeta * np.cos(damped * t) + (1 - 2 * zeta**2) / np.sqrt(1 - zeta**2) * np.sin(damped * t),
+                  1 / damped, np.pi / damped)
+    speed = np.exp(-zeta * omega * time) * (np.cos(damped * time) - zeta / np.sqrt(1 - zeta**2) * np.sin(damped * time))
+    # the smooth onset of the damper over 1e-9 m of an indentation of 1e-5 m
+    np.testing.assert_allclose(rebound(law), -speed, atol=2e-4)
+
+
+def test_adams_impact_meets_its_formula():
+    law = contact.AdamsImpact(1e10, None, 1e3, 1e-5)
+    half = 1e10 * (5e-6) ** 1.5
+    np.testing.assert_allclose(law.normal_force(5e-6, 0.1, 0.0), half + 0.5 * 1e3 * 0.1, rtol=1e-13)
+    np.testing.assert_allclose(law.normal_force(5e-5, 0.1, 0.0), 1e10 * (5e-5) ** 1.5 + 1e3 * 0.1, rtol=1e-13)
+    assert law.normal_force(1e-6, -100.0, 0.0) == 0
+
+
+def test_modified_flores_is_hertz_for_small_indentation():
+    law = fitted(contact.ModifiedFlores(combined_modulus(steel(), steel())), shape())
+    hertz = fitted(contact.Hertz(HertzStiffness(steel(), steel())), shape())
+    # R_s^2 stands for R_i R_j: half a per cent at a clearance of a hundredth of the radius
+    np.testing.assert_allclose(law.elastic_force(1e-8), hertz.elastic_force(1e-8), rtol=6e-3)
+
+
+@pytest.mark.parametrize("restitution", [0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.99985, 0.99995, 1.0])
+def test_gonthier_solves_the_rebound_relation(restitution):
+    """(1 + d) = (1 - d e) exp(d (1 + e)), solved independently for y = -ln(1 - d e) by scipy's brentq."""
+
+    def residual(y):
+        factor = -np.expm1(-y) / restitution
+        return y - factor * (1 + restitution) + np.log1p(factor)
+
+    if restitution == 1:
+        expected = 0.0
+    else:
+        bracket = restitution * (1 - restitution), (1 + restitution) / restitution + 1
+        expected = -np.expm1(-brentq(residual, *bracket, xtol=1e-15, rtol=1e-14)) / restitution
+    # the two roots cancel as e tends to 1: a part in 1e8 of a factor of 1e-4
+    np.testing.assert_allclose(hysteresis.gonthier(jnp.asarray(restitution)), expected, rtol=2e-8)
+    assert np.isfinite(jax.grad(hysteresis.gonthier)(restitution))
+
+
+@pytest.mark.parametrize(
+    ("law", "restitution", "error"),
+    [
+        # the docstrings' statements of accuracy
+        (contact.Gonthier, 0.9, 1e-5),
+        (contact.Gonthier, 0.3, 1e-5),
+        (contact.CarvalhoMartins, 0.9, 2e-5),
+        (contact.CarvalhoMartins, 0.5, 3e-4),
+        (contact.Flores, 0.3, 0.045),
+        (contact.HuntCrossley, 0.9, 0.0095),
+        (contact.LankaraniNikravesh, 0.9, 0.0135),
+    ],
+)
+def test_rebound_is_as_accurate_as_the_docstring_says(law, restitution, error):
+    assert abs(rebound(law(1e10, None, restitution)) - restitution) <= error
+
+
+def test_marhefka_orin_loses_restitution_in_proportion_to_speed():
+    """e = 1 - a v + O((a v)^2)."""
+    law = contact.MarhefkaOrin(dissipation=0.1)
+    assert abs(rebound(law, speed=0.5) - (1 - 0.05)) < 0.05**2
+
+
+exponents = st.floats(5, 13)
+
+
+@jax.jit
+def _value_and_slopes(law, indentation, rate):
+    def force(law, indentation, rate):
+        return law.normal_force(indentation, rate, jnp.abs(rate))
+
+    return jax.value_and_grad(force, argnums=(0, 1, 2))(law, indentation, rate)
+
+
+@settings(max_examples=100, deadline=None)
+@given(exponents, st.floats(-16, -3), st.floats(-10, 10), st.floats(0.02, 1), st.floats(1, 3), st.booleans())
+def test_extreme_parameters_stay_finite(stiffness, depth, rate, restitution, exponent, closed):
+    indentation = jnp.asarray(10.0**depth if closed else -(10.0**depth))
+    power = 1.01 * exponent
+    laws = [law(10.0**stiffness, power, restitution) for law in (contact.Gonthier, contact.CarvalhoMartins, contact.Flores)]
+    laws += [contact.Hertz(10.0**stiffness), contact.AdamsImpact(10.0**stiffness, power), contact.KelvinVoigt(10.0**stiffness)]
+    for law in laws:
+        value, slopes = _value_and_slopes(law, indentation, jnp.asarray(rate))
+        assert np.isfinite(value) and value >= 0
+        assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(slopes))

@@ -1,0 +1,145 @@
+"""Every friction law keeps the contract; the published curves are oracles."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from contracts import (
+    BRISTLE_CHECKS,
+    SLIP_CHECKS,
+    bristle_never_gives_energy_and_is_bounded,
+    friction_contract,
+    slide,
+    slip_never_gives_energy_and_is_bounded,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from law_family import family
+
+from jaxclear.laws import friction
+
+SLIP = family(friction.AbstractSlipFriction)
+BRISTLE = family(friction.AbstractBristleFriction)
+exponents = st.floats(-9, 0)
+coefficients = st.floats(0, 2)
+
+
+@pytest.mark.parametrize("check", SLIP_CHECKS, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("law", [law for _, law in SLIP], ids=[name for name, _ in SLIP])
+def test_slip_friction_keeps_the_contract(law, check):
+    check(law)
+
+
+@pytest.mark.parametrize("check", BRISTLE_CHECKS, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("law", [law for _, law in BRISTLE], ids=[name for name, _ in BRISTLE])
+def test_bristle_friction_keeps_the_contract(law, check):
+    check(law)
+
+
+def test_set_valued_friction_is_declared_but_has_no_function():
+    for _, law in family(friction.AbstractSetValuedFriction):
+        friction_contract(law)
+        assert "coefficient" not in dir(law)
+
+
+def test_contract_refuses_a_law_that_pushes():
+    # Not a subclass, so that the walk over the family never meets it.
+    class Pushing(eqx.Module):
+        mu_kinetic: float = 0.1
+
+        def coefficient(self, slip_speed):
+            return -self.mu_kinetic * jnp.tanh(slip_speed)
+
+    with pytest.raises(AssertionError):
+        slip_never_gives_energy_and_is_bounded(Pushing())
+
+
+@jax.jit
+def _value_and_slope(law, slip_speed):
+    return jax.value_and_grad(lambda law, v: law.coefficient(v), argnums=(0, 1))(law, slip_speed)
+
+
+@settings(max_examples=100, deadline=None)
+@given(coefficients, coefficients, exponents, st.floats(-12, 2), st.booleans())
+def test_extreme_parameters_stay_finite(mu_static, mu_kinetic, exponent, speed_exponent, at_rest):
+    slow = 10.0**exponent
+    speed = jnp.asarray(0.0 if at_rest else 10.0**speed_exponent)
+    laws = (
+        friction.CoulombTanh(mu_kinetic, slow),
+        friction.Ambrosio(mu_kinetic, slow, 2 * slow),
+        friction.ThreeZone(mu_static, mu_kinetic, slow, 1.5 * slow),
+        friction.AdamsStep(mu_static, mu_kinetic, slow, 1.5 * slow),
+        friction.Threlfall(mu_kinetic, slow),
+        friction.BengisuAkay(mu_static, mu_kinetic, slow, 1 / slow),
+        friction.Stribeck(mu_static, mu_kinetic, slow, slow / 2),
+    )
+    for law in laws:
+        value, slopes = _value_and_slope(law, speed)
+        assert 0 <= value <= max(mu_static, mu_kinetic) * (1 + 1e-12)
+        assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(slopes))
+
+
+@settings(max_examples=50, deadline=None)
+@given(coefficients, coefficients, exponents, st.floats(-3, 3))
+def test_extreme_bristles_stay_finite(mu_static, mu_kinetic, exponent, slip):
+    for law in (friction.LuGre(mu_static, mu_kinetic, 10.0**exponent), friction.Dahl(mu_kinetic)):
+        values = _bristle_slopes(law, jnp.asarray(3e-7), jnp.asarray(slip))
+        assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(values))
+
+
+@jax.jit
+def _bristle_slopes(law, deflection, slip):
+    def force(law, z, v):
+        return law.coefficient(z, law.deflection_rate(z, v, jnp.abs(v)), v)
+
+    return jax.value_and_grad(force, argnums=(0, 1, 2))(law, deflection, slip)
+
+
+def test_three_zones_meet_the_published_curve():
+    """Four-bar paper (001), eq. 4, at the ends and the middle of each zone."""
+    law = friction.ThreeZone(0.2, 0.1, 1e-3, 3e-3)
+    speeds = np.array([0.5e-3, 1e-3, 2e-3, 3e-3, 1.0])
+    expected = [0.2 * np.sin(np.pi / 4), 0.2, 0.15, 0.1, 0.1]
+    np.testing.assert_allclose(jax.vmap(law.coefficient)(speeds), expected, rtol=1e-14)
+
+
+def test_adams_step_meets_the_published_curve():
+    """Flap paper (002), eq. 8, with STEP(x) = low + (high - low) s^2 (3 - 2 s)."""
+    law = friction.AdamsStep(0.2, 0.1, 1e-3, 3e-3)
+    s = (0.5e-3 + 1e-3) / 2e-3
+    speeds = np.array([0.5e-3, 1e-3, 2e-3, 3e-3, 1.0])
+    expected = [-0.2 + 0.4 * s * s * (3 - 2 * s), 0.2, 0.15, 0.1, 0.1]
+    np.testing.assert_allclose(jax.vmap(law.coefficient)(speeds), expected, rtol=1e-13)
+
+
+def test_ambrosio_and_threlfall_and_bengisu_akay_at_chosen_speeds():
+    ambrosio = friction.Ambrosio(0.1, 1e-3, 3e-3)
+    np.testing.assert_allclose(jax.vmap(ambrosio.coefficient)(np.array([5e-4, 2e-3, 5e-3])), [0, 0.05, 0.1], atol=1e-15)
+    threlfall = friction.Threlfall(0.1, 1e-3)
+    # Threlfall's own 0.95 differs from 1 - exp(-3) by 2.2e-4
+    np.testing.assert_allclose(threlfall.coefficient(5e-4), 0.1 * (1 - np.exp(-1.5)) / 0.95, rtol=3e-4)
+    bengisu = friction.BengisuAkay(0.2, 0.1, 1e-3, 1e3)
+    expected = [0.2 * 0.75, 0.2, 0.1 + 0.1 * np.exp(-2)]
+    np.testing.assert_allclose(jax.vmap(bengisu.coefficient)(np.array([5e-4, 1e-3, 3e-3])), expected, rtol=1e-13)
+
+
+def test_dahl_follows_its_closed_solution():
+    """At constant slip z = z_0 (1 - exp(-v t / z_0)), so the coefficient depends on the distance alone."""
+    law = friction.Dahl(0.3, 1e-6)
+    step, speed = 1e-5, 1e-3
+    distance = speed * step * np.arange(1000)
+    # fourth-order Runge-Kutta at a hundredth of the yield deflection
+    np.testing.assert_allclose(slide(law, jnp.full(2001, speed), step), 0.3 * -np.expm1(-distance / 1e-6), atol=1e-9)
+
+
+def test_lugre_slides_on_the_stribeck_curve():
+    law = friction.LuGre(0.2, 0.1)
+    for speed in (1e-3, 1e-2, 1e-1):
+        final = slide(law, jnp.full(8001, speed), 1e-7 / speed)[-1]
+        np.testing.assert_allclose(final, 0.1 + 0.1 * np.exp(-((speed / 1e-2) ** 2)), rtol=1e-9)
+
+
+def test_lugre_stays_passive_however_slow_its_bristles_settle():
+    """The fading damping keeps t |v| / (z_0 s) below 4, the limit of passivity, even at a settling time of a second."""
+    bristle_never_gives_energy_and_is_bounded(friction.LuGre(settling_time=1.0))
