@@ -9,20 +9,33 @@ from jaxclear.components import clearance, drive, joint, load  # noqa: E402
 from jaxclear.components.body import Body, Connection, Marker  # noqa: E402
 from jaxclear.components.wear_map import Wearing  # noqa: E402
 from jaxclear.laws import contact, friction, material, wear  # noqa: E402
+from jaxclear.laws.material import Material  # noqa: E402
+from jaxclear.scene.initial import assemble  # noqa: E402
+from jaxclear.scene.loops import Baumgarte  # noqa: E402
 from jaxclear.scene.mechanism import Mechanism  # noqa: E402
+from jaxclear.time import integrator  # noqa: E402
+from jaxclear.time.simulate import SimulationError, simulate  # noqa: E402
+from jaxclear.time.trajectory import Trajectory  # noqa: E402
 
 __all__ = [
+    "Baumgarte",
     "Body",
     "Connection",
     "Marker",
+    "Material",
     "Mechanism",
+    "SimulationError",
+    "Trajectory",
     "Wearing",
+    "assemble",
     "clearance",
     "contact",
     "drive",
     "friction",
+    "integrator",
     "joint",
     "load",
     "material",
+    "simulate",
     "wear",
 ]

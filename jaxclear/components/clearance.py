@@ -56,7 +56,7 @@ class AbstractClearance(eqx.Module):
 
     @abstractmethod
     def indentations(self, offset: sp.Vec, axes: tuple[sp.Vec, ...], worn: dict[str, Any]) -> tuple[Scalar, ...]:
-        """Overlap at each possible contact [m]. `worn` holds depth maps by surface; empty where nothing wears."""
+        """Overlap at each possible contact [m]. `worn` holds readings of depth maps by surface; empty where nothing wears."""
 
     @abstractmethod
     def touches(self, offset: sp.Vec, axes: tuple[sp.Vec, ...], indentations: tuple) -> tuple[Touch, ...]:

@@ -44,6 +44,10 @@ class AbstractWearMap(eqx.Module):
         """Area of each cell [m2]."""
 
     @abstractmethod
+    def reading(self, depth):
+        """The depth in the form in which the gap reads it; made once for as long as the depth stays as it is."""
+
+    @abstractmethod
     def deposit(self, depth, volume, features):
         """Depth after losing `volume` (events,) [m3] at `features` (events, n), each event's location."""
 
@@ -101,12 +105,25 @@ class CylinderMap(AbstractWearMap):
         lost = volume[:, None, None] * weights[:, :, None] * rows[:, None, :]
         return depth.at[columns].add(lost / self.areas()[0, 0])
 
-    def depth_at_end(self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, end: int) -> Scalar:
+    def reading(self, depth):
+        """For the lower and upper end: coefficients (around, 3) of the spline 1, f, f^2 around each cell, contiguous so
+        that one lookup costs one small slice."""
+        rows = []
+        for edge in (depth[:, 0], depth[:, -1]):
+            left, right = jnp.roll(edge, 1), jnp.roll(edge, -1)
+            rows.append(
+                jnp.stack([0.125 * (left + 6.0 * edge + right), 0.5 * (right - left), 0.5 * (left + right) - edge], -1)
+            )
+        return tuple(rows)
+
+    def depth_at_end(self, reading: tuple, x: Scalar, y: Scalar, end: int) -> Scalar:
         """Worn depth at the direction (x, y) of the row at the lower (-1) or upper (1) end, in metres."""
         around = self.cells[0]
-        nearest, weights = spline_weights(direction_angle(x, y) * (around / (2 * jnp.pi)) - 0.5)
-        row = depth[:, 0 if end < 0 else -1]
-        return jnp.sum(weights * row[(nearest[..., None] + jnp.arange(-1, 2)) % around], axis=-1)
+        position = direction_angle(x, y) * (around / (2 * jnp.pi)) - 0.5
+        nearest = jnp.round(position)
+        f = position - nearest
+        constant, slope, curvature = reading[0 if end < 0 else 1][nearest.astype(int) % around]
+        return constant + f * (slope + f * curvature)
 
 
 class SphereMap(AbstractWearMap):
@@ -147,6 +164,9 @@ class SphereMap(AbstractWearMap):
         columns, rows, weights = self._stencil(*jnp.moveaxis(features, -1, 0))
         lost = volume[:, None, None] * weights
         return depth.at[columns, rows].add(lost / self.areas()[columns, rows])
+
+    def reading(self, depth):
+        return depth
 
     def depth_towards(self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar) -> Scalar:
         """Worn depth in the direction (x, y, z) [m]."""

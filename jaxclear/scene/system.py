@@ -112,3 +112,11 @@ def coordinate_loads(system: System) -> list[tuple[str, AbstractCoordinateLoad]]
 
 def body_loads(system: System) -> list[tuple[str, AbstractBodyLoad]]:
     return [(name, load) for name, load in system.loads.items() if isinstance(load, AbstractBodyLoad)]
+
+
+def readings(system: System, worn: dict) -> dict:
+    """Worn surfaces in the form in which the gaps read them."""
+    return {
+        name: {s: system.bearings[name].joint.maps()[s][0].reading(depth) for s, depth in surfaces.items()}
+        for name, surfaces in worn.items()
+    }

@@ -20,9 +20,9 @@ from jaxclear.scene.initial import assemble
 from jaxclear.scene.loops import Baumgarte
 from jaxclear.scene.mechanism import Mechanism
 from jaxclear.scene.state import Layout, lay_out
-from jaxclear.scene.system import System, prepare
+from jaxclear.scene.system import System, prepare, readings
 from jaxclear.time import progress
-from jaxclear.time.integrator import OUTCOMES, REACHED, AbstractIntegrator, Adaptive
+from jaxclear.time.integrator import REACHED, AbstractIntegrator, Adaptive
 from jaxclear.time.trajectory import Trajectory
 
 Worn = dict[str, dict[str, Array]]
@@ -37,10 +37,10 @@ class SimulationError(RuntimeError):
 
 
 class Field(eqx.Module):
-    """The state's rate as a function of time and state, with the worn surfaces of the current interval."""
+    """The state's rate as a function of time and state; `worn` are the current interval's worn surfaces as read."""
 
     system: System
-    worn: Worn
+    worn: dict
     stabilisation: Baumgarte | None
     layout: Layout = eqx.field(static=True)
 
@@ -96,7 +96,7 @@ def run(
         state, worn, step, outcome, ended = carry
         start, stop, share = span
         running = outcome == REACHED
-        field = Field(system, worn, mechanism.stabilisation, layout)
+        field = Field(system, readings(system, worn), mechanism.stabilisation, layout)
         result = integrator.advance(field, start, jnp.where(running, stop, start), state, step, layout.memory_start)
         sound = jnp.all(jnp.isfinite(result.state))
         kept = jnp.where(running & sound, result.state, state)
@@ -173,6 +173,3 @@ def simulate(
     if throw and not trajectory.succeeded:
         raise SimulationError(trajectory.result, trajectory)
     return trajectory
-
-
-__all__ = ["OUTCOMES", "SimulationError", "simulate"]

@@ -16,7 +16,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.scene import dynamics, state
 from jaxclear.scene.mechanism import Mechanism
-from jaxclear.scene.system import prepare
+from jaxclear.scene.system import prepare, readings
 from jaxclear.time.integrator import OUTCOMES, REACHED
 
 
@@ -183,7 +183,9 @@ def _over_time(trajectory: Trajectory, function: Any) -> Any:
 
 
 def _reports(trajectory, system, layout, motions, entries):
-    return dynamics.touch(system, motions, state.unpack_memories(layout, entries), trajectory.worn)
+    """Contacts of a saved state, over the surfaces as they are worn at the end of the run."""
+    read = readings(system, trajectory.worn)
+    return dynamics.touch(system, motions, state.unpack_memories(layout, entries), read)
 
 
 @eqx.filter_jit
