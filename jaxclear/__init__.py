@@ -13,9 +13,15 @@ from jaxclear.laws.material import Material  # noqa: E402
 from jaxclear.scene.initial import assemble  # noqa: E402
 from jaxclear.scene.loops import Baumgarte  # noqa: E402
 from jaxclear.scene.mechanism import Mechanism  # noqa: E402
-from jaxclear.time import integrator  # noqa: E402
+from jaxclear.studies import distribution  # noqa: E402
+from jaxclear.studies.problem import Problem, Variable  # noqa: E402
+from jaxclear.studies.sensitivity import sensitivity  # noqa: E402
+from jaxclear.studies.tolerance import monte_carlo  # noqa: E402
+from jaxclear.time import integrator, response  # noqa: E402
 from jaxclear.time.simulate import SimulationError, simulate  # noqa: E402
 from jaxclear.time.trajectory import Trajectory  # noqa: E402
+
+from jaxclear import scenes  # noqa: E402  isort: skip
 
 __all__ = [
     "Baumgarte",
@@ -24,18 +30,25 @@ __all__ = [
     "Marker",
     "Material",
     "Mechanism",
+    "Problem",
     "SimulationError",
     "Trajectory",
+    "Variable",
     "Wearing",
     "assemble",
     "clearance",
     "contact",
+    "distribution",
     "drive",
     "friction",
     "integrator",
     "joint",
     "load",
     "material",
+    "monte_carlo",
+    "response",
+    "scenes",
+    "sensitivity",
     "simulate",
     "wear",
 ]

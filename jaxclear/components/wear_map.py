@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.numerics import TINY_SQUARE, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.wear import AbstractWearLaw
 
@@ -65,7 +65,7 @@ def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "
 
 def direction_angle(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
     """atan2(y, x), and 0 with zero derivative at the origin, where a direction does not exist."""
-    somewhere = x * x + y * y > 0
+    somewhere = x * x + y * y > TINY_SQUARE
     return jnp.where(somewhere, jnp.arctan2(jnp.where(somewhere, y, 0.0), jnp.where(somewhere, x, 1.0)), 0.0)
 
 

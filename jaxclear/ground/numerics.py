@@ -9,8 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-# Below this, a sum of squares has lost its relative precision (squares of numbers under 1e-140 underflow).
-TINY_SQUARE = 1e-280
+# Sums of squares below this count as zero. Far below the square of any length, speed or force of a mechanism, and far
+# enough from the smallest float64 that second derivatives (x^-3/2, and squares of x in denominators) neither overflow
+# nor underflow: a contact's normal is a first derivative already, and is differentiated once more by whoever varies it.
+TINY_SQUARE = 1e-100
 
 
 def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:

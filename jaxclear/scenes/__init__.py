@@ -1,0 +1,5 @@
+"""The mechanisms of the papers, ready to run."""
+
+from jaxclear.scenes.four_bar import four_bar
+
+__all__ = ["four_bar"]

@@ -45,10 +45,11 @@ class AbstractIntegrator(eqx.Module):
 
     @abstractmethod
     def advance(
-        self, field: Callable, start: Scalar, stop: Scalar, state: Any, step: Scalar, controlled: int
+        self, field: Callable, start: Scalar, stop: Scalar, state: Any, step: Scalar, controlled: int, running: Any
     ) -> Advance:
         """From `start` to `stop` [s]; `step` is the typical step of the last interval (0: none yet). The first `controlled`
-        entries of the state are held to the tolerance; the others follow them."""
+        entries of the state are held to the tolerance; the others follow them. Where `running` is False the run has ended
+        before and the outcome will be ignored: an integrator may then save the work."""
 
 
 class Adaptive(AbstractIntegrator):
@@ -67,7 +68,8 @@ class Adaptive(AbstractIntegrator):
     largest_step: Scalar | None = quantity(None, "s", "largest step")
     most_steps: int = eqx.field(static=True, default=200_000)
 
-    def advance(self, field, start, stop, state, step, controlled):
+    def advance(self, field, start, stop, state, step, controlled, running):
+        stop = jnp.where(running, stop, start)
         interval = stop - start
         controller = diffrax.PIDController(
             rtol=self.rtol,
@@ -94,7 +96,9 @@ class Adaptive(AbstractIntegrator):
         )
         stats, results = solution.stats, diffrax.RESULTS
         failed = jnp.where(solution.result == results.max_steps_reached, TOO_MANY, TOO_SMALL)
-        outcome = jnp.where(solution.result == results.successful, REACHED, failed)
+        # A remainder of rounding before `stop` is shorter than the smallest step, but it has been taken.
+        reached = (solution.result == results.successful) | (solution.ts[-1] >= stop)
+        outcome = jnp.where(reached, REACHED, failed)
         accepted = stats["num_accepted_steps"]
         typical = interval / jnp.maximum(accepted, 1)
         return Advance(solution.ys[-1], accepted, stats["num_rejected_steps"], typical, outcome)
@@ -127,7 +131,7 @@ class FixedStep(AbstractIntegrator):
         if self.method not in TABLEAUX:
             raise ValueError(f"no fixed-step method {self.method!r}; there are {', '.join(TABLEAUX)}.")
 
-    def advance(self, field, start, stop, state, step, controlled):
+    def advance(self, field, start, stop, state, step, controlled, running):
         count = jnp.maximum(jnp.ceil((stop - start) / self.step * (1 - 1e-9)), 1.0)
         h = (stop - start) / count
         nodes, matrix, weights = (np.array(part) for part in TABLEAUX[self.method])

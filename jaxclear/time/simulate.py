@@ -96,8 +96,9 @@ def run(
         state, worn, step, outcome, ended = carry
         start, stop, share = span
         running = outcome == REACHED
-        field = Field(system, readings(system, worn), mechanism.stabilisation, layout)
-        result = integrator.advance(field, start, jnp.where(running, stop, start), state, step, layout.memory_start)
+        read = readings(system, worn)
+        field = Field(system, read, mechanism.stabilisation, layout)
+        result = integrator.advance(field, start, stop, state, step, layout.memory_start, running)
         sound = jnp.all(jnp.isfinite(result.state))
         kept = jnp.where(running & sound, result.state, state)
         worn = deposit(system, layout, worn, state, kept)
@@ -106,13 +107,14 @@ def run(
         outcome = jnp.where(running, result.outcome, outcome)
         ended = jnp.where(running & (outcome == REACHED), stop, ended)
         counts = (jnp.where(running, result.accepted, 0), jnp.where(running, result.rejected, 0))
-        return (kept, worn, result.step, outcome, ended), (kept, counts)
+        return (kept, worn, result.step, outcome, ended), (kept, read, counts)
 
     spans = (times[:-1], times[1:], (times[1:] - times[:-1]) / (times[-1] - times[0]))
     first = (state, worn, jnp.zeros(()), jnp.asarray(REACHED), times[0])
-    (_, worn, _, outcome, ended), (states, (accepted, rejected)) = jax.lax.scan(interval, first, spans)
+    (_, worn, _, outcome, ended), (states, read, (accepted, rejected)) = jax.lax.scan(interval, first, spans)
     states = jnp.concatenate([state[None], states])
-    return Trajectory(mechanism, times, states, worn, outcome, ended, accepted.sum(), rejected.sum(), balance)
+    read = jax.tree.map(lambda x: jnp.concatenate([x[:1], x]), read)
+    return Trajectory(mechanism, times, states, worn, read, outcome, ended, accepted.sum(), rejected.sum(), balance)
 
 
 _run = eqx.filter_jit(run)

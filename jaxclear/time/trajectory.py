@@ -3,7 +3,7 @@
 Poses, contacts, reactions and energies are computed from the saved states when asked for, so a run pays for none of them.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,8 +15,9 @@ from jaxclear.components.body import GROUND
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.scene import dynamics, state
+from jaxclear.scene.contact_point import JointReport
 from jaxclear.scene.mechanism import Mechanism
-from jaxclear.scene.system import prepare, readings
+from jaxclear.scene.system import System, prepare
 from jaxclear.time.integrator import OUTCOMES, REACHED
 
 
@@ -71,12 +72,14 @@ class EnergyHistory(eqx.Module):
 
 
 class Trajectory(eqx.Module):
-    """A simulated run. `states` (time, n) are the raw states; `worn` are depth maps [m] by joint and surface at the end."""
+    """A simulated run. `states` (time, n) are the raw states; `worn` are depth maps [m] by joint and surface at the end,
+    `read` the worn surfaces as the gaps saw them up to each saving time."""
 
     mechanism: Mechanism
     time: Float[Array, " time"]
     states: Float[Array, "time n"]
     worn: dict[str, dict[str, Array]]
+    read: dict[str, dict[str, Any]]
     outcome: Array
     ended: Array
     accepted_steps: Array
@@ -167,32 +170,46 @@ class Trajectory(eqx.Module):
             raise ValueError(f'no {kind} "{name}" in this mechanism; there are {", ".join(map(repr, names)) or "none"}.')
 
 
+class Instant(NamedTuple):
+    """A saved state made ready: everything the histories are computed from."""
+
+    system: System
+    layout: state.Layout
+    motions: tuple
+    q: tuple
+    v: tuple
+    time: Any
+    entries: Any
+    read: dict
+
+    def reports(self) -> dict[str, JointReport]:
+        """Contacts over the surfaces as they were worn at this instant."""
+        return dynamics.touch(self.system, self.motions, state.unpack_memories(self.layout, self.entries), self.read)
+
+    def forces(self) -> dynamics.Forces:
+        return dynamics.act(self.system, self.motions, self.reports(), self.q, self.v, self.time)
+
+
 def _over_time(trajectory: Trajectory, function: Any) -> Any:
-    """Maps function(system, motions, forces-or-None inputs) over the saved states."""
+    """Maps a function of an `Instant` over the saved states."""
     mechanism = trajectory.mechanism
     system = prepare(mechanism)
     layout = state.lay_out(system, trajectory.balanced)
 
-    def one(time, entries):
+    def one(time, entries, read):
         q, v = state.unpack_motion(system, entries)
-        motions = dynamics.move(system, q, v, time)
-        return sp.dense(function(system, layout, motions, q, v, time, entries))
+        instant = Instant(system, layout, dynamics.move(system, q, v, time), q, v, time, entries, read)
+        return sp.dense(function(instant))
 
     columns = [trajectory.states[:, i] for i in range(layout.size)]
-    return jax.vmap(one)(trajectory.time, columns)
-
-
-def _reports(trajectory, system, layout, motions, entries):
-    """Contacts of a saved state, over the surfaces as they are worn at the end of the run."""
-    read = readings(system, trajectory.worn)
-    return dynamics.touch(system, motions, state.unpack_memories(layout, entries), read)
+    return jax.vmap(one)(trajectory.time, columns, trajectory.read)
 
 
 @eqx.filter_jit
 def _body(trajectory, name):
-    def one(system, layout, motions, q, v, time, entries):
-        index = system.topology.index(name)
-        link, motion = system.links[index], motions[index]
+    def one(now):
+        index = now.system.topology.index(name)
+        link, motion = now.system.links[index], now.motions[index]
         frame = link.frame
         pose = motion.pose.after(frame)
         centre = sp.vec3(trajectory.mechanism.bodies[name].com)
@@ -222,9 +239,9 @@ def _arrays(history):
 
 @eqx.filter_jit
 def _contact(trajectory, name):
-    def one(system, layout, motions, q, v, time, entries):
-        report = _reports(trajectory, system, layout, motions, entries)[name]
-        pose = dynamics.relative_motion(system.bearings[name].closure, motions)[1]
+    def one(now):
+        report = now.reports()[name]
+        pose = dynamics.relative_motion(now.system.bearings[name].closure, now.motions)[1]
         axis = sp.transpose(pose.rotation)[2]
         points = report.points
         fields = [tuple(getattr(p, f) for p in points) for f in ("indentation", "normal_force", "slip_speed", "traction")]
@@ -234,18 +251,13 @@ def _contact(trajectory, name):
     return _arrays(_over_time(trajectory, one))
 
 
-def _solved(trajectory, system, layout, motions, q, v, time, entries):
-    reports = _reports(trajectory, system, layout, motions, entries)
-    forces = dynamics.act(system, motions, reports, q, v, time)
-    return forces, dynamics.solve(system, forces, trajectory.mechanism.stabilisation)
-
-
 @eqx.filter_jit
 def _reaction(trajectory, name):
     topology = trajectory.mechanism.topology
 
-    def one(system, layout, motions, q, v, time, entries):
-        forces, solution = _solved(trajectory, system, layout, motions, q, v, time, entries)
+    def one(now):
+        system, motions, forces = now.system, now.motions, now.forces()
+        solution = dynamics.solve(system, forces, trajectory.mechanism.stabilisation)
         branch = topology.branch_of(name)
         if branch is not None:
             index = topology.branches.index(branch)
@@ -270,10 +282,10 @@ def _reaction(trajectory, name):
 
 @eqx.filter_jit
 def _drift(trajectory):
-    def one(system, layout, motions, q, v, time, entries):
+    def one(now):
         return {
-            name: jnp.max(jnp.abs(sp.stack(dynamics.closure_rows(system, motions, closure).values)))
-            for name, closure in zip(system.topology.loops, system.closures, strict=True)
+            name: jnp.max(jnp.abs(sp.stack(dynamics.closure_rows(now.system, now.motions, closure).values)))
+            for name, closure in zip(now.system.topology.loops, now.system.closures, strict=True)
         }
 
     return _over_time(trajectory, one)
@@ -281,10 +293,8 @@ def _drift(trajectory):
 
 @eqx.filter_jit
 def _energies(trajectory):
-    def one(system, layout, motions, q, v, time, entries):
-        reports = _reports(trajectory, system, layout, motions, entries)
-        forces = dynamics.act(system, motions, reports, q, v, time)
-        return (*dynamics.mechanical_energy(system, forces), *entries[layout.energy_start :])
+    def one(now):
+        return (*dynamics.mechanical_energy(now.system, now.forces()), *now.entries[now.layout.energy_start :])
 
     kinetic, potential, supplied, contact_work, contact_loss, friction_loss, damping_loss = _over_time(trajectory, one)
     stored = contact_work - contact_loss

@@ -1,0 +1,41 @@
+"""The command line: `jaxclear four-bar` runs the four-bar study, `jaxclear parameters` lists a scene's numbers with units."""
+
+import argparse
+import os
+from pathlib import Path
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point of the `jaxclear` command."""
+    parser = argparse.ArgumentParser(prog="jaxclear", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    four_bar = commands.add_parser("four-bar", help="four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives")
+    four_bar.add_argument("--out", type=Path, default=Path("four_bar_study"), help="folder for figures and tables")
+    four_bar.add_argument("--samples", type=int, default=256, help="Monte Carlo samples (default 256)")
+    four_bar.add_argument("--duration", type=float, default=5.0, help="simulated time of the paper's runs [s] (default 5)")
+    four_bar.add_argument("--turns", type=float, default=1.0, help="turns of the crank in the Monte Carlo (default 1)")
+    four_bar.add_argument("--quiet", action="store_true", help="no progress bars")
+    commands.add_parser("parameters", help="all numbers of the four-bar with unit and meaning")
+    options = parser.parse_args(arguments)
+    _keep_compiled_programs()
+    if options.command == "parameters":
+        import jaxclear as jc
+
+        print(jc.scenes.four_bar().parameters().to_string(index=False))
+        return
+    from jaxclear.face.four_bar_study import study
+
+    study(options.out, options.samples, options.duration, options.turns, not options.quiet)
+
+
+def _keep_compiled_programs() -> None:
+    """Compiled programs are kept between runs, in $JAX_COMPILATION_CACHE_DIR or the user's cache folder."""
+    import jax
+
+    default = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "jaxclear"
+    jax.config.update("jax_compilation_cache_dir", os.environ.get("JAX_COMPILATION_CACHE_DIR", str(default)))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,191 @@
+"""Figures of runs and studies. Every function returns a matplotlib figure and neither shows nor saves it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxclear.components.wear_map import CylinderMap
+from jaxclear.studies.sensitivity import Sensitivity
+from jaxclear.studies.tolerance import MonteCarlo
+from jaxclear.time.trajectory import Trajectory
+
+MILLI, MICRO = 1e3, 1e6
+
+
+def _figure(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.5), **kwargs: Any):
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, figure.subplots(rows, columns, **kwargs)
+
+
+def _shades(count: int) -> list:
+    return [matplotlib.colormaps["viridis"](x) for x in np.linspace(0.0, 0.85, count)]
+
+
+def displacement(runs: Mapping[str, Trajectory], ideal: Trajectory, body: str) -> Figure:
+    """Path of a body's centre of mass in x and y for several runs beside the ideal one, and their distance from it."""
+    figure, axes = _figure(3, 1, (8.0, 8.5), sharex=True)
+    reference = np.asarray(ideal.body(body).com)
+    for axis, k, letter in zip(axes[:2], (0, 1), "xy", strict=True):
+        axis.plot(ideal.time, MILLI * reference[:, k], "k--", lw=1.2, label="ideal", zorder=3)
+        for (label, run), shade in zip(runs.items(), _shades(len(runs)), strict=True):
+            axis.plot(run.time, MILLI * np.asarray(run.body(body).com)[:, k], color=shade, lw=1.0, label=label)
+        axis.set_ylabel(f"{body} {letter} [mm]")
+    for (label, run), shade in zip(runs.items(), _shades(len(runs)), strict=True):
+        away = np.asarray(run.body(body).com)[:, :2] - reference[:, :2]
+        axes[2].plot(run.time, MICRO * np.linalg.norm(away, axis=1), color=shade, lw=0.8, label=label)
+    axes[2].set_ylabel("distance from ideal [µm]")
+    axes[2].set_xlabel("time [s]")
+    axes[2].set_ylim(bottom=0)
+    axes[0].legend(ncols=3, fontsize=8, title="radial clearance", title_fontsize=8, loc="lower right")
+    axes[0].set_title(f"Centre of mass of the {body}")
+    return figure
+
+
+def angular_velocity(run: Trajectory, ideal: Trajectory, body: str, window: tuple[float, float] | None = None) -> Figure:
+    """Angular velocity of a body about z with clearance and without."""
+    figure, axes = _figure(2, 1, (8.0, 6.0))
+    spans = [(float(run.time[0]), float(run.time[-1])), window or (0.8 * float(run.time[-1]), float(run.time[-1]))]
+    for axis, (start, stop) in zip(axes, spans, strict=True):
+        inside = (np.asarray(run.time) >= start) & (np.asarray(run.time) <= stop)
+        axis.plot(run.time[inside], np.asarray(run.body(body).spin)[inside, 2], color="C0", lw=0.9, label="clearance")
+        axis.plot(ideal.time[inside], np.asarray(ideal.body(body).spin)[inside, 2], "k--", lw=1.0, label="ideal")
+        axis.set_xlabel("time [s]")
+        axis.set_ylabel(f"angular velocity [rad/s]")
+        axis.set_xlim(start, stop)
+    axes[0].legend(loc="upper right", fontsize=8)
+    axes[0].set_title(f"Angular velocity of the {body} about the bearing's axis (below: enlarged)")
+    return figure
+
+
+def journal_ends(run: Trajectory, joint: str) -> Figure:
+    """Centres of the journal's two ends in the bearing's end planes, with the clearance circle.
+
+    Indentation is of the order of a thousandth of the clearance, so points in contact lie on the circle.
+    """
+    ends = end_centres(run, joint)
+    clearance = float(run.mechanism.connections[joint].joint.clearance)
+    figure, axes = _figure(1, 2, (9.0, 4.8), sharex=True, sharey=True)
+    turn = np.linspace(0, 2 * np.pi, 400)
+    for axis, end, label in zip(axes, ends, ("lower end (z = -L/2)", "upper end (z = L/2)"), strict=True):
+        axis.plot(MICRO * clearance * np.cos(turn), MICRO * clearance * np.sin(turn), "r-", lw=1.0, label="clearance circle")
+        axis.plot(MICRO * end[:, 0], MICRO * end[:, 1], ".", ms=2.0, alpha=0.4, color="C0", label="journal centre")
+        axis.set_aspect("equal")
+        axis.set_title(label)
+        axis.set_xlabel("x in the bearing [µm]")
+    axes[0].set_ylabel("y in the bearing [µm]")
+    axes[1].legend(loc="upper right", fontsize=8)
+    return figure
+
+
+def end_centres(run: Trajectory, joint: str) -> np.ndarray:
+    """Points where the journal's axis pierces the bearing's lower and upper end plane, (2, time, 2) [m]."""
+    history = run.contact(joint)
+    offset, axis = np.asarray(history.offset), np.asarray(history.axis)
+    half = 0.5 * float(run.mechanism.connections[joint].joint.length)
+    slope = axis[:, :2] / axis[:, 2:]
+    return np.stack([offset[:, :2] + (height - offset[:, 2:]) * slope for height in (-half, half)])
+
+
+def _wear(run: Trajectory, joint: str, surface: str) -> tuple[CylinderMap, np.ndarray]:
+    wear_map = run.mechanism.connections[joint].joint.maps()[surface][0]
+    return wear_map, np.asarray(run.worn[joint][surface])
+
+
+def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing") -> Figure:
+    """Worn depth over direction and position along the axis, the wall rolled out flat; beside it the mean along the axis."""
+    wear_map, depth = _wear(run, joint, surface)
+    figure, axes = _figure(1, 2, (9.5, 4.2), width_ratios=(3.2, 1.0), sharey=True)
+    around = np.linspace(0, 360, depth.shape[0] + 1)
+    along = MILLI * np.linspace(-0.5, 0.5, depth.shape[1] + 1) * float(wear_map.length)
+    mesh = axes[0].pcolormesh(around, along, MICRO * depth.T, cmap="inferno", norm=_stretched(MICRO * depth))
+    figure.colorbar(mesh, ax=axes[0], label="worn depth [µm] (colour ~ square root)")
+    axes[0].set_xlabel("direction from the bearing's x axis [deg]")
+    axes[0].set_ylabel("position along the axis [mm]")
+    axes[0].set_title(f"Worn depth of the {surface} of {joint}, unrolled")
+    axes[0].set_xticks(range(0, 361, 60))
+    heights = MILLI * np.asarray(wear_map.heights())
+    axes[1].barh(heights, MICRO * depth.max(axis=0), height=heights[1] - heights[0] if len(heights) > 1 else 1.0, color="C1")
+    axes[1].set_xlabel("deepest in row [µm]")
+    return figure
+
+
+def _stretched(values):
+    return matplotlib.colors.PowerNorm(0.5, vmin=0.0, vmax=max(float(values.max()), 1e-12))
+
+
+def wear_surface(run: Trajectory, joint: str, surface: str = "bearing", exaggeration: float | None = None) -> Figure:
+    """The worn wall in space, depth exaggerated so that the deepest place shows as a fifth of the radius."""
+    wear_map, depth = _wear(run, joint, surface)
+    radius = float(wear_map.radius)
+    factor = 0.2 * radius / max(depth.max(), 1e-15) if exaggeration is None else exaggeration
+    closed = np.vstack([depth, depth[:1]])
+    angles = np.append(np.asarray(wear_map.angles()), float(wear_map.angles()[0]) + 2 * np.pi)[:, None]
+    reach = MILLI * (radius + factor * closed)
+    heights = MILLI * np.asarray(wear_map.heights())[None] * np.ones_like(closed)
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
+    axis = figure.add_subplot(projection="3d")
+    norm = _stretched(MICRO * depth)
+    colours = matplotlib.colormaps["inferno"](norm(MICRO * closed))
+    axis.plot_surface(
+        reach * np.cos(angles), reach * np.sin(angles), heights, facecolors=colours, rstride=1, cstride=1, shade=False
+    )
+    scale = matplotlib.cm.ScalarMappable(norm, "inferno")
+    figure.colorbar(scale, ax=axis, label="worn depth [µm] (colour ~ square root)", shrink=0.7, pad=0.1)
+    axis.set_xlabel("x [mm]")
+    axis.set_ylabel("y [mm]")
+    axis.set_zlabel("z [mm]")
+    axis.set_title(f"Worn {surface} of {joint}, depth × {factor:.0f}")
+    axis.set_box_aspect((1, 1, 1.2))
+    return figure
+
+
+def monte_carlo(study: MonteCarlo) -> Figure:
+    """Histogram of every response over the sample, with mean and 5 to 95 % range."""
+    names = list(study.responses)
+    figure, axes = _figure(1, len(names), (4.6 * len(names), 3.8), squeeze=False)
+    for axis, name in zip(axes[0], names, strict=True):
+        values = study.responses[name]
+        values = values[np.isfinite(values)]
+        factor, unit = _readable(values, study.problem.units()[name])
+        axis.hist(factor * values, bins="auto", color="C0", alpha=0.8)
+        axis.axvline(factor * values.mean(), color="k", lw=1.2, label="mean")
+        low, high = np.percentile(factor * values, [5, 95])
+        axis.axvspan(low, high, color="C1", alpha=0.2, label="5 to 95 %")
+        axis.set_xlabel(f"{name} [{unit}]")
+        axis.set_ylabel("samples")
+    axes[0][0].legend(fontsize=8)
+    figure.suptitle(f"Monte Carlo, {len(study.values)} samples, {len(study.failed)} failed")
+    return figure
+
+
+def _readable(values: np.ndarray, unit: str) -> tuple[float, str]:
+    """Factor and unit in which values in metres are readable; other units stay."""
+    if unit != "m" or not len(values):
+        return 1.0, unit
+    size = np.abs(values).max()
+    return next(((f, u) for f, u in ((1.0, "m"), (1e3, "mm"), (1e6, "µm")) if size * f >= 1.0), (1e9, "nm"))
+
+
+def sensitivity(study: Sensitivity) -> Figure:
+    """Every derivative by every method, with its 95 % interval; a method that refused is named, not drawn."""
+    entries = list(study.derivatives.items())
+    figure, axes = _figure(1, len(entries), (4.6 * len(entries), 3.6), squeeze=False)
+    for axis, ((response, variable), derivative) in zip(axes[0], entries, strict=True):
+        labels = [*derivative.estimates, "answer"]
+        answers = [*derivative.estimates.values(), derivative]
+        for row, answer in enumerate(answers):
+            if np.isfinite(answer.value):
+                colour = "k" if row == len(answers) - 1 else "C0"
+                axis.errorbar(answer.value, -row, xerr=answer.error, fmt="o", color=colour, capsize=4)
+            else:
+                axis.text(0.5, -row, "refused", transform=axis.get_yaxis_transform(), ha="center", va="center", color="C3")
+        axis.set_yticks([-row for row in range(len(labels))], labels)
+        axis.set_ylim(-len(labels) + 0.4, 0.6)
+        axis.axvline(0.0, color="0.7", lw=0.8)
+        units = study.sample.problem.units()[response]
+        axis.set_xlabel(f"d({response}) / d({variable}) [{units} per unit]")
+        axis.set_title(derivative.verdict, fontsize=8, wrap=True)
+    return figure

@@ -1,0 +1,113 @@
+"""Four-bar mechanism with three-dimensional clearance and wear in the joint between coupler and follower.
+
+Source: "Dynamic Behavior of Four-bar Mechanism with Three-dimensional Clearance and Wear", tables I and II. From the paper:
+lengths, masses, crank speed, Young's modulus, Poisson ratio, bearing radius and length, journal length, restitution, the
+wear coefficient 2e-2 (there chosen to accelerate wear), Lankarani-Nikravesh contact, three-zone friction, Archard wear,
+ball joint at the follower's foot.
+
+The paper lists journal radii 10 ... 9.6 mm in a bearing of 10 mm, calls them clearances of 0 ... 0.2 mm and draws the journal's
+centre in a circle of 0.2 mm radius. That fits if the listed radii are diameters halved wrongly; `clearance` here is the
+RADIAL clearance, that is the radius of the drawn circle, and the bearing radius stays 10 mm.
+
+Assumed, because the paper does not say: slender links (inertia m l^2/12, radius of gyration 8 mm about their own
+axis) with the centre of mass half-way; friction 0.15 / 0.1 with transition speeds 0.1 and 1 m/s (values of Bai & Zhao
+2020, table 2, for a steel joint of the same size); hardness 2.17 GPa (the steel of the 3RSR paper); gravity in the plane; and
+the follower lying beside the coupler, 20 mm along the bearing's axis (two links cannot share a plane at a pin), which is
+what loads the two ends of the bearing differently; collars of 14 mm radius that leave the journal of 32 mm its 1 mm of
+axial play at each side of the bearing of 30 mm (without them a journal tilting within 0.2 mm would walk out of it).
+"""
+
+from typing import Any
+
+from jaxclear.components import clearance as clearances
+from jaxclear.components.body import Body, Connection, Marker
+from jaxclear.components.drive import ConstantSpeed
+from jaxclear.components.joint import Revolute, Spherical
+from jaxclear.components.load import Gravity
+from jaxclear.components.wear_map import Wearing
+from jaxclear.laws.contact import LankaraniNikravesh
+from jaxclear.laws.friction import ThreeZone
+from jaxclear.laws.material import Material
+from jaxclear.laws.stiffness import HertzStiffness
+from jaxclear.laws.wear import Archard
+from jaxclear.scene.mechanism import Mechanism
+
+# Radial clearances of the paper [m]; the first is the ideal joint.
+CLEARANCES = (0.0, 0.05e-3, 0.1e-3, 0.15e-3, 0.2e-3)
+CRANK, COUPLER, FOLLOWER, GROUND = 0.1, 0.4, 0.3, 0.3
+GYRATION = 8e-3
+FOLLOWER_OFFSET = 20e-3
+AXIAL_CLEARANCE = 1e-3
+KINDS = ("spatial", "planar", "ideal")
+
+
+def steel() -> Material:
+    """The paper's material of journal and bearing."""
+    return Material(206.8e9, 0.29)
+
+
+def bearing(kind: str, clearance: Any, *, friction: bool = True, wear: bool = True, cells: tuple = (72, 20)) -> Any:
+    """The joint between coupler and follower: "spatial" or "planar" clearance, or "ideal"."""
+    if kind == "ideal":
+        return Revolute()
+    contact = LankaraniNikravesh(stiffness=HertzStiffness(steel(), steel()), restitution=0.9)
+    rub = ThreeZone(mu_static=0.15, mu_kinetic=0.1, static_speed=0.1, kinetic_speed=1.0) if friction else None
+    law = Wearing(Archard(wear_coefficient=2e-2, hardness=2.17e9), cells) if wear else None
+    if kind == "planar":
+        return clearances.PlanarJournalBearing(contact, rub, 10e-3, clearance, 30e-3, law)
+    return clearances.JournalBearing(
+        contact=contact,
+        friction=rub,
+        bearing_radius=10e-3,
+        clearance=clearance,
+        length=30e-3,
+        journal_length=32e-3,
+        flange=clearances.Flange(contact, rub, 14e-3, AXIAL_CLEARANCE),
+        bearing_wear=law,
+    )
+
+
+def _link(mass: float, length: float, offset: float | None = None) -> Body:
+    swing = mass * length**2 / 12
+    if offset is None:
+        return Body(mass, swing, (0.5 * length, 0.0))
+    spin = mass * GYRATION**2
+    return Body(mass, (spin, swing, swing), (0.5 * length, 0.0))
+
+
+def four_bar(
+    kind: str = "spatial",
+    clearance: float = 0.2e-3,
+    *,
+    crank_speed: float = 10.0,
+    friction: bool = True,
+    wear: bool = True,
+    cells: tuple[int, int] = (72, 20),
+    follower_offset: float = FOLLOWER_OFFSET,
+) -> Mechanism:
+    """The mechanism of the paper, joint "B" between coupler and follower being `kind`: "spatial", "planar" or "ideal".
+
+    `clearance`: radial [m]. `crank_speed` [rad/s]. `friction`, `wear`: False leaves them out. `cells` of the wear map around and
+    along the bearing. `follower_offset` [m]: distance between the planes of coupler and follower (spatial only).
+    """
+    if kind not in KINDS:
+        raise ValueError(f"the joint of the four-bar is {', '.join(KINDS)}, not {kind!r}.")
+    joint = bearing(kind, clearance, friction=friction, wear=wear, cells=cells)
+    spatial = kind == "spatial"
+    foot = (GROUND, 0.0, follower_offset) if spatial else (GROUND, 0.0)
+    tip = (FOLLOWER, 0.0, -follower_offset) if spatial else (FOLLOWER, 0.0)
+    return Mechanism(
+        bodies={
+            "crank": _link(0.46, CRANK),
+            "coupler": _link(1.44, COUPLER),
+            "follower": _link(1.63, FOLLOWER, follower_offset if spatial else None),
+        },
+        connections={
+            "O": Connection(Revolute(drive=ConstantSpeed(crank_speed)), "ground", "crank"),
+            "A": Connection(Revolute(), "crank", "coupler", at=(CRANK, 0.0)),
+            "B": Connection(joint, Marker("coupler", (COUPLER, 0.0)), Marker("follower", tip)),
+            "D": Connection(Spherical() if spatial else Revolute(), "ground", "follower", at=foot),
+        },
+        loads={"gravity": Gravity((0.0, -9.81))},
+        start={"A": 0.81, "D": 1.32},
+    )

@@ -1,0 +1,79 @@
+"""Runs a problem for many sets of values: compiled once, in chunks that fit memory, one thread a core.
+
+Compiled programs leave Python free while they run, so two chunks run side by side on two cores without splitting a device.
+"""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from tqdm import tqdm
+
+from jaxclear.scene.state import lay_out
+from jaxclear.scene.system import prepare
+from jaxclear.studies.problem import Outcome, Problem
+
+# Memory for one chunk [bytes] on machines with a few GiB a core; states are saved for every sample of a chunk.
+CHUNK_MEMORY = 1 << 30
+# Histories that a response may build from the saved states, in multiples of these.
+HISTORY_FACTOR = 12
+LARGEST_CHUNK = 1024
+
+
+@eqx.filter_jit
+def evaluate_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> Outcome:
+    """Outcomes of a chunk of samples."""
+    return jax.vmap(problem.evaluate)(values)
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def chunk_size(problem: Problem, samples: int, threads: int) -> int:
+    """Samples a chunk: all threads busy, no chunk above the memory set aside for it."""
+    system = prepare(problem.mechanism)
+    layout = lay_out(system)
+    cells = sum(np.prod(m.cells) for b in system.bearings.values() for m, _ in b.joint.maps().values())
+    saves = problem.save if np.ndim(problem.save) == 0 else len(problem.save)
+    each = 8 * (saves * (HISTORY_FACTOR * layout.size) + 8 * cells)
+    return int(max(1, min(LARGEST_CHUNK, CHUNK_MEMORY // each, -(-samples // threads))))
+
+
+def evaluate_all(
+    problem: Problem,
+    values: Float[Array, "samples variables"],
+    *,
+    chunk: int | None = None,
+    progress_bar: bool = False,
+    label: str = "samples",
+    function=evaluate_chunk,
+) -> Outcome:
+    """Outcomes of all samples, in the order of `values`; arrays on the host."""
+    samples = len(values)
+    threads = 1 if jax.default_backend() != "cpu" else cores()
+    chunk = chunk_size(problem, samples, threads) if chunk is None else min(chunk, samples)
+    count = -(-samples // chunk)
+    # The last chunk is filled up with copies, so that all chunks run the one compiled program.
+    padded = jnp.concatenate([values, jnp.repeat(values[-1:], count * chunk - samples, axis=0)])
+    pieces = padded.reshape(count, chunk, -1)
+
+    # Compile before the threads start, or each of them would: the same program, on a run of no length.
+    if count > 1:
+        jax.block_until_ready(function(eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(())), pieces[0]))
+
+    def one(piece):
+        return jax.tree.map(np.asarray, jax.block_until_ready(function(problem, piece)))
+
+    with tqdm(total=samples, desc=label, disable=not progress_bar) as bar:
+        outcomes = []
+        with ThreadPoolExecutor(threads) as pool:
+            for outcome in pool.map(one, pieces):
+                outcomes.append(outcome)
+                bar.update(min(chunk, samples - bar.n))
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:samples], *outcomes)

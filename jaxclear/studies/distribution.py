@@ -1,0 +1,66 @@
+"""How a dimension varies about its nominal value, as the inverse of its cumulative distribution.
+
+`quantile(u)` maps u in (0, 1) to the deviation from nominal, so any sampling of the unit cube serves every distribution.
+"""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.scipy.special import ndtr, ndtri
+from jaxtyping import Array, Float
+
+from jaxclear.ground.quantity import Scalar, quantity
+
+
+class AbstractDistribution(eqx.Module):
+    """Deviation of a number from its nominal value, in the number's own unit."""
+
+    @abstractmethod
+    def quantile(self, share: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Deviation below which the given share of parts lies."""
+
+    @abstractmethod
+    def deviation(self) -> Scalar:
+        """Standard deviation."""
+
+
+class Normal(AbstractDistribution):
+    """Normal distribution about nominal."""
+
+    standard_deviation: Scalar = quantity(unit="as varied", meaning="standard deviation")
+
+    def quantile(self, share):
+        return self.standard_deviation * ndtri(share)
+
+    def deviation(self):
+        return self.standard_deviation
+
+
+class Uniform(AbstractDistribution):
+    """Equally likely within +- half_width of nominal."""
+
+    half_width: Scalar = quantity(unit="as varied", meaning="largest deviation")
+
+    def quantile(self, share):
+        return self.half_width * (2.0 * share - 1.0)
+
+    def deviation(self):
+        return self.half_width / 3.0**0.5
+
+
+class TruncatedNormal(AbstractDistribution):
+    """Normal distribution of which only what lies within +- bound of nominal is accepted (inspected parts)."""
+
+    standard_deviation: Scalar = quantity(unit="as varied", meaning="standard deviation before inspection")
+    bound: Scalar = quantity(unit="as varied", meaning="largest accepted deviation")
+
+    def quantile(self, share):
+        low = ndtr(-self.bound / self.standard_deviation)
+        return self.standard_deviation * ndtri(low + share * (1.0 - 2.0 * low))
+
+    def deviation(self):
+        ratio = self.bound / self.standard_deviation
+        density = jnp.exp(-0.5 * ratio * ratio) / jnp.sqrt(2.0 * jnp.pi)
+        inside = 1.0 - 2.0 * ndtr(-ratio)
+        return self.standard_deviation * jnp.sqrt(1.0 - 2.0 * ratio * density / inside)

@@ -1,0 +1,95 @@
+"""From a trajectory to a number: what a study asks of a mechanism. Any function of a trajectory is a response.
+
+Those here are modules, so that a reference path or a threshold is a number that can change without compiling again.
+"""
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.quantity import Scalar
+from jaxclear.time.trajectory import Trajectory
+
+
+class AbstractResponse(eqx.Module):
+    """A number drawn from a run; `unit` is that of the number."""
+
+    unit: eqx.AbstractVar[str]
+
+    @abstractmethod
+    def __call__(self, run: Trajectory) -> Scalar:
+        """The response of a run."""
+
+
+class PeakWornDepth(AbstractResponse):
+    """Largest depth of a wear map at the end of the run [m]."""
+
+    joint: str = eqx.field(static=True)
+    surface: str = eqx.field(static=True, default="bearing")
+    unit: str = eqx.field(static=True, default="m")
+
+    def __call__(self, run):
+        return jnp.max(run.worn[self.joint][self.surface])
+
+
+class WornVolume(AbstractResponse):
+    """Volume lost by a surface over the run [m3]."""
+
+    joint: str = eqx.field(static=True)
+    surface: str = eqx.field(static=True, default="bearing")
+    unit: str = eqx.field(static=True, default="m^3")
+
+    def __call__(self, run):
+        return run.worn_volume(self.joint, self.surface)[-1]
+
+
+class PositionError(AbstractResponse):
+    """Root mean square distance [m] of a body's centre of mass from a reference path at the saving times."""
+
+    body: str = eqx.field(static=True)
+    reference: Float[Array, "time 3"]
+    unit: str = eqx.field(static=True, default="m")
+
+    def __call__(self, run):
+        away = run.body(self.body).com - self.reference
+        return safe_sqrt(jnp.mean(jnp.sum(away * away, axis=-1)))
+
+
+class MeanContactForce(AbstractResponse):
+    """Mean over the saving times of the normal forces of a clearance joint, summed over its contacts [N]."""
+
+    joint: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="N")
+
+    def __call__(self, run):
+        return jnp.mean(jnp.sum(run.contact(self.joint).normal_force, axis=-1))
+
+
+class PeakContactForce(AbstractResponse):
+    """Largest normal force of a clearance joint at the saving times [N]; save densely enough to catch the impacts."""
+
+    joint: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="N")
+
+    def __call__(self, run):
+        return jnp.max(run.contact(self.joint).normal_force)
+
+
+class FinalCoordinate(AbstractResponse):
+    """A coordinate of a connection (or floating body) at the end of the run [rad or m]."""
+
+    connection: str = eqx.field(static=True)
+    index: int = eqx.field(static=True, default=0)
+    unit: str = eqx.field(static=True, default="rad")
+
+    def __call__(self, run):
+        return run.coordinate(self.connection)[-1, self.index]
+
+
+def unit_of(response: Any) -> str:
+    """Unit of a response; "1" for a plain function."""
+    return response.unit if isinstance(response, AbstractResponse) else "1"

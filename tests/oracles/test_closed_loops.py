@@ -1,0 +1,180 @@
+"""Mechanisms with ideal loops against published benchmarks: Andrews' squeezer, and the N-window four-bar of IFToMM.
+
+The four-bar's windows are parallelograms, so the whole of it obeys ((N+1)/3 + N) phi'' = g ((N+1)/2 + N) sin phi with phi
+from the vertical (rods of 1 m and 1 kg): an oracle to rounding for any N, derivatives included.
+"""
+
+import json
+from pathlib import Path
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import jaxclear as jc
+from jaxclear.scene.initial import assemble_arrays
+from jaxclear.time.simulate import run
+
+FOLDER = Path(__file__).parents[1] / "refdata"
+SQUEEZER = json.loads((FOLDER / "andrews_squeezer.json").read_text())
+IFTOMM = json.loads((FOLDER / "iftomm_benchmarks.json").read_text())
+GRAVITY = 9.81
+
+
+def squeezer(data):
+    """Seven bodies; E is the pin where four of them meet. Names of points as in the test set."""
+    n = data["length"]
+    mass, inertia = data["mass"], data["inertia"]
+    centres = (
+        (n["ra"], 0.0),
+        (-n["da"], 0.0),
+        (n["sb"], -n["sa"]),
+        (0.0, n["ea"] - n["e"]),
+        (n["ta"], n["tb"]),
+        (n["zf"] - n["fa"], 0.0),
+        (n["ua"], -n["ub"]),
+    )
+    bodies = {f"K{i + 1}": jc.Body(mass[i], inertia[i], centres[i]) for i in range(7)}
+    pin = jc.joint.Revolute()
+    a, b, c = ((n[f"x{point}"], n[f"y{point}"]) for point in "abc")
+    at_e = jc.Marker("K2", (-n["d"], 0.0))
+    connections = {
+        "O": jc.Connection(pin, "ground", "K1"),
+        "F": jc.Connection(pin, "K1", "K2", at=(n["rr"], 0.0)),
+        "B": jc.Connection(pin, "ground", "K3", at=b),
+        "A": jc.Connection(pin, "ground", "K5", at=a),
+        "G": jc.Connection(pin, "K5", "K4", at=(n["zt"], 0.0)),
+        "A'": jc.Connection(pin, "ground", "K7", at=a),
+        "H": jc.Connection(pin, "K7", "K6", at=(0.0, -n["u"])),
+        "E3": jc.Connection(pin, at_e, jc.Marker("K3", (0.0, -n["ss"]))),
+        "E4": jc.Connection(pin, at_e, jc.Marker("K4", (0.0, -n["e"]))),
+        "E6": jc.Connection(pin, at_e, jc.Marker("K6", (n["zf"], 0.0))),
+    }
+    order = ("O", "F", "B", "G", "A", "H", "A'")
+    return jc.Mechanism(
+        bodies,
+        connections,
+        {
+            "drive": jc.load.Torque(jc.Marker("K1"), (data["torque"],)),
+            "spring": jc.load.Spring(
+                jc.Marker("ground", c), jc.Marker("K3", (n["sd"], -n["sc"])), data["stiffness"], n["l0"]
+            ),
+        },
+        start=dict(zip(order, data["start"], strict=True)),
+    ), order
+
+
+@pytest.fixture(scope="module")
+def squeezed():
+    rig, order = squeezer(SQUEEZER)
+    precise = jc.integrator.Adaptive(solver=diffrax.Dopri8(), rtol=1e-12, atol=1e-13)
+    return jc.simulate(rig, SQUEEZER["time"], save=2, integrator=precise), order
+
+
+@pytest.mark.parametrize(("what", "column"), [("position", "coordinate"), ("velocity", "speed")])
+def test_andrews_squeezer_ends_where_the_test_set_says(squeezed, what, column):
+    trajectory, order = squeezed
+    found = np.array([getattr(trajectory, column)(name)[-1, 0] for name in order])
+    np.testing.assert_allclose(found, SQUEEZER[what], rtol=SQUEEZER["tolerance"][what])
+
+
+def test_loops_of_the_squeezer_stay_closed(squeezed):
+    """1e-11 m beside lengths of 3e-2 m: with exact rows drift is the integrator's error only."""
+    drifts = {name: float(drift[-1]) for name, drift in squeezed[0].drift().items()}
+    assert set(drifts) == {"E3", "E4", "E6"}
+    assert max(drifts.values()) < 1e-11, drifts
+
+
+def test_point_pendulum_of_iftomm():
+    """Benchmark A01; a small inertia stands for none, its effect 1e-9 of m L^2."""
+    data = IFTOMM["A01"]
+    rig = jc.Mechanism(
+        {"bob": jc.Body(1.0, 1e-9, (1.0, 0.0))},
+        {"pin": jc.Connection(jc.joint.Revolute(), "ground", "bob")},
+        {"gravity": jc.load.Gravity((0.0, -GRAVITY))},
+        start={"pin": np.pi},
+    )
+    trajectory = jc.simulate(rig, data["time"][-1], save=data["time"], integrator=jc.integrator.Adaptive(rtol=1e-10))
+    error = np.abs(trajectory.body("bob").com[1:, :2] - np.array(data["place"])).max()
+    assert error < IFTOMM["tolerance"]["A01"]
+
+
+def windows(count, speed=1.0, gravity=GRAVITY):
+    """count + 1 rods on the ground, upright, their tops joined by count rods; the last pin of each window closes a loop."""
+    bodies, connections = {}, {}
+    rod = jc.Body(1.0, 1.0 / 12.0, (0.5, 0.0))
+    for i in range(count + 1):
+        bodies[f"wall {i}"] = rod
+        connections[f"foot {i}"] = jc.Connection(jc.joint.Revolute(), "ground", f"wall {i}", at=(float(i), 0.0))
+    for i in range(count):
+        bodies[f"beam {i}"] = rod
+        connections[f"left {i}"] = jc.Connection(jc.joint.Revolute(), f"wall {i}", f"beam {i}", at=(1.0, 0.0))
+        end = jc.Marker(f"beam {i}", (1.0, 0.0))
+        connections[f"right {i}"] = jc.Connection(jc.joint.Revolute(), end, jc.Marker(f"wall {i + 1}", (1.0, 0.0)))
+    start = {f"foot {i}": np.pi / 2 for i in range(count + 1)} | {f"left {i}": -np.pi / 2 for i in range(count)}
+    speeds = {f"foot {i}": -speed for i in range(count + 1)} | {f"left {i}": speed for i in range(count)}
+    return jc.Mechanism(
+        bodies, connections, {"gravity": jc.load.Gravity((0.0, -gravity))}, start=start, speeds=speeds
+    )
+
+
+def angle_of_windows(count, times, speed=1.0, gravity=GRAVITY):
+    """phi, its rate and the derivatives of phi by speed and gravity at the times, from the one-freedom equation."""
+    rate = ((count + 1) / 2 + count) / ((count + 1) / 3 + count)
+
+    def field(_, y):
+        phi, omega, by_speed, by_speed_rate, by_gravity, by_gravity_rate = y
+        slope = gravity * rate * np.cos(phi)
+        return [
+            omega,
+            gravity * rate * np.sin(phi),
+            by_speed_rate,
+            slope * by_speed,
+            by_gravity_rate,
+            slope * by_gravity + rate * np.sin(phi),
+        ]
+
+    start = [0.0, speed, 0.0, 1.0, 0.0, 0.0]
+    return solve_ivp(field, (0.0, times[-1]), start, "DOP853", times, rtol=1e-12, atol=1e-12).y
+
+
+def tip_error(count, times, integrator, place=None):
+    trajectory = jc.simulate(windows(count), times[-1], save=times, integrator=integrator)
+    phi = angle_of_windows(count, times)[0]
+    place = np.stack([np.sin(phi), np.cos(phi)], axis=1) if place is None else np.array(place)
+    drift = max(float(d.max()) for d in trajectory.drift().values())
+    return np.abs(trajectory.marker("wall 0", (1.0, 0.0))[1:, :2] - place).max(), drift
+
+
+def test_windows_pass_their_singular_position():
+    """All rods in one line every half turn, where the loops could fold the other way; 1e-5 m over 10 s at N = 2."""
+    times = np.array(IFTOMM["A02"]["time"][:5])
+    error, drift = tip_error(2, times, jc.integrator.Adaptive(rtol=1e-10, atol=1e-12))
+    assert error < 1e-5
+    assert drift < 1e-8
+
+
+@pytest.mark.slow
+def test_forty_windows_of_iftomm():
+    """Benchmark A02: 81 rods, 80 closure rows, 20 s."""
+    data = IFTOMM["A02"]
+    error, _ = tip_error(40, np.array(data["time"]), jc.integrator.Adaptive(rtol=1e-9, atol=1e-11), data["place"])
+    assert error < IFTOMM["tolerance"]["A02"]
+
+
+def test_derivative_through_closed_loops_is_that_of_the_single_freedom():
+    """phi(1 s) by starting speed and by gravity, forward through 1000 Runge-Kutta steps: 1e-6 relative."""
+    times = jnp.array([0.0, 1.0])
+
+    def turned(numbers):
+        rig = windows(2, *numbers)
+        start = assemble_arrays(rig)
+        fixed = jc.integrator.FixedStep(step=1e-3)
+        return np.pi / 2 - run(rig, start.coordinates, start.speeds, times, fixed).coordinate("foot 0")[-1, 0]
+
+    found = jax.jit(jax.jacfwd(turned))(jnp.array([1.0, GRAVITY]))
+    wanted = angle_of_windows(2, np.array([1.0]))
+    np.testing.assert_allclose(found, wanted[[2, 4], -1], rtol=1e-6)
