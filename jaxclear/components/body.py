@@ -10,7 +10,7 @@ import equinox as eqx
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import AXES, Pose, frame_with_axis, rotation_from_quaternion
-from jaxclear.ground.quantity import Scalar, as_vector, quantity, vector
+from jaxclear.ground.quantity import Scalar, as_vector, concrete, quantity, vector
 
 GROUND = "ground"
 
@@ -69,6 +69,13 @@ class Marker(eqx.Module):
             raise ValueError(f'a marker on "{body}" has {len(self.at)} coordinates; give 2 (planar) or 3.')
         if self.quaternion is not None and (len(self.quaternion) != 4 or self.axis is not None or self.named_axis != "z"):
             raise ValueError(f'a marker on "{body}" takes a quaternion (w, x, y, z) or an axis, not both.')
+        if self.axis is not None and len(self.axis) != 3:
+            raise ValueError(f'the axis of a marker on "{body}" has {len(self.axis)} numbers; give 3, or one of {", ".join(AXES)}.')
+        for what, direction in (("axis", self.axis), ("quaternion", self.quaternion)):
+            if direction is not None and all(concrete(x) == 0 for x in direction):
+                raise ValueError(f'the {what} of a marker on "{body}" is zero and points nowhere.')
+        if self.axis is not None and concrete(self.axis[0]) == 0 == concrete(self.axis[1]) and not self.axis[2] > 0:
+            raise ValueError(f'the axis of a marker on "{body}" points along -z, where no frame is near: write axis="-z".')
 
     def pose(self) -> Pose:
         """The marker in the body frame."""

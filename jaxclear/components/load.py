@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import numpy as np
 
 from jaxclear.components.body import Marker
 from jaxclear.ground import sparse as sp
@@ -79,6 +80,15 @@ def _vector_or_function(value: Any) -> Any:
     return value if callable(value) else as_vector(value)
 
 
+def _torque(value: Any) -> Any:
+    return value if callable(value) else as_vector(value if np.ndim(value) == 1 else (value,))
+
+
+def _check_count(what: str, value: Any, allowed: tuple[int, int]) -> None:
+    if not callable(value) and len(value) not in allowed:
+        raise ValueError(f"a {what} has {allowed[0]} or {allowed[1]} numbers, or is a function of time; not {len(value)}.")
+
+
 def _number_or_function(value: Any) -> Any:
     return value if callable(value) else as_number(value)
 
@@ -96,6 +106,9 @@ class Force(AbstractBodyLoad):
     )
     follows: bool = eqx.field(static=True, default=False)
 
+    def __check_init__(self):
+        _check_count("force", self.value, (2, 3))
+
     def markers(self):
         return (self.marker,)
 
@@ -111,9 +124,12 @@ class Torque(AbstractBodyLoad):
 
     marker: Marker
     value: tuple | Callable = eqx.field(
-        converter=_vector_or_function, metadata={"unit": "N m", "meaning": "torque, or a function of time"}
+        converter=_torque, metadata={"unit": "N m", "meaning": "torque, or a function of time"}
     )
     follows: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        _check_count("torque", self.value, (1, 3))
 
     def markers(self):
         return (self.marker,)

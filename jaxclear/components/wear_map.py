@@ -30,8 +30,9 @@ class Wearing(eqx.Module):
     def __check_init__(self):
         if not isinstance(self.law, AbstractWearLaw):
             raise ValueError(f"a surface wears by a wear law (jaxclear.wear), not by {self.law!r}.")
-        if len(self.cells) != 2 or self.cells[0] < 4 or self.cells[1] < 1:
-            raise ValueError(f"a wear map needs at least 4 cells around and 1 along, not {self.cells}.")
+        whole = all(isinstance(count, int) for count in self.cells)
+        if len(self.cells) != 2 or not whole or self.cells[0] < 4 or self.cells[1] < 1:
+            raise ValueError(f"a wear map needs at least 4 cells around and 1 along, in whole numbers, not {self.cells}.")
 
 
 class AbstractWearMap(eqx.Module):

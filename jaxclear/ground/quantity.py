@@ -37,10 +37,17 @@ def as_number(value: Any) -> Any:
 
 
 def as_vector(value: Any) -> Any:
-    """A tuple of float64 scalars; `None` passes through (absent: structurally zero)."""
+    """A tuple of float64 scalars; `None` passes through (absent: structurally zero). Raises `ValueError` for one number."""
     if value is None:
         return None
+    if not isinstance(value, (tuple, list)) and np.ndim(value) != 1:
+        raise ValueError(f"expected several numbers, one for each direction, got {value!r}.")
     return tuple(as_number(component) for component in value)
+
+
+def concrete(value: Any) -> float | None:
+    """The number, or None where it is absent or being traced."""
+    return None if value is None or isinstance(value, jax.core.Tracer) else float(value)
 
 
 def quantity(default: Any = dataclasses.MISSING, unit: str = "1", meaning: str = "", **kwargs: Any) -> Any:

@@ -4,8 +4,9 @@ The numbers are leaves of a pytree; names, joint types and what is absent are it
 not checked: they were when the mechanism was built with numbers.
 """
 
+import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 import equinox as eqx
 import jax
@@ -15,7 +16,8 @@ from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance, BallSocket, JournalBearing, PlanarJournalBearing, SliderGuide
 from jaxclear.components.joint import AbstractJoint, drive_of
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, AbstractLoad, Gravity
-from jaxclear.ground.quantity import as_number, parameters
+from jaxclear.ground.quantity import as_number, concrete, parameters
+from jaxclear.laws.stiffness import fitted
 from jaxclear.scene.loops import Baumgarte
 from jaxclear.scene.topology import Topology, grow
 
@@ -51,13 +53,17 @@ class Mechanism(eqx.Module):
         speeds: Mapping[str, Any] | None = None,
         stabilisation: Baumgarte | None | str = "default",
     ):
+        for what, given in (("bodies", bodies), ("connections", connections)):
+            _expect(given, Mapping, what, "a dictionary from names")
         self.bodies, self.connections, self.loads = dict(bodies), dict(connections), dict(loads or {})
         self.start = {name: _guess(value) for name, value in (start or {}).items()}
         self.speeds = {name: _guess(value) for name, value in (speeds or {}).items()}
         check_names(self.bodies, self.connections, self.loads)
-        check_numbers(self.bodies, self.connections)
+        check_numbers(self.bodies, self.connections, self.loads)
+        _check_finite("the mechanism", {"start": self.start, "speeds": self.speeds})
         self.topology = grow(self.bodies, self.connections)
-        self.stabilisation = Baumgarte() if stabilisation == "default" else stabilisation
+        self.stabilisation = Baumgarte() if isinstance(stabilisation, str) and stabilisation == "default" else stabilisation
+        _expect(self.stabilisation, (Baumgarte, type(None)), "stabilisation", "a jaxclear.Baumgarte, or None for none")
         check_structure(self)
 
     def parameters(self) -> Any:
@@ -81,6 +87,7 @@ def check_names(bodies: dict, connections: dict, loads: dict) -> None:
     for name, connection in connections.items():
         _expect(connection, Connection, f'connection "{name}"', "a jaxclear.Connection")
         _expect(connection.joint, (AbstractJoint, AbstractClearance), f'the joint of connection "{name}"', "a joint")
+        _check_slots(f'connection "{name}"', connection)
         for marker in (connection.parent, connection.child):
             if marker.body not in bodies and marker.body != GROUND:
                 raise ValueError(f'connection "{name}" refers to body "{marker.body}", which does not exist: {known}.')
@@ -88,6 +95,7 @@ def check_names(bodies: dict, connections: dict, loads: dict) -> None:
             raise ValueError(f'connection "{name}" joins "{connection.parent.body}" to itself; it needs two bodies.')
     for name, load in loads.items():
         _expect(load, AbstractLoad, f'load "{name}"', "a jaxclear.load")
+        _check_slots(f'load "{name}"', load)
         if isinstance(load, AbstractBodyLoad):
             for marker in load.markers():
                 if marker.body not in bodies and marker.body != GROUND:
@@ -126,21 +134,46 @@ def _expect(thing: Any, kind: Any, what: str, wanted: str) -> None:
         raise ValueError(f"{what} is {thing!r}; it must be {wanted}.")
 
 
-def concrete(value: Any) -> float | None:
-    """The number, or None where it is absent or being traced."""
-    return None if value is None or isinstance(value, jax.core.Tracer) else float(value)
+def _check_slots(what: str, module: eqx.Module) -> None:
+    """Slots for laws, drives, markers and the like must hold one of their family."""
+    for field in dataclasses.fields(module):
+        kinds = get_args(field.type) or (field.type,)
+        families = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, eqx.Module)]
+        value = getattr(module, field.name)
+        if value is None and type(None) not in kinds:
+            raise ValueError(f"{what} has {field.name} None; it needs one.")
+        if families and set(kinds) <= {*families, type(None)}:
+            if not isinstance(value, kinds):
+                wanted = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
+                raise ValueError(f"{what} has {field.name} {value!r}; it must be {wanted}.")
+            if value is not None:
+                _check_slots(f"{what}, {field.name},", value)
 
 
-def check_numbers(bodies: dict, connections: dict) -> None:
+def _check_finite(what: str, part: Any) -> None:
+    for path, leaf in jax.tree_util.tree_leaves_with_path(part):
+        if eqx.is_array(leaf) and not isinstance(leaf, jax.core.Tracer) and not np.all(np.isfinite(leaf)):
+            name = jax.tree_util.keystr(path).removeprefix(".")
+            raise ValueError(f"{what} has {name} = {leaf}; it must be a finite number.")
+
+
+def check_numbers(bodies: dict, connections: dict, loads: dict) -> None:
     """Masses, inertias and joint dimensions must be possible."""
     for name, body in bodies.items():
+        _check_finite(f'body "{name}"', body)
         mass = concrete(body.mass)
+        if body.com is not None and len(body.com) not in (2, 3):
+            raise ValueError(f'body "{name}" has a centre of mass of {len(body.com)} numbers; give 2 (planar) or 3.')
         if mass is not None and not mass > 0:
             raise ValueError(f'body "{name}" has mass {mass} kg; a mass must be positive.')
         _check_inertia(name, body)
     for name, connection in connections.items():
+        _check_finite(f'connection "{name}"', connection)
         if isinstance(connection.joint, AbstractClearance):
             _check_clearance(name, connection.joint)
+            _check_fit(name, connection.joint)
+    for name, load in loads.items():
+        _check_finite(f'load "{name}"', load)
 
 
 def _check_inertia(name: str, body: Body) -> None:
@@ -170,9 +203,9 @@ def _check_clearance(name: str, joint: AbstractClearance) -> None:
     if not isinstance(joint, known):
         return
     clearance = concrete(joint.clearance)
-    if clearance is not None and not clearance >= 0:
+    if clearance is not None and not clearance > 0:
         raise ValueError(
-            f'joint "{name}" has clearance {clearance} m; it must not be negative (an interference fit is no clearance).'
+            f'joint "{name}" has clearance {clearance} m; it must be positive (without clearance it is an ideal joint).'
         )
     outer_name = {BallSocket: "socket_radius", SliderGuide: "width"}.get(type(joint), "bearing_radius")
     outer = concrete(getattr(joint, outer_name))
@@ -189,6 +222,15 @@ def _check_clearance(name: str, joint: AbstractClearance) -> None:
                 f'joint "{name}" has a journal of length {journal} m in a bearing of {length} m; the journal must reach '
                 "through the bearing, because contact is evaluated at the bearing's two end planes."
             )
+
+
+def _check_fit(name: str, joint: AbstractClearance) -> None:
+    """What the laws take from the pair's geometry must exist."""
+    try:
+        for pairing in joint.pairings():
+            fitted(pairing.contact, pairing.shape)
+    except ValueError as error:
+        raise ValueError(f'joint "{name}": {error}') from None
 
 
 def check_structure(mechanism: Mechanism) -> None:

@@ -9,6 +9,7 @@ import equinox as eqx
 
 from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, Pairing
+from jaxclear.components.joint import Universal
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import FLIP, REST, Pose
@@ -39,8 +40,12 @@ class System(eqx.Module):
     topology: Topology = eqx.field(static=True)
 
 
-def _flipped(pose: Pose) -> Pose:
-    return Pose(sp.product(pose.rotation, FLIP), pose.translation)
+# A universal joint that starts at the child turns about the child's y axis first, then about the parent's x axis.
+EXCHANGE: sp.Mat = ((0, -1, 0), (1, 0, 0), (0, 0, 1))
+
+
+def _turned(pose: Pose, turn: sp.Mat) -> Pose:
+    return Pose(sp.product(pose.rotation, turn), pose.translation)
 
 
 def prepare(mechanism: Mechanism) -> System:
@@ -87,8 +92,9 @@ def _link(mechanism: Mechanism, position: int, limb: tuple[int, ...], links: lis
         base, outer = connection.parent.pose(), connection.child.pose()
         if branch.reversed:
             base, outer = outer, base
-            if joint.reversible:
-                base, outer = _flipped(base), _flipped(outer)
+            if joint.reversible or isinstance(joint, Universal):
+                turn = FLIP if joint.reversible else EXCHANGE
+                base, outer = _turned(base, turn), _turned(outer, turn)
     parent = topology.index(branch.parent)
     if parent is not None:
         base = links[parent].frame.after(base)

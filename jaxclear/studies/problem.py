@@ -59,6 +59,8 @@ class Problem(eqx.Module):
     duration: Array
     integrator: AbstractIntegrator
     save: Any = eqx.field(static=True)
+    # JAX sorts the keys of a dictionary; the order in which variables were given is kept here.
+    names: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -77,6 +79,7 @@ class Problem(eqx.Module):
         self.duration = jnp.asarray(duration, float)
         self.integrator = FixedStep() if integrator is None else integrator
         self.save = save
+        self.names = tuple(self.variables)
         for name, variable in self.variables.items():
             leaves = self._leaves(variable)
             if not leaves or not all(eqx.is_array(leaf) and jnp.ndim(leaf) == 0 for leaf in leaves):
@@ -90,7 +93,7 @@ class Problem(eqx.Module):
 
     def nominal(self) -> Float[Array, " variables"]:
         """Nominal value of each variable."""
-        return jnp.stack([self._leaves(variable)[0] for variable in self.variables.values()])
+        return jnp.stack([self._leaves(self.variables[name])[0] for name in self.names])
 
     def units(self) -> dict[str, str]:
         """Unit of each response."""
@@ -99,7 +102,8 @@ class Problem(eqx.Module):
     def with_values(self, values: Float[Array, " variables"]) -> Mechanism:
         """The mechanism with its variables set. Leaves that vary together move by the same amount."""
         mechanism = self.mechanism
-        for (name, variable), value in zip(self.variables.items(), values, strict=True):
+        for name, value in zip(self.names, values, strict=True):
+            variable = self.variables[name]
             old = self._leaves(variable)
             new = [leaf + (value - old[0]) for leaf in old]
             mechanism = eqx.tree_at(lambda m, v=variable: jax.tree.leaves(v.where(m)), mechanism, new)

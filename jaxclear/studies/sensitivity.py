@@ -218,7 +218,7 @@ def sensitivity(
     unknown = [m for m in methods if m not in METHODS]
     if unknown:
         raise ValueError(f"no method {unknown[0]!r}; there are {', '.join(METHODS)}.")
-    names = list(problem.variables)
+    names = list(problem.names)
     wanted = names if variables is None else [variables] if isinstance(variables, str) else list(variables)
     for name in wanted:
         if name not in names:

@@ -38,7 +38,7 @@ class MonteCarlo(eqx.Module):
         return {int(i): self._sentence(i) for i in self.failed}
 
     def _sentence(self, i):
-        named = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.problem.variables, self.values[i], strict=True))
+        named = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.problem.names, self.values[i], strict=True))
         if self.outcome[i] == UNASSEMBLED:
             return f"With {named} the mechanism cannot be assembled."
         if self.outcome[i] == REACHED:
@@ -49,7 +49,7 @@ class MonteCarlo(eqx.Module):
         """All samples as a pandas table: variables, responses, result."""
         import pandas
 
-        columns = {name: self.values[:, i] for i, name in enumerate(self.problem.variables)}
+        columns = {name: self.values[:, i] for i, name in enumerate(self.problem.names)}
         columns |= self.responses
         sentences = self.failures()
         columns["result"] = [sentences.get(i, OUTCOMES[REACHED]) for i in range(len(self.values))]
@@ -103,8 +103,8 @@ def draw(problem: Problem, samples: int, seed: int, sampling: str = "sobol") -> 
     shares = np.clip(shares, 1e-12, 1 - 1e-12)
     nominal = np.asarray(problem.nominal())
     columns = [
-        nominal[i] + np.asarray(variable.distribution.quantile(jnp.asarray(shares[:, i])))
-        for i, variable in enumerate(problem.variables.values())
+        nominal[i] + np.asarray(problem.variables[name].distribution.quantile(jnp.asarray(shares[:, i])))
+        for i, name in enumerate(problem.names)
     ]
     return np.stack(columns, axis=1)
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import Scalar, concrete, quantity
 
 # Outcomes of an advance; the sentence is the result a run ends with.
 OUTCOMES = (
@@ -67,6 +67,12 @@ class Adaptive(AbstractIntegrator):
     atol: Scalar = quantity(1e-9, "1", "absolute local error of coordinates [m, rad] and speeds [m/s, rad/s]")
     largest_step: Scalar | None = quantity(None, "s", "largest step")
     most_steps: int = eqx.field(static=True, default=200_000)
+
+    def __check_init__(self):
+        for name, allowed in (("rtol", "at least 0"), ("atol", "positive")):
+            value = concrete(getattr(self, name))
+            if value is not None and not (value > 0 or (value == 0 and name == "rtol")):
+                raise ValueError(f"the tolerance {name} of integrator.Adaptive is {value}; it must be {allowed}.")
 
     def advance(self, field, start, stop, state, step, controlled, running):
         stop = jnp.where(running, stop, start)
@@ -130,6 +136,9 @@ class FixedStep(AbstractIntegrator):
     def __check_init__(self):
         if self.method not in TABLEAUX:
             raise ValueError(f"no fixed-step method {self.method!r}; there are {', '.join(TABLEAUX)}.")
+        step = concrete(self.step)
+        if step is not None and not step > 0:
+            raise ValueError(f"the step of integrator.FixedStep is {step} s; it must be positive.")
 
     def advance(self, field, start, stop, state, step, controlled, running):
         count = jnp.maximum(jnp.ceil((stop - start) / self.step * (1 - 1e-9)), 1.0)

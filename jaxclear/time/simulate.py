@@ -22,7 +22,7 @@ from jaxclear.scene.mechanism import Mechanism
 from jaxclear.scene.state import Layout, lay_out
 from jaxclear.scene.system import System, prepare, readings
 from jaxclear.time import progress
-from jaxclear.time.integrator import REACHED, AbstractIntegrator, Adaptive
+from jaxclear.time.integrator import NOT_FINITE, REACHED, AbstractIntegrator, Adaptive
 from jaxclear.time.trajectory import Trajectory
 
 Worn = dict[str, dict[str, Array]]
@@ -104,7 +104,9 @@ def run(
         worn = deposit(system, layout, worn, state, kept)
         if report:
             jax.debug.callback(progress.advance, share)
-        outcome = jnp.where(running, result.outcome, outcome)
+        # What is not held to a tolerance (memories, worn volumes) can be lost while the steps still succeed.
+        found = jnp.where(sound | (result.outcome != REACHED), result.outcome, NOT_FINITE)
+        outcome = jnp.where(running, found, outcome)
         ended = jnp.where(running & (outcome == REACHED), stop, ended)
         counts = (jnp.where(running, result.accepted, 0), jnp.where(running, result.rejected, 0))
         return (kept, worn, result.step, outcome, ended), (kept, read, counts)
@@ -123,9 +125,11 @@ _run = eqx.filter_jit(run)
 def saving_times(duration: Any, save: Any) -> Array:
     """Times to save at: a number of equally spaced ones, or the given ones with 0 in front if it is missing."""
     if np.ndim(save) == 0:
+        if isinstance(save, str) or int(save) != save or save < 2:
+            raise ValueError(f"save={save!r}: give a whole number of saving times, at least 2, or the times themselves.")
         return jnp.linspace(0.0, jnp.asarray(duration, float), int(save))
     times = np.asarray(save, float)
-    if times.size < 1 or np.any(np.diff(times) <= 0) or times[0] < 0 or not times[-1] <= float(duration):
+    if times.size < 1 or not np.all(np.diff(times) > 0) or not times[0] >= 0 or not times[-1] <= float(duration):
         raise ValueError("the times to save at must increase from 0 or later to at most the duration.")
     times = times if times[0] == 0 else np.concatenate([[0.0], times])
     return jnp.asarray(times if times[-1] == duration else np.concatenate([times, [duration]]))
@@ -163,8 +167,10 @@ def simulate(
     of saving times does. Raises `ValueError` for a mechanism that cannot start, and, unless `throw=False`,
     `SimulationError` with a sentence for a run that ends early.
     """
-    if not float(duration) > 0:
-        raise ValueError(f"the duration is {duration} s; it must be positive.")
+    if not 0 < float(duration) < np.inf:
+        raise ValueError(f"the duration is {duration} s; it must be positive and finite.")
+    if integrator is not None and not isinstance(integrator, AbstractIntegrator):
+        raise ValueError(f"the integrator is {integrator!r}; it must be one of jaxclear.integrator, such as Adaptive().")
     check_compliant(mechanism)
     start = assemble(mechanism, start_concentric)
     integrator = Adaptive() if integrator is None else integrator

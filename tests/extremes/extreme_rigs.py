@@ -50,13 +50,19 @@ def journal(p):
     return jc.clearance.JournalBearing(law, friction, RADIUS, p["clearance"], LENGTH)
 
 
-def journal_with_everything(p):
+def journal_that_wears(p):
+    law = jc.contact.Gonthier(p["stiffness"], restitution=0.8)
+    friction = jc.friction.Threlfall(p["mu"], p["transition_speed"])
+    return jc.clearance.JournalBearing(
+        law, friction, RADIUS, p["clearance"], LENGTH, bearing_wear=_wearing(), journal_wear=_wearing()
+    )
+
+
+def journal_with_collars(p):
     law = jc.contact.Flores(p["stiffness"], restitution=0.8)
     friction = jc.friction.LuGre(1.5 * p["mu"], p["mu"], 10 * p["transition_speed"], 1e-3 * p["transition_speed"])
     collar = jc.clearance.Flange(law, jc.friction.CoulombTanh(p["mu"], p["transition_speed"]), 1.4 * RADIUS, p["clearance"])
-    return jc.clearance.JournalBearing(
-        law, friction, RADIUS, p["clearance"], LENGTH, flange=collar, bearing_wear=_wearing(), journal_wear=_wearing()
-    )
+    return jc.clearance.JournalBearing(law, friction, RADIUS, p["clearance"], LENGTH, flange=collar)
 
 
 def ball(p):
@@ -79,7 +85,7 @@ def guide(p):
 
 JOINTS = {
     joint.__name__: joint
-    for joint in (planar, planar_conformal, journal, journal_with_everything, ball, ball_with_bristles, guide)
+    for joint in (planar, planar_conformal, journal, journal_that_wears, journal_with_collars, ball, ball_with_bristles, guide)
 }
 
 

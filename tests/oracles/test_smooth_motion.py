@@ -6,6 +6,7 @@ Tolerances are a few times the integrator's rtol of 1e-11 over the run.
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
@@ -99,8 +100,10 @@ def test_derivative_of_a_pendulum_s_tip_by_its_length():
     np.testing.assert_allclose(found, along + length * by_length * across, atol=1e-8)
 
 
+@pytest.mark.xfail(strict=True, reason="FixedStep loops a traced number of times, through which reverse mode cannot pass")
 def test_reverse_derivative_through_fixed_steps_is_the_forward_one():
     """`FixedStep` says that reverse-mode derivatives pass."""
+
     def end(angle):
         rig = pendulum(0.8, angle)
         fixed = jc.integrator.FixedStep(step=1e-2)
