@@ -283,6 +283,21 @@ def numba_batch(parallel: bool = False):
     return batch
 
 
+def numba_euler():
+    """One rate after the other: y += h rate, `steps` times, for one state."""
+    rate = numba_rate()
+
+    @numba.njit(error_model="numpy")
+    def run(steps, h, y, p, lower, upper):
+        for step in range(steps):
+            slopes = rate(step * h, y, p, lower, upper)
+            for i in range(19):
+                y[i] += h * slopes[i]
+        return y
+
+    return run
+
+
 def numba_runge_kutta(parallel: bool = False):
     """Classical Runge-Kutta for every sample by itself, `steps` steps of h from time zero, in place."""
     rate, loop = numba_rate(), numba.prange if parallel else range

@@ -13,7 +13,7 @@ def main(arguments: list[str] | None = None) -> None:
     four_bar.add_argument("--out", type=Path, default=Path("four_bar_study"), help="folder for figures and tables")
     four_bar.add_argument("--samples", type=int, default=256, help="Monte Carlo samples (default 256)")
     four_bar.add_argument("--duration", type=float, default=5.0, help="simulated time of the paper's runs [s] (default 5)")
-    four_bar.add_argument("--turns", type=float, default=1.0, help="turns of the crank in the Monte Carlo (default 1)")
+    four_bar.add_argument("--turns", type=float, default=2.0, help="turns of the crank in the Monte Carlo (default 2)")
     four_bar.add_argument("--quiet", action="store_true", help="no progress bars")
     commands.add_parser("parameters", help="all numbers of the four-bar with unit and meaning")
     options = parser.parse_args(arguments)

@@ -79,7 +79,7 @@ def run_table(runs: dict[float, Any]) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def study(folder: Path, samples: int = 256, duration: float = 5.0, turns: float = 1.0, show: bool = True) -> None:
+def study(folder: Path, samples: int = 256, duration: float = 5.0, turns: float = 2.0, show: bool = True) -> None:
     """Runs everything and writes it to `folder`."""
     begun = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
@@ -97,7 +97,7 @@ def study(folder: Path, samples: int = 256, duration: float = 5.0, turns: float 
     for index, sentence in sample.failures().items():
         print(f"sample {index} failed. {sentence}")
     print("derivatives with respect to clearance", flush=True)
-    pairs = max(8, samples // 4)
+    pairs = max(16, samples // 2)
     answers = jc.sensitivity(
         question, "clearance", sample=sample, difference_samples=pairs, progress_bar=show
     )

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import matplotlib
+import matplotlib.ticker
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -39,24 +40,24 @@ def displacement(runs: Mapping[str, Trajectory], ideal: Trajectory, body: str) -
     axes[2].set_ylabel("distance from ideal [µm]")
     axes[2].set_xlabel("time [s]")
     axes[2].set_ylim(bottom=0)
-    axes[0].legend(ncols=3, fontsize=8, title="radial clearance", title_fontsize=8, loc="lower right")
+    figure.legend(*axes[0].get_legend_handles_labels(), ncols=5, fontsize=8, title="radial clearance", loc="outside lower center")
     axes[0].set_title(f"Centre of mass of the {body}")
     return figure
 
 
-def angular_velocity(run: Trajectory, ideal: Trajectory, body: str, window: tuple[float, float] | None = None) -> Figure:
-    """Angular velocity of a body about z with clearance and without."""
-    figure, axes = _figure(2, 1, (8.0, 6.0))
-    spans = [(float(run.time[0]), float(run.time[-1])), window or (0.8 * float(run.time[-1]), float(run.time[-1]))]
-    for axis, (start, stop) in zip(axes, spans, strict=True):
-        inside = (np.asarray(run.time) >= start) & (np.asarray(run.time) <= stop)
-        axis.plot(run.time[inside], np.asarray(run.body(body).spin)[inside, 2], color="C0", lw=0.9, label="clearance")
-        axis.plot(ideal.time[inside], np.asarray(ideal.body(body).spin)[inside, 2], "k--", lw=1.0, label="ideal")
-        axis.set_xlabel("time [s]")
-        axis.set_ylabel(f"angular velocity [rad/s]")
-        axis.set_xlim(start, stop)
+def angular_velocity(run: Trajectory, ideal: Trajectory, body: str) -> Figure:
+    """Angular velocity of a body about z with clearance and without, and their difference."""
+    figure, axes = _figure(2, 1, (8.0, 6.0), sharex=True)
+    own, other = (np.asarray(r.body(body).spin)[:, 2] for r in (run, ideal))
+    axes[0].plot(run.time, own, color="C0", lw=1.2, label="with clearance")
+    axes[0].plot(ideal.time, other, "k--", lw=0.9, label="ideal")
+    axes[0].set_ylabel("angular velocity [rad/s]")
     axes[0].legend(loc="upper right", fontsize=8)
-    axes[0].set_title(f"Angular velocity of the {body} about the bearing's axis (below: enlarged)")
+    axes[0].set_title(f"Angular velocity of the {body} about the z axis")
+    axes[1].plot(run.time, own - other, color="C0", lw=0.7)
+    axes[1].axhline(0.0, color="k", lw=0.6)
+    axes[1].set_ylabel("difference from ideal [rad/s]")
+    axes[1].set_xlabel("time [s]")
     return figure
 
 
@@ -71,6 +72,7 @@ def journal_ends(run: Trajectory, joint: str) -> Figure:
     turn = np.linspace(0, 2 * np.pi, 400)
     for axis, end, label in zip(axes, ends, ("lower end (z = -L/2)", "upper end (z = L/2)"), strict=True):
         axis.plot(MICRO * clearance * np.cos(turn), MICRO * clearance * np.sin(turn), "r-", lw=1.0, label="clearance circle")
+        axis.set_xlim(-1.15 * MICRO * clearance, 1.15 * MICRO * clearance)
         axis.plot(MICRO * end[:, 0], MICRO * end[:, 1], ".", ms=2.0, alpha=0.4, color="C0", label="journal centre")
         axis.set_aspect("equal")
         axis.set_title(label)
@@ -121,24 +123,29 @@ def wear_surface(run: Trajectory, joint: str, surface: str = "bearing", exaggera
     wear_map, depth = _wear(run, joint, surface)
     radius = float(wear_map.radius)
     factor = 0.2 * radius / max(depth.max(), 1e-15) if exaggeration is None else exaggeration
-    closed = np.vstack([depth, depth[:1]])
-    angles = np.append(np.asarray(wear_map.angles()), float(wear_map.angles()[0]) + 2 * np.pi)[:, None]
-    reach = MILLI * (radius + factor * closed)
-    heights = MILLI * np.asarray(wear_map.heights())[None] * np.ones_like(closed)
-    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
-    axis = figure.add_subplot(projection="3d")
+    ringed = np.vstack([depth[-1:], depth, depth[:1]])
+    padded = np.pad(ringed, ((0, 0), (1, 1)), mode="edge")
+    corners = 0.25 * (padded[:-1, :-1] + padded[1:, :-1] + padded[:-1, 1:] + padded[1:, 1:])
+    angles = np.linspace(0, 2 * np.pi, depth.shape[0] + 1)[:, None]
+    reach = MILLI * (radius + factor * corners)
+    heights = MILLI * np.linspace(-0.5, 0.5, depth.shape[1] + 1)[None] * float(wear_map.length) * np.ones_like(reach)
+    figure = Figure(figsize=(7.5, 6.0), layout="constrained")
+    axis = figure.add_subplot(projection="3d", computed_zorder=False)
     norm = _stretched(MICRO * depth)
-    colours = matplotlib.colormaps["inferno"](norm(MICRO * closed))
+    colours = matplotlib.colormaps["YlOrRd"](norm(MICRO * depth))
     axis.plot_surface(
-        reach * np.cos(angles), reach * np.sin(angles), heights, facecolors=colours, rstride=1, cstride=1, shade=False
-    )
-    scale = matplotlib.cm.ScalarMappable(norm, "inferno")
-    figure.colorbar(scale, ax=axis, label="worn depth [µm] (colour ~ square root)", shrink=0.7, pad=0.1)
+        reach * np.cos(angles), reach * np.sin(angles), heights, facecolors=colours, rstride=1, cstride=1,
+        shade=False, edgecolor=(0, 0, 0, 0.06), linewidth=0.2,
+    )  # fmt: skip
+    scale = matplotlib.cm.ScalarMappable(norm, "YlOrRd")
+    figure.colorbar(scale, ax=axis, label="worn depth [µm] (colour ~ square root)", shrink=0.7, pad=0.12)
     axis.set_xlabel("x [mm]")
     axis.set_ylabel("y [mm]")
     axis.set_zlabel("z [mm]")
-    axis.set_title(f"Worn {surface} of {joint}, depth × {factor:.0f}")
+    axis.set_title(f"Worn {surface} of {joint} seen from outside, depth × {factor:.0f}")
     axis.set_box_aspect((1, 1, 1.2))
+    deepest = np.degrees(float(wear_map.angles()[int(depth.max(axis=1).argmax())]))
+    axis.view_init(elev=22.0, azim=deepest + 25.0)
     return figure
 
 
@@ -186,6 +193,7 @@ def sensitivity(study: Sensitivity) -> Figure:
         axis.set_ylim(-len(labels) + 0.4, 0.6)
         axis.axvline(0.0, color="0.7", lw=0.8)
         units = study.sample.problem.units()[response]
+        axis.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
         axis.set_xlabel(f"d({response}) / d({variable}) [{units} per unit]")
         axis.set_title(derivative.verdict, fontsize=8, wrap=True)
     return figure

@@ -72,9 +72,10 @@ def unit_of(module: eqx.Module, name: str) -> str:
     return _metadata(module)[name].get("unit", "1")
 
 
-def parameters(tree: Any) -> list[dict[str, Any]]:
-    """Rows (name, value, unit, meaning) of every number in a mechanism or any part of it, in definition order."""
-    return list(_rows(tree, ""))
+def parameters(tree: Any, name: str = "") -> list[dict[str, Any]]:
+    """Rows (name, value, unit, meaning) of every number in a mechanism or any part of it, in definition order; `name` is
+    what the tree itself is called."""
+    return list(_rows(tree, name))
 
 
 def _metadata(module):

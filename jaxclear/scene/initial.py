@@ -88,6 +88,17 @@ def named_closures(system: System, concentric: bool) -> dict[str, Any]:
     return closures | ({name: b.closure for name, b in system.bearings.items()} if concentric else {})
 
 
+def _check_flat_bodies(mechanism: Mechanism, system: System, motions: tuple) -> None:
+    """A body whose inertia is known about z only must turn about z only; what does not turn is known while tracing."""
+    for branch, link, motion in zip(system.topology.branches, system.links, motions, strict=True):
+        spin = sp.apply_transposed(link.frame.rotation, motion.twist.angular)
+        if len(mechanism.bodies[branch.body].inertia) == 1 and not (sp.is_zero(spin[0]) and sp.is_zero(spin[1])):
+            raise ValueError(
+                f'body "{branch.body}" has an inertia about its z axis only, but its joints let it turn about others; give '
+                "3 or 6 numbers, or planar joints throughout (axes by name: numbers for an axis count as spatial)."
+            )
+
+
 def _rows(system, closures, q, v, time):
     """Residuals, rates and Jacobian of the closures, as arrays by name."""
     own_q, own_v = unpack_motion(system, list(q) + list(v))
@@ -112,6 +123,7 @@ def assemble_arrays(mechanism: Mechanism, concentric: bool = True, time: float =
     system = prepare(mechanism)
     closures = named_closures(system, concentric)
     q, v = guess(mechanism)
+    _check_flat_bodies(mechanism, system, dynamics.move(system, *unpack_motion(system, list(q) + list(v)), time))
     if not closures or v.shape[0] == 0:
         rows = _rows(system, closures, q, v, time)
         return Start(q, v, {n: r[0] for n, r in rows.items()}, {n: r[2] for n, r in rows.items()})
@@ -171,7 +183,7 @@ def _check_rank(mechanism: Mechanism, start: Start) -> None:
             rows.append((name, row))
     for name, row in rows:
         new = row[None] if kept is None else np.vstack([kept, row])
-        if np.linalg.matrix_rank(new, tol=1e-9 * max(1.0, np.abs(new).max())) < len(new):
+        if np.linalg.matrix_rank(new, tol=1e-9 * np.abs(new).max(initial=1.0)) < len(new):
             if _singular_only_here(mechanism, start):
                 return
             raise ValueError(
@@ -190,4 +202,4 @@ def _singular_only_here(mechanism: Mechanism, start: Start) -> bool:
     q = retract(system, start.coordinates, jnp.asarray(step))
     rows = _rows(system, named_closures(system, False), q, jnp.zeros_like(start.speeds), 0.0)
     jacobian = np.concatenate([np.asarray(r[2]) for r in rows.values()])
-    return np.linalg.matrix_rank(jacobian, tol=1e-9 * np.abs(jacobian).max()) == len(jacobian)
+    return np.linalg.matrix_rank(jacobian, tol=1e-9 * np.abs(jacobian).max(initial=0.0)) == len(jacobian)

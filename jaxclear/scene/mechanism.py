@@ -6,6 +6,7 @@ not checked: they were when the mechanism was built with numbers.
 
 import dataclasses
 from collections.abc import Mapping
+from types import UnionType
 from typing import Any, get_args
 
 import equinox as eqx
@@ -19,7 +20,9 @@ from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, A
 from jaxclear.ground.quantity import as_number, concrete, parameters
 from jaxclear.laws.stiffness import fitted
 from jaxclear.scene.loops import Baumgarte
-from jaxclear.scene.topology import Topology, grow
+from jaxclear.scene.topology import Topology, grow, joint_of
+
+NO_TURN = (1.0, 0.0, 0.0, 0.0)
 
 
 def _guess(value: Any) -> tuple:
@@ -70,9 +73,8 @@ class Mechanism(eqx.Module):
         """All numbers of the mechanism with unit and meaning, as a pandas table."""
         import pandas
 
-        return pandas.DataFrame(
-            [row for part in ("bodies", "connections", "loads") for row in parameters({part: getattr(self, part)})]
-        )
+        parts = ("bodies", "connections", "loads", "start", "speeds", "stabilisation")
+        return pandas.DataFrame([row for part in parts for row in parameters(getattr(self, part), part)])
 
 
 def check_names(bodies: dict, connections: dict, loads: dict) -> None:
@@ -137,10 +139,12 @@ def _expect(thing: Any, kind: Any, what: str, wanted: str) -> None:
 def _check_slots(what: str, module: eqx.Module) -> None:
     """Slots for laws, drives, markers and the like must hold one of their family."""
     for field in dataclasses.fields(module):
-        kinds = get_args(field.type) or (field.type,)
-        families = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, eqx.Module)]
+        kinds = get_args(field.type) if isinstance(field.type, UnionType) else (field.type,)
+        if not all(isinstance(kind, type) and kind is not Any for kind in kinds):
+            continue
+        families = [kind for kind in kinds if issubclass(kind, eqx.Module)]
         value = getattr(module, field.name)
-        if value is None and type(None) not in kinds:
+        if value is None and field.default is not None and type(None) not in kinds:
             raise ValueError(f"{what} has {field.name} None; it needs one.")
         if families and set(kinds) <= {*families, type(None)}:
             if not isinstance(value, kinds):
@@ -263,3 +267,7 @@ def check_structure(mechanism: Mechanism) -> None:
                 )
             if homes[name].coordinates.start == homes[name].coordinates.stop:
                 raise ValueError(f'{what} names "{name}", whose motion is prescribed or fixed; leave it out.')
+    for name, given in mechanism.start.items():
+        home = joint_of(homes[name], mechanism.bodies, connections).home
+        if len(given) == len(home) and home[-4:] == NO_TURN and all(concrete(x) == 0 for x in given[-4:]):
+            raise ValueError(f'start of "{name}" ends in a quaternion (w, x, y, z) of zeros; no rotation is {NO_TURN}.')

@@ -21,7 +21,10 @@ from jaxclear.studies.problem import Outcome, Problem
 CHUNK_MEMORY = 1 << 30
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12
-LARGEST_CHUNK = 1024
+# On a CPU a short chunk keeps the whole time loop in one kernel and its state in the first-level cache; beyond, the time per
+# sample rises again (measured: benchmarks/monte_carlo.py). An accelerator wants many samples at once.
+LARGEST_CHUNK = {"cpu": 16}
+LARGEST_ELSEWHERE = 4096
 
 
 @eqx.filter_jit
@@ -42,7 +45,8 @@ def chunk_size(problem: Problem, samples: int, threads: int) -> int:
     cells = sum(np.prod(m.cells) for b in system.bearings.values() for m, _ in b.joint.maps().values())
     saves = problem.save if np.ndim(problem.save) == 0 else len(problem.save)
     each = 8 * (saves * (HISTORY_FACTOR * layout.size) + 8 * cells)
-    return int(max(1, min(LARGEST_CHUNK, CHUNK_MEMORY // each, -(-samples // threads))))
+    largest = LARGEST_CHUNK.get(jax.default_backend(), LARGEST_ELSEWHERE)
+    return int(max(1, min(largest, CHUNK_MEMORY // each, -(-samples // threads))))
 
 
 def evaluate_all(

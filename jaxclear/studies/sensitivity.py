@@ -203,7 +203,7 @@ def sensitivity(
     *,
     sample: MonteCarlo | None = None,
     samples: int = 256,
-    difference_samples: int = 64,
+    difference_samples: int = 128,
     width: float | None = None,
     methods: tuple[str, ...] = ("regression", "differences"),
     seed: int = 0,
@@ -212,7 +212,8 @@ def sensitivity(
     """Derivatives of the mean of every response with respect to `variables` (names; all by default).
 
     `sample`: a Monte Carlo sample to read slopes from, drawn here with `samples` samples if not given. `width`: how far
-    `differences` moves a variable, by default 10 % of its nominal value. `methods`: any of "regression", "differences",
+    `differences` moves a variable, by default one standard deviation of its distribution: a response with kinks has another
+    slope at every scale, and the one wanted is that over the tolerance. `methods`: any of "regression", "differences",
     "pathwise" (fixed-step integrators only; the cheapest while contact persists, refused where its tangents explode).
     """
     unknown = [m for m in methods if m not in METHODS]
@@ -233,7 +234,7 @@ def sensitivity(
         if "regression" in methods:
             by_method["regression"] = {r: regression(sample, r, index) for r in problem.response}
         if "differences" in methods:
-            step = 0.1 * abs(float(problem.nominal()[index])) if width is None else width
+            step = float(problem.variables[name].distribution.deviation()) if width is None else width
             by_method["differences"] = differences(problem, shared, index, step, progress_bar=progress_bar)
         if "pathwise" in methods:
             by_method["pathwise"] = pathwise(problem, shared, index, progress_bar=progress_bar)

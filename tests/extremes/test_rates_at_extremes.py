@@ -9,6 +9,11 @@ import numpy as np
 import pytest
 from extreme_rigs import JOINTS, USUAL, layout, pose, rate
 from hypothesis import example, given, settings
+from jax.flatten_util import ravel_pytree
+
+
+# The older emitters of XLA for CPUs compile a reverse derivative of scalar code up to seven times faster (measured).
+QUICK_COMPILATION = {"xla_cpu_use_fusion_emitters": False}
 
 
 def decades(low, high):
@@ -79,12 +84,14 @@ def compiled(kind):
         def function(p, state):
             return rate(kind, p, state)
 
-        forward = jax.jacfwd(function, argnums=(0, 1))(p, state)
+        inputs, restore = ravel_pytree((p, state))
+        # one direction at a time: a batch of directions takes twenty times as long to compile
+        forward = jax.lax.map(lambda e: jax.jvp(lambda x: function(*restore(x)), (inputs,), (e,))[1], jnp.eye(inputs.size))
         value, pull = jax.vjp(function, p, state)
         # unequal weights: what is not a number in one row cannot cancel in the sum over rows
         return value, forward, pull(1.0 + jnp.arange(value.shape[0]))
 
-    return jax.jit(everything)
+    return jax.jit(everything, compiler_options=QUICK_COMPILATION)
 
 
 def assert_finite(tree, words):

@@ -52,7 +52,7 @@ INERTIA = {
 
 
 def test_floating_pair_keeps_its_momentum_through_collisions(collision):
-    """Linear and angular momentum about the ground's origin, to 1e-9 of what the contacts exchange."""
+    """Linear and angular momentum about the ground's origin, to rounding: contact forces come in pairs."""
     linear, angular = np.zeros((41, 3)), np.zeros((41, 3))
     for name, (mass, inertia) in INERTIA.items():
         history = collision.body(name)
@@ -62,19 +62,17 @@ def test_floating_pair_keeps_its_momentum_through_collisions(collision):
         angular += own + mass * np.cross(history.com, history.velocity)
     contact = collision.contact("pair")
     assert (np.asarray(contact.normal_force) > 0).any(axis=0).sum() >= 2, "the case must collide in more than one place"
-    print("momentum", np.abs(linear - linear[0]).max(), np.abs(angular - angular[0]).max(), "of", np.abs(linear[0]).max())
-    np.testing.assert_allclose(linear, np.broadcast_to(linear[0], linear.shape), atol=1e-9)
-    np.testing.assert_allclose(angular, np.broadcast_to(angular[0], angular.shape), atol=1e-10)
+    np.testing.assert_allclose(linear, np.broadcast_to(linear[0], linear.shape), atol=1e-13)
+    np.testing.assert_allclose(angular, np.broadcast_to(angular[0], angular.shape), atol=1e-14)
 
 
 def test_energy_lost_in_collisions_is_the_losses_energy(collision):
-    """Kinetic energy = start - contact loss - friction loss - stored, to 1e-6 of the start's."""
+    """Kinetic energy = start - contact loss - friction loss - stored, to 1e-9 of the start's."""
     energy = collision.energy_balance()
     start = float(energy.kinetic[0])
     assert float(energy.contact_loss[-1]) > 1e-3 * start
     assert float(energy.friction_loss[-1]) > 1e-3 * start
-    print("pair energy", float(jnp.abs(energy.error).max()) / start, energy.contact_loss[-1] / start, energy.friction_loss[-1] / start)
-    assert float(jnp.abs(energy.error).max()) < 1e-6 * start
+    assert float(jnp.abs(energy.error).max()) < 1e-9 * start
 
 
 def bounce(law):
@@ -105,16 +103,15 @@ DAMPING = {
 @pytest.mark.parametrize("name", DAMPING)
 @pytest.mark.parametrize("restitution", [0.5, 0.9])
 def test_bouncing_journal_leaves_with_the_law_s_restitution(name, restitution):
-    """Rebound within 1e-5: the memory has followed for 1e-3 s with 1e-5 s, what remains is the touch between two steps."""
+    """Rebound within 1e-8 (measured 1e-9): at constant speed the memory has caught up to rounding before the touch."""
     law = getattr(jc.contact, name)(stiffness=1e9, restitution=restitution, memory_time=MEMORY_TIME)
     trajectory = bounce(law)
     speed = np.asarray(trajectory.body("journal").velocity)[-1, :2]
     wanted = restitution if DAMPING[name] is None else rebound(float(DAMPING[name](restitution)))
-    print(name, restitution, "rebound", -speed[0] / 0.06 / wanted - 1)
-    np.testing.assert_allclose(speed, -wanted * np.array([0.06, 0.08]), rtol=1e-5)
+    np.testing.assert_allclose(speed, -wanted * np.array([0.06, 0.08]), rtol=1e-8)
     energy = trajectory.energy_balance()
     lost = energy.kinetic[0] - energy.kinetic[-1]
-    np.testing.assert_allclose(energy.contact_loss[-1], lost, atol=1e-6 * float(energy.kinetic[0]))
+    np.testing.assert_allclose(energy.contact_loss[-1], lost, atol=1e-8 * float(energy.kinetic[0]))
 
 
 @pytest.mark.xfail(strict=True, reason="memories are not error-controlled: explicit steps beyond 3 memory_time blow them up")
@@ -160,7 +157,7 @@ def busy_slider_crank():
 
 
 def test_energy_balance_closes_with_everything_switched_on():
-    """1e-5 of the energy put in; the energies are integrated beside the motion and do not choose the steps."""
+    """1e-9 of the energy put in; the energies are integrated beside the motion and do not choose the steps."""
     fine = jc.integrator.Adaptive(**FINE)
     trajectory = jc.simulate(busy_slider_crank(), 0.1, save=101, integrator=fine, balance=True)
     energy = trajectory.energy_balance()
@@ -168,5 +165,4 @@ def test_energy_balance_closes_with_everything_switched_on():
         assert float(losses[-1]) > 1e-6
     scale = float(jnp.abs(energy.input).max())
     error = float(jnp.abs(energy.error).max()) / scale
-    print("energy error", error, "input", scale, [float(x[-1]) for x in (energy.contact_loss, energy.friction_loss, energy.damping_loss)])
-    assert error < 1e-5
+    assert error < 1e-9

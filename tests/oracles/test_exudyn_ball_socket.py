@@ -63,7 +63,6 @@ def test_thrown_rod_bounces_as_in_exudyn(case):
     com, ball = trajectory.body("rod").com[1:], trajectory.marker("rod", (-0.15, 0.0, 0.0))[1:]
     for name, found in (("com", com), ("ball", ball)):
         error = np.abs(np.asarray(found) - np.array(reference[name])).max()
-        print(case, name, error)
         assert error < REFERENCE["tolerance"], f"{name}: {error:.2e} m"
 
 

@@ -34,7 +34,7 @@ def slider_crank(pin):
 
 
 def swinging_bar(pin, inertia=(2e-3, 2e-3, 1e-4)):
-    """A bar hung in the joint to be tested, swinging about the joint's z axis and pulled along it: the journal tilts as far as it can."""
+    """A bar hung in the joint to be tested, pulled along the joint's axis so that the journal tilts as far as it can."""
     return jc.Mechanism(
         {"bar": jc.Body(0.5, inertia, (0.1, 0.0, 0.0))},
         {"B": jc.Connection(pin, "ground", "bar")},
@@ -58,7 +58,6 @@ def test_slider_crank_with_clearance_tends_to_the_ideal_one():
         np.abs(history(slider_crank(jc.clearance.PlanarJournalBearing(law, clearance=c)), 0.25, "slider") - ideal).max()
         for c in CLEARANCES
     ]
-    print(errors, observed_order(errors))
     assert (np.array(errors) < 3 * CLEARANCES).all()
     assert abs(observed_order(errors) - 1) < 0.15
 
@@ -76,5 +75,4 @@ def test_bar_in_a_spatial_joint_with_clearance_tends_to_the_ideal_one(kind):
         ]
     wanted = history(swinging_bar(ideal), 0.15, "bar")
     errors = [np.abs(history(swinging_bar(pin), 0.15, "bar") - wanted).max() for pin in pins]
-    print(kind, errors, observed_order(errors))
     assert abs(observed_order(errors) - 1) < 0.2

@@ -1,0 +1,59 @@
+"""How the benchmarks measure: side by side, the smallest of several, and never across processes.
+
+Wall time is what a user waits for; CPU time is what the work costs, and the one to compare on a machine that is shared.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+
+
+def arguments(description: str) -> argparse.Namespace:
+    """`--quick` for small sizes, `--json FILE` for the printed figures as JSON."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--quick", action="store_true", help="small sizes, a minute at most")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
+    return parser.parse_args()
+
+
+def side_by_side(cases: dict[str, Callable[[], Any]], repeats: int = 5) -> dict[str, tuple[float, float]]:
+    """Smallest (wall, CPU) seconds of each case, the cases taking turns; each runs once before."""
+    best = {name: (float("inf"), float("inf")) for name in cases}
+    for case in cases.values():
+        jax.block_until_ready(case())
+    for _ in range(repeats):
+        for name, case in cases.items():
+            cpu, wall = time.process_time(), time.perf_counter()
+            jax.block_until_ready(case())
+            spent = time.perf_counter() - wall, time.process_time() - cpu
+            best[name] = tuple(map(min, best[name], spent))
+    return best
+
+
+def seconds_to_compile(function: Callable, *args: Any) -> tuple[Any, float]:
+    """(compiled program, CPU seconds to trace, lower and compile it); never from a cache."""
+    start = time.process_time()
+    compiled = jax.jit(lambda *a: function(*a)).lower(*args).compile()
+    return compiled, time.process_time() - start
+
+
+def report(title: str, rows: list[dict[str, Any]], options: argparse.Namespace) -> None:
+    """Print the rows as a table and write them where asked."""
+    print(f"\n{title}")
+    names = list(rows[0])
+    cells = [[_text(row[name]) for name in names] for row in rows]
+    widths = [max(len(name), *(len(line[i]) for line in cells)) for i, name in enumerate(names)]
+    for line in [names, *cells]:
+        print("  ".join(text.ljust(w) if i == 0 else text.rjust(w) for i, (text, w) in enumerate(zip(line, widths))))
+    if options.json is not None:
+        known = json.loads(options.json.read_text()) if options.json.exists() else {}
+        options.json.write_text(json.dumps(known | {title: rows}, indent=1) + "\n")
+
+
+def _text(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,165 @@
+"""Monte Carlo and sensitivity on a mechanism whose answer is known: a pendulum's period, and a spring's static stretch."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import jaxclear as jc
+
+LENGTH, GRAVITY = 1.0, 9.81
+
+
+def pendulum():
+    return jc.Mechanism(
+        {"rod": jc.Body(1.0, 1e-9, (LENGTH, 0.0))},
+        {"pivot": jc.Connection(jc.joint.Revolute(), "ground", "rod")},
+        {"gravity": jc.load.Gravity((0.0, -GRAVITY))},
+        start={"pivot": -np.pi / 2 + 0.01},
+    )
+
+
+def swing(run):
+    """Angle after the run: A cos(omega t) for a small swing."""
+    return run.coordinate("pivot")[-1, 0] + jnp.pi / 2
+
+
+def problem(**variables):
+    variables = variables or {"length": jc.Variable(lambda r: r.bodies["rod"].com[0], jc.distribution.Normal(0.01))}
+    return jc.Problem(
+        pendulum(), {"swing": swing}, variables, duration=1.0, integrator=jc.integrator.FixedStep(1e-2), save=3
+    )
+
+
+@pytest.fixture(scope="module")
+def sample():
+    return jc.monte_carlo(problem(), 128)
+
+
+def small_swing(length):
+    return 0.01 * np.cos(np.sqrt(GRAVITY / length))
+
+
+def test_responses_are_those_of_the_closed_form(sample):
+    # The swing of 0.01 rad is not quite small: the period is 6e-6 longer.
+    np.testing.assert_allclose(sample.responses["swing"], small_swing(sample.values[:, 0]), atol=2e-7)
+
+
+def test_table_and_summary_tell_the_sample(sample):
+    assert list(sample.table().columns) == ["length", "swing", "result"] and len(sample.table()) == 128
+    row = sample.summary().iloc[0]
+    assert row["failed"] == 0 and row["mean"] == pytest.approx(sample.responses["swing"].mean())
+
+
+@pytest.mark.parametrize(
+    ("distribution", "reference"),
+    [
+        (jc.distribution.Normal(2.0), stats.norm(0, 2)),
+        (jc.distribution.Uniform(3.0), stats.uniform(-3, 6)),
+        (jc.distribution.TruncatedNormal(1.0, 1.5), stats.truncnorm(-1.5, 1.5)),
+    ],
+)
+def test_distributions_are_scipys(distribution, reference):
+    shares = np.linspace(0.01, 0.99, 33)
+    np.testing.assert_allclose(distribution.quantile(jnp.asarray(shares)), reference.ppf(shares), atol=1e-12)
+    np.testing.assert_allclose(distribution.deviation(), reference.std(), rtol=1e-12)
+
+
+def test_order_of_variables_does_not_matter():
+    """JAX sorts dictionaries; a value must reach the variable it was drawn for."""
+    zed = {
+        "z first": jc.Variable(lambda r: r.bodies["rod"].com[0], tolerance=0.01),
+        "a second": jc.Variable(lambda r: r.loads["gravity"].acceleration[1], tolerance=0.5),
+    }
+    study = jc.monte_carlo(problem(**zed), 16)
+    length, gravity = study.values.T
+    np.testing.assert_allclose(study.responses["swing"], 0.01 * np.cos(np.sqrt(-gravity / length)), atol=2e-7)
+
+
+def test_all_chunks_share_one_compilation():
+    traced = []
+
+    def counted(run):
+        traced.append(1)
+        return swing(run)
+
+    question = eqx.tree_at(lambda p: p.response["swing"], problem(), counted)
+    many = jc.monte_carlo(question, 50, chunk=8)
+    assert len(traced) == 1
+    np.testing.assert_array_equal(many.responses["swing"], jc.monte_carlo(question, 50, chunk=8).responses["swing"])
+    assert len(traced) == 1
+
+
+def test_failed_samples_are_named_and_the_others_go_on():
+    stiff = {"gravity": jc.Variable(lambda r: r.loads["gravity"].acceleration[1], jc.distribution.Uniform(1e9))}
+    study = jc.monte_carlo(problem(**stiff), 16)
+    assert 0 < len(study.failed) or np.all(np.isfinite(study.responses["swing"]))
+    broken = {"mass": jc.Variable(lambda r: r.bodies["rod"].mass, jc.distribution.Uniform(1.0 + 1e-9))}
+    question = jc.Problem(
+        pendulum(),
+        lambda run: jnp.where(run.mechanism.bodies["rod"].mass > 1.0, jnp.nan, 1.0),
+        broken,
+        duration=0.1,
+        save=3,
+    )
+    study = jc.monte_carlo(question, 16)
+    assert len(study.failed) == np.count_nonzero(study.values[:, 0] > 1.0) > 0
+    assert all("mass = " in sentence for sentence in study.failures().values())
+    assert np.isfinite(study.responses["response"]).sum() == 16 - len(study.failed)
+    assert study.summary()["failed"][0] == len(study.failed)
+
+
+def test_a_sample_that_cannot_be_assembled_is_counted():
+    rig = jc.scenes.four_bar("ideal")
+    lengths = {"coupler": jc.Variable(lambda r: r.connections["B"].parent.at[0], jc.distribution.Uniform(0.35))}
+    question = jc.Problem(rig, lambda run: run.body("follower").com[-1, 0], lengths, duration=0.01, save=2)
+    study = jc.monte_carlo(question, 16)
+    assert 0 < len(study.failed) < 16
+    assert all("cannot be assembled" in sentence for sentence in study.failures().values())
+
+
+def test_three_methods_find_the_derivative_of_the_closed_form(sample):
+    answers = jc.sensitivity(
+        problem(), sample=sample, difference_samples=32, methods=("regression", "differences", "pathwise")
+    )
+    derivative = answers.derivatives["swing", "length"]
+    step = 1e-4
+    lengths = sample.values[:, 0]
+    exact = ((small_swing(lengths + step) - small_swing(lengths - step)) / (2 * step)).mean()
+    assert derivative.trustworthy and derivative.value == pytest.approx(exact, rel=0.02)
+    for estimate in derivative.estimates.values():
+        assert abs(estimate.value - exact) < estimate.error + 0.02 * abs(exact)
+    assert "Agreed" in answers.table()["verdict"][0]
+
+
+def test_pathwise_derivatives_of_adaptive_runs_are_refused(sample):
+    adaptive = eqx.tree_at(lambda p: p.integrator, problem(), jc.integrator.Adaptive())
+    answers = jc.sensitivity(adaptive, sample=sample, difference_samples=8, methods=("pathwise",))
+    derivative = answers.derivatives["swing", "length"]
+    assert np.isnan(derivative.value) and "fixed-step" in derivative.estimates["pathwise"].refusal
+
+
+def test_methods_that_disagree_say_so():
+    from jaxclear.studies.sensitivity import Estimate, judge
+
+    apart = judge("r", "v", {"regression": Estimate(1.0, 0.1), "differences": Estimate(2.0, 0.1)})
+    assert not apart.trustworthy and abs(apart.value - 1.5) < 1e-12 and apart.error >= 0.5
+    alone = judge("r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(np.nan, np.nan, "no")})
+    assert "Unconfirmed" in alone.verdict and alone.value == 1.0
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: jc.Variable(lambda r: r), "a distribution or a tolerance"),
+        (lambda: problem(x=jc.Variable(lambda r: r.bodies["rod"], tolerance=1.0)), '"x" must point at numbers'),
+        (lambda: jc.monte_carlo(problem(), 0), "at least one sample"),
+        (lambda: jc.monte_carlo(problem(), 4, sampling="grid"), "sampling is sobol or random"),
+        (lambda: jc.sensitivity(problem(), "width"), 'no variable "width"'),
+        (lambda: jc.sensitivity(problem(), methods=("magic",)), "no method 'magic'"),
+    ],
+)
+def test_mistakes_get_a_sentence(call, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        call()

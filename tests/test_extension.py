@@ -1,0 +1,158 @@
+"""Members defined here, outside the package, are full members: laws, a clearance joint and an ideal joint."""
+
+import sys
+from pathlib import Path
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.components.clearance import AbstractClearance, Pairing, Touch
+from jaxclear.components.joint import AbstractJoint
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part, smooth_sign
+from jaxclear.ground.pose import Pose, Twist, rotation_z
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.contact import AbstractContactLaw
+from jaxclear.laws.friction import AbstractSlipFriction
+from jaxclear.laws.stiffness import Shape
+from jaxclear.laws.wear import AbstractWearLaw
+
+sys.path.insert(0, str(Path(__file__).parent / "laws"))
+from contracts import contact_contract, friction_contract, wear_contract  # noqa: E402
+
+
+class Cushion(AbstractContactLaw):
+    """F = K delta + K delta^2 / d: a linear spring that stiffens over the depth d."""
+
+    stiffness: Scalar = quantity(1e6, "N/m", "stiffness at touch")
+    depth: Scalar = quantity(1e-3, "m", "depth over which the stiffness trebles")
+    remembers_impact_speed: ClassVar[bool] = False
+
+    def normal_force(self, indentation, rate, impact_speed):
+        return self.elastic_force(indentation)
+
+    def elastic_force(self, indentation):
+        depth = positive_part(indentation)
+        return self.stiffness * depth * (1 + depth / self.depth)
+
+
+class Saturating(AbstractSlipFriction):
+    """mu v / (v + v_0) made smooth by a tanh at rest."""
+
+    mu_kinetic: Scalar = quantity(0.2, "1", "coefficient at high speed")
+    transition_speed: Scalar = quantity(1e-3, "m/s", "speed of half the friction")
+
+    def coefficient(self, slip_speed):
+        return self.mu_kinetic * smooth_sign(slip_speed, self.transition_speed)
+
+
+class Erosion(AbstractWearLaw):
+    """dV/dt = k F v^1, half of what Archard gives."""
+
+    wear_coefficient: Scalar = quantity(1e-15, "m^2/N", "worn volume per load and distance")
+
+    def volume_rate(self, normal_force, slip_speed, traction):
+        return 0.5 * self.wear_coefficient * normal_force * slip_speed
+
+
+class FloorAndCeiling(AbstractClearance):
+    """A point between two planes y = -c and y = c."""
+
+    ideal_rows: ClassVar = ("y",)
+    contact: AbstractContactLaw
+    friction: Any = None
+    clearance: Scalar = quantity(1e-2, "m", "room on either side")
+
+    @property
+    def axes(self):
+        return ()
+
+    def pairings(self):
+        shape = Shape(1e-2, 1.0, None)
+        return (Pairing(self.contact, self.friction, shape, False),) * 2
+
+    def indentations(self, offset, axes, worn):
+        return tuple(side * offset[1] - self.clearance for side in (-1, 1))
+
+    def touches(self, offset, axes, indentations):
+        return tuple(Touch((offset[0], side * self.clearance, 0), (0, side, 0), ((1, 0, 0),)) for side in (-1, 1))
+
+    def maps(self):
+        return {}
+
+    def features(self, surface, offset, axes, indentations, index):
+        raise NotImplementedError
+
+
+class Screw(AbstractJoint):
+    """Turns about z and advances by `pitch` per radian: q angle [rad]."""
+
+    home: ClassVar = (0.0,)
+    units: ClassVar = ("rad",)
+    rows: ClassVar = ("x", "y", "x.z", "y.z")
+    reversible: ClassVar = True
+    pitch: Scalar = quantity(unit="m/rad", meaning="advance per radian")
+
+    def motion(self, q):
+        return Pose(rotation_z(q[0]), (0, 0, self.pitch * q[0]))
+
+    def columns(self, q):
+        return (Twist((0, 0, self.pitch), (0, 0, 1)),)
+
+    def rate(self, q, v):
+        return v
+
+    def bias(self, q, v):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("contract", "law"),
+    [(contact_contract, Cushion()), (friction_contract, Saturating()), (wear_contract, Erosion())],
+    ids=["contact", "friction", "wear"],
+)
+def test_law_passes_its_contract(contract, law):
+    contract(law)
+
+
+def test_outsiders_run_in_a_bearing():
+    joint = jc.clearance.PlanarJournalBearing(Cushion(1e7), Saturating(), wear=jc.Wearing(Erosion(), cells=(12, 1)))
+    ring = jc.Mechanism(
+        {"ring": jc.Body(1.0, 1e-3)}, {"B": jc.Connection(joint, "ground", "ring")}, {"g": jc.load.Gravity()}, speeds={"ring": (0, 0, 50.0)}
+    )
+    end = jc.simulate(ring, 0.2, save=21, balance=True)
+    contact, balance = end.contact("B"), end.energy_balance()
+    assert contact.normal_force.max() > 0
+    assert balance.friction_loss[-1] > 0 and end.worn_volume("B", "bearing")[-1] > 0
+    # the integrator's tolerance of 1e-7 a step, over a few hundred steps
+    np.testing.assert_allclose(balance.error, 0, atol=1e-5 * float(balance.kinetic[0]))
+
+
+def test_clearance_joint_from_outside_bounces_as_a_parabola():
+    joint = FloorAndCeiling(Cushion(1e7))
+    drop = jc.Mechanism({"ball": jc.Body(1.0, 1e-3)}, {"gap": jc.Connection(joint, "ground", "ball")}, {"g": jc.load.Gravity()})
+    fall = np.sqrt(2 * 1e-2 / 9.81)
+    end = jc.simulate(drop, 2 * fall, save=201)
+    assert float(end.contact("gap").normal_force.max()) > 0
+    # an elastic bounce delays the top of the parabola by T < pi sqrt(m/K) = 1e-3 s, which is g T^2 / 2 below it
+    np.testing.assert_allclose(end.body("ball").com[-1, 1], 0.0, atol=1e-5)
+    np.testing.assert_allclose(end.time[np.argmin(end.body("ball").com[:, 1])], fall, atol=2 * fall / 200)
+
+
+@pytest.mark.parametrize("turned_round", [False, True], ids=["from parent", "from child"])
+def test_screw_from_outside_falls_as_its_formula(turned_round):
+    pitch, mass, inertia = 0.01, 2.0, 3e-4
+    ends = ("nut", "ground") if turned_round else ("ground", "nut")
+    rig = jc.Mechanism(
+        {"nut": jc.Body(mass, (2e-4, 2e-4, inertia))},
+        {"thread": jc.Connection(Screw(pitch), *ends)},
+        {"g": jc.load.Gravity((0.0, 0.0, -9.81))},
+    )
+    end = jc.simulate(rig, 0.5, save=6)
+    acceleration = -mass * 9.81 * pitch / (inertia + mass * pitch**2)
+    height = pitch * 0.5 * acceleration * np.asarray(end.time) ** 2
+    # a parabola is exact for the integrator: rounding
+    np.testing.assert_allclose(end.body("nut").com[:, 2], height, rtol=1e-9, atol=1e-12)
