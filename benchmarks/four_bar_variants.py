@@ -118,7 +118,7 @@ def samples(mechanism: jc.Mechanism, count: int, seed: int = 0) -> np.ndarray:
     layout = parts(mechanism)[1]
     states = np.tile(np.asarray(start_of(mechanism)), (count, 1))
     motion = layout.memory_start
-    off = rng.normal(size=(count, layout.coordinates)) * rng.uniform(0.0, 2.0, (count, 1)) * CLEARANCE
+    off = rng.normal(size=(count, layout.coordinates)) * rng.uniform(0.5, 2.0, (count, 1)) * CLEARANCE
     states[:, : layout.coordinates] += off
     states[:, layout.coordinates : motion] += rng.normal(size=(count, layout.speeds))
     states[:, motion:] = np.abs(rng.normal(size=(count, layout.size - motion)))

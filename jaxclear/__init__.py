@@ -4,14 +4,15 @@ import os
 
 import jax
 
-# Two options of XLA's CPU compiler, read when JAX first computes. Without the first, a loop over a small state pays for every
-# kernel of its body; without the second, shared subexpressions are computed again in each of them. Together: 41 times
-# faster steps and 6 times shorter compilation of the four-bar (benchmarks/compiler_options.py). A user's own
-# xla_backend_extra_options are left alone; JAXCLEAR_PLAIN_XLA=1 switches these off.
-_COMPILER_OPTIONS = "xla_cpu_small_while_loop_byte_threshold=1048576,xla_cpu_use_multi_output_fusion"
+# An option of XLA's CPU compiler, read when JAX first computes: loops over a state of up to this many bytes (instead of 1 kB)
+# become one kernel, where otherwise every operation of the body is dispatched by itself. Steps of the four-bar are 17
+# times faster (benchmarks/compiler_options.py). A user's own xla_backend_extra_options are left alone;
+# JAXCLEAR_PLAIN_XLA=1 switches it off. (Its neighbour xla_cpu_use_multi_output_fusion would give another factor of 2,
+# but aborts the process on some differentiated programs of jaxlib 0.10.2 and never ends compiling others.)
+_COMPILER_OPTION = "xla_cpu_small_while_loop_byte_threshold=1048576"
 _FLAGS = os.environ.get("XLA_FLAGS", "")
 if "xla_backend_extra_options" not in _FLAGS and os.environ.get("JAXCLEAR_PLAIN_XLA", "0") in ("", "0"):
-    os.environ["XLA_FLAGS"] = f"{_FLAGS} --xla_backend_extra_options={_COMPILER_OPTIONS}".strip()
+    os.environ["XLA_FLAGS"] = f"{_FLAGS} --xla_backend_extra_options={_COMPILER_OPTION}".strip()
 
 # The one place where float64 is switched on: gaps of 1e-5 m beside coordinates of 1 m have no meaning in float32.
 jax.config.update("jax_enable_x64", True)

@@ -48,6 +48,10 @@ class Layout:
         return self.coordinates + self.speeds
 
     @property
+    def memory_count(self) -> int:
+        return sum(remembers + bristles for _, kinds in self.memories for remembers, bristles in kinds)
+
+    @property
     def energy_start(self) -> int:
         return self.size - len(self.energies)
 

@@ -18,7 +18,7 @@ from jaxclear.scene.mechanism import Mechanism
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 from jaxclear.time.integrator import AbstractIntegrator, FixedStep
 from jaxclear.time.response import unit_of
-from jaxclear.time.simulate import check_compliant, run, saving_times
+from jaxclear.time.simulate import check_run, run, saving_times
 
 
 class Variable(eqx.Module):
@@ -72,12 +72,12 @@ class Problem(eqx.Module):
         integrator: AbstractIntegrator | None = None,
         save: int = 201,
     ):
-        check_compliant(mechanism)
         self.mechanism = mechanism
         self.response = dict(response) if isinstance(response, Mapping) else {"response": response}
         self.variables = dict(variables)
         self.duration = jnp.asarray(duration, float)
         self.integrator = FixedStep() if integrator is None else integrator
+        check_run(mechanism, self.integrator)
         self.save = save
         self.names = tuple(self.variables)
         for name, variable in self.variables.items():

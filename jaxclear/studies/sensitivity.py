@@ -142,7 +142,7 @@ def _pathwise_chunk(problem: Problem, packed) -> Outcome:
 
 def pathwise(problem: Problem, values: np.ndarray, variable: int, *, progress_bar: bool = False) -> dict[str, Estimate]:
     """Mean over the sample of the derivative of each run, with its standard error; refused where it has no mean."""
-    if not problem.integrator.reverse_differentiable:
+    if not problem.integrator.pathwise:
         why = "derivatives of a finished adaptive run are wrong near contact; use a fixed-step integrator."
         return {name: Estimate(np.nan, np.nan, why) for name in problem.response}
     direction = np.zeros_like(values)

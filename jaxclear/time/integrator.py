@@ -12,7 +12,6 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxclear.ground.quantity import Scalar, concrete, quantity
 
@@ -39,16 +38,17 @@ class Advance(NamedTuple):
 
 
 class AbstractIntegrator(eqx.Module):
-    """Carries a state over an interval. `reversible` tells whether reverse-mode derivatives pass."""
+    """Carries a state over an interval. `pathwise` tells whether forward-mode derivatives through its steps
+    are those of the discrete run."""
 
-    reverse_differentiable: eqx.AbstractClassVar[bool]
+    pathwise: eqx.AbstractClassVar[bool]
 
     @abstractmethod
     def advance(
-        self, field: Callable, start: Scalar, stop: Scalar, state: Any, step: Scalar, controlled: int, running: Any
+        self, field: Callable, start: Scalar, stop: Scalar, state: Any, step: Scalar, weights: Any, running: Any
     ) -> Advance:
-        """From `start` to `stop` [s]; `step` is the typical step of the last interval (0: none yet). The first `controlled`
-        entries of the state are held to the tolerance; the others follow them. Where `running` is False the run has ended
+        """From `start` to `stop` [s]; `step` is the typical step of the last interval (0: none yet). `weights` (n,) scale
+        each entry's error for the error control; 0 where an entry only follows the others. Where `running` is False the run has ended
         before and the outcome will be ignored: an integrator may then save the work."""
 
 
@@ -61,7 +61,7 @@ class Adaptive(AbstractIntegrator):
     Stiff scenes (large friction over tiny transition speeds) may prefer solver=diffrax.Kvaerno5().
     """
 
-    reverse_differentiable: ClassVar = False
+    pathwise: ClassVar = False
     solver: diffrax.AbstractSolver = eqx.field(default_factory=diffrax.Tsit5)
     rtol: Scalar = quantity(1e-7, "1", "relative local error of coordinates and speeds")
     atol: Scalar = quantity(1e-9, "1", "absolute local error of coordinates [m, rad] and speeds [m/s, rad/s]")
@@ -74,13 +74,13 @@ class Adaptive(AbstractIntegrator):
             if value is not None and not (value > 0 or (value == 0 and name == "rtol")):
                 raise ValueError(f"the tolerance {name} of integrator.Adaptive is {value}; it must be {allowed}.")
 
-    def advance(self, field, start, stop, state, step, controlled, running):
+    def advance(self, field, start, stop, state, step, weights, running):
         stop = jnp.where(running, stop, start)
         interval = stop - start
         controller = diffrax.PIDController(
             rtol=self.rtol,
             atol=self.atol,
-            norm=lambda error: jnp.max(jnp.abs(error[:controlled])) if controlled else jnp.zeros(()),
+            norm=lambda error: jnp.max(jnp.abs(weights * error), initial=0.0),
             dtmin=SMALLEST_STEP * jnp.maximum(interval, SMALLEST_STEP),
             dtmax=self.largest_step,
             force_dtmin=False,
@@ -110,15 +110,11 @@ class Adaptive(AbstractIntegrator):
         return Advance(solution.ys[-1], accepted, stats["num_rejected_steps"], typical, outcome)
 
 
-# Explicit Runge-Kutta methods for fixed steps, as (nodes, matrix below the diagonal, weights).
-TABLEAUX: dict[str, tuple] = {
-    "euler": ((0.0,), ((0.0,),), (1.0,)),
-    "heun": ((0.0, 1.0), ((0.0, 0.0), (1.0, 0.0)), (0.5, 0.5)),
-    "rk4": (
-        (0.0, 0.5, 0.5, 1.0),
-        ((0.0,) * 4, (0.5, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),
-        (1 / 6, 1 / 3, 1 / 3, 1 / 6),
-    ),
+# Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes, weights).
+CHAINS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    "euler": ((0.0,), (1.0,)),
+    "heun": ((0.0, 1.0), (0.5, 0.5)),
+    "rk4": ((0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
 }
 
 
@@ -127,35 +123,44 @@ class FixedStep(AbstractIntegrator):
 
     Steps are shortened a little to meet the saving times. No error control: halve `step` to see the error. Stable for
     step < 2.8 / omega (rk4), omega = sqrt(contact stiffness / mass), of the order of 1e4 rad/s in a steel bearing.
+    `steps_per_save` fixes the number of steps between saving times instead: reverse-mode derivatives (`jax.grad`) need
+    it, forward-mode ones do not.
     """
 
-    reverse_differentiable: ClassVar = True
+    pathwise: ClassVar = True
     step: Scalar = quantity(2e-5, "s", "largest step")
     method: str = eqx.field(static=True, default="rk4")
+    steps_per_save: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        if self.method not in TABLEAUX:
-            raise ValueError(f"no fixed-step method {self.method!r}; there are {', '.join(TABLEAUX)}.")
+        if self.method not in CHAINS:
+            raise ValueError(f"no fixed-step method {self.method!r}; there are {', '.join(CHAINS)}.")
         step = concrete(self.step)
         if step is not None and not step > 0:
             raise ValueError(f"the step of integrator.FixedStep is {step} s; it must be positive.")
 
-    def advance(self, field, start, stop, state, step, controlled, running):
+    def advance(self, field, start, stop, state, step, weights, running):
         count = jnp.maximum(jnp.ceil((stop - start) / self.step * (1 - 1e-9)), 1.0)
+        count = count if self.steps_per_save is None else jnp.asarray(float(self.steps_per_save))
         h = (stop - start) / count
-        nodes, matrix, weights = (np.array(part) for part in TABLEAUX[self.method])
+        nodes, weights = (jnp.asarray(part) for part in CHAINS[self.method])
+        stages = len(weights)
 
-        def one(index, y):
-            time = start + index * h
-            slopes = []
-            for node, row in zip(nodes, matrix, strict=True):
-                inner = y
-                for factor, slope in zip(row, slopes, strict=False):
-                    inner = inner + (h * factor) * slope if factor else inner
-                slopes.append(field(time + node * h, inner))
-            return y + h * sum(w * slope for w, slope in zip(weights, slopes, strict=True))
+        # One stage a turn, not one step: the equations stand in the program once, which a compiler can fuse as a whole.
+        def one(index, carry):
+            y, total, slope = carry
+            stage = index % stages
+            time = start + (index // stages + nodes[stage]) * h
+            slope = field(time, y + (h * nodes[stage]) * slope)
+            total = total + (h * weights[stage]) * slope
+            return jnp.where(stage == stages - 1, total, y), total, slope
 
         steps = count.astype(int)
-        end = jax.lax.fori_loop(0, steps, one, state)
+        first = (state, state, jnp.zeros_like(state))
+        if self.steps_per_save is None:
+            end = jax.lax.fori_loop(0, stages * steps, one, first)[0]
+        else:
+            turns = jnp.arange(stages * self.steps_per_save)
+            end = jax.lax.scan(lambda carry, turn: (one(turn, carry), None), first, turns)[0][0]
         outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)
         return Advance(end, steps, jnp.zeros_like(steps), h, outcome)

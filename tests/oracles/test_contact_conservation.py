@@ -114,7 +114,6 @@ def test_bouncing_journal_leaves_with_the_law_s_restitution(name, restitution):
     np.testing.assert_allclose(energy.contact_loss[-1], lost, atol=1e-8 * float(energy.kinetic[0]))
 
 
-@pytest.mark.xfail(strict=True, reason="memories are not error-controlled: explicit steps beyond 3 memory_time blow them up")
 def test_remembered_speed_survives_a_long_flight():
     """0.5 m of free flight at constant speed: nothing but the memory limits the step."""
     law = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.5)

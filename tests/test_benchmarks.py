@@ -1,0 +1,38 @@
+"""The benchmarks' own claims that a test can hold: size of the traced programs, nothing left of what is absent, agreement."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("numba")
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+import evaluation  # noqa: E402
+import four_bar_variants as scenes  # noqa: E402
+import trace_programs  # noqa: E402
+
+
+def test_programs_stay_within_their_budget():
+    assert not trace_programs.over_budget(trace_programs.variant_rows(whole=False))
+
+
+def test_an_absent_feature_leaves_no_equation():
+    for row in trace_programs.absence_rows():
+        assert row["never given"] == row["taken out"] < row["with it"], row
+
+
+def test_friction_and_wear_leave_none_of_their_operations():
+    """Three-zone friction has one sine and one cosine at each of two ends; only a worn surface asks for an angle."""
+    bare, rough, worn = (
+        trace_programs.rate_primitives(scenes.build(scenes.Variant("spatial", friction, wear)))
+        for friction, wear in ((False, False), (True, False), (False, True))
+    )
+    assert (rough["sin"] - bare["sin"], rough["cos"] - bare["cos"]) == (2, 2)
+    assert bare["atan2"] == 0 < worn["atan2"]
+
+
+def test_engine_agrees_with_both_hand_written_programs():
+    # Offsets of 1e-5 m are differences of coordinates near 1 m: 1e-16 / 1e-5, over the smallest offsets, and a margin.
+    differences = evaluation.disagreement(evaluation.case(256))
+    assert max(differences.values()) < 1e-9, differences
