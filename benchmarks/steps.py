@@ -4,17 +4,24 @@ Batches are `jax.vmap` of the pure core of `simulate`, cut into chunks; beside t
 Python free, so chunks run side by side in threads. Start-up and compilation are not counted.
 """
 
+import sys
+from pathlib import Path
+
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+sys.path[0] = str(Path(__file__).parents[1])
+
+
 import os
 from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
-import four_bar_by_hand as by_hand
+from benchmarks import four_bar_by_hand as by_hand
 import jax
 import jax.numpy as jnp
 import numpy as np
-from evaluation import case
-from four_bar_variants import build, start_of, with_clearance
-from measure import arguments, report, side_by_side
+from benchmarks.evaluation import case
+from benchmarks.four_bar_variants import build, start_of, with_clearance
+from benchmarks.measure import arguments, report, side_by_side
 
 import jaxclear as jc
 from jaxclear.time.simulate import run

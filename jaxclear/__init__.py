@@ -4,12 +4,12 @@ import os
 
 import jax
 
-# An option of XLA's CPU compiler, read when JAX first computes: loops over a state of up to this many bytes (instead of 1 kB)
-# become one kernel, where otherwise every operation of the body is dispatched by itself. Steps of the four-bar are 17
+# An option of XLA's CPU compiler, read when JAX first computes: loops over a state of up to 100 MB (instead of 1 kB)
+# become one kernel, where otherwise every operation of the body is dispatched by itself. Steps of the four-bar are 8
 # times faster (benchmarks/compiler_options.py). A user's own xla_backend_extra_options are left alone;
 # JAXCLEAR_PLAIN_XLA=1 switches it off. (Its neighbour xla_cpu_use_multi_output_fusion would give another factor of 2,
 # but aborts the process on some differentiated programs of jaxlib 0.10.2 and never ends compiling others.)
-_COMPILER_OPTION = "xla_cpu_small_while_loop_byte_threshold=1048576"
+_COMPILER_OPTION = "xla_cpu_small_while_loop_byte_threshold=100000000"
 _FLAGS = os.environ.get("XLA_FLAGS", "")
 if "xla_backend_extra_options" not in _FLAGS and os.environ.get("JAXCLEAR_PLAIN_XLA", "0") in ("", "0"):
     os.environ["XLA_FLAGS"] = f"{_FLAGS} --xla_backend_extra_options={_COMPILER_OPTION}".strip()
@@ -20,7 +20,7 @@ jax.config.update("jax_enable_x64", True)
 from jaxclear.components import clearance, drive, joint, load  # noqa: E402
 from jaxclear.components.body import Body, Connection, Marker  # noqa: E402
 from jaxclear.components.wear_map import Wearing  # noqa: E402
-from jaxclear.laws import contact, friction, material, wear  # noqa: E402
+from jaxclear.laws import conformal, contact, friction, material, stiffness, wear  # noqa: E402
 from jaxclear.laws.material import Material  # noqa: E402
 from jaxclear.scene.initial import assemble  # noqa: E402
 from jaxclear.scene.loops import Baumgarte  # noqa: E402
@@ -49,6 +49,7 @@ __all__ = [
     "Wearing",
     "assemble",
     "clearance",
+    "conformal",
     "contact",
     "distribution",
     "drive",
@@ -61,6 +62,7 @@ __all__ = [
     "response",
     "scenes",
     "sensitivity",
+    "stiffness",
     "simulate",
     "wear",
 ]

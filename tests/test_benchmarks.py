@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("numba")
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-import evaluation  # noqa: E402
-import four_bar_variants as scenes  # noqa: E402
-import trace_programs  # noqa: E402
+from benchmarks import evaluation  # noqa: E402
+from benchmarks import four_bar_variants as scenes  # noqa: E402
+from benchmarks import trace as trace_programs  # noqa: E402
 
 
 def test_programs_stay_within_their_budget():

@@ -318,13 +318,16 @@ class SliderGuide(AbstractClearance):
 
 def _direction(vector, dimensions: int = 2) -> tuple:
     """Unit vector of the first components, zero at zero length."""
-    length = norm(vector[:dimensions])
-    return tuple(0 if sp.is_zero(component) else safe_divide(component, length) for component in vector[:dimensions])
+    inverse = safe_divide(1.0, norm(vector[:dimensions]))
+    return tuple(sp.mul(inverse, component) for component in vector[:dimensions])
 
 
 def _slope(axis) -> tuple:
     """Slope (dx/dz, dy/dz) of the journal's axis."""
-    return tuple(0 if sp.is_zero(component) else component / axis[2] for component in axis[:2])
+    if isinstance(axis[2], int):
+        return axis[:2]
+    inverse = 1.0 / axis[2]
+    return tuple(sp.mul(inverse, component) for component in axis[:2])
 
 
 def _seen_by(journal_x, x, y) -> tuple:

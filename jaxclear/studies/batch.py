@@ -23,7 +23,7 @@ CHUNK_MEMORY = 1 << 30
 HISTORY_FACTOR = 12
 # On a CPU a short chunk keeps the whole time loop in one kernel and its state in the first-level cache; beyond, the time per
 # sample rises again (measured: benchmarks/monte_carlo.py). An accelerator wants many samples at once.
-LARGEST_CHUNK = {"cpu": 16}
+LARGEST_CHUNK = {"cpu": 64}
 LARGEST_ELSEWHERE = 4096
 
 

@@ -1,24 +1,32 @@
-"""What the engine traces and what it costs to compile: equations, instructions, seconds, for every variant of the four-bar.
+"""What the engine traces and what it costs to compile: equations, instructions, seconds, for every scene
+of the shelf and every variant of the four-bar.
 
 Equations are counted in one evaluation of the rate after dead code is gone, nested programs included. Compile times are also
 given as a ratio to a fixed reference function compiled in the same process; `trace_budget.json` bounds both.
 """
 
+import sys
+from pathlib import Path
+
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+sys.path[0] = str(Path(__file__).parents[1])
+
+
 import json
 import re
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from four_bar_variants import VARIANTS, build, constraint_rows, field_of, parts, start_of, without
+from benchmarks.four_bar_variants import VARIANTS, build, constraint_rows, field_of, parts, start_of, without
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.interpreters import partial_eval
-from measure import arguments, report, seconds_to_compile
+from benchmarks.measure import arguments, report, seconds_to_compile
 
 import jaxclear as jc
+from jaxclear.scenes.four_bar import KINDS, four_bar
 from jaxclear.time.simulate import run
 
 BUDGET = Path(__file__).with_name("trace_budget.json")
@@ -115,7 +123,8 @@ def over_budget(rows: list[dict[str, Any]]) -> list[str]:
 def variant_rows(whole: bool) -> list[dict[str, Any]]:
     measure(build(VARIANTS[0]), 1.0, False)  # what is compiled first pays for starting the compiler
     unit = reference_seconds()
-    return [{"variant": v.name} | measure(build(v), unit, whole) for v in VARIANTS]
+    rows = [{"variant": v.name} | measure(build(v), unit, whole) for v in VARIANTS]
+    return rows + [{"variant": f"scenes.four_bar {kind}"} | measure(four_bar(kind), unit, whole) for kind in KINDS]
 
 
 def absence_rows() -> list[dict[str, Any]]:
