@@ -81,7 +81,8 @@ class Problem(eqx.Module):
         self.save = save
         self.names = tuple(self.variables)
         for name, variable in self.variables.items():
-            leaves = self._leaves(variable)
+            target = variable.where(mechanism)
+            leaves = target if isinstance(target, (tuple, list)) else [target]
             if not leaves or not all(eqx.is_array(leaf) and jnp.ndim(leaf) == 0 for leaf in leaves):
                 raise ValueError(
                     f'variable "{name}" must point at numbers of the mechanism; where(mechanism) gives '

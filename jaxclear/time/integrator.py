@@ -48,8 +48,8 @@ class AbstractIntegrator(eqx.Module):
         self, field: Callable, start: Scalar, stop: Scalar, state: Any, step: Scalar, weights: Any, running: Any
     ) -> Advance:
         """From `start` to `stop` [s]; `step` is the typical step of the last interval (0: none yet). `weights` (n,) scale
-        each entry's error for the error control; 0 where an entry only follows the others. Where `running` is False the run has ended
-        before and the outcome will be ignored: an integrator may then save the work."""
+        each entry's error for the error control; 0 where an entry only follows the others. Where `running` is False the
+        run has ended before and the outcome will be ignored: an integrator may then save the work."""
 
 
 class Adaptive(AbstractIntegrator):
@@ -58,7 +58,8 @@ class Adaptive(AbstractIntegrator):
     Use as reference and for single runs. Local error per step below rtol |y| + atol times each entry's scale; memories of
     laws, worn volumes and energies follow the motion and are not controlled. In a batch all samples wait for the slowest. Do
     not differentiate a finished run near contact (52 % wrong in a measurement); see `jaxclear.sensitivity`.
-    Stiff scenes (large friction over tiny transition speeds) may prefer solver=diffrax.Kvaerno5().
+    Stiff scenes (large friction over tiny transition speeds) may prefer an implicit solver, best with a full Newton iteration:
+    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
     """
 
     pathwise: ClassVar = False
@@ -80,7 +81,8 @@ class Adaptive(AbstractIntegrator):
         controller = diffrax.PIDController(
             rtol=self.rtol,
             atol=self.atol,
-            norm=lambda error: jnp.max(jnp.abs(weights * error), initial=0.0),
+            # diffrax reports a failed implicit stage as an infinite error of all entries: 0 times infinity must not enter.
+            norm=lambda error: jnp.max(jnp.where(weights > 0, jnp.abs(weights * error), 0.0), initial=0.0),
             dtmin=SMALLEST_STEP * jnp.maximum(interval, SMALLEST_STEP),
             dtmax=self.largest_step,
             force_dtmin=False,

@@ -90,9 +90,10 @@ def test_planar_and_spatial_bearings_agree_while_the_journal_stays_parallel():
     planar = jc.simulate(four_bar("planar", wear=False), 0.05, save=51)
     spatial = jc.simulate(four_bar("spatial", wear=False, follower_offset=0.0), 0.05, save=51)
     force = [np.asarray(run.contact("B").normal_force).sum(axis=1) for run in (planar, spatial)]
-    # Two ends of Hertz stiffness K carry 2 K (F/2K)^(2/3)...: softer or stiffer only within the first micrometre.
-    np.testing.assert_allclose(in_plane(planar), in_plane(spatial), atol=3e-6)
-    assert abs(force[0].mean() - force[1].mean()) < 0.1 * force[0].mean()
+    # Two ends of stiffness K are together twice as stiff as the planar joint's one: bounces part by a share of the clearance.
+    np.testing.assert_allclose(in_plane(planar), in_plane(spatial), atol=20e-6)
+    # Once the bounces have died out, both carry the same load.
+    np.testing.assert_allclose(force[0][-8:], force[1][-8:], rtol=1e-3)
 
 
 def test_every_figure_draws(runs, ideal, tmp_path):
