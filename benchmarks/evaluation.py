@@ -65,7 +65,7 @@ def prepared(case: Case) -> tuple[Any, Any, Any]:
 
 
 def programs(case: Case) -> dict[str, Callable]:
-    """Each a function without arguments that returns the rates of the whole batch: JAX a row for each rate, numba a row for each sample."""
+    """Each a function without arguments returning the rates of the whole batch: JAX a row a rate, numba a row a sample."""
     numbers, axes, rest = prepared(case)
 
     @jax.jit

@@ -121,7 +121,9 @@ def test_abstract_class_has_no_fields(name):
 
 @pytest.mark.parametrize("path", FILES, ids=identify)
 def test_no_super_and_no_hasattr(path):
-    called = [n.func.id for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)]
+    called = [
+        n.func.id for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
+    ]
     # an exception hands its message to Python's own base class; a module of the platform may lack a function
     lines = {"time/simulate.py": ["super"], "studies/batch.py": ["hasattr"]}
     assert [name for name in called if name in ("super", "hasattr")] == lines.get(identify(path), [])

@@ -4,14 +4,12 @@ import sys
 from pathlib import Path
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxclear as jc
 from jaxclear.components.clearance import AbstractClearance, Pairing, Touch
 from jaxclear.components.joint import AbstractJoint
-from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, smooth_sign
 from jaxclear.ground.pose import Pose, Twist, rotation_z
 from jaxclear.ground.quantity import Scalar, quantity
@@ -121,7 +119,10 @@ def test_law_passes_its_contract(contract, law):
 def test_outsiders_run_in_a_bearing():
     joint = jc.clearance.PlanarJournalBearing(Cushion(1e7), Saturating(), wear=jc.Wearing(Erosion(), cells=(12, 1)))
     ring = jc.Mechanism(
-        {"ring": jc.Body(1.0, 1e-3)}, {"B": jc.Connection(joint, "ground", "ring")}, {"g": jc.load.Gravity()}, speeds={"ring": (0, 0, 50.0)}
+        {"ring": jc.Body(1.0, 1e-3)},
+        {"B": jc.Connection(joint, "ground", "ring")},
+        {"g": jc.load.Gravity()},
+        speeds={"ring": (0, 0, 50.0)},
     )
     end = jc.simulate(ring, 0.2, save=21, balance=True)
     contact, balance = end.contact("B"), end.energy_balance()

@@ -70,7 +70,9 @@ class Marker(eqx.Module):
         if self.quaternion is not None and (len(self.quaternion) != 4 or self.axis is not None or self.named_axis != "z"):
             raise ValueError(f'a marker on "{body}" takes a quaternion (w, x, y, z) or an axis, not both.')
         if self.axis is not None and len(self.axis) != 3:
-            raise ValueError(f'the axis of a marker on "{body}" has {len(self.axis)} numbers; give 3, or one of {", ".join(AXES)}.')
+            raise ValueError(
+                f'the axis of a marker on "{body}" has {len(self.axis)} numbers; give 3, or one of {", ".join(AXES)}.'
+            )
         for what, direction in (("axis", self.axis), ("quaternion", self.quaternion)):
             if direction is not None and all(concrete(x) == 0 for x in direction):
                 raise ValueError(f'the {what} of a marker on "{body}" is zero and points nowhere.')

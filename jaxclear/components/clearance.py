@@ -165,9 +165,7 @@ class JournalBearing(AbstractClearance):
         centres = []
         for height in (-0.5 * self.length, 0.5 * self.length):
             rise = sp.sub(height, offset[2])
-            centres.append(
-                (sp.add(offset[0], sp.mul(rise, slope[0])), sp.add(offset[1], sp.mul(rise, slope[1])), height)
-            )
+            centres.append((sp.add(offset[0], sp.mul(rise, slope[0])), sp.add(offset[1], sp.mul(rise, slope[1])), height))
         return tuple(centres)
 
     def indentations(self, offset, axes, worn):
@@ -297,9 +295,7 @@ class SliderGuide(AbstractClearance):
         across, along = axes
         for side in (-1, 1):
             for front in (-1, 1):
-                arm = sp.plus(
-                    sp.scale(side * 0.5 * self.width, across), sp.scale(front * 0.5 * self.length, along)
-                )
+                arm = sp.plus(sp.scale(side * 0.5 * self.width, across), sp.scale(front * 0.5 * self.length, along))
                 yield side, sp.plus(offset, arm)
 
     def indentations(self, offset, axes, worn):

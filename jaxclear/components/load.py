@@ -123,9 +123,7 @@ class Torque(AbstractBodyLoad):
     """A torque on a body: 1 number (about z), 3 numbers [N m] or a function of time; axes as in `Force`."""
 
     marker: Marker
-    value: tuple | Callable = eqx.field(
-        converter=_torque, metadata={"unit": "N m", "meaning": "torque, or a function of time"}
-    )
+    value: tuple | Callable = eqx.field(converter=_torque, metadata={"unit": "N m", "meaning": "torque, or a function of time"})
     follows: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
@@ -189,7 +187,7 @@ class JointSpring(AbstractCoordinateLoad):
 
 
 class JointTorque(AbstractCoordinateLoad):
-    """A torque [N m] (force [N] if sliding) on a connection's coordinate, child against parent; a function of time or a number."""
+    """A torque [N m] (force [N] if sliding) on a connection's coordinate, child against parent: a number or function of time."""
 
     connection: str = eqx.field(static=True)
     value: Scalar | Callable = eqx.field(

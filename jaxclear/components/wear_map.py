@@ -112,9 +112,7 @@ class CylinderMap(AbstractWearMap):
         rows = []
         for edge in (depth[:, 0], depth[:, -1]):
             left, right = jnp.roll(edge, 1), jnp.roll(edge, -1)
-            rows.append(
-                jnp.stack([0.125 * (left + 6.0 * edge + right), 0.5 * (right - left), 0.5 * (left + right) - edge], -1)
-            )
+            rows.append(jnp.stack([0.125 * (left + 6.0 * edge + right), 0.5 * (right - left), 0.5 * (left + right) - edge], -1))
         return tuple(rows)
 
     def depth_at_end(self, reading: tuple, x: Scalar, y: Scalar, end: int) -> Scalar:

@@ -9,7 +9,9 @@ def main(arguments: list[str] | None = None) -> None:
     """Entry point of the `jaxclear` command."""
     parser = argparse.ArgumentParser(prog="jaxclear", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    four_bar = commands.add_parser("four-bar", help="four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives")
+    four_bar = commands.add_parser(
+        "four-bar", help="four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives"
+    )
     four_bar.add_argument("--out", type=Path, default=Path("four_bar_study"), help="folder for figures and tables")
     four_bar.add_argument("--samples", type=int, default=256, help="Monte Carlo samples (default 256)")
     four_bar.add_argument("--duration", type=float, default=5.0, help="simulated time of the paper's runs [s] (default 5)")

@@ -98,9 +98,7 @@ def study(folder: Path, samples: int = 256, duration: float = 5.0, turns: float 
         print(f"sample {index} failed. {sentence}")
     print("derivatives with respect to clearance", flush=True)
     pairs = max(16, samples // 2)
-    answers = jc.sensitivity(
-        question, "clearance", sample=sample, difference_samples=pairs, progress_bar=show
-    )
+    answers = jc.sensitivity(question, "clearance", sample=sample, difference_samples=pairs, progress_bar=show)
     answers.table().to_csv(folder / "sensitivity.csv", index=False)
     for (response, variable), d in answers.derivatives.items():
         print(f"d({response})/d({variable}) = {d.value:.4g} +- {d.error:.2g} (95 %) m/m. {d.verdict}")
@@ -122,5 +120,3 @@ def _run_figures(runs: dict[float, Any]) -> dict[str, Any]:
         "wear_unrolled": plot.wear_unrolled(widest, "B"),
         "wear_surface": plot.wear_surface(widest, "B"),
     }
-
-

@@ -131,9 +131,7 @@ def shift_inertia(inertia: Mat, mass: Any, moment: Vec, offset: Vec) -> Mat:
     diagonal = add(mul(mass, dot(offset, offset)), mul(2, dot(offset, moment)))
     cross_terms = plus_matrix(outer(offset, scale(mass, offset)), outer(offset, moment), outer(moment, offset))
     return tuple(
-        tuple(
-            add(inertia[i][j], sub(diagonal, cross_terms[i][j]) if i == j else neg(cross_terms[i][j])) for j in range(3)
-        )
+        tuple(add(inertia[i][j], sub(diagonal, cross_terms[i][j]) if i == j else neg(cross_terms[i][j])) for j in range(3))
         for i in range(3)
     )
 

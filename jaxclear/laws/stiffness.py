@@ -104,8 +104,10 @@ class LengthOf(AbstractFit):
 
     def value(self, shape: Shape) -> Scalar:
         if shape.length is None:
-            raise ValueError("this contact law presses along a line and needs Shape.length, but the pair has none; "
-                             "give the length, or take a law for a ball in a socket.")
+            raise ValueError(
+                "this contact law presses along a line and needs Shape.length, but the pair has none; "
+                "give the length, or take a law for a ball in a socket."
+            )
         return shape.length
 
 

@@ -153,18 +153,12 @@ def _traction(pairing, touch, normal, slip, speed, memory):
         return sp.ZERO, ()
     if isinstance(law, AbstractBristleFriction):
         law_rates = [law.deflection_rate(z, s, speed) for z, s in zip(memory.bristles, slip, strict=True)]
-        shares = [
-            law.coefficient(z, r, s) for z, r, s in zip(memory.bristles, law_rates, slip, strict=True)
-        ]
-        rates = tuple(
-            jnp.where(normal > 0, r, -z / BRISTLE_RELEASE) for z, r in zip(memory.bristles, law_rates, strict=True)
-        )
+        shares = [law.coefficient(z, r, s) for z, r, s in zip(memory.bristles, law_rates, slip, strict=True)]
+        rates = tuple(jnp.where(normal > 0, r, -z / BRISTLE_RELEASE) for z, r in zip(memory.bristles, law_rates, strict=True))
     else:
         share = law.coefficient(speed) / speed
         shares, rates = [sp.mul(share, s) for s in slip], ()
-    pull = sp.plus(
-        sp.ZERO, *[sp.scale(sp.mul(-normal, share), t) for share, t in zip(shares, touch.tangents, strict=True)]
-    )
+    pull = sp.plus(sp.ZERO, *[sp.scale(sp.mul(-normal, share), t) for share, t in zip(shares, touch.tangents, strict=True)])
     return _tangential(touch, pull) if rates else pull, rates
 
 

@@ -43,10 +43,7 @@ class Solution(NamedTuple):
 
 def move(system: System, q: tuple, v: tuple, time: Any) -> tuple[Motion, ...]:
     """Motion of every link."""
-    calls = [
-        tuple(tuple(part[i] for i in limb) for part in (system.links, q, v)) + (time,)
-        for limb in system.topology.limbs
-    ]
+    calls = [tuple(tuple(part[i] for i in limb) for part in (system.links, q, v)) + (time,) for limb in system.topology.limbs]
     with jax.named_scope("move"):
         return tuple(motion for limb in map_alike(tree.move, calls) for motion in limb)
 
@@ -252,9 +249,7 @@ def _multipliers(system, rows, wanted, factors, free):
                 column = tuple(row.get(j, 0) for j in range(start, stop))
                 responses |= dict(zip(range(start, stop), linear.solve(factored, column), strict=True))
         inverse_rows.append(responses)
-    schur = [
-        [sp.total(sp.mul(a, other.get(j, 0)) for j, a in row.items()) for other in inverse_rows] for row in rows
-    ]
+    schur = [[sp.total(sp.mul(a, other.get(j, 0)) for j, a in row.items()) for other in inverse_rows] for row in rows]
     right = [
         sp.sub(target, sp.total(sp.mul(a, free_flat[j]) for j, a in row.items()))
         for row, target in zip(rows, wanted, strict=True)
@@ -375,8 +370,6 @@ def mechanical_energy(system: System, forces: Forces) -> tuple[Any, Any]:
             sp.add(sp.mul(link.mass, sp.dot(v, v)), sp.dot(w, sp.apply(link.inertia, w)))
             + sp.mul(2.0, sp.dot(v, sp.cross(w, link.moment)))
         )
-        centre = sp.plus(
-            sp.scale(link.mass, motion.pose.translation), sp.apply(motion.pose.rotation, link.moment)
-        )
+        centre = sp.plus(sp.scale(link.mass, motion.pose.translation), sp.apply(motion.pose.rotation, link.moment))
         potential = sp.sub(potential, sp.dot(system.gravity, centre))
     return kinetic, jnp.asarray(potential, float)

@@ -81,17 +81,13 @@ def relative_velocity(pose: Pose, parent: Twist, child: Twist) -> tuple[sp.Vec, 
 def residuals(rows: tuple[str, ...], pose: Pose) -> tuple:
     """Value of each row: a displacement [m] or a cosine [1]; 0 where structurally satisfied."""
     columns = sp.transpose(pose.rotation)
-    return tuple(
-        pose.translation[AXIS[row]] if len(row) == 1 else columns[AXIS[row[2]]][AXIS[row[0]]] for row in rows
-    )
+    return tuple(pose.translation[AXIS[row]] if len(row) == 1 else columns[AXIS[row[2]]][AXIS[row[0]]] for row in rows)
 
 
 def row_rates(rows: tuple[str, ...], pose: Pose, velocity: sp.Vec, spin: sp.Vec) -> tuple:
     """Rate of each row for a relative velocity and spin as from `relative_velocity`."""
     columns = sp.transpose(pose.rotation)
-    return tuple(
-        velocity[AXIS[row]] if len(row) == 1 else sp.cross(spin, columns[AXIS[row[2]]])[AXIS[row[0]]] for row in rows
-    )
+    return tuple(velocity[AXIS[row]] if len(row) == 1 else sp.cross(spin, columns[AXIS[row[2]]])[AXIS[row[0]]] for row in rows)
 
 
 def row_accelerations(rows, pose: Pose, view: Sides, parent: Twist, child: Twist) -> tuple:
@@ -110,9 +106,7 @@ def row_accelerations(rows, pose: Pose, view: Sides, parent: Twist, child: Twist
     )
     linear = sp.minus(sp.apply(pose.rotation, material(child, view.child_twist)), carried)
     own_spin = sp.apply(pose.rotation, view.child_twist.angular)
-    angular = sp.minus(
-        sp.minus(sp.apply(pose.rotation, child.angular), parent.angular), sp.cross(turning, own_spin)
-    )
+    angular = sp.minus(sp.minus(sp.apply(pose.rotation, child.angular), parent.angular), sp.cross(turning, own_spin))
     columns = sp.transpose(pose.rotation)
     out: list[Any] = []
     for row in rows:

@@ -197,8 +197,7 @@ def _check_inertia(name: str, body: Body) -> None:
         )
     if moments[0] + moments[1] < moments[2] * (1 - 1e-9):
         raise ValueError(
-            f'body "{name}" has principal moments of inertia {moments}; no body has one larger than the sum of the '
-            "other two."
+            f'body "{name}" has principal moments of inertia {moments}; no body has one larger than the sum of the other two.'
         )
 
 
@@ -262,8 +261,7 @@ def check_structure(mechanism: Mechanism) -> None:
         for name in given:
             if name not in homes:
                 raise ValueError(
-                    f'{what} names "{name}", which carries no coordinates; those that do are '
-                    f"{', '.join(map(repr, homes))}."
+                    f'{what} names "{name}", which carries no coordinates; those that do are {", ".join(map(repr, homes))}.'
                 )
             if homes[name].coordinates.start == homes[name].coordinates.stop:
                 raise ValueError(f'{what} names "{name}", whose motion is prescribed or fixed; leave it out.')

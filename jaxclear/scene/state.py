@@ -85,9 +85,7 @@ def lay_out(system: System, balance: bool = False) -> Layout:
                     position += 1 + len(averaged)
     energies = ENERGIES if balance else ()
     size = position + len(energies)
-    return Layout(
-        topology.coordinate_count, topology.speed_count, tuple(memories), tuple(wear), energies, size
-    )
+    return Layout(topology.coordinate_count, topology.speed_count, tuple(memories), tuple(wear), energies, size)
 
 
 def _is_planar(system, bearing):
@@ -137,7 +135,7 @@ def pack_memories(layout: Layout, memories: dict[str, tuple[PointState, ...]]) -
 def names(system: System, layout: Layout) -> list[str]:
     """A name for each entry of the state."""
     topology, out = system.topology, []
-    for branch, link in zip(topology.branches, system.links, strict=True):
+    for branch, _link in zip(topology.branches, system.links, strict=True):
         label = branch.connection or branch.body
         out += [f"{label}.q{i}" for i in range(branch.coordinates.stop - branch.coordinates.start)]
     for branch in topology.branches:

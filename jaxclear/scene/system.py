@@ -66,9 +66,7 @@ def prepare(mechanism: Mechanism) -> System:
     bearings = {}
     for name in topology.clearances:
         joint = mechanism.connections[name].joint
-        pairings = tuple(
-            Pairing(fitted(p.contact, p.shape), p.friction, p.shape, p.wears) for p in joint.pairings()
-        )
+        pairings = tuple(Pairing(fitted(p.contact, p.shape), p.friction, p.shape, p.wears) for p in joint.pairings())
         bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, pairings)
     loads, markers, gravity = {}, {}, sp.ZERO
     for name, load in mechanism.loads.items():

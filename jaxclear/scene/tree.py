@@ -51,9 +51,7 @@ class Motion(NamedTuple):
 def carry_twist(relative: Pose, twist: Twist) -> Twist:
     """A parent's twist (or spatial acceleration) seen from the child's frame, the two rigidly joined."""
     linear = sp.plus(twist.linear, sp.cross(twist.angular, relative.translation))
-    return Twist(
-        sp.apply_transposed(relative.rotation, linear), sp.apply_transposed(relative.rotation, twist.angular)
-    )
+    return Twist(sp.apply_transposed(relative.rotation, linear), sp.apply_transposed(relative.rotation, twist.angular))
 
 
 def carry_wrench(relative: Pose, wrench: Wrench) -> Wrench:
@@ -103,9 +101,7 @@ def move(links: tuple[Link, ...], coordinates: tuple, speeds: tuple, time: Scala
     return tuple(motions)
 
 
-def accelerate(
-    links: tuple[Link, ...], motions: tuple[Motion, ...], rates: tuple | None, ground: sp.Vec
-) -> tuple[Twist, ...]:
+def accelerate(links: tuple[Link, ...], motions: tuple[Motion, ...], rates: tuple | None, ground: sp.Vec) -> tuple[Twist, ...]:
     """Spatial accelerations for given free accelerations `rates` (None: zero) and acceleration of the ground."""
     accelerations: list[Twist] = []
     for index, (link, motion) in enumerate(zip(links, motions, strict=True)):
@@ -142,18 +138,14 @@ def transmit(
         parent = links[index].parent
         if parent >= 0:
             passed = carry_wrench(motions[index].relative, through[index])
-            through[parent] = Wrench(
-                sp.plus(through[parent].force, passed.force), sp.plus(through[parent].torque, passed.torque)
-            )
+            through[parent] = Wrench(sp.plus(through[parent].force, passed.force), sp.plus(through[parent].torque, passed.torque))
     return tuple(through)
 
 
 def bias_forces(links, motions, ground: sp.Vec, loads: tuple[Wrench, ...]) -> tuple:
     """Generalised forces, one per free speed, that hold zero free accelerations against motion, gravity and loads."""
     through = transmit(links, motions, accelerate(links, motions, None, ground), loads)
-    return tuple(
-        work(column, wrench) for motion, wrench in zip(motions, through, strict=True) for column in motion.columns
-    )
+    return tuple(work(column, wrench) for motion, wrench in zip(motions, through, strict=True) for column in motion.columns)
 
 
 def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[tuple, ...]:

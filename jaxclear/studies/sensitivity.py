@@ -2,9 +2,9 @@
 
 Three methods, none of which is right everywhere. `regression` reads the slope off a Monte Carlo sample (free, averages over
 the tolerances). `differences` runs the same samples with one variable moved up and down (common random numbers), at two
-widths, so that curvature shows as an error. `pathwise` carries the tangent through every step: exact for the discrete run and cheap, but behind
-many impacts it grows without bound, and then it is refused. At least two methods answer together or the verdict says that they
-do not.
+widths, so that curvature shows as an error. `pathwise` carries the tangent through every step: exact for the discrete run and
+cheap, but behind many impacts it grows without bound, and then it is refused. At least two methods answer together or the
+verdict says that they do not.
 """
 
 from typing import Any, NamedTuple
@@ -19,6 +19,8 @@ from jaxclear.studies.problem import Outcome, Problem
 from jaxclear.studies.tolerance import MonteCarlo, draw, monte_carlo
 from jaxclear.time.integrator import REACHED
 
+# An answer this many times less certain than another is large agrees with anything, and confirms nothing.
+VAGUE = 3.0
 METHODS = ("regression", "differences", "pathwise")
 # A standard normal variable stays within this many deviations in 95 % of cases.
 CONFIDENCE = 1.96
@@ -171,6 +173,9 @@ def judge(response: str, variable: str, estimates: dict[str, Estimate]) -> Deriv
     """One answer from the methods' answers: the most certain one that another method confirms."""
     answers = {name: e for name, e in estimates.items() if np.isfinite(e.value) and np.isfinite(e.error)}
     order = sorted(answers, key=lambda name: answers[name].error)
+    if order:
+        largest = VAGUE * (abs(answers[order[0]].value) + answers[order[0]].error)
+        order = [name for name in order if answers[name].error <= largest]
 
     def agree(a, b):
         return abs(a.value - b.value) <= np.hypot(a.error, b.error)
@@ -179,9 +184,9 @@ def judge(response: str, variable: str, estimates: dict[str, Estimate]) -> Deriv
         partners = [other for other in order if other != name and agree(answers[name], answers[other])]
         if partners:
             best = answers[name]
-            against = [other for other in order if other != name and other not in partners]
+            others = [other for other in order if other != name and other not in partners]
             verdict = f"Agreed by {name} and {' and '.join(partners)}"
-            verdict += f"; {' and '.join(against)} differs." if against else "."
+            verdict += f"; not by {' and '.join(others)}." if others else "."
             if best.error > abs(best.value):
                 verdict += " Not distinguishable from zero."
             return Derivative(response, variable, best.value, best.error, name, verdict, estimates)

@@ -67,9 +67,9 @@ def deposit(system: System, layout: Layout, worn: Worn, before: Array, after: Ar
     worn = {name: dict(surfaces) for name, surfaces in worn.items()}
     for slot in layout.wear:
         wear_map = system.bearings[slot.bearing].joint.maps()[slot.surface][0]
-        change = after[slot.start : slot.start + 1 + len(slot.averaged)] - before[
-            slot.start : slot.start + 1 + len(slot.averaged)
-        ]
+        change = (
+            after[slot.start : slot.start + 1 + len(slot.averaged)] - before[slot.start : slot.start + 1 + len(slot.averaged)]
+        )
         features: list[Any] = [0.0] * slot.feature_count
         for place, i in enumerate(slot.averaged):
             features[i] = safe_divide(change[1 + place], change[0])
@@ -96,9 +96,7 @@ def run(
     state = jnp.concatenate([coordinates, speeds, jnp.zeros(layout.size - layout.memory_start)])
     worn = unworn(system) if worn is None else worn
     rest = layout.size - layout.memory_start - layout.memory_count
-    weights = jnp.repeat(
-        jnp.array([1.0, MEMORY_WEIGHT, 0.0]), np.array([layout.memory_start, layout.memory_count, rest])
-    )
+    weights = jnp.repeat(jnp.array([1.0, MEMORY_WEIGHT, 0.0]), np.array([layout.memory_start, layout.memory_count, rest]))
 
     def interval(carry, span):
         state, worn, step, outcome, ended = carry

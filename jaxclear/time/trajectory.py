@@ -229,6 +229,7 @@ def _body(trajectory, name):
 
 def _arrays(history):
     """Tuples of columns stacked to arrays with time first."""
+
     def pack(value):
         if isinstance(value, tuple):
             return jnp.stack([pack(part) for part in value], axis=1)
@@ -301,6 +302,3 @@ def _energies(trajectory):
     total = kinetic + potential + contact_work + friction_loss + damping_loss
     error = total - total[0] - supplied
     return EnergyHistory(kinetic, potential, stored, contact_loss, friction_loss, damping_loss, supplied, error)
-
-
-

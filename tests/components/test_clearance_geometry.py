@@ -125,5 +125,5 @@ def test_guide_stops_the_corners_of_its_slider(seed):
         np.testing.assert_allclose(indentation, side * corner[0] - (10e-3 + CLEARANCE), atol=1e-17)
         np.testing.assert_allclose(np.array(sp.dense(touch.place)), corner, rtol=1e-13, atol=1e-17)
     # the slider as a whole reaches as far as its corners
-    edge = np.concatenate([np.linspace(a, b, 101) for a, b in zip(corners.values(), list(corners.values())[1:])])
+    edge = np.concatenate([np.linspace(a, b, 101) for a, b in zip(corners.values(), list(corners.values())[1:], strict=False)])
     assert max(indentations) >= np.abs(edge[:, 0]).max() - (10e-3 + CLEARANCE) - 1e-15

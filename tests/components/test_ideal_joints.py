@@ -119,9 +119,7 @@ def test_rows_rates_and_accelerations_are_derivatives():
     """All rows between two moving bodies, against nested derivatives of the residual along the motion."""
     rng = np.random.default_rng(4)
     body = jc.Body(1.0, (1.0, 1.2, 1.3), (0.1, -0.2, 0.05))
-    ends = [
-        jc.Marker(name, tuple(rng.normal(size=3)), quaternion=tuple(rng.normal(size=4))) for name in ("first", "second")
-    ]
+    ends = [jc.Marker(name, tuple(rng.normal(size=3)), quaternion=tuple(rng.normal(size=4))) for name in ("first", "second")]
     rig = jc.Mechanism(
         {"first": body, "second": body},
         {"A": jc.Connection(jc.joint.Free(), "ground", "first"), "B": jc.Connection(jc.joint.Universal(), "first", "second")},

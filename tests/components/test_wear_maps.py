@@ -15,7 +15,12 @@ HUMP = BSpline.basis_element([-1.5, -0.5, 0.5, 1.5], extrapolate=False)
 
 def cylinder_events():
     angles = [0.0, 1e-9, np.pi / 2, np.pi, -np.pi, -1e-9, 2.0, 2 * np.pi / 12]
-    events = [(np.cos(a), np.sin(a), share * 20e-3, end) for a in angles for share in (0.0, 1e-12, 0.3, 1.0, 50.0) for end in (-1.0, 1.0)]
+    events = [
+        (np.cos(a), np.sin(a), share * 20e-3, end)
+        for a in angles
+        for share in (0.0, 1e-12, 0.3, 1.0, 50.0)
+        for end in (-1.0, 1.0)
+    ]
     return np.array([*events, (0.0, 0.0, 0.0, 1.0)])
 
 
@@ -25,7 +30,9 @@ def sphere_events():
     return np.array([*corners, *rng.normal(size=(40, 3))], float)
 
 
-@pytest.mark.parametrize("wear_map, events", [(CYLINDER, cylinder_events()), (SPHERE, sphere_events())], ids=["cylinder", "sphere"])
+@pytest.mark.parametrize(
+    "wear_map, events", [(CYLINDER, cylinder_events()), (SPHERE, sphere_events())], ids=["cylinder", "sphere"]
+)
 def test_volume_is_conserved(wear_map, events):
     for event in events:
         depth = wear_map.deposit(jnp.zeros(wear_map.cells), jnp.array([1e-12]), event[None])
@@ -41,7 +48,9 @@ def test_areas_add_up():
     np.testing.assert_allclose(SPHERE.areas().sum(), 4 * np.pi * (10e-3) ** 2, rtol=1e-14)
 
 
-@pytest.mark.parametrize("wear_map, events", [(CYLINDER, cylinder_events()), (SPHERE, sphere_events())], ids=["cylinder", "sphere"])
+@pytest.mark.parametrize(
+    "wear_map, events", [(CYLINDER, cylinder_events()), (SPHERE, sphere_events())], ids=["cylinder", "sphere"]
+)
 def test_deposit_has_finite_derivatives(wear_map, events):
     def lost(volume, event):
         return wear_map.deposit(jnp.zeros(wear_map.cells), volume[None], event[None])

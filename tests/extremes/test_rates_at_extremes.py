@@ -11,7 +11,6 @@ from extreme_rigs import JOINTS, USUAL, layout, pose, rate
 from hypothesis import example, given, settings
 from jax.flatten_util import ravel_pytree
 
-
 # The older emitters of XLA for CPUs compile a reverse derivative of scalar code up to seven times faster (measured).
 QUICK_COMPILATION = {"xla_cpu_use_fusion_emitters": False}
 

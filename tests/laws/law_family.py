@@ -63,7 +63,7 @@ def assert_finite_derivatives(function, law, arguments):
     results = jax.jit(jax.vmap(everything))(rows)
     assert_finite(results, type(law).__name__)
     single = jax.jit(everything)(rows[0])
-    for one, all_ in zip(jax.tree.leaves(single), jax.tree.leaves(results)):
+    for one, all_ in zip(jax.tree.leaves(single), jax.tree.leaves(results), strict=False):
         np.testing.assert_allclose(one, all_[0], rtol=1e-12, atol=1e-300)
     pulled = sum(jnp.sum(leaf, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(results[1]))
     # forward and reverse mode are the same sum in another order; terms of either sign cancel to rounding
@@ -94,7 +94,7 @@ def in_new_units(law):
 def assert_unit_free(law, function, arguments, units, result_unit):
     converted = in_new_units(law)
     for row in arguments:
-        scaled = [jnp.asarray(x * unit_factor(unit, {})) for x, unit in zip(row, units)]
+        scaled = [jnp.asarray(x * unit_factor(unit, {})) for x, unit in zip(row, units, strict=False)]
         expected = function(law, *map(jnp.asarray, row)) * unit_factor(result_unit, {})
         # rounding of the unit factors, amplified by logarithms and powers
         np.testing.assert_allclose(function(converted, *scaled), expected, rtol=1e-11)

@@ -96,8 +96,11 @@ def test_kelvin_voigt_rebounds_as_the_damped_oscillator():
     stiffness, mass, zeta = 1e8, 1.0, 0.1
     law = contact.KelvinVoigt(stiffness, 2 * zeta * np.sqrt(stiffness * mass), onset_depth=1e-9)
     omega, damped = np.sqrt(stiffness / mass), np.sqrt(stiffness / mass) * np.sqrt(1 - zeta**2)
-    time = brentq(lambda t: 2 * zeta * np.cos(damped * t) + (1 - 2 * zeta**2) / np.sqrt(1 - zeta**2) * np.sin(damped * t),
-                  1 / damped, np.pi / damped)
+    time = brentq(
+        lambda t: 2 * zeta * np.cos(damped * t) + (1 - 2 * zeta**2) / np.sqrt(1 - zeta**2) * np.sin(damped * t),
+        1 / damped,
+        np.pi / damped,
+    )
     speed = np.exp(-zeta * omega * time) * (np.cos(damped * time) - zeta / np.sqrt(1 - zeta**2) * np.sin(damped * time))
     # the smooth onset of the damper over 1e-9 m of an indentation of 1e-5 m
     np.testing.assert_allclose(rebound(law), -speed, atol=2e-4)

@@ -59,9 +59,7 @@ def squeezer(data):
         connections,
         {
             "drive": jc.load.Torque(jc.Marker("K1"), (data["torque"],)),
-            "spring": jc.load.Spring(
-                jc.Marker("ground", c), jc.Marker("K3", (n["sd"], -n["sc"])), data["stiffness"], n["l0"]
-            ),
+            "spring": jc.load.Spring(jc.Marker("ground", c), jc.Marker("K3", (n["sd"], -n["sc"])), data["stiffness"], n["l0"]),
         },
         start=dict(zip(order, data["start"], strict=True)),
     ), order
@@ -116,9 +114,7 @@ def windows(count, speed=1.0, gravity=GRAVITY):
         connections[f"right {i}"] = jc.Connection(jc.joint.Revolute(), end, jc.Marker(f"wall {i + 1}", (1.0, 0.0)))
     start = {f"foot {i}": np.pi / 2 for i in range(count + 1)} | {f"left {i}": -np.pi / 2 for i in range(count)}
     speeds = {f"foot {i}": -speed for i in range(count + 1)} | {f"left {i}": speed for i in range(count)}
-    return jc.Mechanism(
-        bodies, connections, {"gravity": jc.load.Gravity((0.0, -gravity))}, start=start, speeds=speeds
-    )
+    return jc.Mechanism(bodies, connections, {"gravity": jc.load.Gravity((0.0, -gravity))}, start=start, speeds=speeds)
 
 
 def angle_of_windows(count, times, speed=1.0, gravity=GRAVITY):

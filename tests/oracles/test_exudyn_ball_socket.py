@@ -51,9 +51,7 @@ def thrown_rod(contact, friction):
 
 def thrown(contact, friction):
     fine = jc.integrator.Adaptive(rtol=1e-10, atol=1e-12, largest_step=2 * MEMORY_TIME)
-    return jc.simulate(
-        thrown_rod(contact, friction), TIMES[-1], save=TIMES, integrator=fine, start_concentric=False
-    )
+    return jc.simulate(thrown_rod(contact, friction), TIMES[-1], save=TIMES, integrator=fine, start_concentric=False)
 
 
 @pytest.mark.parametrize("case", LAWS)

@@ -70,9 +70,7 @@ def test_bar_in_a_spatial_joint_with_clearance_tends_to_the_ideal_one(kind):
         pins = [jc.clearance.BallSocket(law, clearance=c) for c in CLEARANCES]
     else:
         ideal = jc.joint.Revolute()
-        pins = [
-            jc.clearance.JournalBearing(law, clearance=c, flange=jc.clearance.Flange(law, clearance=c)) for c in CLEARANCES
-        ]
+        pins = [jc.clearance.JournalBearing(law, clearance=c, flange=jc.clearance.Flange(law, clearance=c)) for c in CLEARANCES]
     wanted = history(swinging_bar(ideal), 0.15, "bar")
     errors = [np.abs(history(swinging_bar(pin), 0.15, "bar") - wanted).max() for pin in pins]
     assert abs(observed_order(errors) - 1) < 0.2

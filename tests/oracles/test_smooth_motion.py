@@ -6,7 +6,6 @@ Tolerances are a few times the integrator's rtol of 1e-11 over the run.
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
@@ -34,9 +33,7 @@ def test_pendulum_has_the_period_of_the_elliptic_integral():
     k, w = np.sin(angle / 2), np.sqrt(GRAVITY / (2 * length / 3))
     quarter = ellipk(k * k) / w
     times = quarter * np.linspace(0.25, 4.0, 16)
-    trajectory = jc.simulate(
-        pendulum(length, angle), times[-1], save=times, integrator=jc.integrator.Adaptive(**PRECISE)
-    )
+    trajectory = jc.simulate(pendulum(length, angle), times[-1], save=times, integrator=jc.integrator.Adaptive(**PRECISE))
     wanted = 2 * np.arcsin(k * ellipj(w * (quarter - times), k * k)[0])
     np.testing.assert_allclose(trajectory.coordinate("pin")[1:, 0], wanted, atol=1e-9)
 

@@ -34,9 +34,7 @@ def random_tree(rng, size):
         mass, com = rng.uniform(0.5, 3.0), rng.normal(size=3)
         root = rng.normal(size=(3, 3))
         inertia = root @ root.T + np.eye(3) * np.trace(root @ root.T)
-        bodies[f"b{i}"] = jc.Body(
-            mass, (*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]), tuple(com)
-        )
+        bodies[f"b{i}"] = jc.Body(mass, (*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]), tuple(com))
         connections[f"j{i}"] = jc.Connection(
             getattr(jc.joint, kind)(),
             jc.Marker("ground" if parent < 0 else f"b{parent}", tuple(at), quaternion=tuple(turn)),

@@ -118,7 +118,10 @@ MECHANISMS = {
         'start names "pin", whose motion is prescribed',
     ),
     "start not a number": (lambda: rig(start={"pin": NAN}), "start.*pin.* = nan"),
-    "start without rotation": (lambda: rig(jc.joint.Spherical(), start={"pin": (0, 0, 0, 0)}), 'start of "pin" ends in a quaternion'),
+    "start without rotation": (
+        lambda: rig(jc.joint.Spherical(), start={"pin": (0, 0, 0, 0)}),
+        'start of "pin" ends in a quaternion',
+    ),
     "all joints of a loop driven": (lambda: four_bar(drives="OABD"), 'connection "." is driven but closes a loop'),
 }
 
@@ -185,7 +188,10 @@ STARTS = {
     "planar loop in space": (lambda: four_bar(places=3), 'loop closed by joint "." is overconstrained'),
     "held and driven": (over_driven, 'loop closed by joint "tip" is overconstrained'),
     "journal out of reach": (out_of_reach, 'journal of joint "B" cannot be brought to the middle'),
-    "flat body in space": (lambda: rig(jc.joint.Spherical(), body=arm(inertia=1.0)), 'body "arm" has an inertia about its z axis only'),
+    "flat body in space": (
+        lambda: rig(jc.joint.Spherical(), body=arm(inertia=1.0)),
+        'body "arm" has an inertia about its z axis only',
+    ),
 }
 
 

@@ -27,9 +27,7 @@ def swing(run):
 
 def problem(**variables):
     variables = variables or {"length": jc.Variable(lambda r: r.bodies["rod"].com[0], jc.distribution.Normal(0.01))}
-    return jc.Problem(
-        pendulum(), {"swing": swing}, variables, duration=1.0, integrator=jc.integrator.FixedStep(1e-2), save=3
-    )
+    return jc.Problem(pendulum(), {"swing": swing}, variables, duration=1.0, integrator=jc.integrator.FixedStep(1e-2), save=3)
 
 
 @pytest.fixture(scope="module")
@@ -120,9 +118,7 @@ def test_a_sample_that_cannot_be_assembled_is_counted():
 
 
 def test_three_methods_find_the_derivative_of_the_closed_form(sample):
-    answers = jc.sensitivity(
-        problem(), sample=sample, difference_samples=32, methods=("regression", "differences", "pathwise")
-    )
+    answers = jc.sensitivity(problem(), sample=sample, difference_samples=32, methods=("regression", "differences", "pathwise"))
     derivative = answers.derivatives["swing", "length"]
     step = 1e-4
     lengths = sample.values[:, 0]
@@ -145,6 +141,8 @@ def test_methods_that_disagree_say_so():
 
     apart = judge("r", "v", {"regression": Estimate(1.0, 0.1), "differences": Estimate(2.0, 0.1)})
     assert not apart.trustworthy and abs(apart.value - 1.5) < 1e-12 and apart.error >= 0.5
+    vague = judge("r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(5.0, 100.0)})
+    assert not vague.trustworthy
     alone = judge("r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(np.nan, np.nan, "no")})
     assert "Unconfirmed" in alone.verdict and alone.value == 1.0
 
