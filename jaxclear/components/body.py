@@ -30,7 +30,7 @@ class Body(eqx.Module):
     (xx, yy, zz, xy, xz, yz; products as elements of the matrix, so xy = -integral of x y dm).
     """
 
-    mass: Scalar = quantity(unit="kg", meaning="mass")
+    mass: Scalar = quantity(unit="kg", meaning="mass", above=0)
     inertia: tuple = eqx.field(
         converter=_inertia, metadata={"unit": "kg m^2", "meaning": "inertia about the centre of mass, body axes"}
     )

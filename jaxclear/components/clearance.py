@@ -80,9 +80,9 @@ class PlanarJournalBearing(AbstractClearance):
     ideal_rows: ClassVar = ("x", "y")
     contact: AbstractContactLaw
     friction: AbstractFrictionLaw | None = None
-    bearing_radius: Scalar = quantity(10e-3, "m", "radius of the bearing's hole")
-    clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, bearing radius - journal radius")
-    length: Scalar = quantity(20e-3, "m", "length of the bearing")
+    bearing_radius: Scalar = quantity(10e-3, "m", "radius of the bearing's hole", above=0)
+    clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0)
+    length: Scalar = quantity(20e-3, "m", "length of the bearing", above=0)
     wear: Wearing | None = None
 
     @property
@@ -115,12 +115,16 @@ class PlanarJournalBearing(AbstractClearance):
 
 
 class Flange(eqx.Module):
-    """Collars on the journal that stop it along the bearing: the rim point nearest the bearing's face may touch it."""
+    """Collars on the journal that stop it along the bearing: the rim point nearest the bearing's face may touch it.
+
+    A stiffness fitted from materials takes the radii of journal and bore, for want of better; give a number where the
+    axial stiffness matters.
+    """
 
     contact: AbstractContactLaw
     friction: AbstractFrictionLaw | None = None
-    radius: Scalar = quantity(14e-3, "m", "outer radius of the collar")
-    clearance: Scalar = quantity(0.2e-3, "m", "axial clearance at each collar, journal centred")
+    radius: Scalar = quantity(14e-3, "m", "outer radius of the collar", above=0)
+    clearance: Scalar = quantity(0.2e-3, "m", "axial clearance at each collar, journal centred", above=0)
 
 
 class JournalBearing(AbstractClearance):
@@ -136,9 +140,9 @@ class JournalBearing(AbstractClearance):
     ideal_rows: ClassVar = ("x", "y", "z", "x.z", "y.z")
     contact: AbstractContactLaw
     friction: AbstractFrictionLaw | None = None
-    bearing_radius: Scalar = quantity(10e-3, "m", "radius of the bearing's hole")
-    clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, bearing radius - journal radius")
-    length: Scalar = quantity(20e-3, "m", "length of the bearing")
+    bearing_radius: Scalar = quantity(10e-3, "m", "radius of the bearing's hole", above=0)
+    clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0)
+    length: Scalar = quantity(20e-3, "m", "length of the bearing", above=0)
     journal_length: Scalar | None = quantity(None, "m", "length of the journal, at least that of the bearing; checked only")
     flange: Flange | None = None
     bearing_wear: Wearing | None = None
@@ -236,8 +240,8 @@ class BallSocket(AbstractClearance):
     ideal_rows: ClassVar = ("x", "y", "z")
     contact: AbstractContactLaw
     friction: AbstractFrictionLaw | None = None
-    socket_radius: Scalar = quantity(10e-3, "m", "radius of the socket")
-    clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, socket radius - ball radius")
+    socket_radius: Scalar = quantity(10e-3, "m", "radius of the socket", above=0)
+    clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, socket radius - ball radius", above=0)
     socket_wear: Wearing | None = None
 
     @property
@@ -277,10 +281,10 @@ class SliderGuide(AbstractClearance):
     ideal_rows: ClassVar = ("x", "x.z")
     contact: AbstractContactLaw
     friction: AbstractFrictionLaw | None = None
-    width: Scalar = quantity(20e-3, "m", "width of the slider, across the guide")
-    length: Scalar = quantity(40e-3, "m", "length of the slider, along the guide")
-    clearance: Scalar = quantity(0.1e-3, "m", "gap on each side of a centred slider")
-    corner_radius: Scalar = quantity(5e-3, "m", "rounding of a corner, for the stiffness only")
+    width: Scalar = quantity(20e-3, "m", "width of the slider, across the guide", above=0)
+    length: Scalar = quantity(40e-3, "m", "length of the slider, along the guide", above=0)
+    clearance: Scalar = quantity(0.1e-3, "m", "gap on each side of a centred slider", above=0)
+    corner_radius: Scalar = quantity(5e-3, "m", "rounding of a corner, for the stiffness only", above=0)
 
     @property
     def axes(self) -> tuple[int, ...]:

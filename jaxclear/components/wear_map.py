@@ -17,7 +17,8 @@ from jaxclear.laws.wear import AbstractWearLaw
 
 
 class Wearing(eqx.Module):
-    """A surface that wears: its law, and the number of cells around and along (azimuth and elevation on a sphere).
+    """A surface that wears: its law (of this surface alone), and the number of cells around and along (azimuth and
+    elevation on a sphere).
 
     `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear extrapolation, as in cycle-jump
     schemes).
@@ -25,7 +26,7 @@ class Wearing(eqx.Module):
 
     law: AbstractWearLaw
     cells: tuple[int, int] = eqx.field(static=True, default=(72, 20))
-    acceleration: Scalar = quantity(1.0, "1", "worn volume per simulated volume")
+    acceleration: Scalar = quantity(1.0, "1", "worn volume per simulated volume", at_least=0)
 
     def __check_init__(self):
         if not isinstance(self.law, AbstractWearLaw):
@@ -142,10 +143,6 @@ class SphereMap(AbstractWearMap):
     def angles(self) -> Float[Array, " around"]:
         """Azimuth of the centre of each cell [rad]."""
         return (jnp.arange(self.cells[0]) + 0.5) * (2 * jnp.pi / self.cells[0])
-
-    def elevations(self) -> Float[Array, " along"]:
-        """Elevation of the centre of each cell [rad]."""
-        return ((jnp.arange(self.cells[1]) + 0.5) / self.cells[1] - 0.5) * jnp.pi
 
     def _stencil(self, x, y, z):
         around, along = self.cells

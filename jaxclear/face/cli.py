@@ -25,6 +25,9 @@ def main(arguments: list[str] | None = None) -> None:
 
         print(jc.scenes.four_bar().parameters().to_string(index=False))
         return
+    for name, least in (("samples", 16), ("duration", 0.01), ("turns", 0.01)):
+        if not getattr(options, name) >= least:
+            parser.error(f"--{name} is {getattr(options, name)}; it must be at least {least}.")
     from jaxclear.face.four_bar_study import study
 
     study(options.out, options.samples, options.duration, options.turns, not options.quiet)

@@ -12,9 +12,13 @@ import pandas
 
 import jaxclear as jc
 from jaxclear.face import plot
-from jaxclear.scenes.four_bar import CLEARANCES, FOLLOWER_OFFSET, four_bar
+from jaxclear.scenes.four_bar import CLEARANCES, four_bar
 
 LARGEST = CLEARANCES[-1]
+# The follower's error is that in the plane of the mechanism; along the bearing's axis the journal has its own play.
+IN_PLANE = (0, 1)
+# Saving times: a second of the paper's runs, and a turn of the Monte Carlo's.
+SAVES_PER_SECOND, SAVES_PER_TURN = 400, 100
 # Time for one turn of the crank at 10 rad/s [s].
 TURN = 2 * np.pi / 10.0
 # Tolerances of the study (half of the allowed variation) [m]; assumed, of a usual machining grade.
@@ -35,8 +39,7 @@ def paper_runs(duration: float, saves: int, show: bool) -> dict[float, Any]:
 def problem(duration: float, saves: int, clearance: float = LARGEST) -> jc.Problem:
     """Peak worn depth and follower error over clearance and link lengths."""
     ideal = jc.simulate(four_bar("ideal"), duration, save=saves)
-    # The ideal mechanism is drawn in one plane; the follower lies beside it.
-    reference = ideal.body("follower").com + np.array([0.0, 0.0, FOLLOWER_OFFSET])
+    reference = ideal.body("follower").com
     length = {
         "crank length": lambda rig: rig.connections["A"].parent.at[0],
         "coupler length": lambda rig: rig.connections["B"].parent.at[0],
@@ -49,7 +52,7 @@ def problem(duration: float, saves: int, clearance: float = LARGEST) -> jc.Probl
         four_bar("spatial", clearance),
         {
             "peak worn depth": jc.response.PeakWornDepth("B"),
-            "follower error": jc.response.PositionError("follower", reference),
+            "follower error": jc.response.PositionError("follower", reference, axes=IN_PLANE),
         },
         variables,
         duration=duration,
@@ -58,7 +61,7 @@ def problem(duration: float, saves: int, clearance: float = LARGEST) -> jc.Probl
 
 
 def run_table(runs: dict[float, Any]) -> pandas.DataFrame:
-    """One row a clearance: how far the follower strays, what the joint carries, what wears."""
+    """One row a clearance: how far the follower strays in the plane, what the joint carries, what wears."""
     ideal = runs[0.0]
     reference = np.asarray(ideal.body("follower").com)[:, :2]
     rows = []
@@ -83,12 +86,12 @@ def study(folder: Path, samples: int = 256, duration: float = 5.0, turns: float 
     """Runs everything and writes it to `folder`."""
     begun = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
-    runs = paper_runs(duration, int(round(duration * 400)) + 1, show)
+    runs = paper_runs(duration, int(round(duration * SAVES_PER_SECOND)) + 1, show)
     table = run_table(runs)
     table.to_csv(folder / "runs.csv", index=False)
     print(f"\n{table.drop(columns='result').to_string(index=False, float_format='%.4g')}\n", flush=True)
     figures = _run_figures(runs)
-    question = problem(TURN * turns, int(round(100 * turns)) + 1)
+    question = problem(TURN * turns, int(round(SAVES_PER_TURN * turns)) + 1)
     print(f"Monte Carlo, {samples} samples over {turns:g} turn(s) of the crank", flush=True)
     sample = jc.monte_carlo(question, samples, progress_bar=show)
     sample.table().to_csv(folder / "monte_carlo.csv", index=False)
@@ -101,7 +104,8 @@ def study(folder: Path, samples: int = 256, duration: float = 5.0, turns: float 
     answers = jc.sensitivity(question, "clearance", sample=sample, difference_samples=pairs, progress_bar=show)
     answers.table().to_csv(folder / "sensitivity.csv", index=False)
     for (response, variable), d in answers.derivatives.items():
-        print(f"d({response})/d({variable}) = {d.value:.4g} +- {d.error:.2g} (95 %) m/m. {d.verdict}")
+        unit = answers.unit(response, variable)
+        print(f"d({response})/d({variable}) = {d.value:.4g} +- {d.error:.2g} {unit} (95 %). {d.verdict}")
         for method, e in d.estimates.items():
             print(f"    {method}: {e.refusal or f'{e.value:.4g} +- {e.error:.2g}'}")
     figures |= {"monte_carlo": plot.monte_carlo(sample), "sensitivity": plot.sensitivity(answers)}
@@ -115,7 +119,7 @@ def _run_figures(runs: dict[float, Any]) -> dict[str, Any]:
     labels = {f"{1e3 * c:.2f} mm": run for c, run in runs.items() if c}
     return {
         "follower_displacement": plot.displacement(labels, ideal, "follower"),
-        "angular_velocity": plot.angular_velocity(widest, ideal, "follower"),
+        "angular_velocity": plot.angular_velocity(widest, ideal, "follower", f"clearance {1e3 * LARGEST:g} mm"),
         "journal_ends": plot.journal_ends(widest, "B"),
         "wear_unrolled": plot.wear_unrolled(widest, "B"),
         "wear_surface": plot.wear_surface(widest, "B"),

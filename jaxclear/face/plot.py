@@ -25,6 +25,12 @@ def _shades(count: int) -> list:
     return [matplotlib.colormaps["viridis"](x) for x in np.linspace(0.0, 0.85, count)]
 
 
+def _setting(run: Trajectory, joint: str) -> str:
+    """The joint's clearance and the duration of the run, for a title."""
+    clearance = float(run.mechanism.connections[joint].joint.clearance)
+    return f" (clearance {MILLI * clearance:g} mm, {float(run.time[-1]):g} s)"
+
+
 def displacement(runs: Mapping[str, Trajectory], ideal: Trajectory, body: str) -> Figure:
     """Path of a body's centre of mass in x and y for several runs beside the ideal one, and their distance from it."""
     figure, axes = _figure(3, 1, (8.0, 8.5), sharex=True)
@@ -45,11 +51,11 @@ def displacement(runs: Mapping[str, Trajectory], ideal: Trajectory, body: str) -
     return figure
 
 
-def angular_velocity(run: Trajectory, ideal: Trajectory, body: str) -> Figure:
+def angular_velocity(run: Trajectory, ideal: Trajectory, body: str, label: str = "with clearance") -> Figure:
     """Angular velocity of a body about z with clearance and without, and their difference."""
     figure, axes = _figure(2, 1, (8.0, 6.0), sharex=True)
     own, other = (np.asarray(r.body(body).spin)[:, 2] for r in (run, ideal))
-    axes[0].plot(run.time, own, color="C0", lw=1.2, label="with clearance")
+    axes[0].plot(run.time, own, color="C0", lw=1.2, label=label)
     axes[0].plot(ideal.time, other, "k--", lw=0.9, label="ideal")
     axes[0].set_ylabel("angular velocity [rad/s]")
     axes[0].legend(loc="upper right", fontsize=8)
@@ -71,13 +77,14 @@ def journal_ends(run: Trajectory, joint: str) -> Figure:
     figure, axes = _figure(1, 2, (9.0, 4.8), sharex=True, sharey=True)
     turn = np.linspace(0, 2 * np.pi, 400)
     for axis, end, label in zip(axes, ends, ("lower end (z = -L/2)", "upper end (z = L/2)"), strict=True):
-        axis.plot(MICRO * clearance * np.cos(turn), MICRO * clearance * np.sin(turn), "r-", lw=1.0, label="clearance circle")
+        axis.plot(MICRO * clearance * np.cos(turn), MICRO * clearance * np.sin(turn), "r-", lw=0.7, label="clearance circle")
         axis.set_xlim(-1.15 * MICRO * clearance, 1.15 * MICRO * clearance)
-        axis.plot(MICRO * end[:, 0], MICRO * end[:, 1], ".", ms=2.0, alpha=0.4, color="C0", label="journal centre")
+        axis.plot(MICRO * end[:, 0], MICRO * end[:, 1], ".", ms=3.0, alpha=0.4, color="C0", label="journal centre")
         axis.set_aspect("equal")
         axis.set_title(label)
         axis.set_xlabel("x in the bearing [µm]")
     axes[0].set_ylabel("y in the bearing [µm]")
+    figure.suptitle(f"Ends of the journal of {joint}{_setting(run, joint)}")
     axes[1].legend(loc="upper right", fontsize=8)
     return figure
 
@@ -97,7 +104,7 @@ def _wear(run: Trajectory, joint: str, surface: str) -> tuple[CylinderMap, np.nd
 
 
 def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing") -> Figure:
-    """Worn depth over direction and position along the axis, the wall rolled out flat; beside it the mean along the axis."""
+    """Worn depth over direction and position along the axis, the wall rolled out flat; beside it the deepest cell of each row."""
     wear_map, depth = _wear(run, joint, surface)
     figure, axes = _figure(1, 2, (9.5, 4.2), width_ratios=(3.2, 1.0), sharey=True)
     around = np.linspace(0, 360, depth.shape[0] + 1)
@@ -106,7 +113,7 @@ def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing") -> Figu
     figure.colorbar(mesh, ax=axes[0], label="worn depth [µm] (colour ~ square root)")
     axes[0].set_xlabel("direction from the bearing's x axis [deg]")
     axes[0].set_ylabel("position along the axis [mm]")
-    axes[0].set_title(f"Worn depth of the {surface} of {joint}, unrolled")
+    axes[0].set_title(f"Worn depth of the {surface} of {joint}, unrolled{_setting(run, joint)}")
     axes[0].set_xticks(range(0, 361, 60))
     heights = MILLI * np.asarray(wear_map.heights())
     axes[1].barh(heights, MICRO * depth.max(axis=0), height=heights[1] - heights[0] if len(heights) > 1 else 1.0, color="C1")
@@ -142,7 +149,7 @@ def wear_surface(run: Trajectory, joint: str, surface: str = "bearing", exaggera
     axis.set_xlabel("x [mm]")
     axis.set_ylabel("y [mm]")
     axis.set_zlabel("z [mm]")
-    axis.set_title(f"Worn {surface} of {joint} seen from outside, depth × {factor:.0f}")
+    axis.set_title(f"Worn {surface} of {joint} seen from outside, depth × {factor:.0f}{_setting(run, joint)}")
     axis.set_box_aspect((1, 1, 1.2))
     deepest = np.degrees(float(wear_map.angles()[int(depth.max(axis=1).argmax())]))
     axis.view_init(elev=22.0, azim=deepest + 25.0)
@@ -160,10 +167,10 @@ def monte_carlo(study: MonteCarlo) -> Figure:
         axis.hist(factor * values, bins="auto", color="C0", alpha=0.8)
         axis.axvline(factor * values.mean(), color="k", lw=1.2, label="mean")
         low, high = np.percentile(factor * values, [5, 95])
-        axis.axvspan(low, high, color="C1", alpha=0.2, label="5 to 95 %")
+        axis.axvspan(low, high, color="C1", alpha=0.25, label="5 to 95 %", zorder=0)
         axis.set_xlabel(f"{name} [{unit}]")
         axis.set_ylabel("samples")
-    axes[0][0].legend(fontsize=8)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=2)
     figure.suptitle(f"Monte Carlo, {len(study.values)} samples, {len(study.failed)} failed")
     return figure
 
@@ -192,8 +199,7 @@ def sensitivity(study: Sensitivity) -> Figure:
         axis.set_yticks([-row for row in range(len(labels))], labels)
         axis.set_ylim(-len(labels) + 0.4, 0.6)
         axis.axvline(0.0, color="0.7", lw=0.8)
-        units = study.sample.problem.units()[response]
         axis.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
-        axis.set_xlabel(f"d({response}) / d({variable}) [{units} per unit]")
+        axis.set_xlabel(f"d({response}) / d({variable}) [{study.unit(response, variable)}]")
         axis.set_title(derivative.verdict, fontsize=8, wrap=True)
     return figure

@@ -6,6 +6,7 @@ varied by itself and a component that is not given is known to be zero before tr
 """
 
 import dataclasses
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -50,18 +51,31 @@ def concrete(value: Any) -> float | None:
     return None if value is None or isinstance(value, jax.core.Tracer) else float(value)
 
 
-def quantity(default: Any = dataclasses.MISSING, unit: str = "1", meaning: str = "", **kwargs: Any) -> Any:
-    """A scalar field with a unit (SI, "1" if none) and a sentence of meaning. `default` may be a number or `None`."""
-    return _field(default, unit, meaning, as_number, kwargs)
+def quantity(
+    default: Any = dataclasses.MISSING,
+    unit: str = "1",
+    meaning: str = "",
+    *,
+    above: float | None = None,
+    at_least: float | None = None,
+    at_most: float | None = None,
+    **kwargs: Any,
+) -> Any:
+    """A scalar field with a unit (SI, "1" if none), a sentence of meaning and the range of its values.
+
+    `default` may be a number or `None`. The range is checked where a mechanism is built, and for every sample of a study.
+    """
+    bounds = {"above": above, "at_least": at_least, "at_most": at_most}
+    return _field(default, unit, meaning, as_number, kwargs, {k: v for k, v in bounds.items() if v is not None})
 
 
 def vector(default: Any = dataclasses.MISSING, unit: str = "1", meaning: str = "", **kwargs: Any) -> Any:
     """A field of two or more scalars, each its own leaf, sharing one unit."""
-    return _field(default, unit, meaning, as_vector, kwargs)
+    return _field(default, unit, meaning, as_vector, kwargs, {})
 
 
-def _field(default, unit, meaning, converter, kwargs):
-    metadata = {"unit": unit, "meaning": meaning}
+def _field(default, unit, meaning, converter, kwargs, bounds):
+    metadata = {"unit": unit, "meaning": meaning} | bounds
     if default is not dataclasses.MISSING:
         kwargs["default"] = default
     return eqx.field(converter=converter, metadata=metadata, **kwargs)
@@ -72,29 +86,47 @@ def unit_of(module: eqx.Module, name: str) -> str:
     return _metadata(module)[name].get("unit", "1")
 
 
-def parameters(tree: Any, name: str = "") -> list[dict[str, Any]]:
-    """Rows (name, value, unit, meaning) of every number in a mechanism or any part of it, in definition order; `name` is
+def numbers(tree: Any, name: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
+    """(name, leaf, metadata of its field) of every number in a mechanism or any part of it, in definition order; `name` is
     what the tree itself is called."""
-    return list(_rows(tree, name))
+    return _numbers(tree, name, {})
 
 
-def _metadata(module):
-    return {field.name: field.metadata for field in dataclasses.fields(module)}
+def parameters(tree: Any, name: str = "") -> list[dict[str, Any]]:
+    """Rows (name, value, unit, meaning) of every number."""
+    return [
+        {"name": path, "value": np.asarray(leaf).tolist(), "unit": m.get("unit", "1"), "meaning": m.get("meaning", "")}
+        for path, leaf, m in numbers(tree, name)
+    ]
 
 
-def _rows(tree, path, unit="1", meaning=""):
+def inside(leaf: Any, metadata: Mapping[str, Any]) -> Any:
+    """True where a number lies in its field's range; works on traced numbers."""
+    fits = jnp.isfinite(leaf)
+    if "above" in metadata:
+        fits = fits & (leaf > metadata["above"])
+    if "at_least" in metadata:
+        fits = fits & (leaf >= metadata["at_least"])
+    return fits & (leaf <= metadata["at_most"]) if "at_most" in metadata else fits
+
+
+def range_in_words(metadata: Mapping[str, Any]) -> str:
+    """The range of a field: "above 0 and at most 1"."""
+    words = {"above": "above", "at_least": "at least", "at_most": "at most"}
+    return " and ".join(f"{word} {metadata[key]:g}" for key, word in words.items() if key in metadata)
+
+
+def _numbers(tree, path, metadata):
     if isinstance(tree, eqx.Module):
         for field in dataclasses.fields(tree):
-            if field.metadata.get("static", False):
-                continue
-            inner = f"{path}.{field.name}" if path else field.name
-            metadata = field.metadata
-            yield from _rows(getattr(tree, field.name), inner, metadata.get("unit", "1"), metadata.get("meaning", ""))
+            if not field.metadata.get("static", False):
+                inner = f"{path}.{field.name}" if path else field.name
+                yield from _numbers(getattr(tree, field.name), inner, field.metadata)
     elif isinstance(tree, dict):
         for key, value in tree.items():
-            yield from _rows(value, f'{path}["{key}"]', unit, meaning)
+            yield from _numbers(value, f'{path}["{key}"]', metadata)
     elif isinstance(tree, (tuple, list)):
         for index, value in enumerate(tree):
-            yield from _rows(value, f"{path}[{index}]", unit, meaning)
+            yield from _numbers(value, f"{path}[{index}]", metadata)
     elif eqx.is_array(tree):
-        yield {"name": path, "value": np.asarray(tree).tolist(), "unit": unit, "meaning": meaning}
+        yield path, tree, metadata

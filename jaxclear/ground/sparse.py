@@ -10,7 +10,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 Vec = tuple[Any, Any, Any]
 Mat = tuple[Vec, Vec, Vec]
@@ -151,8 +150,3 @@ def dense(tree: Any) -> Any:
 def stack(scalars: Any) -> jax.Array:
     """Scalars, structural ones included, stacked to one float64 array on a new first axis."""
     return jnp.stack(jnp.broadcast_arrays(*[jnp.asarray(x, float) for x in scalars])) if scalars else jnp.zeros((0,))
-
-
-def numeric(tree: Any) -> np.ndarray:
-    """NumPy array of concrete scalars, for checks before tracing."""
-    return np.array(jax.tree.map(float, tree))

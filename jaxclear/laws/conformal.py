@@ -27,7 +27,7 @@ ROARK_WIDTH = 1.60
 
 
 def modulus_field():
-    return quantity(112.9e9, "Pa", "combined modulus E* (default: steel on steel)")
+    return quantity(112.9e9, "Pa", "combined modulus E* (default: steel on steel)", above=0)
 
 
 def clearance_field():

@@ -17,23 +17,23 @@ from jaxclear.laws.stiffness import HERTZ_SPHERE, AbstractFit, ClearanceOf, Oute
 
 
 def stiffness_field():
-    return quantity(1e10, "N/m^exponent", "generalized contact stiffness K")
+    return quantity(1e10, "N/m^exponent", "generalized contact stiffness K", above=0)
 
 
 def exponent_field():
-    return quantity(None, "1", "exponent of the indentation, above 1 (None: Hertz's 3/2)")
+    return quantity(None, "1", "exponent of the indentation, above 1 (None: Hertz's 3/2)", above=1)
 
 
 def restitution_field(default=0.9):
-    return quantity(default, "1", "coefficient of restitution c_e, 0 < c_e <= 1")
+    return quantity(default, "1", "coefficient of restitution c_e, 0 < c_e <= 1", above=0, at_most=1)
 
 
 def memory_time_field():
-    return quantity(1e-4, "s", "time constant with which the stored impact speed follows the approach speed while open")
+    return quantity(1e-4, "s", "time constant with which the stored impact speed follows the approach speed while open", above=0)
 
 
 def slowest_impact_field():
-    return quantity(1e-3, "m/s", "an impact slower than this is damped as if at this speed (rest is no division by 0)")
+    return quantity(1e-3, "m/s", "an impact slower than this is damped as if at this speed (rest is no division by 0)", above=0)
 
 
 class AbstractContactLaw(eqx.Module):
@@ -78,9 +78,9 @@ class KelvinVoigt(AbstractContactLaw):
     Source: Goldsmith 1960, Impact; Flores & Lankarani 2016, Contact Force Models, ch. 3.
     """
 
-    stiffness: Scalar | AbstractFit = quantity(1e8, "N/m", "spring stiffness K")
-    damping: Scalar = quantity(1e3, "N s/m", "damper coefficient D")
-    onset_depth: Scalar = quantity(1e-7, "m", "indentation at which the damper acts in full")
+    stiffness: Scalar | AbstractFit = quantity(1e8, "N/m", "spring stiffness K", above=0)
+    damping: Scalar = quantity(1e3, "N s/m", "damper coefficient D", at_least=0)
+    onset_depth: Scalar = quantity(1e-7, "m", "indentation at which the damper acts in full", above=0)
     remembers_impact_speed: ClassVar[bool] = False
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
@@ -102,7 +102,7 @@ class MarhefkaOrin(AbstractContactLaw):
 
     stiffness: Scalar | AbstractFit = stiffness_field()
     exponent: Scalar | None = exponent_field()
-    dissipation: Scalar = quantity(0.2, "s/m", "a: loss of restitution per impact speed")
+    dissipation: Scalar = quantity(0.2, "s/m", "a: loss of restitution per impact speed", at_least=0)
     remembers_impact_speed: ClassVar[bool] = False
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
@@ -248,7 +248,7 @@ class ModifiedFlores(AbstractContactLaw):
     R_s sqrt(delta / (c + delta)) under Hertz's pressure, its constant chosen so that small indentations are Hertz's.
     """
 
-    modulus: Scalar | AbstractFit = quantity(112.9e9, "Pa", "combined modulus E* (default: steel on steel)")
+    modulus: Scalar | AbstractFit = quantity(112.9e9, "Pa", "combined modulus E* (default: steel on steel)", above=0)
     socket_radius: Scalar | AbstractFit = quantity(unit="m", meaning="socket's radius R_s", default_factory=OuterRadiusOf)
     clearance: Scalar | AbstractFit = quantity(unit="m", meaning="radial clearance c", default_factory=ClearanceOf)
     restitution: Scalar = restitution_field()
@@ -280,8 +280,8 @@ class AdamsImpact(AbstractContactLaw):
 
     stiffness: Scalar | AbstractFit = stiffness_field()
     exponent: Scalar | None = exponent_field()
-    damping: Scalar = quantity(1e3, "N s/m", "largest damping coefficient c_max")
-    full_damping_depth: Scalar = quantity(1e-5, "m", "indentation d_max at which damping is largest")
+    damping: Scalar = quantity(1e3, "N s/m", "largest damping coefficient c_max", at_least=0)
+    full_damping_depth: Scalar = quantity(1e-5, "m", "indentation d_max at which damping is largest", above=0)
     remembers_impact_speed: ClassVar[bool] = False
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:

@@ -23,11 +23,11 @@ PASSIVE_DAMPING = 4.0
 
 
 def mu_static_field():
-    return quantity(0.15, "1", "static friction coefficient mu_s")
+    return quantity(0.15, "1", "static friction coefficient mu_s", at_least=0)
 
 
 def mu_kinetic_field():
-    return quantity(0.1, "1", "kinetic friction coefficient mu_d")
+    return quantity(0.1, "1", "kinetic friction coefficient mu_d", at_least=0)
 
 
 class AbstractFrictionLaw(eqx.Module):
@@ -76,7 +76,7 @@ class CoulombTanh(AbstractSlipFriction):
     """
 
     mu_kinetic: Scalar = mu_kinetic_field()
-    transition_speed: Scalar = quantity(1e-3, "m/s", "speed v_0 at which three quarters of the friction act")
+    transition_speed: Scalar = quantity(1e-3, "m/s", "speed v_0 at which three quarters of the friction act", above=0)
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         return self.mu_kinetic * smooth_sign(slip_speed, self.transition_speed)
@@ -91,8 +91,8 @@ class Ambrosio(AbstractSlipFriction):
     """
 
     mu_kinetic: Scalar = mu_kinetic_field()
-    inner_speed: Scalar = quantity(1e-4, "m/s", "speed v_0 up to which there is no friction")
-    outer_speed: Scalar = quantity(1e-3, "m/s", "speed v_1 from which friction acts in full")
+    inner_speed: Scalar = quantity(1e-4, "m/s", "speed v_0 up to which there is no friction", at_least=0)
+    outer_speed: Scalar = quantity(1e-3, "m/s", "speed v_1 from which friction acts in full", above=0)
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         share = (slip_speed - self.inner_speed) / (self.outer_speed - self.inner_speed)
@@ -109,8 +109,8 @@ class ThreeZone(AbstractSlipFriction):
 
     mu_static: Scalar = mu_static_field()
     mu_kinetic: Scalar = mu_kinetic_field()
-    static_speed: Scalar = quantity(1e-3, "m/s", "speed V_s at which friction is largest")
-    kinetic_speed: Scalar = quantity(1e-2, "m/s", "speed V_d from which friction is kinetic")
+    static_speed: Scalar = quantity(1e-3, "m/s", "speed V_s at which friction is largest", above=0)
+    kinetic_speed: Scalar = quantity(1e-2, "m/s", "speed V_d from which friction is kinetic", above=0)
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         rise = jnp.sin(jnp.pi / 2 * jnp.minimum(slip_speed / self.static_speed, 1.0))
@@ -130,8 +130,8 @@ class AdamsStep(AbstractSlipFriction):
 
     mu_static: Scalar = mu_static_field()
     mu_kinetic: Scalar = mu_kinetic_field()
-    static_speed: Scalar = quantity(1e-4, "m/s", "stiction transition speed v_s")
-    kinetic_speed: Scalar = quantity(1e-2, "m/s", "friction transition speed v_d")
+    static_speed: Scalar = quantity(1e-4, "m/s", "stiction transition speed v_s", above=0)
+    kinetic_speed: Scalar = quantity(1e-2, "m/s", "friction transition speed v_d", above=0)
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         # STEP from -v_s to v_s, written about 0 so that it cancels nothing: mu_s x (3 - x^2) / 2
@@ -150,8 +150,8 @@ class Threlfall(AbstractSlipFriction):
     """
 
     mu_kinetic: Scalar = mu_kinetic_field()
-    transition_speed: Scalar = quantity(1e-3, "m/s", "speed v_r from which friction is kinetic")
-    steepness: Scalar = quantity(3.0, "1", "Threlfall's 3: exponent reached at v_r")
+    transition_speed: Scalar = quantity(1e-3, "m/s", "speed v_r from which friction is kinetic", above=0)
+    steepness: Scalar = quantity(3.0, "1", "Threlfall's 3: exponent reached at v_r", above=0)
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         share = jnp.minimum(slip_speed / self.transition_speed, 1.0)
@@ -168,8 +168,8 @@ class BengisuAkay(AbstractSlipFriction):
 
     mu_static: Scalar = mu_static_field()
     mu_kinetic: Scalar = mu_kinetic_field()
-    peak_speed: Scalar = quantity(1e-3, "m/s", "speed v_0 at which friction is largest")
-    decay: Scalar = quantity(1e3, "s/m", "rate xi at which friction falls from static to kinetic")
+    peak_speed: Scalar = quantity(1e-3, "m/s", "speed v_0 at which friction is largest", above=0)
+    decay: Scalar = quantity(1e3, "s/m", "rate xi at which friction falls from static to kinetic", at_least=0)
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         missing = 1 - jnp.minimum(slip_speed / self.peak_speed, 1.0)
@@ -189,8 +189,8 @@ class Stribeck(AbstractSlipFriction):
 
     mu_static: Scalar = mu_static_field()
     mu_kinetic: Scalar = mu_kinetic_field()
-    stribeck_speed: Scalar = quantity(1e-2, "m/s", "speed v_S over which friction falls from static to kinetic")
-    transition_speed: Scalar = quantity(1e-4, "m/s", "speed v_0 of the ramp through rest")
+    stribeck_speed: Scalar = quantity(1e-2, "m/s", "speed v_S over which friction falls from static to kinetic", above=0)
+    transition_speed: Scalar = quantity(1e-4, "m/s", "speed v_0 of the ramp through rest", above=0)
     viscous: Scalar | None = quantity(None, "s/m", "viscous coefficient per sliding speed (None: absent)")
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
@@ -209,7 +209,7 @@ class Dahl(AbstractBristleFriction):
     """
 
     mu_kinetic: Scalar = mu_kinetic_field()
-    presliding: Scalar = quantity(1e-6, "m", "deflection z_0 at which the bristles yield")
+    presliding: Scalar = quantity(1e-6, "m", "deflection z_0 at which the bristles yield", above=0)
 
     def deflection_rate(self, deflection: Scalar, slip: Scalar, slip_speed: Scalar) -> Scalar:
         return slip - slip_speed * deflection / self.presliding
@@ -232,9 +232,9 @@ class LuGre(AbstractBristleFriction):
 
     mu_static: Scalar = mu_static_field()
     mu_kinetic: Scalar = mu_kinetic_field()
-    stribeck_speed: Scalar = quantity(1e-2, "m/s", "speed v_S over which friction falls from static to kinetic")
-    presliding: Scalar = quantity(1e-6, "m", "deflection z_0 at which the bristles yield from rest")
-    settling_time: Scalar = quantity(1e-4, "s", "damping time t_0 of the bristles at rest")
+    stribeck_speed: Scalar = quantity(1e-2, "m/s", "speed v_S over which friction falls from static to kinetic", above=0)
+    presliding: Scalar = quantity(1e-6, "m", "deflection z_0 at which the bristles yield from rest", above=0)
+    settling_time: Scalar = quantity(1e-4, "s", "damping time t_0 of the bristles at rest", at_least=0)
     viscous: Scalar | None = quantity(None, "s/m", "viscous coefficient per sliding speed (None: absent)")
 
     def deflection_rate(self, deflection: Scalar, slip: Scalar, slip_speed: Scalar) -> Scalar:

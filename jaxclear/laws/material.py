@@ -9,15 +9,10 @@ from jaxclear.ground.quantity import Scalar, quantity
 
 
 class Material(eqx.Module):
-    """Linear isotropic elasticity plus what wear and mass need. Range: 0 <= poisson_ratio < 1/2, small strain.
+    """Linear isotropic elasticity, small strain."""
 
-    `hardness` and `density` are `None` where nothing asks for them.
-    """
-
-    young_modulus: Scalar = quantity(unit="Pa", meaning="Young's modulus")
-    poisson_ratio: Scalar = quantity(unit="1", meaning="Poisson's ratio")
-    hardness: Scalar | None = quantity(None, "Pa", "indentation hardness")
-    density: Scalar | None = quantity(None, "kg/m^3", "mass density")
+    young_modulus: Scalar = quantity(unit="Pa", meaning="Young's modulus", above=0)
+    poisson_ratio: Scalar = quantity(unit="1", meaning="Poisson's ratio", above=-1, at_most=0.5)
 
     @property
     def plane_strain_modulus(self) -> Scalar:
@@ -34,10 +29,10 @@ def combined_modulus(a: Material, b: Material) -> Scalar:
 
 
 def steel() -> Material:
-    """Bearing steel of the four-bar paper (001, Table II: 206.8 GPa, 0.29); hardness and density of a plain steel."""
-    return Material(206.8e9, 0.29, hardness=2e9, density=7800.0)
+    """Bearing steel of the four-bar paper (001, Table II: 206.8 GPa, 0.29)."""
+    return Material(206.8e9, 0.29)
 
 
 def aluminium() -> Material:
-    """Aluminium as in DyS's table of cylinder contact (69 GPa, 0.35); hardness and density of a wrought alloy."""
-    return Material(69e9, 0.35, hardness=1e9, density=2700.0)
+    """Aluminium as in DyS's table of cylinder contact (69 GPa, 0.35)."""
+    return Material(69e9, 0.35)

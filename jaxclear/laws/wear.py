@@ -1,7 +1,7 @@
 """What is lost: the rate at which a sliding contact wears material away.
 
-Rates in m^3/s of both bodies together; zero at rest and without load. Which body loses how much, and where, is the wear
-map's business.
+Rates in m^3/s of the surface that the law is given to; zero at rest and without load. Where both surfaces of a joint wear,
+each has a law with a coefficient of its own. Where the volume goes is the wear map's business.
 """
 
 from abc import abstractmethod
@@ -27,8 +27,8 @@ class Archard(AbstractWearLaw):
     Source: Archard 1953, J. Appl. Phys. 24, 981, eq. 4; four-bar paper (001), eq. 5; 3RSR paper (003), eq. 25.
     """
 
-    wear_coefficient: Scalar = quantity(1e-5, "1", "share k of contact events that shed a particle")
-    hardness: Scalar = quantity(2e9, "Pa", "indentation hardness H of the softer body")
+    wear_coefficient: Scalar = quantity(1e-5, "1", "share k of contact events that shed a particle", at_least=0)
+    hardness: Scalar = quantity(2e9, "Pa", "indentation hardness H of the softer body", above=0)
 
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
         return self.wear_coefficient * normal_force * slip_speed / self.hardness
@@ -43,7 +43,7 @@ class Fouvry(AbstractWearLaw):
     Source: Fouvry, Liskiewicz, Kapsa, Hannel & Sauger 2003, Wear 255, 287; the default is of the order reported for steels.
     """
 
-    energy_wear_coefficient: Scalar = quantity(2e-14, "m^3/J", "worn volume alpha per dissipated energy")
+    energy_wear_coefficient: Scalar = quantity(2e-14, "m^3/J", "worn volume alpha per dissipated energy", at_least=0)
 
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
         return self.energy_wear_coefficient * traction * slip_speed

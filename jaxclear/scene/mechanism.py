@@ -17,7 +17,7 @@ from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance, BallSocket, JournalBearing, PlanarJournalBearing, SliderGuide
 from jaxclear.components.joint import AbstractJoint, drive_of
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, AbstractLoad, Gravity
-from jaxclear.ground.quantity import as_number, concrete, parameters
+from jaxclear.ground.quantity import as_number, concrete, inside, numbers, parameters, range_in_words
 from jaxclear.laws.stiffness import fitted
 from jaxclear.scene.loops import Baumgarte
 from jaxclear.scene.topology import Topology, grow, joint_of
@@ -73,7 +73,7 @@ class Mechanism(eqx.Module):
         """All numbers of the mechanism with unit and meaning, as a pandas table."""
         import pandas
 
-        parts = ("bodies", "connections", "loads", "start", "speeds", "stabilisation")
+        parts = ("bodies", "connections", "loads", "stabilisation")
         return pandas.DataFrame([row for part in parts for row in parameters(getattr(self, part), part)])
 
 
@@ -161,6 +161,12 @@ def _check_finite(what: str, part: Any) -> None:
             raise ValueError(f"{what} has {name} = {leaf}; it must be a finite number.")
 
 
+def _check_ranges(what: str, part: Any) -> None:
+    for path, leaf, metadata in numbers(part):
+        if not isinstance(leaf, jax.core.Tracer) and not inside(leaf, metadata):
+            raise ValueError(f"{what} has {path} = {float(leaf):g} {metadata['unit']}; it must be {range_in_words(metadata)}.")
+
+
 def check_numbers(bodies: dict, connections: dict, loads: dict) -> None:
     """Masses, inertias and joint dimensions must be possible."""
     for name, body in bodies.items():
@@ -171,11 +177,13 @@ def check_numbers(bodies: dict, connections: dict, loads: dict) -> None:
         if mass is not None and not mass > 0:
             raise ValueError(f'body "{name}" has mass {mass} kg; a mass must be positive.')
         _check_inertia(name, body)
+        _check_ranges(f'body "{name}"', body)
     for name, connection in connections.items():
         _check_finite(f'connection "{name}"', connection)
         if isinstance(connection.joint, AbstractClearance):
             _check_clearance(name, connection.joint)
             _check_fit(name, connection.joint)
+        _check_ranges(f'connection "{name}"', connection)
     for name, load in loads.items():
         _check_finite(f'load "{name}"', load)
 

@@ -11,7 +11,7 @@ import equinox as eqx
 
 from jaxclear.components.joint import AbstractJoint, drive_of
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.pose import REST, STILL, Pose, Twist
+from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.ground.quantity import Scalar
 
 
@@ -193,8 +193,3 @@ def _moves(links, motions, index) -> bool:
             return True
         index = links[index].parent
     return False
-
-
-def root_pose(motions: tuple[Motion, ...], index: int | None) -> Pose:
-    """Pose of a link in the ground frame; the ground's own pose for None."""
-    return REST if index is None else motions[index].pose

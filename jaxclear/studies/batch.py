@@ -43,8 +43,7 @@ def chunk_size(problem: Problem, samples: int, threads: int) -> int:
     system = prepare(problem.mechanism)
     layout = lay_out(system)
     cells = sum(np.prod(m.cells) for b in system.bearings.values() for m, _ in b.joint.maps().values())
-    saves = problem.save if np.ndim(problem.save) == 0 else len(problem.save)
-    each = 8 * (saves * (HISTORY_FACTOR * layout.size) + 8 * cells)
+    each = 8 * (len(problem.shares) * (HISTORY_FACTOR * layout.size) + 8 * cells)
     largest = LARGEST_CHUNK.get(jax.default_backend(), LARGEST_ELSEWHERE)
     return int(max(1, min(largest, CHUNK_MEMORY // each, -(-samples // threads))))
 

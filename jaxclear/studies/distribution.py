@@ -28,7 +28,7 @@ class AbstractDistribution(eqx.Module):
 class Normal(AbstractDistribution):
     """Normal distribution about nominal."""
 
-    standard_deviation: Scalar = quantity(unit="as varied", meaning="standard deviation")
+    standard_deviation: Scalar = quantity(unit="as varied", meaning="standard deviation", above=0)
 
     def quantile(self, share):
         return self.standard_deviation * ndtri(share)
@@ -40,7 +40,7 @@ class Normal(AbstractDistribution):
 class Uniform(AbstractDistribution):
     """Equally likely within +- half_width of nominal."""
 
-    half_width: Scalar = quantity(unit="as varied", meaning="largest deviation")
+    half_width: Scalar = quantity(unit="as varied", meaning="largest deviation", above=0)
 
     def quantile(self, share):
         return self.half_width * (2.0 * share - 1.0)
@@ -52,8 +52,8 @@ class Uniform(AbstractDistribution):
 class TruncatedNormal(AbstractDistribution):
     """Normal distribution of which only what lies within +- bound of nominal is accepted (inspected parts)."""
 
-    standard_deviation: Scalar = quantity(unit="as varied", meaning="standard deviation before inspection")
-    bound: Scalar = quantity(unit="as varied", meaning="largest accepted deviation")
+    standard_deviation: Scalar = quantity(unit="as varied", meaning="standard deviation before inspection", above=0)
+    bound: Scalar = quantity(unit="as varied", meaning="largest accepted deviation", above=0)
 
     def quantile(self, share):
         low = ndtr(-self.bound / self.standard_deviation)

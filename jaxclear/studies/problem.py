@@ -10,15 +10,15 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.scene.initial import assemble_arrays
+from jaxclear.ground.quantity import inside, numbers
+from jaxclear.scene.initial import CLOSED, assemble_arrays
 from jaxclear.scene.mechanism import Mechanism
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 from jaxclear.time.integrator import AbstractIntegrator, FixedStep
 from jaxclear.time.response import unit_of
-from jaxclear.time.simulate import check_run, run, saving_times
+from jaxclear.time.simulate import check_duration, check_run, run, saving_times
 
 
 class Variable(eqx.Module):
@@ -49,18 +49,21 @@ class Outcome(eqx.Module):
 class Problem(eqx.Module):
     """A mechanism, the numbers in it that vary, how it is run, and the responses wanted of a run.
 
-    `response`: a function of a trajectory returning a number, or several by name. `integrator`: `FixedStep()` by default, because
-    equal work for every sample is what batches and derivatives want. `save`: saving times, as in `simulate`.
+    `response`: a function of a trajectory returning a number, or several by name. `duration` [s]. `integrator`: `FixedStep()` by
+    default, because equal work for every sample is what batches and derivatives want. `save`: saving times, as in
+    `simulate`. Raises `ValueError` with a sentence for what cannot be asked.
     """
 
     mechanism: Mechanism
     response: dict[str, Callable]
     variables: dict[str, Variable]
     duration: Array
+    shares: Float[Array, " saves"]
     integrator: AbstractIntegrator
-    save: Any = eqx.field(static=True)
-    # JAX sorts the keys of a dictionary; the order in which variables were given is kept here.
+    # JAX sorts the keys of a dictionary; the order in which things were given is kept here.
     names: tuple[str, ...] = eqx.field(static=True)
+    response_names: tuple[str, ...] = eqx.field(static=True)
+    variable_units: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -70,24 +73,26 @@ class Problem(eqx.Module):
         *,
         duration: float,
         integrator: AbstractIntegrator | None = None,
-        save: int = 201,
+        save: Any = 201,
     ):
         self.mechanism = mechanism
         self.response = dict(response) if isinstance(response, Mapping) else {"response": response}
         self.variables = dict(variables)
-        self.duration = jnp.asarray(duration, float)
         self.integrator = FixedStep() if integrator is None else integrator
+        times = saving_times(check_duration(duration), save)
+        self.duration, self.shares = times[-1], times / times[-1]
+        self.names, self.response_names = tuple(self.variables), tuple(self.response)
         check_run(mechanism, self.integrator)
-        self.save = save
-        self.names = tuple(self.variables)
+        for name, wanted in self.response.items():
+            if not callable(wanted):
+                raise ValueError(f'response "{name}" is {wanted!r}; it must be a function of a trajectory.')
+            if name in self.variables:
+                raise ValueError(f'"{name}" names a variable and a response; give them different names.')
+        known = [(leaf, metadata.get("unit", "1")) for _, leaf, metadata in numbers(mechanism)]
         for name, variable in self.variables.items():
-            target = variable.where(mechanism)
-            leaves = target if isinstance(target, (tuple, list)) else [target]
-            if not leaves or not all(eqx.is_array(leaf) and jnp.ndim(leaf) == 0 for leaf in leaves):
-                raise ValueError(
-                    f'variable "{name}" must point at numbers of the mechanism; where(mechanism) gives '
-                    f"{variable.where(mechanism)!r}."
-                )
+            _check_variable(name, variable, mechanism)
+        firsts = [self._leaves(variable)[0] for variable in self.variables.values()]
+        self.variable_units = tuple(next((u for leaf, u in known if leaf is first), "1") for first in firsts)
 
     def _leaves(self, variable):
         return jax.tree.leaves(variable.where(self.mechanism))
@@ -98,7 +103,7 @@ class Problem(eqx.Module):
 
     def units(self) -> dict[str, str]:
         """Unit of each response."""
-        return {name: unit_of(response) for name, response in self.response.items()}
+        return {name: unit_of(self.response[name]) for name in self.response_names}
 
     def with_values(self, values: Float[Array, " variables"]) -> Mechanism:
         """The mechanism with its variables set. Leaves that vary together move by the same amount."""
@@ -114,14 +119,28 @@ class Problem(eqx.Module):
         """Assemble, run and take the responses for one set of values; pure."""
         mechanism = self.with_values(values)
         start = assemble_arrays(mechanism)
-        times = jnp.linspace(0.0, self.duration, self.save) if np.ndim(self.save) == 0 else None
-        if times is None:
-            times = saving_times(float(self.duration), self.save)
-        trajectory = run(mechanism, start.coordinates, start.speeds, times, self.integrator)
+        trajectory = run(mechanism, start.coordinates, start.speeds, self.shares * self.duration, self.integrator)
         responses = {name: response(trajectory) for name, response in self.response.items()}
-        closed = jnp.all(jnp.stack([jnp.max(jnp.abs(r), initial=0.0) < 1e-6 for r in start.residuals.values()] or [True]))
-        return Outcome(responses, jnp.where(closed, trajectory.outcome, UNASSEMBLED), trajectory.ended)
+        possible = jnp.all(jnp.stack([inside(leaf, metadata) for _, leaf, metadata in numbers(mechanism)]))
+        left = jnp.stack([jnp.max(jnp.abs(r), initial=0.0) for r in start.residuals.values()] or [jnp.zeros(())])
+        outcome = jnp.where(jnp.max(left) <= CLOSED, trajectory.outcome, UNASSEMBLED)
+        return Outcome(responses, jnp.where(possible, outcome, IMPOSSIBLE), trajectory.ended)
 
 
-# Outcome of a sample whose dimensions do not let the mechanism close; beside those of an integrator.
-UNASSEMBLED = -1
+# Outcomes of samples whose dimensions do not let the mechanism close, or lie outside what their fields allow; beside those
+# of an integrator.
+UNASSEMBLED, IMPOSSIBLE = -1, -2
+
+
+def _check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:
+    if not isinstance(variable, Variable):
+        raise ValueError(f'variable "{name}" is {variable!r}; it must be a jaxclear.Variable.')
+    try:
+        target = variable.where(mechanism)
+    except (KeyError, AttributeError, TypeError, IndexError) as error:
+        raise ValueError(
+            f'variable "{name}" points at nothing in this mechanism: its `where` fails with {type(error).__name__}: {error}.'
+        ) from error
+    leaves = target if isinstance(target, (tuple, list)) else [target]
+    if not leaves or not all(eqx.is_array(leaf) and jnp.ndim(leaf) == 0 for leaf in leaves):
+        raise ValueError(f'variable "{name}" must point at numbers of the mechanism; where(mechanism) gives {target!r}.')

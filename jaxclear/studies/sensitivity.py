@@ -63,14 +63,19 @@ class Sensitivity(eqx.Module):
     derivatives: dict[tuple[str, str], Derivative]
     sample: MonteCarlo
 
+    def unit(self, response: str, variable: str) -> str:
+        """Unit of a derivative, "response/variable"."""
+        problem = self.sample.problem
+        return f"({problem.units()[response]})/({problem.variable_units[problem.names.index(variable)]})"
+
     def table(self) -> Any:
         """A pandas table: one row a derivative, with each method's answer and the verdict."""
         import pandas
 
         rows = []
         for (response, variable), d in self.derivatives.items():
-            row = {"response": response, "variable": variable, "derivative": d.value, "error (95 %)": d.error}
-            row |= {"method": d.method, "verdict": d.verdict}
+            row = {"response": response, "variable": variable, "unit": self.unit(response, variable)}
+            row |= {"derivative": d.value, "error (95 %)": d.error, "method": d.method, "verdict": d.verdict}
             for name, estimate in d.estimates.items():
                 row |= {name: estimate.value, f"{name} error": estimate.error, f"{name} refusal": estimate.refusal}
             rows.append(row)
@@ -243,7 +248,7 @@ def sensitivity(
             by_method["differences"] = differences(problem, shared, index, step, progress_bar=progress_bar)
         if "pathwise" in methods:
             by_method["pathwise"] = pathwise(problem, shared, index, progress_bar=progress_bar)
-        for response in problem.response:
+        for response in problem.response_names:
             estimates = {method: answers[response] for method, answers in by_method.items()}
             derivatives[response, name] = judge(response, name, estimates)
     return Sensitivity(derivatives, sample)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.problem import UNASSEMBLED, Problem
+from jaxclear.studies.problem import IMPOSSIBLE, UNASSEMBLED, Problem
 from jaxclear.time.integrator import OUTCOMES, REACHED
 
 SAMPLINGS = ("sobol", "random")
@@ -41,6 +41,8 @@ class MonteCarlo(eqx.Module):
         named = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.problem.names, self.values[i], strict=True))
         if self.outcome[i] == UNASSEMBLED:
             return f"With {named} the mechanism cannot be assembled."
+        if self.outcome[i] == IMPOSSIBLE:
+            return f"With {named} a number of the mechanism lies outside its range (a negative clearance, say)."
         if self.outcome[i] == REACHED:
             return f"With {named} the run reached its end, but a response is not finite."
         return f"With {named} the run ended after {self.ended[i]:.6g} s. {OUTCOMES[int(self.outcome[i])]}"
@@ -89,8 +91,8 @@ def draw(problem: Problem, samples: int, seed: int, sampling: str = "sobol") -> 
     """Values (samples, variables) drawn from the variables' distributions."""
     if sampling not in SAMPLINGS:
         raise ValueError(f"sampling is {' or '.join(SAMPLINGS)}, not {sampling!r}.")
-    if samples < 1:
-        raise ValueError(f"a Monte Carlo study needs at least one sample, not {samples}.")
+    if not isinstance(samples, (int, np.integer)) or samples < 1:
+        raise ValueError(f"a Monte Carlo study needs at least one sample, a whole number of them, not {samples!r}.")
     count = len(problem.variables)
     if count == 0:
         raise ValueError("the problem has no variables; nothing would vary.")
@@ -126,5 +128,5 @@ def monte_carlo(
     values = draw(problem, samples, seed, sampling)
     outcome = evaluate_all(problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo")
     good = outcome.outcome == REACHED
-    responses = {name: np.where(good, r, np.nan) for name, r in outcome.responses.items()}
+    responses = {name: np.where(good, outcome.responses[name], np.nan) for name in problem.response_names}
     return MonteCarlo(problem, values, responses, outcome.outcome, outcome.ended, seed)

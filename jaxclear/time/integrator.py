@@ -55,9 +55,9 @@ class AbstractIntegrator(eqx.Module):
 class Adaptive(AbstractIntegrator):
     """A diffrax solver under error control: cost follows difficulty.
 
-    Use as reference and for single runs. Local error per step below rtol |y| + atol times each entry's scale; memories of
-    laws, worn volumes and energies follow the motion and are not controlled. In a batch all samples wait for the slowest. Do
-    not differentiate a finished run near contact (52 % wrong in a measurement); see `jaxclear.sensitivity`.
+    Use as reference and for single runs. Local error per step below rtol |y| + atol in every coordinate and speed; memories
+    of laws are held a hundred times looser, worn volumes and energies follow the motion. In a batch all samples wait for
+    the slowest. Do not differentiate a finished run near contact (52 % wrong in a measurement); see `jaxclear.sensitivity`.
     Stiff scenes (large friction over tiny transition speeds) may prefer an implicit solver, best with a full Newton iteration:
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
     """
@@ -137,6 +137,10 @@ class FixedStep(AbstractIntegrator):
     def __check_init__(self):
         if self.method not in CHAINS:
             raise ValueError(f"no fixed-step method {self.method!r}; there are {', '.join(CHAINS)}.")
+        if self.steps_per_save is not None and not (isinstance(self.steps_per_save, int) and self.steps_per_save > 0):
+            raise ValueError(
+                f"steps_per_save of integrator.FixedStep is {self.steps_per_save!r}; it must be a positive whole number."
+            )
         step = concrete(self.step)
         if step is not None and not step > 0:
             raise ValueError(f"the step of integrator.FixedStep is {step} s; it must be positive.")

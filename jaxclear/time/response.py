@@ -8,6 +8,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.numerics import safe_sqrt
@@ -33,6 +34,9 @@ class PeakWornDepth(AbstractResponse):
     unit: str = eqx.field(static=True, default="m")
 
     def __call__(self, run):
+        if self.surface not in run.worn.get(self.joint, {}):
+            worn = ", ".join(f'"{joint}" {surface}' for joint, surfaces in run.worn.items() for surface in surfaces)
+            raise ValueError(f'surface "{self.surface}" of joint "{self.joint}" does not wear; those that do: {worn or "none"}.')
         return jnp.max(run.worn[self.joint][self.surface])
 
 
@@ -48,14 +52,19 @@ class WornVolume(AbstractResponse):
 
 
 class PositionError(AbstractResponse):
-    """Root mean square distance [m] of a body's centre of mass from a reference path at the saving times."""
+    """Root mean square distance [m] of a body's centre of mass from a reference path at the saving times, along some or all of
+    the ground's axes."""
 
     body: str = eqx.field(static=True)
     reference: Float[Array, "time 3"]
+    axes: tuple[int, ...] = eqx.field(static=True, default=(0, 1, 2))
     unit: str = eqx.field(static=True, default="m")
 
     def __call__(self, run):
-        away = run.body(self.body).com - self.reference
+        path = run.body(self.body).com
+        if path.shape != self.reference.shape:
+            raise ValueError(f'the reference path of "{self.body}" has shape {self.reference.shape}, the run {path.shape}.')
+        away = (path - self.reference)[:, np.array(self.axes)]
         return safe_sqrt(jnp.mean(jnp.sum(away * away, axis=-1)))
 
 
@@ -80,14 +89,17 @@ class PeakContactForce(AbstractResponse):
 
 
 class FinalCoordinate(AbstractResponse):
-    """A coordinate of a connection (or floating body) at the end of the run [rad or m]."""
+    """A coordinate of a connection (or floating body) at the end of the run; give `unit="m"` for one that slides."""
 
     connection: str = eqx.field(static=True)
     index: int = eqx.field(static=True, default=0)
     unit: str = eqx.field(static=True, default="rad")
 
     def __call__(self, run):
-        return run.coordinate(self.connection)[-1, self.index]
+        coordinates = run.coordinate(self.connection)
+        if not 0 <= self.index < coordinates.shape[1]:
+            raise ValueError(f'"{self.connection}" has {coordinates.shape[1]} coordinates; there is no number {self.index}.')
+        return coordinates[-1, self.index]
 
 
 def unit_of(response: Any) -> str:

@@ -147,6 +147,10 @@ MEMORY_STEPS = 2.0
 
 def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     """Laws must suit compliant contact, and fixed steps must resolve their memories. Raises `ValueError` with a sentence."""
+    if not isinstance(mechanism, Mechanism):
+        raise ValueError(f"what is simulated is {mechanism!r}; it must be a jaxclear.Mechanism.")
+    if not isinstance(integrator, AbstractIntegrator):
+        raise ValueError(f"the integrator is {integrator!r}; it must be one of jaxclear.integrator, such as Adaptive().")
     step = concrete(integrator.step) if isinstance(integrator, FixedStep) and not integrator.steps_per_save else None
     for name in mechanism.topology.clearances:
         for pairing in mechanism.connections[name].joint.pairings():
@@ -163,6 +167,13 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
                     f"memory_time {memory} s and would explode; take steps below {MEMORY_STEPS * memory:.3g} s or a "
                     "longer memory_time."
                 )
+
+
+def check_duration(duration: Any) -> Any:
+    """The duration, if it is a positive number of seconds. Raises `ValueError`."""
+    if not 0 < float(duration) < np.inf:
+        raise ValueError(f"the duration is {duration} s; it must be positive and finite.")
+    return duration
 
 
 def simulate(
@@ -186,10 +197,7 @@ def simulate(
     of saving times does. Raises `ValueError` for a mechanism that cannot start, and, unless `throw=False`,
     `SimulationError` with a sentence for a run that ends early.
     """
-    if not 0 < float(duration) < np.inf:
-        raise ValueError(f"the duration is {duration} s; it must be positive and finite.")
-    if integrator is not None and not isinstance(integrator, AbstractIntegrator):
-        raise ValueError(f"the integrator is {integrator!r}; it must be one of jaxclear.integrator, such as Adaptive().")
+    check_duration(duration)
     integrator = Adaptive() if integrator is None else integrator
     check_run(mechanism, integrator)
     start = assemble(mechanism, start_concentric)

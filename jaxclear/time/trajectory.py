@@ -22,8 +22,8 @@ from jaxclear.time.integrator import OUTCOMES, REACHED
 
 
 class BodyHistory(eqx.Module):
-    """Motion of a body in the ground frame: place of its centre of mass [m], orientation (time, 3, 3), velocity of the centre
-    of mass [m/s], angular velocity [rad/s] in ground axes."""
+    """Motion of a body in the ground frame: `com` place [m] and `velocity` [m/s] of its centre of mass, `rotation` its axes in
+    the ground's (time, 3, 3), `spin` angular velocity [rad/s] in ground axes, `origin` place of the body frame [m]."""
 
     com: Float[Array, "time 3"]
     rotation: Float[Array, "time 3 3"]
@@ -38,7 +38,12 @@ class BodyHistory(eqx.Module):
 
 
 class ContactHistory(eqx.Module):
-    """A clearance joint over time, in the bearing's axes; one column per possible contact. SI units."""
+    """A clearance joint over time, in the bearing's axes (the parent's marker); one column per possible contact. SI units.
+
+    `offset` from the bearing's centre to the journal's and `axis`, the journal's z axis; per contact the `indentation`
+    (positive in contact), `normal_force`, `slip_speed`, `traction` (magnitude of friction) and `place` of touch; `force` and `torque` on
+    the journal (the child), about its marker.
+    """
 
     offset: Float[Array, "time 3"]
     axis: Float[Array, "time 3"]
@@ -134,6 +139,8 @@ class Trajectory(eqx.Module):
 
     def _columns(self, name, kind):
         topology = self.mechanism.topology
+        floating = [b.body for b in topology.branches if b.connection is None]
+        self._known(name, [*self.mechanism.connections, *floating], "connection or floating body")
         for branch in topology.branches:
             if name in (branch.connection, branch.body if branch.connection is None else None):
                 place = getattr(branch, kind)

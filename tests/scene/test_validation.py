@@ -233,7 +233,7 @@ ASKED = {
     "body": (lambda run: run.body("leg"), 'no body "leg" .* there are .arm.'),
     "contact": (lambda run: run.contact("pin"), 'no clearance joint "pin"'),
     "reaction": (lambda run: run.reaction("hip"), 'no connection "hip"'),
-    "coordinate": (lambda run: run.coordinate("hip"), '"hip" carries no coordinates'),
+    "coordinate": (lambda run: run.coordinate("hip"), 'no connection or floating body "hip"'),
     "worn volume": (lambda run: run.worn_volume("pin", "bearing"), 'surface "bearing" of joint "pin" does not wear'),
     "energies": (lambda run: run.energy_balance(), "balance=True"),
 }

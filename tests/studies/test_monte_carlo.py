@@ -161,3 +161,22 @@ def test_methods_that_disagree_say_so():
 def test_mistakes_get_a_sentence(call, sentence):
     with pytest.raises(ValueError, match=sentence):
         call()
+
+
+def test_samples_outside_a_fields_range_are_failures():
+    """A tolerance wider than the number makes some masses negative: those samples must not count."""
+    wide = {"mass": jc.Variable(lambda r: r.bodies["rod"].mass, jc.distribution.Uniform(1.5))}
+    study = jc.monte_carlo(problem(**wide), 32)
+    assert len(study.failed) == np.count_nonzero(study.values[:, 0] <= 0) > 0
+    assert all("outside its range" in sentence for sentence in study.failures().values())
+
+
+def test_saving_times_of_a_problem_may_be_given():
+    question = jc.Problem(pendulum(), swing, {}, duration=1.0, save=[0.25, 0.5], integrator=jc.integrator.FixedStep(1e-2))
+    np.testing.assert_allclose(question.shares * question.duration, [0.0, 0.25, 0.5, 1.0])
+    assert jnp.isfinite(question.evaluate(jnp.zeros(0)).responses["response"])
+
+
+def test_derivatives_have_units(sample):
+    answers = jc.sensitivity(problem(), sample=sample, difference_samples=8)
+    assert answers.unit("swing", "length") == "(1)/(m)"
