@@ -41,8 +41,8 @@ class ContactHistory(eqx.Module):
     """A clearance joint over time, in the bearing's axes (the parent's marker); one column per possible contact. SI units.
 
     `offset` from the bearing's centre to the journal's and `axis`, the journal's z axis; per contact the `indentation`
-    (positive in contact), `normal_force`, `slip_speed`, `traction` (magnitude of friction) and `place` of touch; `force` and `torque` on
-    the journal (the child), about its marker.
+    (positive in contact), `normal_force`, `slip_speed`, `traction` (magnitude of friction) and `place` of touch;
+    `force` and `torque` on the journal (the child), about its marker.
     """
 
     offset: Float[Array, "time 3"]
