@@ -10,8 +10,10 @@ import jax
 # JAXCLEAR_PLAIN_XLA=1 switches it off. (Its neighbour xla_cpu_use_multi_output_fusion would give another factor of 2,
 # but aborts the process on some differentiated programs of jaxlib 0.10.2 and never ends compiling others.)
 _COMPILER_OPTION = "xla_cpu_small_while_loop_byte_threshold=100000000"
-_FLAGS = os.environ.get("XLA_FLAGS", "")
-if "xla_backend_extra_options" not in _FLAGS and os.environ.get("JAXCLEAR_PLAIN_XLA", "0") in ("", "0"):
+_FLAGS = os.environ.get("XLA_FLAGS", "").strip()
+# A value that does not begin with a dash is the name of a file of flags.
+_OPEN = _FLAGS == "" or (_FLAGS.startswith("-") and "xla_backend_extra_options" not in _FLAGS)
+if _OPEN and os.environ.get("JAXCLEAR_PLAIN_XLA", "0") in ("", "0"):
     os.environ["XLA_FLAGS"] = f"{_FLAGS} --xla_backend_extra_options={_COMPILER_OPTION}".strip()
 
 # The one place where float64 is switched on: gaps of 1e-5 m beside coordinates of 1 m have no meaning in float32.

@@ -92,10 +92,9 @@ def journal_ends(run: Trajectory, joint: str) -> Figure:
 def end_centres(run: Trajectory, joint: str) -> np.ndarray:
     """Points where the journal's axis pierces the bearing's lower and upper end plane, (2, time, 2) [m]."""
     history = run.contact(joint)
-    offset, axis = np.asarray(history.offset), np.asarray(history.axis)
-    half = 0.5 * float(run.mechanism.connections[joint].joint.length)
-    slope = axis[:, :2] / axis[:, 2:]
-    return np.stack([offset[:, :2] + (height - offset[:, 2:]) * slope for height in (-half, half)])
+    bearing = run.mechanism.connections[joint].joint
+    ends = bearing.end_centres(tuple(np.asarray(history.offset).T), (tuple(np.asarray(history.axis).T),))
+    return np.stack([np.stack(end[:2], axis=-1) for end in ends])
 
 
 def _wear(run: Trajectory, joint: str, surface: str) -> tuple[CylinderMap, np.ndarray]:

@@ -27,7 +27,7 @@ from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
 from jaxclear.laws.contact import LankaraniNikravesh
 from jaxclear.laws.friction import ThreeZone
-from jaxclear.laws.material import Material
+from jaxclear.laws.material import steel
 from jaxclear.laws.stiffness import HertzStiffness
 from jaxclear.laws.wear import Archard
 from jaxclear.scene.mechanism import Mechanism
@@ -39,11 +39,6 @@ GYRATION = 8e-3
 FOLLOWER_OFFSET = 20e-3
 AXIAL_CLEARANCE = 1e-3
 KINDS = ("spatial", "planar", "ideal")
-
-
-def steel() -> Material:
-    """The paper's material of journal and bearing."""
-    return Material(206.8e9, 0.29)
 
 
 def bearing(kind: str, clearance: Any, *, friction: bool = True, wear: bool = True, cells: tuple = (72, 20)) -> Any:

@@ -1,0 +1,40 @@
+"""The compiler option that jaxclear sets changes speed, not results: the same run with and without it, in processes of their
+own, because the option is read when JAX starts. A user's own flags survive."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+RUN = """
+import json, os
+import jaxclear as jc
+run = jc.simulate(jc.scenes.four_bar(), 0.02, save=3, integrator=jc.integrator.FixedStep(2e-5))
+print(json.dumps({"states": run.states.tolist(), "flags": os.environ.get("XLA_FLAGS", "")}))
+"""
+
+
+def in_a_process(**environment):
+    environment = {key: value for key, value in os.environ.items() if key != "XLA_FLAGS"} | environment
+    done = subprocess.run([sys.executable, "-c", RUN], env=environment, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return in_a_process(JAXCLEAR_PLAIN_XLA="1")
+
+
+def test_results_are_the_same_with_and_without(plain):
+    fast = in_a_process()
+    assert "small_while_loop" in fast["flags"] and plain["flags"] == ""
+    # Rounding differs where operations are fused; a thousand steps and the first bounces pass on some of it.
+    np.testing.assert_allclose(fast["states"], plain["states"], rtol=1e-9, atol=1e-11)
+
+
+def test_flags_of_the_user_are_kept():
+    own = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=2048"
+    assert in_a_process(XLA_FLAGS=own)["flags"] == own
