@@ -21,8 +21,8 @@ from jaxclear.studies.problem import Outcome, Problem
 CHUNK_MEMORY = 1 << 30
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12
-# On a CPU a short chunk keeps the whole time loop in one kernel and its state in the first-level cache; beyond, the time per
-# sample rises again (measured: benchmarks/monte_carlo.py). An accelerator wants many samples at once.
+# On a CPU the time per sample falls up to chunks of about this length and rises again beyond (benchmarks/monte_carlo.py).
+# An accelerator wants many samples at once.
 LARGEST_CHUNK = {"cpu": 64}
 LARGEST_ELSEWHERE = 4096
 

@@ -34,10 +34,7 @@ class PeakWornDepth(AbstractResponse):
     unit: str = eqx.field(static=True, default="m")
 
     def __call__(self, run):
-        if self.surface not in run.worn.get(self.joint, {}):
-            worn = ", ".join(f'"{joint}" {surface}' for joint, surfaces in run.worn.items() for surface in surfaces)
-            raise ValueError(f'surface "{self.surface}" of joint "{self.joint}" does not wear; those that do: {worn or "none"}.')
-        return jnp.max(run.worn[self.joint][self.surface])
+        return jnp.max(run.worn_depth(self.joint, self.surface))
 
 
 class WornVolume(AbstractResponse):

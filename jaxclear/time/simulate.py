@@ -28,7 +28,7 @@ from jaxclear.time.trajectory import Trajectory
 
 Worn = dict[str, dict[str, Array]]
 # Weight of the laws' memories in the error control: they need not be exact, but a step longer than their time constant would
-# make them explode (measured: 4 % more steps in a slider-crank than with weight 0, where runs failed).
+# make them explode (tests/oracles/test_contact_conservation.py has a long flight that failed with weight 0).
 MEMORY_WEIGHT = 1e-2
 
 
@@ -67,9 +67,8 @@ def deposit(system: System, layout: Layout, worn: Worn, before: Array, after: Ar
     worn = {name: dict(surfaces) for name, surfaces in worn.items()}
     for slot in layout.wear:
         wear_map = system.bearings[slot.bearing].joint.maps()[slot.surface][0]
-        change = (
-            after[slot.start : slot.start + 1 + len(slot.averaged)] - before[slot.start : slot.start + 1 + len(slot.averaged)]
-        )
+        entries = slice(slot.start, slot.start + 1 + len(slot.averaged))
+        change = after[entries] - before[entries]
         features: list[Any] = [0.0] * slot.feature_count
         for place, i in enumerate(slot.averaged):
             features[i] = safe_divide(change[1 + place], change[0])

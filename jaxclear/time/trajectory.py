@@ -150,11 +150,20 @@ class Trajectory(eqx.Module):
 
     def worn_volume(self, joint: str, surface: str) -> Float[Array, " time"]:
         """Volume lost by a surface of a joint over time [m3]."""
+        self._check_wears(joint, surface)
         layout = state.lay_out(prepare(self.mechanism), self.balanced)
         slots = [slot for slot in layout.wear if (slot.bearing, slot.surface) == (joint, surface)]
-        if not slots:
-            raise ValueError(f'surface "{surface}" of joint "{joint}" does not wear in this mechanism.')
         return sum(self.states[:, slot.start] for slot in slots)
+
+    def worn_depth(self, joint: str, surface: str) -> Float[Array, "around along"]:
+        """Wear map of a surface of a joint at the end of the run [m]."""
+        self._check_wears(joint, surface)
+        return self.worn[joint][surface]
+
+    def _check_wears(self, joint, surface):
+        if surface not in self.worn.get(joint, {}):
+            wearing = ", ".join(f'"{j}" {s}' for j, surfaces in self.worn.items() for s in surfaces)
+            raise ValueError(f'surface "{surface}" of joint "{joint}" does not wear; those that do: {wearing or "none"}.')
 
     def drift(self) -> dict[str, Float[Array, " time"]]:
         """Largest residual [m, 1] of each loop closure over time, by the joint that closes the loop."""

@@ -5,26 +5,11 @@ import diffrax
 import numpy as np
 import optimistix
 import pytest
+from falling_journal import touching_journal
 
 import jaxclear as jc
 
 NEWTON = optimistix.Newton(rtol=1e-6, atol=1e-8)
-
-
-def touching_journal():
-    """A journal that falls from the middle of its bearing under gravity, with friction and wear."""
-    bearing = jc.clearance.PlanarJournalBearing(
-        jc.contact.Flores(stiffness=1e8, restitution=0.5),
-        jc.friction.CoulombTanh(0.1, 1e-2),
-        clearance=1e-3,
-        wear=jc.Wearing(jc.wear.Archard()),
-    )
-    return jc.Mechanism(
-        {"journal": jc.Body(1.0, 1e-4)},
-        {"B": jc.Connection(bearing, "ground", "journal")},
-        {"gravity": jc.load.Gravity()},
-        speeds={"journal": (0.05, 0.0, 2.0)},
-    )
 
 
 def simulate(integrator):

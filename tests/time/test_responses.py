@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from falling_journal import touching_journal
 
 import jaxclear as jc
 from jaxclear.time.response import AbstractResponse
@@ -9,19 +10,7 @@ from jaxclear.time.response import AbstractResponse
 
 @pytest.fixture(scope="module")
 def run():
-    bearing = jc.clearance.PlanarJournalBearing(
-        jc.contact.Flores(stiffness=1e8, restitution=0.5),
-        jc.friction.CoulombTanh(0.1, 1e-2),
-        clearance=1e-3,
-        wear=jc.Wearing(jc.wear.Archard()),
-    )
-    rig = jc.Mechanism(
-        {"journal": jc.Body(1.0, 1e-4)},
-        {"B": jc.Connection(bearing, "ground", "journal")},
-        {"gravity": jc.load.Gravity()},
-        speeds={"journal": (0.05, 0.0, 2.0)},
-    )
-    return jc.simulate(rig, 0.05, save=51, start_concentric=False)
+    return jc.simulate(touching_journal(), 0.05, save=51, start_concentric=False)
 
 
 def test_responses_are_what_their_names_say(run):
