@@ -6,7 +6,7 @@ import jax
 
 # An option of XLA's CPU compiler, read when JAX first computes: loops over a state of up to 100 MB (instead of 1 kB)
 # become one kernel, where otherwise every operation of the body is dispatched by itself. Steps of the four-bar are at
-# least 7 times faster (benchmarks/compiler_options.py). A user's own xla_backend_extra_options are left alone;
+# least 7 times faster (benchmarks/loops.py). A user's own xla_backend_extra_options are left alone;
 # JAXCLEAR_PLAIN_XLA=1 switches it off. (Its neighbour xla_cpu_use_multi_output_fusion is faster still, but aborts
 # the process on some differentiated programs of jaxlib 0.10.2 and never ends compiling others.)
 _COMPILER_OPTION = "xla_cpu_small_while_loop_byte_threshold=100000000"
@@ -28,6 +28,7 @@ from jaxclear.scene.initial import assemble  # noqa: E402
 from jaxclear.scene.loops import Baumgarte  # noqa: E402
 from jaxclear.scene.mechanism import Mechanism  # noqa: E402
 from jaxclear.studies import distribution  # noqa: E402
+from jaxclear.studies.advise import advise  # noqa: E402
 from jaxclear.studies.problem import Problem, Variable  # noqa: E402
 from jaxclear.studies.sensitivity import sensitivity  # noqa: E402
 from jaxclear.studies.tolerance import monte_carlo  # noqa: E402
@@ -49,6 +50,7 @@ __all__ = [
     "Trajectory",
     "Variable",
     "Wearing",
+    "advise",
     "assemble",
     "clearance",
     "conformal",

@@ -12,7 +12,7 @@ import pytest
 import jaxclear
 
 ROOT = Path(jaxclear.__file__).parent
-ROOMS = ("ground", "laws", "components", "scene", "time", "studies", "scenes", "face")
+ROOMS = ("native", "ground", "laws", "components", "scene", "time", "studies", "scenes", "face")
 LONGEST_FILE = 400
 NOTHING_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "core", "manager"}
 FILES = sorted(ROOT.rglob("*.py"))
@@ -70,7 +70,7 @@ def outside(path):
 @pytest.mark.parametrize("path", FILES, ids=identify)
 def test_solvers_stay_in_their_rooms(path):
     here = room(module_name(path))
-    if here in ("ground", "laws", "components", "scene"):
+    if here in ("native", "ground", "laws", "components", "scene"):
         assert "diffrax" not in outside(path)
     if identify(path) != "studies/design.py":
         assert "optax" not in outside(path)

@@ -1,5 +1,5 @@
-"""The compiler option that jaxclear sets changes speed, not results: the same run with and without it, in processes of their
-own, because the option is read when JAX starts. A user's own flags survive."""
+"""The compiler option that jaxclear sets, and its own kernels, change speed, not results: the same run with and without them, in
+processes of their own, because the option is read when JAX starts. A user's own flags survive."""
 
 import json
 import os
@@ -25,11 +25,12 @@ def in_a_process(**environment):
 
 @pytest.fixture(scope="module")
 def plain():
-    return in_a_process(JAXCLEAR_PLAIN_XLA="1")
+    return in_a_process(JAXCLEAR_PLAIN_XLA="1", JAXCLEAR_PLAIN_LOOPS="1")
 
 
-def test_results_are_the_same_with_and_without(plain):
-    fast = in_a_process()
+@pytest.mark.parametrize("kernels", [True, False])
+def test_results_are_the_same_with_and_without(plain, kernels):
+    fast = in_a_process(JAXCLEAR_PLAIN_LOOPS="0" if kernels else "1")
     assert "small_while_loop" in fast["flags"] and plain["flags"] == ""
     # Rounding differs where operations are fused, and every bounce multiplies it: 1e-9 was seen after these thousand steps.
     np.testing.assert_allclose(fast["states"], plain["states"], rtol=1e-6, atol=1e-8)

@@ -9,11 +9,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxclear.components.wear_map import CylinderMap
+from jaxclear.studies.advice import PRESENT, REFERENCE, Advice
+from jaxclear.studies.pilot import describe
 from jaxclear.studies.sensitivity import Sensitivity
 from jaxclear.studies.tolerance import MonteCarlo
 from jaxclear.time.trajectory import Trajectory
 
 MILLI, MICRO = 1e3, 1e6
+# Trials of an advice that are no rung of the ladder.
+BESIDE = (REFERENCE, PRESENT)
+# An error of ten times the response is drawn no higher.
+LARGEST_ERROR = 10.0
 
 
 def _figure(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.5), **kwargs: Any):
@@ -201,4 +207,35 @@ def sensitivity(study: Sensitivity) -> Figure:
         axis.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
         axis.set_xlabel(f"d({response}) / d({variable}) [{study.unit(response, variable)}]")
         axis.set_title(derivative.verdict, fontsize=8, wrap=True)
+    return figure
+
+
+def work_precision(advice: Advice) -> Figure:
+    """Error of every trial against its cost alone, one line a rung, with the accuracy asked and the recommended setting.
+
+    Grey: the reference, and what it cannot tell from no error. Runs that failed are not drawn; errors outside are drawn at the
+    edge, LARGEST_ERROR or the lower end of the grey.
+    """
+    figure, axis = _figure(1, 1, (8.0, 5.4))
+    known = max(rule.trust for rule in advice.standards.values())
+    floor = max(0.3 * min(known, advice.accuracy), 1e-12)
+    table = advice.table()
+    table = table[np.isfinite(table["error"]) & np.isfinite(table["wall s per simulated s"])]
+    table = table.assign(error=table["error"].clip(floor, LARGEST_ERROR), cost=table["wall s per simulated s"])
+    for index, (name, rung) in enumerate(table[~table["rung"].isin(BESIDE)].groupby("rung", sort=False)):
+        axis.plot(rung["cost"], rung["error"], "o-", ms=4, lw=1.2, color=f"C{index}", label=name)
+    for name, marker in zip(BESIDE, "Dx", strict=True):
+        rung = table[table["rung"] == name]
+        axis.plot(rung["cost"], rung["error"], marker, ms=6, color="0.35", label=name)
+    best = table[table["recommended"]]
+    axis.plot(best["cost"], best["error"], "o", ms=14, mfc="none", mec="k", mew=1.6, label="recommended")
+    axis.axhline(advice.accuracy, color="C3", ls="--", lw=1.0, label=f"accuracy asked, {100 * advice.accuracy:g} %")
+    axis.axhspan(floor, known, color="0.9", zorder=0)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xlabel("computing time per simulated second, one run alone [s]")
+    axis.set_ylabel("largest error of a response [1]" + (", means over the copies" if advice.means else ""))
+    cheapest = f"cheapest in batches of {advice.batch}" if advice.batch else "cheapest alone"
+    axis.set_title(f"Recommended, {cheapest}: {describe(advice.recommended)}", fontsize=10)
+    figure.legend(*axis.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3)
     return figure

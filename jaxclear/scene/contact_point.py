@@ -67,6 +67,25 @@ def memory_template(pairing: Pairing, touch: Touch) -> PointState:
     return PointState(0.0 if pairing.contact.remembers_impact_speed else None, bristles)
 
 
+class Outline(NamedTuple):
+    """Geometry of one possible contact: its overlap [m], the overlap's gradient by the offset and by each axis, the touch."""
+
+    indentation: Any
+    slope: sp.Vec
+    turns: tuple[sp.Vec, ...]
+    touch: Touch
+
+
+class Response(NamedTuple):
+    """What the laws answer at one contact: normal force [N], sliding speed [m/s], friction [N] along each sliding direction,
+    rates of the memory."""
+
+    normal: Any
+    slip_speed: Any
+    tractions: tuple
+    memory_rates: PointState
+
+
 def evaluate(
     joint: AbstractClearance,
     pairings: tuple[Pairing, ...],
@@ -75,34 +94,80 @@ def evaluate(
     worn: dict[str, Any],
 ) -> JointReport:
     """Forces of a clearance joint; `worn` are the depth maps that feed back into the gap."""
-    offset = relative.pose.translation
-    axes = tuple(sp.transpose(relative.pose.rotation)[k] for k in joint.axes)
+    outlines = outline(joint, relative.pose, worn)
+    speeds = tuple(contact_speeds(joint, relative.pose, o, relative.velocity, relative.spin) for o in outlines)
+    responses = tuple(
+        _respond(pairing, o.indentation, *own, memory[k])
+        for k, (pairing, o, own) in enumerate(zip(pairings, outlines, speeds, strict=True))
+    )
+    return assemble(joint, pairings, relative.pose, outlines, speeds, responses)
+
+
+def outline(joint: AbstractClearance, pose: Pose, worn: dict[str, Any]) -> tuple[Outline, ...]:
+    """Geometry of every possible contact of a joint."""
+    offset, axes = pose.translation, _axes(joint, pose)
     indentations, gradients = _indentations(joint, offset, axes, worn)
     touches = joint.touches(offset, axes, indentations)
-    force, torque, powers, reports, rates = sp.ZERO, sp.ZERO, [], [], []
-    for k, (pairing, touch) in enumerate(zip(pairings, touches, strict=True)):
-        slope, turns = gradients[k]
-        rate = sp.dot(slope, relative.velocity)
-        for axis, turn in zip(axes, turns, strict=True):
-            rate = sp.add(rate, sp.dot(turn, sp.cross(relative.spin, axis)))
-        normal = pairing.contact.normal_force(indentations[k], rate, memory[k].impact_speed)
-        push = sp.scale(-normal, slope)
-        twist = sp.plus(sp.ZERO, *[sp.scale(-normal, sp.cross(a, t)) for a, t in zip(axes, turns, strict=True)])
-        slip = _slip(relative, touch)
-        speed = rounded_norm(*[s for s in slip if not sp.is_zero(s)], width=SLIP_ROUNDING)
-        traction, bristle_rates = _traction(pairing, touch, normal, slip, speed, memory[k])
+    return tuple(Outline(i, *g, t) for i, g, t in zip(indentations, gradients, touches, strict=True))
+
+
+def depths(joint: AbstractClearance, pose: Pose, worn: dict[str, Any]) -> tuple:
+    """Indentation of every possible contact of a joint [m]."""
+    return joint.indentations(pose.translation, _axes(joint, pose), worn)
+
+
+def contact_speeds(joint: AbstractClearance, pose: Pose, contact: Outline, velocity: sp.Vec, spin: sp.Vec) -> tuple[Any, tuple]:
+    """(rate of the indentation, components of slip) for a relative velocity and spin: linear in both, so it also gives
+    the rows of the contact's Jacobian from the twists of unit speeds."""
+    rate = sp.dot(contact.slope, velocity)
+    for axis, turn in zip(_axes(joint, pose), contact.turns, strict=True):
+        rate = sp.add(rate, sp.dot(turn, sp.cross(spin, axis)))
+    # Velocity of the journal's material point at the touch, seen from the bearing.
+    arm = sp.minus(contact.touch.place, pose.translation)
+    across = _tangential(contact.touch, sp.plus(velocity, sp.cross(spin, arm)))
+    return rate, tuple(sp.dot(across, tangent) for tangent in contact.touch.tangents)
+
+
+def slip_speed(slip: tuple) -> Any:
+    """Sliding speed [m/s] from its components."""
+    return rounded_norm(*[s for s in slip if not sp.is_zero(s)], width=SLIP_ROUNDING)
+
+
+def assemble(
+    joint: AbstractClearance,
+    pairings: tuple[Pairing, ...],
+    pose: Pose,
+    outlines: tuple[Outline, ...],
+    speeds: tuple[tuple[Any, tuple], ...],
+    responses: tuple[Response, ...],
+) -> JointReport:
+    """The joint's report from the geometry, the speeds and the laws' responses at each contact."""
+    offset, axes = pose.translation, _axes(joint, pose)
+    force, torque, powers, reports = sp.ZERO, sp.ZERO, [], []
+    for pairing, contact, (rate, slip), response in zip(pairings, outlines, speeds, responses, strict=True):
+        normal, touch = response.normal, contact.touch
+        push = sp.scale(-normal, contact.slope)
+        turned = [sp.scale(-normal, sp.cross(a, t)) for a, t in zip(axes, contact.turns, strict=True)]
+        traction = sp.plus(sp.ZERO, *[sp.scale(f, t) for f, t in zip(response.tractions, touch.tangents, strict=False)])
+        traction = _tangential(touch, traction) if response.memory_rates.bristles else traction
         arm = sp.minus(touch.place, offset)
         force = sp.plus(force, push, traction)
-        torque = sp.plus(torque, twist, sp.cross(arm, traction))
-        elastic = pairing.contact.elastic_force(indentations[k])
+        torque = sp.plus(torque, *turned, sp.cross(arm, traction))
+        elastic = pairing.contact.elastic_force(contact.indentation)
         drag = 0.0 if pairing.friction is None else safe_sqrt(sp.dot(traction, traction))
-        loss = sp.neg(sp.dot(traction, _velocity_at(relative, touch)))
+        loss = sp.neg(sp.dot(response.tractions, slip)) if response.tractions else 0
         powers.append((normal * rate, (normal - elastic) * rate, loss))
-        rates.append(PointState(_impact_speed_rate(pairing, indentations[k], rate, memory[k]), bristle_rates))
-        reports.append(PointReport(indentations[k], rate, normal, speed, drag, touch.place))
+        reports.append(PointReport(contact.indentation, rate, normal, response.slip_speed, drag, touch.place))
+    indentations = tuple(o.indentation for o in outlines)
     wear_rates = _wear_rates(joint, pairings, offset, axes, indentations, reports)
     sums = [sp.total(parts) for parts in zip(*powers, strict=True)]
-    return JointReport(force, torque, tuple(rates), wear_rates, *sums, tuple(reports))
+    rates = tuple(response.memory_rates for response in responses)
+    return JointReport(force, torque, rates, wear_rates, *sums, tuple(reports))
+
+
+def _axes(joint, pose):
+    """Those axes of the journal's marker on which the gap depends, in the bearing's axes."""
+    return tuple(sp.transpose(pose.rotation)[k] for k in joint.axes)
 
 
 def _indentations(joint, offset, axes, worn):
@@ -127,12 +192,6 @@ def _indentations(joint, offset, axes, worn):
     return values, gradients
 
 
-def _velocity_at(relative, touch):
-    """Velocity of the journal's material point at the touch, seen from the bearing."""
-    arm = sp.minus(touch.place, relative.pose.translation)
-    return sp.plus(relative.velocity, sp.cross(relative.spin, arm))
-
-
 def _tangential(touch, vector):
     """The part of a vector across the normal; directions given as a whole basis include the normal."""
     if len(touch.tangents) < 3:
@@ -141,16 +200,19 @@ def _tangential(touch, vector):
     return sp.minus(vector, sp.scale(along, touch.normal))
 
 
-def _slip(relative, touch):
-    velocity = _tangential(touch, _velocity_at(relative, touch))
-    return tuple(sp.dot(velocity, tangent) for tangent in touch.tangents)
+def _respond(pairing, indentation, rate, slip, memory) -> Response:
+    """The laws at one contact."""
+    normal = pairing.contact.normal_force(indentation, rate, memory.impact_speed)
+    speed = slip_speed(slip)
+    tractions, bristle_rates = _traction(pairing, normal, slip, speed, memory)
+    return Response(normal, speed, tractions, PointState(_impact_speed_rate(pairing, indentation, rate, memory), bristle_rates))
 
 
-def _traction(pairing, touch, normal, slip, speed, memory):
-    """Friction force on the journal and the rates of the bristles."""
+def _traction(pairing, normal, slip, speed, memory):
+    """Friction on the journal along each sliding direction, and the rates of the bristles."""
     law = pairing.friction
     if law is None:
-        return sp.ZERO, ()
+        return (), ()
     if isinstance(law, AbstractBristleFriction):
         law_rates = [law.deflection_rate(z, s, speed) for z, s in zip(memory.bristles, slip, strict=True)]
         shares = [law.coefficient(z, r, s) for z, r, s in zip(memory.bristles, law_rates, slip, strict=True)]
@@ -158,8 +220,7 @@ def _traction(pairing, touch, normal, slip, speed, memory):
     else:
         share = law.coefficient(speed) / speed
         shares, rates = [sp.mul(share, s) for s in slip], ()
-    pull = sp.plus(sp.ZERO, *[sp.scale(sp.mul(-normal, share), t) for share, t in zip(shares, touch.tangents, strict=True)])
-    return _tangential(touch, pull) if rates else pull, rates
+    return tuple(sp.mul(-normal, share) for share in shares), rates
 
 
 def _impact_speed_rate(pairing, indentation, rate, memory):

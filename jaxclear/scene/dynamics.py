@@ -1,4 +1,4 @@
-"""The equations of motion: from a state and a time to the state's rate, in named stages.
+"""The equations of motion: from coordinates, speeds and a time to accelerations, in named stages.
 
 move -> contacts -> loads -> balance of forces -> accelerations. Alike limbs and clearance joints are traced once. A stage
 takes what it uses and returns plain tuples, so each can be checked by itself.
@@ -17,7 +17,6 @@ from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.scene import contact_point, linear, loops, tree
 from jaxclear.scene.contact_point import JointReport, Relative
 from jaxclear.scene.loops import Baumgarte
-from jaxclear.scene.state import Layout, pack_memories, unpack_memories, unpack_motion
 from jaxclear.scene.system import System, body_loads, coordinate_loads
 from jaxclear.scene.tree import NOTHING, Motion, Wrench
 
@@ -129,8 +128,8 @@ def _wrench_of(action: Action, link, marker: Pose, motions):
     return tree.carry_wrench(marker, local)
 
 
-def solve(system: System, forces: Forces, stabilisation: Baumgarte | None) -> Solution:
-    """Free accelerations under the forces, with the loops closed."""
+def equations(system: System, forces: Forces) -> tuple[list, list]:
+    """Per limb its mass matrix and the generalised forces, less those that hold zero free accelerations."""
     motions, limbs = forces.motions, system.topology.limbs
     ground = tuple(sp.neg(x) for x in system.gravity)
 
@@ -139,16 +138,24 @@ def solve(system: System, forces: Forces, stabilisation: Baumgarte | None) -> So
 
     calls = [tuple(tuple(part[i] for i in limb) for part in (system.links, motions, forces.wrenches)) for limb in limbs]
     with jax.named_scope("equations"):
-        equations = map_alike(limb_equations, calls)
-        factors, right = [], []
-        for limb, (mass, bias) in zip(limbs, equations, strict=True):
+        masses, right = [], []
+        for limb, (mass, bias) in zip(limbs, map_alike(limb_equations, calls), strict=True):
             applied = [force for i in limb for force in forces.coordinate_forces[i]]
             right.append(tuple(sp.sub(f, b) for f, b in zip(applied, bias, strict=True)))
-            factors.append(linear.factor(mass) if mass else None)
+            masses.append(mass)
+    return masses, right
+
+
+def solve(system: System, forces: Forces, stabilisation: Baumgarte | None) -> Solution:
+    """Free accelerations under the forces, with the loops closed."""
+    motions, limbs = forces.motions, system.topology.limbs
+    masses, right = equations(system, forces)
+    factors = [linear.factor(mass) if mass else None for mass in masses]
     if system.closures:
         with jax.named_scope("loops"):
             free = [linear.solve(f, r) if f else () for f, r in zip(factors, right, strict=True)]
-            multipliers, pulls = _close(system, motions, ground, factors, free, stabilisation)
+            rows, wanted = closure_targets(system, motions, stabilisation)
+            multipliers, pulls = _multipliers(system, rows, wanted, factors, free)
             right = [tuple(sp.add(r, p) for r, p in zip(rs, ps, strict=True)) for rs, ps in zip(right, pulls, strict=True)]
     else:
         multipliers = ()
@@ -210,8 +217,9 @@ def closure_rows(system: System, motions: tuple[Motion, ...], closure: loops.Clo
     return ClosureRows(kept, *[[part[i] for i in kept] for part in (values, rates, jacobian)])
 
 
-def _close(system, motions, ground, factors, free, stabilisation):
-    """Multipliers of all closure rows, and their generalised forces per limb."""
+def closure_targets(system: System, motions: tuple[Motion, ...], stabilisation: Baumgarte | None) -> tuple[list, list]:
+    """Jacobian rows of all closures (by speed index), and what each must give for the free accelerations."""
+    ground = tuple(sp.neg(x) for x in system.gravity)
     accelerations = _accelerate(system, motions, None)
     rows: list[dict[int, Any]] = []
     wanted = []
@@ -231,7 +239,7 @@ def _close(system, motions, ground, factors, free, stabilisation):
                 target = sp.sub(target, sp.mul(stabilisation.beta * stabilisation.beta, value))
             wanted.append(target)
         rows.extend(found.jacobian)
-    return _multipliers(system, rows, wanted, factors, free)
+    return rows, wanted
 
 
 def _multipliers(system, rows, wanted, factors, free):
@@ -260,30 +268,6 @@ def _multipliers(system, rows, wanted, factors, free):
         for j, entry in row.items():
             pulls[j] = sp.add(pulls[j], sp.mul(entry, multiplier))
     return multipliers, [tuple(pulls[start:stop]) for start, stop in spans]
-
-
-def rates(system: System, layout: Layout, stabilisation: Baumgarte | None, worn: dict, time: Any, entries: Any) -> list:
-    """Rate of every entry of the state, as a list of scalars."""
-    q, v = unpack_motion(system, entries)
-    motions = move(system, q, v, time)
-    reports = touch(system, motions, unpack_memories(layout, entries), worn)
-    forces = act(system, motions, reports, q, v, time)
-    solution = solve(system, forces, stabilisation)
-    out: list[Any] = []
-    for link, own_q, own_v, motion in zip(system.links, q, v, motions, strict=True):
-        if motion.columns:
-            out.extend(link.joint.rate(own_q, own_v))
-    out.extend(a for accelerations in solution.accelerations for a in accelerations)
-    out.extend(pack_memories(layout, {name: report.memory_rates for name, report in reports.items()}))
-    for slot in layout.wear:
-        pairings = system.bearings[slot.bearing].pairings
-        order = [k for k, pairing in enumerate(pairings) if pairing.wears].index(slot.contact)
-        volume, features = reports[slot.bearing].wear_rates[slot.surface][order]
-        out.append(volume)
-        out.extend(sp.mul(volume, features[i]) for i in slot.averaged)
-    if layout.energies:
-        out.extend(powers(system, forces, solution))
-    return out
 
 
 def _accelerate(system: System, motions: tuple[Motion, ...], accelerations: tuple | None) -> tuple[Twist, ...]:

@@ -132,6 +132,16 @@ def pack_memories(layout: Layout, memories: dict[str, tuple[PointState, ...]]) -
     return entries
 
 
+def impact_speed_places(layout: Layout) -> tuple[int | None, ...]:
+    """Where the impact speed of each possible contact sits in the state; None for a law that does not remember it."""
+    position, places = layout.memory_start, []
+    for _, kinds in layout.memories:
+        for remembers, bristles in kinds:
+            places.append(position if remembers else None)
+            position += remembers + bristles
+    return tuple(places)
+
+
 def names(system: System, layout: Layout) -> list[str]:
     """A name for each entry of the state."""
     topology, out = system.topology, []

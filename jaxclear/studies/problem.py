@@ -82,7 +82,7 @@ class Problem(eqx.Module):
         times = saving_times(check_duration(duration), save)
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
-        check_run(mechanism, self.integrator)
+        check_run(mechanism, self.integrator, times)
         for name, wanted in self.response.items():
             if not callable(wanted):
                 raise ValueError(f'response "{name}" is {wanted!r}; it must be a function of a trajectory.')

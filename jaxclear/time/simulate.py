@@ -16,14 +16,14 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import concrete
 from jaxclear.laws.friction import AbstractBristleFriction, AbstractSlipFriction
-from jaxclear.scene import dynamics
 from jaxclear.scene.initial import assemble
-from jaxclear.scene.loops import Baumgarte
 from jaxclear.scene.mechanism import Mechanism
 from jaxclear.scene.state import Layout, lay_out
 from jaxclear.scene.system import System, prepare, readings
 from jaxclear.time import progress
-from jaxclear.time.integrator import NOT_FINITE, REACHED, AbstractIntegrator, Adaptive, FixedStep
+from jaxclear.time.adaptive import Adaptive
+from jaxclear.time.advance import NOT_FINITE, REACHED, AbstractIntegrator
+from jaxclear.time.field import Field
 from jaxclear.time.trajectory import Trajectory
 
 Worn = dict[str, dict[str, Array]]
@@ -38,19 +38,6 @@ class SimulationError(RuntimeError):
     def __init__(self, sentence: str, trajectory: Trajectory):
         super().__init__(sentence)
         self.trajectory = trajectory
-
-
-class Field(eqx.Module):
-    """The state's rate as a function of time and state; `worn` are the current interval's worn surfaces as read."""
-
-    system: System
-    worn: dict
-    stabilisation: Baumgarte | None
-    layout: Layout = eqx.field(static=True)
-
-    def __call__(self, time: Any, state: Float[Array, " n"]) -> Float[Array, " n"]:
-        entries = [state[i] for i in range(self.layout.size)]
-        return sp.stack(dynamics.rates(self.system, self.layout, self.stabilisation, self.worn, time, entries))
 
 
 def unworn(system: System) -> Worn:
@@ -98,12 +85,12 @@ def run(
     weights = jnp.repeat(jnp.array([1.0, MEMORY_WEIGHT, 0.0]), np.array([layout.memory_start, layout.memory_count, rest]))
 
     def interval(carry, span):
-        state, worn, step, outcome, ended = carry
+        state, worn, hint, outcome, ended = carry
         start, stop, share = span
         running = outcome == REACHED
         read = readings(system, worn)
         field = Field(system, read, mechanism.stabilisation, layout)
-        result = integrator.advance(field, start, stop, state, step, weights, running)
+        result = integrator.advance(field, start, stop, state, hint, weights, running)
         sound = jnp.all(jnp.isfinite(result.state))
         kept = jnp.where(running & sound, result.state, state)
         worn = deposit(system, layout, worn, state, kept)
@@ -114,10 +101,12 @@ def run(
         outcome = jnp.where(running, found, outcome)
         ended = jnp.where(running & (outcome == REACHED), stop, ended)
         counts = (jnp.where(running, result.accepted, 0), jnp.where(running, result.rejected, 0))
-        return (kept, worn, result.step, outcome, ended), (kept, read, counts)
+        return (kept, worn, result.hint, outcome, ended), (kept, read, counts)
 
     spans = (times[:-1], times[1:], (times[1:] - times[:-1]) / (times[-1] - times[0]))
-    first = (state, worn, jnp.zeros(()), jnp.asarray(REACHED), times[0])
+    begun = Field(system, readings(system, worn), mechanism.stabilisation, layout)
+    hint = integrator.first_hint(begun, times[0], state)
+    first = (state, worn, hint, jnp.asarray(REACHED), times[0])
     (_, worn, _, outcome, ended), (states, read, (accepted, rejected)) = jax.lax.scan(interval, first, spans)
     states = jnp.concatenate([state[None], states])
     read = jax.tree.map(lambda x: jnp.concatenate([x[:1], x]), read)
@@ -144,13 +133,15 @@ def saving_times(duration: Any, save: Any) -> Array:
 MEMORY_STEPS = 2.0
 
 
-def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
-    """Laws must suit compliant contact, and fixed steps must resolve their memories. Raises `ValueError` with a sentence."""
+def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any = None) -> None:
+    """Laws must suit compliant contact, and explicit steps must resolve their memories; where the number of steps between saving
+    times is fixed, `times` tell their length. Raises `ValueError` with a sentence."""
     if not isinstance(mechanism, Mechanism):
         raise ValueError(f"what is simulated is {mechanism!r}; it must be a jaxclear.Mechanism.")
     if not isinstance(integrator, AbstractIntegrator):
         raise ValueError(f"the integrator is {integrator!r}; it must be one of jaxclear.integrator, such as Adaptive().")
-    step = concrete(integrator.step) if isinstance(integrator, FixedStep) and not integrator.steps_per_save else None
+    known = times is not None and not isinstance(times, jax.core.Tracer)
+    step = concrete(integrator.relaxing_step(np.max(np.diff(times)) if known else None))
     for name in mechanism.topology.clearances:
         for pairing in mechanism.connections[name].joint.pairings():
             law = pairing.friction
@@ -162,9 +153,9 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
             memory = concrete(pairing.contact.memory_time) if pairing.contact.remembers_impact_speed else None
             if step is not None and memory is not None and step > MEMORY_STEPS * memory:
                 raise ValueError(
-                    f'steps of {step} s are too long for joint "{name}": its contact law remembers the impact speed with '
-                    f"memory_time {memory} s and would explode; take steps below {MEMORY_STEPS * memory:.3g} s or a "
-                    "longer memory_time."
+                    f'steps of {step:.6g} s are too long for joint "{name}": its contact law remembers the impact speed with '
+                    f"memory_time {memory} s and would explode; take steps below {MEMORY_STEPS * memory:.3g} s, a "
+                    "longer memory_time, or capture_impacts=True."
                 )
 
 
@@ -198,9 +189,9 @@ def simulate(
     """
     check_duration(duration)
     integrator = Adaptive() if integrator is None else integrator
-    check_run(mechanism, integrator)
-    start = assemble(mechanism, start_concentric)
     times = saving_times(duration, save)
+    check_run(mechanism, integrator, times)
+    start = assemble(mechanism, start_concentric)
     with progress.bar(progress_bar, "simulating"):
         trajectory = _run(mechanism, start.coordinates, start.speeds, times, integrator, balance, progress_bar)
         trajectory = jax.block_until_ready(trajectory)

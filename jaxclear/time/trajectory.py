@@ -18,7 +18,7 @@ from jaxclear.scene import dynamics, state
 from jaxclear.scene.contact_point import JointReport
 from jaxclear.scene.mechanism import Mechanism
 from jaxclear.scene.system import System, prepare
-from jaxclear.time.integrator import OUTCOMES, REACHED
+from jaxclear.time.advance import OUTCOMES, REACHED
 
 
 class BodyHistory(eqx.Module):

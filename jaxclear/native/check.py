@@ -1,0 +1,191 @@
+"""Is a kernel right? One turn of its loop on random numbers against NumPy, operation by operation.
+
+Operations that NumPy does not have under a plain name are left to JAX. Independent of the rules that wrote the kernel.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal
+
+from jaxclear.native.control import CALLS
+from jaxclear.native.writer import Unsupported
+
+# Two evaluations of the same turn differ by rounding, which the turn may enlarge: a second evaluation, its numbers changed
+# by a rounding or two, tells by how much; what it changes by more than this share is no evidence.
+AGREEMENT, NUDGE, MARGIN, VAGUE = 1e-9, 4e-16, 1e3, 1e-3
+SAMPLES = 3
+LONGEST_LOOP = 1000
+
+
+def _select(which, *cases):
+    return np.where(which, cases[1], cases[0]) if len(cases) == 2 else np.choose(which, cases)
+
+
+def _rounded(p):
+    return np.rint if int(p["rounding_method"]) == 1 else lambda a: np.trunc(a + np.copysign(0.5, a))
+
+
+def _sliced(p):
+    strides = p["strides"] or (None,) * len(p["start_indices"])
+    return lambda a: np.asarray(a)[tuple(map(slice, p["start_indices"], p["limit_indices"], strides))]
+
+
+def _dynamic_slice(p):
+    def cut(a, *starts):
+        firsts = [min(max(int(s), 0), n - m) for s, n, m in zip(starts, a.shape, p["slice_sizes"], strict=True)]
+        return a[tuple(slice(f, f + m) for f, m in zip(firsts, p["slice_sizes"], strict=True))]
+
+    return cut
+
+
+def _broadcast(p):
+    def spread(a):
+        shape = [1] * len(p["shape"])
+        for place, size in zip(p["broadcast_dimensions"], np.shape(a), strict=True):
+            shape[place] = size
+        return np.broadcast_to(np.reshape(a, shape), p["shape"])
+
+    return spread
+
+
+# What a primitive does, as it stands or given its parameters.
+PLAIN: dict[str, Callable] = {
+    "add": np.add,
+    "add_any": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "neg": np.negative,
+    "rem": np.fmod,
+    "max": np.maximum,
+    "min": np.minimum,
+    "abs": np.abs,
+    "sign": np.sign,
+    "square": np.square,
+    "sqrt": np.sqrt,
+    "sin": np.sin,
+    "cos": np.cos,
+    "exp": np.exp,
+    "log": np.log,
+    "tanh": np.tanh,
+    "atan2": np.arctan2,
+    "pow": np.power,
+    "floor": np.floor,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "lt": np.less,
+    "le": np.less_equal,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "not": np.invert,
+    "select_n": _select,
+    "is_finite": np.isfinite,
+    "copy": np.asarray,
+    "stop_gradient": np.asarray,
+    # Equinox: what a single sample does.
+    "unvmap_any": np.asarray,
+    "nonbatchable": np.asarray,
+    "select_if_vmap": lambda which, yes, no: yes,
+}
+WITH_PARAMETERS: dict[str, Callable] = {
+    "integer_pow": lambda p: lambda a: np.asarray(a) ** float(p["y"]),
+    "convert_element_type": lambda p: lambda a: np.asarray(a).astype(p["new_dtype"]),
+    "squeeze": lambda p: lambda a: np.squeeze(a, p["dimensions"]),
+    "reshape": lambda p: lambda a: np.reshape(a, p["new_sizes"]),
+    "stack": lambda p: lambda *a: np.stack(a, p["axis"]),
+    "concatenate": lambda p: lambda *a: np.concatenate(a, p["dimension"]),
+    "round": _rounded,
+    "slice": _sliced,
+    "dynamic_slice": _dynamic_slice,
+    "broadcast_in_dim": _broadcast,
+    "reduce_sum": lambda p: lambda a: np.sum(a, p["axes"]),
+    "reduce_max": lambda p: lambda a: np.max(a, p["axes"]),
+    "reduce_or": lambda p: lambda a: np.any(a, p["axes"]),
+    "reduce_and": lambda p: lambda a: np.all(a, p["axes"]),
+}
+
+
+def evaluate(program: Any, *arguments: Any) -> list:
+    """A program's outputs, one operation after the other."""
+    jaxpr, constants = (program.jaxpr, program.consts) if isinstance(program, ClosedJaxpr) else (program, [])
+    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*map(np.asarray, constants), *arguments], strict=True))
+
+    def get(atom):
+        return np.asarray(atom.val, atom.aval.dtype) if isinstance(atom, Literal) else values[atom]
+
+    for equation in jaxpr.eqns:
+        values |= dict(zip(equation.outvars, _outputs(equation, [get(atom) for atom in equation.invars]), strict=True))
+    return [get(atom) for atom in jaxpr.outvars]
+
+
+def _outputs(equation: Any, inputs: list) -> list:
+    name, p = equation.primitive.name, equation.params
+    if name in PLAIN:
+        return [PLAIN[name](*inputs)]
+    if name in WITH_PARAMETERS:
+        return [WITH_PARAMETERS[name](p)(*inputs)]
+    if name == "div" and np.issubdtype(np.result_type(*inputs), np.floating):
+        return [np.divide(*inputs)]
+    if name == "scan" and not p["reverse"]:
+        fixed, carried = p["num_consts"], p["num_carry"]
+        carry, rows, given = inputs[fixed:][:carried], inputs[fixed + carried :], []
+        for turn in range(p["length"]):
+            found = evaluate(p["jaxpr"], *inputs[:fixed], *carry, *[row[turn] for row in rows])
+            carry = found[:carried]
+            given.append(found[carried:])
+        return [*carry, *[np.stack(parts) for parts in zip(*given, strict=True)]]
+    if name == "while":
+        first, second = p["cond_nconsts"], p["body_nconsts"]
+        fixed, state = inputs[first : first + second], inputs[first + second :]
+        for _ in range(LONGEST_LOOP):
+            if not evaluate(p["cond_jaxpr"], *inputs[:first], *state)[0]:
+                return state
+            state = evaluate(p["body_jaxpr"], *fixed, *state)
+        raise Unsupported("a loop within the loop that does not end on random numbers")
+    if name == "dot_general" and not p["dimension_numbers"][1][0]:
+        return [np.tensordot(*inputs, axes=p["dimension_numbers"][0])]
+    if name == "maybe_set":
+        _, array, value, *places = inputs
+        out = np.array(array)
+        if len(places) == 1 and p["i_static"] is None and 0 <= int(places[0]) < len(out):
+            out[int(places[0])] = value
+        return [out]
+    if name in CALLS:
+        return evaluate(next(p[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in p), *inputs)
+    found = equation.primitive.bind(*map(jnp.asarray, inputs), **p)
+    return [np.asarray(f) for f in (found if equation.primitive.multiple_results else [found])]
+
+
+def random_values(avals: list) -> list[list[np.ndarray]]:
+    """For each sample a value of each shape and type."""
+    rng = np.random.default_rng(0)
+
+    def one(aval):
+        if aval.dtype == bool:
+            return rng.random(aval.shape) < 0.5
+        if np.issubdtype(aval.dtype, np.integer):
+            return rng.integers(0, 3, aval.shape).astype(aval.dtype)
+        return rng.uniform(0.1, 1.0, aval.shape)
+
+    return [[np.asarray(one(a)) for a in avals] for _ in range(SAMPLES)]
+
+
+def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
+    """The same values, floats changed in their last digits."""
+    return [v * (1 + NUDGE * (-1) ** i) if v.dtype == float else v for i, v in enumerate(sample)]
+
+
+def agree(found: np.ndarray, wanted: np.ndarray, changed: np.ndarray) -> bool:
+    """Whether a kernel gave what is wanted, as far as `changed` (for nudged numbers) lets one tell; half must tell."""
+    with np.errstate(all="ignore"):
+        # Where numbers overflow, inf or nan is a matter of the order of operations.
+        finite = np.isfinite(wanted) & np.isfinite(changed)
+        doubt = MARGIN * np.where(finite, np.abs(changed - wanted), np.inf)
+        size = np.abs(wanted) + AGREEMENT
+        close = ~finite | (np.abs(found - wanted) <= AGREEMENT * size + doubt)
+        telling = finite & (doubt <= VAGUE * size)
+    return bool(close.all() and telling.mean() >= 0.5)

@@ -1,0 +1,189 @@
+"""Rules for programs within programs: calls, choices and loops. Every sample takes its own number of turns."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr
+
+from jaxclear.native.rules import array_of, compare, each, refuse_memory, rule, write_closed
+from jaxclear.native.writer import TRUTH, WHOLE, Unsupported, Writer, kind_of
+
+# Loops of known length are written out up to this many turns, and while they have at most so many equations.
+LONGEST_WRITTEN_OUT = 16
+LARGEST_WRITTEN_OUT = 2000
+
+
+CALLS = ("jit", "pjit", "closed_call", "core_call", "remat", "checkpoint", "custom_jvp_call", "custom_vjp_call")
+
+
+@rule(*CALLS, reads_memory=True)
+def _call(writer, equation, *arguments):
+    inner = next(equation.params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in equation.params)
+    return write_closed(writer, inner, arguments)
+
+
+@rule("cond", reads_memory=True)
+def _cond(writer, equation, which, *arguments):
+    branches = equation.params["branches"]
+    if len(branches) != 2:
+        raise Unsupported("a choice among more than two")
+    results = []
+    for branch in branches:
+        results.append(write_closed(writer, branch, arguments))
+    refuse_memory(*results[0], *results[1])
+    kind = kind_of(equation.invars[0].aval.dtype)
+    truth = which.item() if kind == TRUTH else compare(writer, "gt", WHOLE, which.item(), 0)
+    out = []
+    for atom, no, yes in zip(equation.outvars, *results, strict=True):
+        kind = kind_of(atom.aval.dtype)
+        out.append(each(lambda n, y, k=kind: writer.choose(truth, y, n, k), no, yes))
+    return out
+
+
+@rule("scan", reads_memory=True)
+def _scan(writer, equation, *arguments):
+    p = equation.params
+    if p["length"] > LONGEST_WRITTEN_OUT:
+        raise Unsupported("a long scan inside the loop")
+    constants, carried = p["num_consts"], p["num_carry"]
+    fixed, carry, rows = arguments[:constants], list(arguments[constants:][:carried]), arguments[constants + carried :]
+    refuse_memory(*carry, *rows)
+    if p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT and len(equation.outvars) == carried and not p["reverse"]:
+        kinds = [kind_of(a.dtype) for a in p["jaxpr"].in_avals]
+        return _counted_loop(writer, p["jaxpr"], fixed, carry, rows, p["length"], kinds)
+    collected: list[list] = []
+    turns = range(p["length"])
+    for turn in reversed(turns) if p["reverse"] else turns:
+        found = write_closed(writer, p["jaxpr"], [*fixed, *carry, *[array_of(r[turn], r.shape[1:]) for r in rows]])
+        carry = found[:carried]
+        collected.append(found[carried:])
+    if p["reverse"]:
+        collected.reverse()
+    return carry + [np.stack(parts) for parts in zip(*collected, strict=True)]
+
+
+def size_of(program: Any) -> int:
+    """Equations of a program, those of programs within it included."""
+    total = 0
+    for equation in getattr(program, "jaxpr", program).eqns:
+        inner = [v for v in equation.params.values() if isinstance(v, (Jaxpr, ClosedJaxpr))]
+        total += sum(map(size_of, inner)) if inner else 1
+    return total
+
+
+def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
+    """A scan as a loop: every sample takes all turns; a row is chosen by the turn's number."""
+    head, behind = writer.fresh("turns")[1:], writer.fresh("done")[1:]
+    carried = kinds[len(fixed) :][: len(carry)]
+    before = writer.block
+    writer.say(f"br label %{head}")
+    writer.start(head)
+    turn, places = writer.fresh("turn"), len(writer.lines)
+    state = [each(lambda _: writer.fresh("s"), c) for c in carry]
+    region = writer.enter()
+
+    def pick(row, kind):
+        def one(*options):
+            found = options[0]
+            for number, option in enumerate(options[1:], 1):
+                if option != found or number > 1:
+                    here = writer.once(("turn", turn, number), lambda n=number: writer.put(f"icmp eq i64 {turn}, {n}"))
+                    wide = writer.wide(kind)
+                    yes, no = writer.text(option, kind), writer.text(found, kind)
+                    found = writer.put(f"select i1 {here}, {wide} {yes}, {wide} {no}")
+            return found
+
+        return each(one, *[array_of(row[k], row.shape[1:]) for k in range(length)])
+
+    picked = [pick(row, kind) for row, kind in zip(rows, kinds[len(fixed) + len(carry) :], strict=True)]
+    found = write_closed(writer, body, [*fixed, *state, *picked])
+    writer.leave(region)
+    last = writer.block
+    phis = []
+    for names, olds, news, kind in zip(state, carry, found, carried, strict=True):
+        for name, old, new in zip(names.flat, olds.flat, news.flat, strict=True):
+            ends = f"[ {writer.text(old, kind)}, %{before} ], [ {writer.text(new, kind)}, %{last} ]"
+            phis.append(f"  {name} = phi {writer.wide(kind)} {ends}")
+    following = writer.put(f"add i64 {turn}, 1")
+    phis.append(f"  {turn} = phi i64 [ 0, %{before} ], [ {following}, %{last} ]")
+    writer.lines[places:places] = phis
+    more = writer.put(f"icmp slt i64 {following}, {length}")
+    writer.say(f"br i1 {more}, label %{head}, label %{behind}")
+    writer.start(behind)
+    return found
+
+
+@rule("while", reads_memory=True)
+def _while(writer, equation, *arguments):
+    p = equation.params
+    first, second = p["cond_nconsts"], p["body_nconsts"]
+    fixed_cond, fixed_body, carry = arguments[:first], arguments[first : first + second], arguments[first + second :]
+    kinds = [kind_of(atom.aval.dtype) for atom in equation.outvars]
+    return loop(
+        writer,
+        lambda state: write_closed(writer, p["cond_jaxpr"], [*fixed_cond, *state])[0].item(),
+        lambda state: write_closed(writer, p["body_jaxpr"], [*fixed_body, *state]),
+        carry,
+        kinds,
+    )
+
+
+def loop(writer: Writer, condition: Callable, body: Callable, carry: Any, kinds: list[str], most: str | None = None) -> list:
+    """A while loop over arrays of registers: every sample stops by itself, the loop ends with the last one.
+
+    `most`: a register (i64) with the largest number of turns; where it is given, the first turn is taken in any case.
+    """
+    head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
+    refuse_memory(*carry)
+    flat = [(value, kind) for array, kind in zip(carry, kinds, strict=True) for value in array.flat]
+    before = writer.block
+    writer.say(f"br label %{head}")
+    writer.start(head)
+    registers = [writer.fresh("s") for _ in flat]
+    places = len(writer.lines)
+    turn = writer.fresh("turn") if most else None
+    region = writer.enter()
+
+    def shaped(values):
+        values, out = iter(values), []
+        for array in carry:
+            out.append(array_of(None, array.shape))
+            for index in np.ndindex(*array.shape):
+                out[-1][index] = next(values)
+        return out
+
+    truth = condition(shaped(registers))
+    outer = writer.active
+    if outer is not None:
+        truth = writer.operate("and {type} {0}, {1}", TRUTH, truth, outer)
+    go = writer.any(truth)
+    if most:
+        early = writer.put(f"icmp slt i64 {turn}, 1")
+        forced = writer.put(f"icmp eq i64 {most}, 1")
+        first = writer.put(f"and i1 {early}, {forced}")
+        allowed = writer.put(f"icmp slt i64 {turn}, {most}")
+        go = writer.put(f"and i1 {go}, {allowed}")
+        go = writer.put(f"or i1 {go}, {first}")
+        wide = writer.wide(TRUTH)
+        truth = writer.put(f"select i1 {forced}, {wide} {writer.text(True, TRUTH)}, {wide} {writer.text(truth, TRUTH)}")
+    writer.say(f"br i1 {go}, label %{inside}, label %{behind}")
+    writer.start(inside)
+    writer.active = truth if writer.lanes > 1 else None
+    found = [value for array in body(shaped(registers)) for value in array.flat]
+    if writer.lanes > 1:
+        found = [writer.choose(truth, new, old, k) for new, old, (_, k) in zip(found, registers, flat, strict=True)]
+    writer.active = outer
+    writer.leave(region)
+    last = writer.block
+    phis = []
+    for name, new, (old, kind) in zip(registers, found, flat, strict=True):
+        wide = writer.wide(kind)
+        phis.append(f"  {name} = phi {wide} [ {writer.text(old, kind)}, %{before} ], [ {writer.text(new, kind)}, %{last} ]")
+    if most:
+        following = writer.put(f"add i64 {turn}, 1")
+        phis.append(f"  {turn} = phi i64 [ 0, %{before} ], [ {following}, %{last} ]")
+    writer.lines[places:places] = phis
+    writer.say(f"br label %{head}")
+    writer.start(behind)
+    return shaped(registers)

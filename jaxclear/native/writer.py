@@ -1,0 +1,174 @@
+"""A small JAX program written as LLVM code: every number of every (small) array becomes one virtual register.
+
+`Writer` keeps the text; `rules` says what each JAX primitive becomes. Registers hold one sample, or a vector of
+`lanes` samples side by side. Numbers known while writing stay Python numbers. What has no rule raises `Unsupported`: the
+caller then leaves the program to XLA.
+"""
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+FLOAT, WHOLE, TRUTH = "double", "i64", "i1"
+# Beyond this many instructions XLA's loops over arrays are the better program.
+MOST_INSTRUCTIONS = 60_000
+# An array longer than this stays in memory and is read by index; shorter ones live in registers.
+LONGEST_IN_REGISTERS = 64
+
+
+class Unsupported(Exception):
+    """The program has a part that this module does not write."""
+
+
+def kind_of(dtype: Any) -> str:
+    """The LLVM type of one number of a NumPy type."""
+    dtype = np.dtype(dtype)
+    if dtype == np.float64:
+        return FLOAT
+    if dtype == np.bool_:
+        return TRUTH
+    if dtype in (np.int32, np.int64):
+        return WHOLE
+    raise Unsupported(f"numbers of type {dtype}")
+
+
+class InMemory:
+    """An array that is read by index: registers with its place in memory for each sample, and its shape for one sample."""
+
+    def __init__(self, places: list[str], shape: tuple[int, ...]):
+        self.places, self.shape = places, shape
+
+
+class Writer:
+    """LLVM text under construction. A value is a register's name or a Python number; arrays are NumPy object arrays of them."""
+
+    def __init__(self, lanes: int):
+        self.lanes = lanes
+        self.lines: list[str] = []
+        self.needs: set[str] = set()
+        self.block = "entry"
+        self.active: str | None = None
+        self._count = 0
+        self._seen: dict[tuple, Any] = {}
+
+    def wide(self, kind: str) -> str:
+        """The type of a register."""
+        return kind if self.lanes == 1 else f"<{self.lanes} x {kind}>"
+
+    def fresh(self, prefix: str = "v") -> str:
+        self._count += 1
+        if self._count > MOST_INSTRUCTIONS:
+            raise Unsupported("a program this long")
+        return f"%{prefix}{self._count}"
+
+    def text(self, value: Any, kind: str) -> str:
+        """A value as an operand."""
+        if isinstance(value, str):
+            return value
+        if kind == FLOAT:
+            word = f"0x{struct.unpack('<Q', struct.pack('<d', float(value)))[0]:016X}"
+        else:
+            word = str(int(value)) if kind == WHOLE else ("true" if value else "false")
+        return word if self.lanes == 1 else f"splat ({kind} {word})"
+
+    def put(self, right: str) -> str:
+        """A new register holding the right-hand side."""
+        name = self.fresh()
+        self.lines.append(f"  {name} = {right}")
+        return name
+
+    def say(self, line: str) -> None:
+        self.lines.append("  " + line)
+
+    def start(self, label: str) -> None:
+        self.lines.append(f"{label}:")
+        self.block = label
+
+    def once(self, key: tuple, make: Callable[[], Any]) -> Any:
+        """What `make` writes, written once within the current region."""
+        if key not in self._seen:
+            self._seen[key] = make()
+        return self._seen[key]
+
+    def enter(self) -> dict:
+        """Open a region whose registers are not visible behind it; hand the result to `leave`."""
+        return dict(self._seen)
+
+    def leave(self, before: dict) -> None:
+        self._seen = before
+
+    def operate(self, form: str, kind: str, *values: Any) -> str:
+        """`form` with {type} and the operands {0}, {1}, ..."""
+        return self.put(form.format(*[self.text(v, kind) for v in values], type=self.wide(kind)))
+
+    def call(self, name: str, *values: Any) -> str:
+        """A function of floats from LLVM's intrinsics ("sqrt") or this package's own ("jc.sincos")."""
+        suffix = "f64" if self.lanes == 1 else f"v{self.lanes}f64"
+        full = f"@llvm.{name}.{suffix}"
+        wide = self.wide(FLOAT)
+        self.needs.add(f"declare {wide} {full}({', '.join([wide] * len(values))})")
+        operands = ", ".join(f"{wide} {self.text(v, FLOAT)}" for v in values)
+        return self.put(f"call {wide} {full}({operands})")
+
+    def own(self, name: str, *values: Any) -> str:
+        """A function of floats that `functions` defines."""
+        wide = self.wide(FLOAT)
+        self.needs.add(name)
+        result = f"{{{wide}, {wide}}}" if name == "sincos" else wide
+        operands = ", ".join(f"{wide} {self.text(v, FLOAT)}" for v in values)
+        return self.put(f"call {result} @jc.{name}({operands})")
+
+    def lane(self, value: Any, kind: str, lane: int) -> str:
+        """One sample's number out of a register."""
+        if self.lanes == 1 or not isinstance(value, str):
+            if isinstance(value, str):
+                return value
+            alone = Writer(1)
+            return alone.text(value, kind)
+        return self.put(f"extractelement {self.wide(kind)} {value}, i64 {lane}")
+
+    def gather_lanes(self, parts: list[str], kind: str) -> str:
+        """A register from one number per sample."""
+        if self.lanes == 1:
+            return parts[0]
+        value = "poison"
+        for lane, part in enumerate(parts):
+            value = self.put(f"insertelement {self.wide(kind)} {value}, {kind} {part}, i64 {lane}")
+        return value
+
+    def library(self, name: str, *values: Any) -> str:
+        """A function of the C mathematical library, called for each sample."""
+        self.needs.add(f"declare double @{name}({', '.join(['double'] * len(values))})")
+        parts = []
+        for lane in range(self.lanes):
+            operands = ", ".join(f"double {self.lane(v, FLOAT, lane)}" for v in values)
+            parts.append(self.put(f"call double @{name}({operands})"))
+        return self.gather_lanes(parts, FLOAT)
+
+    def read(self, array: InMemory, flat_index: Any) -> str:
+        """The entry of an array in memory at a row-major index."""
+        parts = []
+        for lane in range(self.lanes):
+            place = self.put(f"getelementptr double, ptr {array.places[lane]}, i64 {self.lane(flat_index, WHOLE, lane)}")
+            parts.append(self.put(f"load double, ptr {place}, !invariant.load !0"))
+        return self.gather_lanes(parts, FLOAT)
+
+    def any(self, truth: Any) -> str:
+        """Whether it holds for one of the samples, as a single i1."""
+        word = self.text(truth, TRUTH)
+        if self.lanes == 1:
+            return word
+        name = f"@llvm.vector.reduce.or.v{self.lanes}i1"
+        self.needs.add(f"declare i1 {name}({self.wide(TRUTH)})")
+        return self.put(f"call i1 {name}({self.wide(TRUTH)} {word})")
+
+    def choose(self, truth: Any, yes: Any, no: Any, kind: str) -> Any:
+        """yes where truth holds, else no."""
+        if not isinstance(truth, str):
+            return yes if truth else no
+        if isinstance(yes, str) and yes == no:
+            return yes
+        wide = self.wide(kind)
+        return self.put(f"select {self.wide(TRUTH)} {truth}, {wide} {self.text(yes, kind)}, {wide} {self.text(no, kind)}")

@@ -1,0 +1,270 @@
+"""Advice on integrators: what is recommended keeps its word, and what cannot be promised is said."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.face import plot
+from jaxclear.studies import judgement
+from jaxclear.studies.advice import REFERENCE
+from jaxclear.studies.ladder import default_ladder, loosened, reference, steps
+from jaxclear.studies.pilot import Trial, describe, evaluate_one, pilot_of
+
+STEPS = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
+
+
+def falling():
+    """A journal that falls in its bearing and bounces."""
+    bearing = jc.clearance.PlanarJournalBearing(jc.contact.Flores(stiffness=1e8, restitution=0.5), clearance=1e-3)
+    connections = {"B": jc.Connection(bearing, "ground", "journal")}
+    return jc.Mechanism({"journal": jc.Body(1.0, 1e-4)}, connections, {"gravity": jc.load.Gravity()})
+
+
+def rattling():
+    """A bouncing journal in a bearing that is shaken: chaotic, neighbouring runs part within tenths of a second."""
+    bearing = jc.clearance.PlanarJournalBearing(jc.contact.Flores(stiffness=1e7, restitution=0.95), clearance=1e-3)
+    return jc.Mechanism(
+        {"ring": jc.Body(1.0, 1e-3), "journal": jc.Body(1.0, 1e-4)},
+        {
+            "G": jc.Connection(jc.joint.Prismatic(drive=jc.drive.Harmonic(5e-4, 100.0)), "ground", "ring", axis="x"),
+            "B": jc.Connection(bearing, "ring", "journal"),
+        },
+        {"gravity": jc.load.Gravity()},
+    )
+
+
+def pendulum(damping):
+    """A pendulum with a damper."""
+    return jc.Mechanism(
+        {"rod": jc.Body(1.0, 1.0, (1.0, 0.0))},
+        {"pivot": jc.Connection(jc.joint.Revolute(), "ground", "rod")},
+        {"gravity": jc.load.Gravity(), "brake": jc.load.JointSpring("pivot", damping=damping)},
+    )
+
+
+def last_angle(run):
+    return run.coordinate("pivot")[-1, 0]
+
+
+def swings(response=last_angle, variables=(), *, damping=0.1, duration=1.0):
+    return jc.Problem(pendulum(damping), response, dict(variables), duration=duration, save=11)
+
+
+MASS = {"mass": jc.Variable(lambda rig: rig.bodies["rod"].mass, jc.distribution.Uniform(1.5))}
+
+
+CLEARANCE = {"clearance": jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=2e-5)}
+FALL = {"force": jc.response.MeanContactForce("B"), "place": jc.response.FinalCoordinate("journal", 1, "m")}
+
+
+def falls(response=FALL, **kwargs):
+    return jc.Problem(falling(), response, CLEARANCE, **({"duration": 0.05, "save": 26} | kwargs))
+
+
+def explicit(*methods, scale=1.0):
+    return {method: [jc.integrator.FixedStep(scale * step, method) for step in STEPS] for method in methods}
+
+
+LADDER = explicit("rk4") | {"Adaptive": [loosened(reference(), 10.0**decade) for decade in (6, 5, 4, 3, 2, 1)]}
+
+
+@pytest.fixture(scope="module")
+def advice():
+    return jc.advise(falls(), 1e-3, copies=3, pilot=0.05, ladder=LADDER)
+
+
+def truth(problem, values):
+    """Steps far below those of any rung: the same equations, none of the reference's error control."""
+    fine = eqx.tree_at(lambda p: p.integrator, problem, jc.integrator.FixedStep(1e-6))
+    return evaluate_one(fine, jnp.asarray(values)).responses
+
+
+@pytest.mark.parametrize("accuracy", [0.05, 0.01, 1e-3])
+def test_the_recommended_setting_keeps_its_word(advice, accuracy):
+    found = advice.at(accuracy)
+    assert found.met and f"meets {100 * accuracy:g} %" in found.sentence()
+    for values in advice.pilot.values:
+        exact = truth(advice.asked, values)
+        answer = evaluate_one(found.problem, jnp.asarray(values)).responses
+        for name, value in answer.items():
+            assert abs(value / exact[name] - 1) < accuracy
+
+
+def test_errors_told_are_errors_made(advice):
+    """The table's errors against runs that know nothing of the reference."""
+    exact = [truth(advice.asked, values) for values in advice.pilot.values]
+    table = advice.table()
+    for row, trial in zip(table[table["rung"] == "rk4"].itertuples(), advice.climbs["rk4"].trials, strict=True):
+        if not trial.failure:
+            gaps = [
+                max(abs(trial.responses[name] - [float(e[name]) for e in exact]))
+                / np.sqrt(np.mean([float(e[name]) ** 2 for e in exact]))
+                for name in FALL
+            ]
+            assert row.error == pytest.approx(max(gaps), rel=0.05, abs=1e-4)
+
+
+def test_less_accuracy_is_never_dearer(advice):
+    costs = [advice.at(accuracy).cost for accuracy in (1e-1, 1e-2, 1e-3, 1e-4)]
+    assert costs == sorted(costs)
+
+
+def test_the_problem_comes_back_with_the_recommended_integrator(advice):
+    assert describe(advice.problem.integrator) == describe(advice.recommended)
+    assert describe(advice.asked.integrator) == "FixedStep(step=2e-05)" in advice.sentence()
+    assert set(advice.why_not()) == {"rk4", "Adaptive"} - {advice.choice.rung}
+
+
+def test_steps_too_long_are_rows_with_a_sentence(advice):
+    first = advice.climbs["rk4"].trials[0]
+    assert "too long" in first.failure and np.all(np.isnan(first.responses["force"]))
+    table = advice.table()
+    assert table["remark"][table["setting"] == describe(first.integrator)].item() == first.failure
+
+
+def test_an_unstable_rung_is_reported():
+    """A damper that stops the rod within a microsecond: steps of a hundred are refused by the numbers themselves."""
+    ladder = {"long": [jc.integrator.FixedStep(step) for step in (1e-4, 5e-5)]}
+    found = jc.advise(swings(damping=2e6, duration=1e-2), 0.01, pilot=1e-2, ladder=ladder)
+    assert "became infinite" in found.table()["remark"].tolist()[-1]
+    assert "became infinite" in found.why_not()["long"]
+    assert found.choice.rung == REFERENCE and found.met
+
+
+def test_chaos_is_said():
+    response = {"force": jc.response.MeanContactForce("B"), "place": jc.response.FinalCoordinate("journal", unit="m")}
+    question = jc.Problem(rattling(), response, CLEARANCE, duration=0.8, save=81)
+    ladder = {"rk4": [jc.integrator.FixedStep(step) for step in (5e-5, 2e-5)]}
+    found = jc.advise(question, 0.01, copies=4, pilot=0.8, ladder=ladder)
+    assert not found.met and found.standards["place"].by_means
+    sentence = found.sentence()
+    assert "Single runs do not converge" in sentence and "No setting can be shown to meet 1 %" in sentence
+    assert "copies" in sentence and found.standards["place"].limit > 0.01
+    alone = jc.advise(question, 0.01, copies=1, pilot=0.8, ladder=ladder)
+    assert not alone.met and "at least 3 copies" in alone.sentence()
+
+
+def test_each_kind_of_integrator_compiles_once():
+    traced = []
+
+    def counted(run):
+        traced.append(1)
+        return last_angle(run)
+
+    question = swings(counted, MASS)
+    found = jc.advise(question, 1e-7, copies=2, ladder=explicit("rk4", scale=200.0))
+    assert len(found.climbs["rk4"].trials) > 2
+    # One program for both references, one for the rung and the problem's own.
+    assert len(traced) == 2
+    jc.advise(question, 1e-3, copies=3, seed=1, ladder=explicit("rk4", scale=100.0))
+    assert len(traced) == 2
+
+
+def test_in_batches_the_cheapest_there_is_taken(advice):
+    found = jc.advise(advice.asked, 0.05, copies=2, pilot=0.05, batch=4, ladder=explicit("rk4"))
+    assert np.isfinite(found.trial(found.choice).cost_in_batch) and found.cost == pytest.approx(
+        found.trial(found.choice).cost_in_batch
+    )
+    assert "in batches of 4" in found.sentence()
+
+
+def test_a_pilot_is_the_start_of_the_problem():
+    path = jnp.linspace(0, 1, 26)[:, None] * jnp.ones(3)
+    question = falls({"stray": jc.response.PositionError("journal", path)})
+    piece = pilot_of(question, 1, 0.019, 0)
+    assert piece.duration == pytest.approx(0.02) and piece.whole == 0.05
+    np.testing.assert_allclose(piece.problem.shares * piece.duration, (question.shares * 0.05)[:11], atol=1e-15)
+    np.testing.assert_array_equal(piece.problem.response["stray"].reference, path[:11])
+
+
+def test_copies_that_no_integrator_can_run_are_left_out():
+    found = jc.advise(swings(variables=MASS), 0.01, copies=8, ladder=explicit("rk4", scale=100.0))
+    assert 1 < len(found.pilot.values) < 8 and np.all(found.pilot.values > 0)
+
+
+def trial(error, cost=1.0):
+    return Trial(jc.integrator.FixedStep(), {"r": np.array([1.0, 2.0, 3.0]) * (1 + error)}, np.zeros(3, int), cost, 0.0, "")
+
+
+def test_a_setting_that_passes_by_luck_is_not_taken():
+    rules = {"r": judgement.standard(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0]), 0.01)}
+    assert judgement.coarsest((trial(0.5), trial(0.001), trial(0.1), trial(0.004), trial(0.001)), rules) == 3
+    assert judgement.coarsest((trial(0.5), trial(0.001)), rules) is None
+
+
+def test_means_are_compared_where_runs_do_not_repeat():
+    noise = np.random.default_rng(0).normal(1.0, 0.1, (3, 40_000))
+    rule = judgement.standard(noise[0], noise[1], 0.01)
+    error, uncertainty = judgement.score(noise[2], rule)
+    # The difference from a mean of two: 0.1 sqrt(1 + 1/2) / 200, times 1.96, as a share of 1.005.
+    assert rule.by_means and rule.limit == 0.01 and uncertainty == pytest.approx(0.1 * 1.5**0.5 / 200 * 1.96, rel=0.05)
+    assert error < 2 * uncertainty
+    assert sum(judgement.score(noise[2] * 1.02, rule)) > 0.01
+    # Runs that repeat are compared by means where that is asked for.
+    assert judgement.standard(noise[0], noise[0], 0.01, means=True).by_means
+    assert not judgement.standard(noise[0], noise[0], 0.01).by_means
+    few = judgement.standard(noise[0, :8], noise[1, :8], 0.01)
+    assert few.by_means and few.limit > 0.01
+
+
+def test_an_undecided_setting_asks_for_copies():
+    one, other = np.random.default_rng(1).normal(1.0, 0.1, (2, 16))
+    rules = {"r": judgement.standard(one, one + 1e-9, 0.01, means=True)}
+    vague = eqx.tree_at(lambda t: (t.responses, t.outcome), trial(0.0), ({"r": other}, np.zeros(16, int)))
+    assert judgement.undecided(vague, rules) and not judgement.passes(vague, rules)
+    # 95 % of 0.1 sqrt(2) within 0.01 takes (1.96 x 0.14 / 0.01)^2 = 770 copies, give or take the chance of 16.
+    assert 200 < judgement.copies_to_decide(vague, rules) < 4000
+    wrong = eqx.tree_at(lambda t: t.responses, trial(0.0), {"r": other + 1.0})
+    assert not judgement.undecided(wrong, rules)
+
+
+def test_means_are_judged_where_they_are_asked_for(advice):
+    means = advice.of_means()
+    assert all(rule.by_means for rule in means.standards.values())
+    assert "Judged are means" in means.sentence() and "Judged are means" not in advice.sentence()
+
+
+def test_the_default_ladder_goes_from_the_saving_interval_down():
+    ladder = default_ladder(falls(), reference())
+    assert float(ladder["FixedStep rk4"][0].step) == 2e-3 and "FixedStep contact_steps" in ladder
+    assert "FixedStep contact_steps" not in default_ladder(swings(), reference())
+    assert list(steps(3e-8)) == [2e-8, 1e-8]
+    assert eqx.tree_equal(ladder["Adaptive"][-1], loosened(reference(), 10.0))
+    tolerances = [float(i.rtol) for i in ladder["Adaptive"]]
+    assert tolerances == sorted(tolerances, reverse=True) and tolerances[0] == pytest.approx(1e-3)
+
+
+def test_the_figure_shows_every_rung(advice):
+    axis = plot.work_precision(advice).axes[0]
+    labels = [line.get_label() for line in axis.get_lines()]
+    assert labels[:2] == ["rk4", "Adaptive"] and "recommended" in labels and "accuracy asked, 0.1 %" in labels
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: jc.advise(falling()), "advice is given on a jaxclear.Problem"),
+        (lambda: jc.advise(falls(), 1.0), "the accuracy is 1.0"),
+        (lambda: jc.advise(falls(), "high"), "the accuracy is 'high'"),
+        (lambda: jc.advise(falls(), 0.0), "above 0 and below 1"),
+        (lambda: jc.advise(falls(), copies=0), "copies is 0"),
+        (lambda: jc.advise(falls(), batch=1.5), "batch is 1.5"),
+        (lambda: jc.advise(falls(), pilot=1.0), "the pilot is 1.0 s"),
+        (lambda: jc.advise(falls(), reference=jc.integrator.FixedStep()), "must be an integrator.Adaptive"),
+        (lambda: jc.advise(falls(), scales={"speed": 1.0}), 'no response "speed"'),
+        (lambda: jc.advise(falls(), scales={"force": 0.0}), 'the scale of response "force"'),
+        (lambda: jc.advise(falls(), ladder={}), "the ladder is"),
+        (lambda: jc.advise(falls(), copies=2, means=True), "means need at least 3 copies"),
+        (lambda: jc.advise(falls(), ladder={"reference": [jc.integrator.FixedStep()]}), 'no rung may be called "reference"'),
+        (lambda: jc.advise(falls(), ladder={"steps": [1e-4]}), 'rung "steps" of the ladder'),
+        (lambda: jc.advise(swings(lambda run: run.time)), "it must be one number"),
+        (lambda: jc.advise(swings(lambda run: run.time[-1] * jnp.nan)), "not finite"),
+        (lambda: jc.advise(swings(lambda run: 0.0 * run.time[-1])), "is 0 in every copy of the pilot"),
+        (lambda: jc.advise(swings(lambda run: (run.time - np.linspace(0, 1, 11)).sum())), "give pilot=1"),
+    ],
+)
+def test_mistakes_get_a_sentence(call, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        call()
