@@ -91,6 +91,13 @@ PLAIN: dict[str, Callable] = {
     "nonbatchable": np.asarray,
     "select_if_vmap": lambda which, yes, no: yes,
 }
+
+
+def _least(a: Any) -> Any:
+    """What a maximum over nothing is."""
+    return -np.inf if np.issubdtype(np.result_type(a), np.floating) else np.iinfo(np.result_type(a)).min
+
+
 WITH_PARAMETERS: dict[str, Callable] = {
     "integer_pow": lambda p: lambda a: np.asarray(a) ** float(p["y"]),
     "convert_element_type": lambda p: lambda a: np.asarray(a).astype(p["new_dtype"]),
@@ -103,7 +110,7 @@ WITH_PARAMETERS: dict[str, Callable] = {
     "dynamic_slice": _dynamic_slice,
     "broadcast_in_dim": _broadcast,
     "reduce_sum": lambda p: lambda a: np.sum(a, p["axes"]),
-    "reduce_max": lambda p: lambda a: np.max(a, p["axes"]),
+    "reduce_max": lambda p: lambda a: np.max(a, p["axes"], initial=_least(a)),
     "reduce_or": lambda p: lambda a: np.any(a, p["axes"]),
     "reduce_and": lambda p: lambda a: np.all(a, p["axes"]),
 }

@@ -8,6 +8,7 @@ JAXCLEAR_PLAIN_LOOPS=1 switches the kernel off.
 import functools
 import logging
 import os
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -177,6 +178,8 @@ def _lower_on_cpu(ctx, *values, program, rank):
             return mlir.lower_fun(_native, multiple_results=True)(ctx, *values, program=program, rank=rank)
         except (Unsupported, ImportError) as reason:
             LOG.info("A loop is left to XLA: there is no machine code for %s.", reason)
+        except Exception as reason:  # The fast path must not cost a run: say so, and let XLA compile the loop.
+            warnings.warn(f"jaxclear could not write a loop as machine code and runs it slowly: {reason!r}.", RuntimeWarning, 2)
     return _FALLBACK(ctx, *values, program=program, rank=rank)
 
 

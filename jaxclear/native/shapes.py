@@ -124,6 +124,8 @@ def _reduce(writer, equation, a):
     for index in np.ndindex(*out.shape):
         row = list(rows[index])
         if not row:
+            if kind == WHOLE and name in ("max", "min"):
+                raise Unsupported(f"a {name} over no whole numbers")
             out[index] = {FLOAT: float, WHOLE: int, TRUTH: bool}[kind](_NEUTRAL[name])
             continue
         total = row[0]
