@@ -16,7 +16,7 @@ from jaxclear.components.wear_map import AbstractWearMap, CylinderMap, SphereMap
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.laws.contact import AbstractContactLaw
+from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.friction import AbstractFrictionLaw
 from jaxclear.laws.stiffness import Shape
 
@@ -38,7 +38,7 @@ class Touch(NamedTuple):
 class Pairing(NamedTuple):
     """The laws at one possible contact, and whether its wear is mapped."""
 
-    contact: AbstractContactLaw
+    contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None
     shape: Shape
     wears: bool
@@ -78,7 +78,7 @@ class PlanarJournalBearing(AbstractClearance):
     """
 
     ideal_rows: ClassVar = ("x", "y")
-    contact: AbstractContactLaw
+    contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     bearing_radius: Scalar = quantity(10e-3, "m", "radius of the bearing's hole", above=0)
     clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0)
@@ -121,7 +121,7 @@ class Flange(eqx.Module):
     axial stiffness matters.
     """
 
-    contact: AbstractContactLaw
+    contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     radius: Scalar = quantity(14e-3, "m", "outer radius of the collar", above=0)
     clearance: Scalar = quantity(0.2e-3, "m", "axial clearance at each collar, journal centred", above=0)
@@ -138,7 +138,7 @@ class JournalBearing(AbstractClearance):
     """
 
     ideal_rows: ClassVar = ("x", "y", "z", "x.z", "y.z")
-    contact: AbstractContactLaw
+    contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     bearing_radius: Scalar = quantity(10e-3, "m", "radius of the bearing's hole", above=0)
     clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0)
@@ -238,7 +238,7 @@ class BallSocket(AbstractClearance):
     """Ball in a hollow socket: one contact. delta = |e| - c."""
 
     ideal_rows: ClassVar = ("x", "y", "z")
-    contact: AbstractContactLaw
+    contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     socket_radius: Scalar = quantity(10e-3, "m", "radius of the socket", above=0)
     clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, socket radius - ball radius", above=0)
@@ -279,7 +279,7 @@ class SliderGuide(AbstractClearance):
     """
 
     ideal_rows: ClassVar = ("x", "x.z")
-    contact: AbstractContactLaw
+    contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     width: Scalar = quantity(20e-3, "m", "width of the slider, across the guide", above=0)
     length: Scalar = quantity(40e-3, "m", "length of the slider, along the guide", above=0)

@@ -36,7 +36,28 @@ def slowest_impact_field():
     return quantity(1e-3, "m/s", "an impact slower than this is damped as if at this speed (rest is no division by 0)", above=0)
 
 
-class AbstractContactLaw(eqx.Module):
+class AbstractNormalLaw(eqx.Module):
+    """What happens along the normal of one contact point."""
+
+
+class Rigid(AbstractNormalLaw):
+    """Bodies that do not overlap: no stiffness, no function of the indentation. For integrator.MoreauJean only.
+
+    An impact in which one contact closes ends with restitution times the speed before (Newton). Where a force is wanted as a
+    function, take CarvalhoMartins.
+
+    Source: Newton 1687; as a complementarity of percussion and velocity Moreau 1988, in Nonsmooth Mechanics and Applications, 1.
+    """
+
+    restitution: Scalar = quantity(0.9, "1", "coefficient of restitution c_e, 0 <= c_e <= 1", at_least=0, at_most=1)
+    remembers_impact_speed: ClassVar[bool] = False
+
+    def elastic_force(self, indentation: Scalar) -> Scalar:
+        """Nothing is stored."""
+        return 0.0
+
+
+class AbstractContactLaw(AbstractNormalLaw):
     """Normal force of one contact point. Zero while open, continuous at touch, never pulling, dissipating or elastic."""
 
     remembers_impact_speed: eqx.AbstractClassVar[bool]

@@ -18,6 +18,8 @@ from jaxclear.ground.quantity import Scalar, quantity
 # and a largest coefficient below LEAST_FRICTION is no friction.
 LEAST_SHARE = 1e-3
 LEAST_FRICTION = 1e-12
+# Sliding slower than this [m/s] is rounding of a contact that sticks.
+STICKING_SPEED = 1e-10
 # a z^2 + t a z w + t w^2 >= 0 for all z, w while t a <= 4: the damping of a bristle that cannot give energy.
 PASSIVE_DAMPING = 4.0
 
@@ -59,7 +61,7 @@ class AbstractSetValuedFriction(AbstractFrictionLaw):
 
 
 class Coulomb(AbstractSetValuedFriction):
-    """|F_t| <= mu F_n at rest, F_t = -mu F_n v/|v| sliding: true sticking, no function of the speed.
+    """|F_t| <= mu_s F_n at rest, F_t = -mu_d F_n v/|v| sliding: true sticking, no function of the speed.
 
     Where the formulation needs a function take CoulombTanh (cheap, creeps) or Dahl (sticks).
 
@@ -67,6 +69,13 @@ class Coulomb(AbstractSetValuedFriction):
     """
 
     mu_kinetic: Scalar = mu_kinetic_field()
+    mu_static: Scalar | None = quantity(None, "1", "static friction coefficient mu_s (None: as the kinetic one)", at_least=0)
+
+    def bound(self, slip_speed: Scalar) -> Scalar:
+        """Largest friction over normal force, for the sliding speed [m/s] with which an instant begins."""
+        if self.mu_static is None:
+            return self.mu_kinetic
+        return jnp.where(slip_speed < STICKING_SPEED, self.mu_static, self.mu_kinetic)
 
 
 class CoulombTanh(AbstractSlipFriction):
@@ -257,3 +266,17 @@ class LuGre(AbstractBristleFriction):
 def _stribeck_level(slip_speed, static, kinetic, stribeck_speed) -> Scalar:
     ratio = slip_speed / stribeck_speed
     return kinetic + (static - kinetic) * jnp.exp(-ratio * ratio)
+
+
+def set_valued(law: AbstractFrictionLaw) -> Coulomb | None:
+    """Coulomb's law with the coefficients of a law that regularises it; None for a law that does not say of which.
+
+    Viscous parts are left out.
+    """
+    if isinstance(law, Coulomb):
+        return law
+    if isinstance(law, (ThreeZone, AdamsStep, BengisuAkay, Stribeck, LuGre)):
+        return Coulomb(law.mu_kinetic, law.mu_static)
+    if isinstance(law, (CoulombTanh, Ambrosio, Threlfall, Dahl)):
+        return Coulomb(law.mu_kinetic)
+    return None

@@ -34,6 +34,25 @@ class Split(NamedTuple):
     push: Callable[..., Push]
 
 
+class Answers(NamedTuple):
+    """Free accelerations and closure multipliers without contact, and those that a unit force along each of some rows adds."""
+
+    free: list
+    multipliers: tuple
+    answers: list[tuple]
+
+
+def answer(apart: Apart, rows: list[Row]) -> Answers:
+    """How the mechanism of an instant moves without contact, and how it answers forces along the rows."""
+    respond, constrain = _inverse(apart)
+    free, multipliers = constrain(respond(apart.right), apart.wanted)
+    return Answers(free, multipliers, _unit_answers(respond, constrain, rows, len(apart.right), len(multipliers)))
+
+
+def _unit_answers(respond, constrain, rows, size, closures) -> list[tuple]:
+    return [constrain(respond([row.get(j, 0) for j in range(size)]), [0] * closures) for row in rows]
+
+
 def prepare(apart: Apart) -> Split:
     """The equations of an instant, solved without contact and ready to be solved with it."""
     rows = [row for contact in apart.contacts for row in contact.rows[: contact.active]]
@@ -43,7 +62,7 @@ def prepare(apart: Apart) -> Split:
     if not rows:
         return Split(free, multipliers, lambda reach, *_: Push([], [], [0] * size, (0,) * len(multipliers)))
     if apart.closure_rows or len(rows) < size:
-        answers = [constrain(respond([row.get(j, 0) for j in range(size)]), [0] * len(multipliers)) for row in rows]
+        answers = _unit_answers(respond, constrain, rows, size, len(multipliers))
         return Split(free, multipliers, _in_rows(rows, answers))
     mass = _whole(apart.masses)
     way = _in_speeds if size <= linear.LARGEST_WRITTEN_OUT else _in_many_speeds

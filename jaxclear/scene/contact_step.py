@@ -63,7 +63,7 @@ def step(
     h = span.length
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
     middle = [x + 0.5 * h * (a + b) for x, a, b in zip(v, last.smooth, last.contact, strict=True)]
-    halfway = _drift(system, q, q, v, 0.5 * h)
+    halfway = drift(system, q, q, v, 0.5 * h)
     motion = unpack_motion(system, [*halfway, *middle])
     apart = contact_tangent.set_apart(system, stabilisation, worn, span.start + 0.5 * h, *motion)
     laws = _contacts_at_start(system, layout, span, captured, apart, entries, middle, last.depths)
@@ -71,7 +71,7 @@ def step(
     missing = [x + 0.5 * h * k - m for x, k, m in zip(v, split.free, middle, strict=True)]
     push = _iterate(system, apart, laws, split, missing, last.contact, iterations)
     mean = [x + 0.5 * h * (k + (1 + span.bias) * c) for x, k, c in zip(v, split.free, push.accelerations, strict=True)]
-    q = _drift(system, q, _drift(system, q, halfway, mean, 0.5 * h), mean, h)
+    q = drift(system, q, drift(system, q, halfway, mean, 0.5 * h), mean, h)
     v = [x + h * (k + c) for x, k, c in zip(v, split.free, push.accelerations, strict=True)]
     q, depths = _settle(system, worn, apart, laws, split, push, q, v)
     after = [*q, *v, *pack_memories(layout, _memories_after(system, apart, laws, push))]
@@ -101,10 +101,10 @@ def _settle(system, worn, apart, laws, split, push, q, v) -> tuple[list, list]:
     for assumed, left in zip(led, _by_contact(apart, shift.rates), strict=True):
         moved = assumed + left[0]
         depths.append(jnp.where(moved > 0, jnp.minimum(positive_part(assumed), moved), moved))
-    return _drift(system, q, q, shift.accelerations, 1.0), depths
+    return drift(system, q, q, shift.accelerations, 1.0), depths
 
 
-def _drift(system, start, at, speeds, h) -> list:
+def drift(system, start, at, speeds, h) -> list:
     """Coordinates after `h`, their rates taken `at` some coordinates."""
     rates = coordinate_rates(system, *unpack_motion(system, [*at, *speeds]))
     return [x + h * rate for x, rate in zip(start, rates, strict=True)]
@@ -128,7 +128,7 @@ def _pairings(system):
     return [pairing for bearing in system.bearings.values() for pairing in bearing.pairings]
 
 
-def _by_joint(system, values) -> list[tuple]:
+def by_joint(system, values) -> list[tuple]:
     """One value per contact, as one tuple per clearance joint."""
     values, out = list(values), []
     for bearing in system.bearings.values():
@@ -153,9 +153,7 @@ def _contacts_at_start(system, layout, span, captured, apart, entries, middle, d
     back = [sp.sub(x, m) for x, m in zip(v, middle, strict=True)]
     approach = [sp.add(contact.rates[0], along(contact.rows[0], back)) for contact in apart.contacts]
     memories = unpack_memories(layout, entries)
-    for (name, bearing), *own in zip(
-        system.bearings.items(), _by_joint(system, depths), _by_joint(system, approach), strict=True
-    ):
+    for (name, bearing), *own in zip(system.bearings.items(), by_joint(system, depths), by_joint(system, approach), strict=True):
         each = zip(bearing.pairings, memories[name], *own, strict=True)
         memories[name] = tuple(
             m._replace(impact_speed=contact_tangent.approached(p, m.impact_speed, span, captured, d, r)) for p, m, d, r in each
@@ -193,7 +191,7 @@ def _iterate(system, apart, laws, split, missing, last, iterations) -> Push:
 
     def improve(push, _):
         own = _by_contact(apart, [push.rates[i] for i in range(len(unmoved))])
-        parts = zip(system.bearings.items(), _by_joint(system, laws.depths), _by_joint(system, own), strict=True)
+        parts = zip(system.bearings.items(), by_joint(system, laws.depths), by_joint(system, own), strict=True)
         calls = [(b.pairings, laws.memories[name], laws.span, d, r) for (name, b), d, r in parts]
         found = [tangent for joint in map_alike(tangents, calls) for tangent in joint]
         forces, dampings = ([x for tangent in found for x in tangent[part]] for part in (0, 1))
@@ -210,7 +208,7 @@ def _iterate(system, apart, laws, split, missing, last, iterations) -> Push:
 def _memories_after(system, apart, laws, push) -> dict[str, tuple[PointState, ...]]:
     rates, forces = (_by_contact(apart, part) for part in (push.rates, push.forces))
     out = {}
-    for (name, bearing), *own in zip(system.bearings.items(), _by_joint(system, rates), _by_joint(system, forces), strict=True):
+    for (name, bearing), *own in zip(system.bearings.items(), by_joint(system, rates), by_joint(system, forces), strict=True):
         each = zip(bearing.pairings, laws.memories[name], *own, strict=True)
         out[name] = tuple(
             m._replace(bristles=contact_tangent.bristles_after(p, m.bristles, laws.span, r, -f[0])) for p, m, r, f in each
@@ -243,7 +241,7 @@ def _reports(system, apart, laws, change, push) -> dict:
         outline = contact.outline._replace(indentation=0.5 * (positive_part(depth) + positive_part(end)))
         parts.append((outline, (rates[0], rates[1:]), positive_part(-forces[0]), forces[1:]))
     reports = {}
-    for (name, bearing), own in zip(system.bearings.items(), _by_joint(system, parts), strict=True):
+    for (name, bearing), own in zip(system.bearings.items(), by_joint(system, parts), strict=True):
         outlines, speeds, normals, tractions = zip(*own, strict=True)
         responses = tuple(
             Response(n, contact_point.slip_speed(slip), t, PointState(None, memory.bristles))

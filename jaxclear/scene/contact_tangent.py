@@ -76,7 +76,7 @@ def along(row: Row, values) -> Any:
 def set_apart(system: System, stabilisation: Baumgarte | None, worn: dict, time: Any, q: tuple, v: tuple) -> Apart:
     """The equations of motion at an instant, contacts apart."""
     motions = dynamics.move(system, q, v, time)
-    poses, contacts = _contacts(system, motions, worn)
+    poses, contacts = places(system, motions, worn)
     forces = dynamics.act(system, motions, {}, q, v, time)
     masses, right = dynamics.equations(system, forces)
     rows, wanted = dynamics.closure_targets(system, motions, stabilisation) if system.closures else ([], [])
@@ -93,7 +93,8 @@ def depths(system: System, worn: dict, time: Any, q: tuple, v: tuple) -> list:
     return [depth for joint in map_alike(contact_point.depths, calls) for depth in joint]
 
 
-def _contacts(system, motions, worn):
+def places(system: System, motions: tuple, worn: dict) -> tuple[dict[str, Pose], tuple[Place, ...]]:
+    """Poses of the journals in their bearings, and every possible contact."""
     names = list(system.bearings)
     poses, calls = {}, []
     for name in names:
@@ -110,13 +111,13 @@ def _contacts(system, motions, worn):
 
     with jax.named_scope("outline"):
         found = dict(zip(names, map_alike(geometry, calls), strict=True))
-    places = []
+    out = []
     for name, (outlines, speeds) in found.items():
         bearing = system.bearings[name]
         rows = _rows(system, motions, bearing, poses[name], outlines)
         for pairing, own, (rate, slip), outline in zip(bearing.pairings, rows, speeds, outlines, strict=True):
-            places.append(Place(outline, (rate, *slip), own, 1 if pairing.friction is None else len(own)))
-    return poses, tuple(places)
+            out.append(Place(outline, (rate, *slip), own, 1 if pairing.friction is None else len(own)))
+    return poses, tuple(out)
 
 
 def _rows(system, motions, bearing, pose, outlines):

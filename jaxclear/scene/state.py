@@ -1,6 +1,7 @@
 """The state of a simulation as one flat array, and where everything sits in it.
 
-Sections in order: coordinates, speeds, memories of contact laws, worn volumes with their volume-weighted locations, energies.
+Sections in order: coordinates, speeds, memories of contact laws, worn volumes with their volume-weighted locations, impulses (of
+joints whose forces are no functions of the state), energies.
 One array, because a compiled loop pays for every leaf it carries. What a scene lacks has no entries.
 """
 
@@ -11,8 +12,10 @@ import jax.numpy as jnp
 
 from jaxclear.ground import sparse as sp
 from jaxclear.scene.contact_point import PointState, memory_template
-from jaxclear.scene.system import System
+from jaxclear.scene.system import Bearing, System
 
+# An offset [m] at which nothing is structurally zero but by the scene.
+PROBE = (0.3e-3, 0.1e-3, 0.2e-3)
 ENERGIES = ("input", "contact_work", "contact_loss", "friction_loss", "damping_loss")
 
 
@@ -40,6 +43,7 @@ class Layout:
     speeds: int
     memories: tuple[tuple[str, tuple[tuple[bool, int], ...]], ...]
     wear: tuple[WearSlot, ...]
+    impulses: tuple[tuple[str, int], ...]
     energies: tuple[str, ...]
     size: int
 
@@ -55,20 +59,20 @@ class Layout:
     def energy_start(self) -> int:
         return self.size - len(self.energies)
 
+    @property
+    def impulse_start(self) -> int:
+        return self.energy_start - sum(count for _, count in self.impulses)
 
-def lay_out(system: System, balance: bool = False) -> Layout:
-    """The layout of a system's state; `balance` adds the energies that close the energy balance."""
+
+def lay_out(system: System, balance: bool = False, impulses: tuple[tuple[str, int], ...] = ()) -> Layout:
+    """The layout of a system's state; `balance` adds the energies that close the energy balance, `impulses` so many
+    components of an impulse [N s, N m s] since the start for a joint."""
     topology = system.topology
     memories, wear = [], []
     position = topology.coordinate_count + topology.speed_count
-    probe = (0.3e-3, 0.1e-3, 0.2e-3)
     samples = {}
     for name, bearing in system.bearings.items():
-        planar = _is_planar(system, bearing)
-        offset = tuple(jnp.asarray(x) for x in probe[:2]) + ((0,) if planar else (jnp.asarray(probe[2]),))
-        axes = tuple(tuple(jnp.asarray(float(x)) for x in sp.IDENTITY[k]) for k in bearing.joint.axes)
-        overlaps = bearing.joint.indentations(offset, axes, {})
-        touches = bearing.joint.touches(offset, axes, overlaps)
+        offset, axes, overlaps, touches = probe(system, bearing)
         templates = [memory_template(p, t) for p, t in zip(bearing.pairings, touches, strict=True)]
         kinds = tuple((t.impact_speed is not None, len(t.bristles)) for t in templates)
         memories.append((name, kinds))
@@ -84,11 +88,29 @@ def lay_out(system: System, balance: bool = False) -> Layout:
                     wear.append(WearSlot(name, surface, k, position, averaged, constants))
                     position += 1 + len(averaged)
     energies = ENERGIES if balance else ()
-    size = position + len(energies)
-    return Layout(topology.coordinate_count, topology.speed_count, tuple(memories), tuple(wear), energies, size)
+    size = position + sum(count for _, count in impulses) + len(energies)
+    return Layout(topology.coordinate_count, topology.speed_count, tuple(memories), tuple(wear), impulses, energies, size)
 
 
-def _is_planar(system, bearing):
+def probe(system: System, bearing: Bearing) -> tuple:
+    """(offset, axes, indentations, touches) of a clearance joint somewhere: for what does not depend on the place."""
+    planar = _is_planar(system)
+    offset = tuple(jnp.asarray(x) for x in PROBE[:2]) + ((0,) if planar else (jnp.asarray(PROBE[2]),))
+    axes = tuple(tuple(jnp.asarray(float(x)) for x in sp.IDENTITY[k]) for k in bearing.joint.axes)
+    overlaps = bearing.joint.indentations(offset, axes, {})
+    return offset, axes, overlaps, bearing.joint.touches(offset, axes, overlaps)
+
+
+def contact_components(system: System) -> tuple[tuple[str, int], ...]:
+    """By clearance joint, how many components its contacts' forces have: a normal one, one per slip direction where it rubs."""
+    counts = []
+    for name, bearing in system.bearings.items():
+        each = zip(bearing.pairings, probe(system, bearing)[3], strict=True)
+        counts.append((name, sum(1 + (0 if p.friction is None else len(t.tangents)) for p, t in each)))
+    return tuple(counts)
+
+
+def _is_planar(system):
     return all(not link.joint.columns(link.joint.home) or _flat(link) for link in system.links) and bool(system.links)
 
 
@@ -157,4 +179,5 @@ def names(system: System, layout: Layout) -> list[str]:
     for slot in layout.wear:
         label = f"{slot.bearing}.{slot.surface}.volume{slot.contact}"
         out += [label] + [f"{label}.location{i}" for i in slot.averaged]
+    out += [f"{name}.impulse{i}" for name, count in layout.impulses for i in range(count)]
     return out + list(layout.energies)

@@ -21,6 +21,8 @@ OUTCOMES = (
     "The allowed number of captured impacts between two saved times was used up.",
 )
 REACHED, TOO_SMALL, TOO_MANY, NOT_FINITE, TOO_MANY_IMPACTS = range(5)
+# Forces that follow from the state; percussions of rigid contacts; reactions of joints that are always in contact.
+FORMULATIONS = COMPLIANT, RIGID, FITTED = ("compliant", "rigid", "fitted")
 
 
 class Advance(NamedTuple):
@@ -36,9 +38,10 @@ class Advance(NamedTuple):
 
 class AbstractIntegrator(eqx.Module):
     """Carries a state over an interval. `pathwise` tells whether forward-mode derivatives through its steps
-    are those of the discrete run."""
+    are those of the discrete run, `formulation` what contact is to it: one of `FORMULATIONS`."""
 
     pathwise: eqx.AbstractClassVar[bool]
+    formulation: eqx.AbstractClassVar[str]
 
     @abstractmethod
     def first_hint(self, field: Field, start: Scalar, state: Any) -> Any:

@@ -13,10 +13,11 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
-from jaxclear.scene import contact_step, state_rate
+from jaxclear.scene import contact_step, rigid_step, state_rate
 from jaxclear.scene.contact_step import Hint
 from jaxclear.scene.contact_tangent import Span
 from jaxclear.scene.loops import Baumgarte
+from jaxclear.scene.rigid_step import Rules
 from jaxclear.scene.state import Layout, impact_speed_places, unpack_motion
 from jaxclear.scene.system import System
 
@@ -74,6 +75,13 @@ class Field(eqx.Module):
         args = (self.system, self.layout, self.stabilisation, self.worn, span, self._entries(state), last)
         after, now = contact_step.step(*args, iterations, self.captured)
         return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths])
+
+    def rigid_step(self, span: Span, state: State, last: Float[Array, " v"], rules: Rules) -> tuple[State, Float[Array, " v"]]:
+        """The state after a step with rigid contacts, and the free accelerations that the next one starts from."""
+        numbers = [last[i] for i in range(len(last))]
+        args = (self.system, self.layout, self.stabilisation, self.worn, span, self._entries(state), numbers, rules)
+        after, free = rigid_step.step(*args)
+        return sp.stack(after), sp.stack(free)
 
     def implicit_hint(self, time: Any, state: State) -> Float[Array, " h"]:
         """What the first implicit step is handed: no accelerations, and the contacts as they are."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.native.loop import while_loop
 from jaxclear.scene.contact_tangent import Span
-from jaxclear.time.advance import NOT_FINITE, REACHED, AbstractIntegrator, Advance, check_count, check_step
+from jaxclear.time.advance import COMPLIANT, NOT_FINITE, REACHED, AbstractIntegrator, Advance, check_count, check_step
 from jaxclear.time.fixed_step import SLIVER
 
 
@@ -37,6 +37,7 @@ class ImplicitStep(AbstractIntegrator):
     """
 
     pathwise: ClassVar = True
+    formulation: ClassVar = COMPLIANT
     step: Scalar = quantity(1e-4, "s", "largest step")
     rebound: Scalar = quantity(0.95, "1", "share of its speed that an elastic impact keeps which the step does not resolve")
     newton: int = eqx.field(static=True, default=3)

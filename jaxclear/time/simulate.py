@@ -15,16 +15,18 @@ from jaxtyping import Array, Float
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import concrete
-from jaxclear.laws.friction import AbstractBristleFriction, AbstractSlipFriction
+from jaxclear.laws.contact import Rigid
+from jaxclear.laws.friction import AbstractBristleFriction, AbstractSlipFriction, set_valued
+from jaxclear.laws.restitution import restitution
 from jaxclear.scene.initial import assemble
 from jaxclear.scene.mechanism import Mechanism
-from jaxclear.scene.state import Layout, lay_out
+from jaxclear.scene.state import Layout
 from jaxclear.scene.system import System, prepare, readings
 from jaxclear.time import progress
 from jaxclear.time.adaptive import Adaptive
-from jaxclear.time.advance import NOT_FINITE, REACHED, AbstractIntegrator
+from jaxclear.time.advance import COMPLIANT, NOT_FINITE, REACHED, RIGID, AbstractIntegrator
 from jaxclear.time.field import Field
-from jaxclear.time.trajectory import Trajectory
+from jaxclear.time.trajectory import Trajectory, layout_of
 
 Worn = dict[str, dict[str, Array]]
 # Weight of the laws' memories in the error control: they need not be exact, but a step longer than their time constant would
@@ -78,7 +80,7 @@ def run(
 ) -> Trajectory:
     """The pure core of `simulate`: from consistent coordinates and speeds to a trajectory; maps and differentiates."""
     system = prepare(mechanism)
-    layout = lay_out(system, balance)
+    layout = layout_of(system, balance, integrator.formulation)
     state = jnp.concatenate([coordinates, speeds, jnp.zeros(layout.size - layout.memory_start)])
     worn = unworn(system) if worn is None else worn
     rest = layout.size - layout.memory_start - layout.memory_count
@@ -110,7 +112,9 @@ def run(
     (_, worn, _, outcome, ended), (states, read, (accepted, rejected)) = jax.lax.scan(interval, first, spans)
     states = jnp.concatenate([state[None], states])
     read = jax.tree.map(lambda x: jnp.concatenate([x[:1], x]), read)
-    return Trajectory(mechanism, times, states, worn, read, outcome, ended, accepted.sum(), rejected.sum(), balance)
+    return Trajectory(
+        mechanism, times, states, worn, read, outcome, ended, accepted.sum(), rejected.sum(), balance, integrator.formulation
+    )
 
 
 _run = eqx.filter_jit(run)
@@ -142,9 +146,16 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any =
         raise ValueError(f"the integrator is {integrator!r}; it must be one of jaxclear.integrator, such as Adaptive().")
     known = times is not None and not isinstance(times, jax.core.Tracer)
     step = concrete(integrator.relaxing_step(np.max(np.diff(times)) if known else None))
+    if integrator.formulation != COMPLIANT:
+        return check_set_valued(mechanism, integrator)
     for name in mechanism.topology.clearances:
         for pairing in mechanism.connections[name].joint.pairings():
             law = pairing.friction
+            if isinstance(pairing.contact, Rigid):
+                raise ValueError(
+                    f'joint "{name}" has contact.Rigid, which has no force law: take integrator.MoreauJean, or a compliant law '
+                    "such as contact.CarvalhoMartins."
+                )
             if law is not None and not isinstance(law, (AbstractSlipFriction, AbstractBristleFriction)):
                 raise ValueError(
                     f'joint "{name}" has set-valued friction {type(law).__name__}, which has no force law; on a compliant '
@@ -156,6 +167,23 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any =
                     f'steps of {step:.6g} s are too long for joint "{name}": its contact law remembers the impact speed with '
                     f"memory_time {memory} s and would explode; take steps below {MEMORY_STEPS * memory:.3g} s, a "
                     "longer memory_time, or capture_impacts=True."
+                )
+
+
+def check_set_valued(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
+    """Laws must say what they are without compliance. Raises `ValueError` with a sentence."""
+    name_of = f"integrator.{type(integrator).__name__}"
+    for name in mechanism.topology.clearances:
+        for pairing in mechanism.connections[name].joint.pairings():
+            if pairing.friction is not None and set_valued(pairing.friction) is None:
+                raise ValueError(
+                    f'joint "{name}" has friction {type(pairing.friction).__name__}, of which {name_of} does not know the '
+                    "coefficients; give friction.Coulomb(mu_kinetic, mu_static)."
+                )
+            if integrator.formulation == RIGID and restitution(pairing.contact) is None:
+                raise ValueError(
+                    f'joint "{name}" has contact {type(pairing.contact).__name__}, whose restitution depends on mass and speed; '
+                    f"for {name_of} give contact.Rigid(restitution)."
                 )
 
 

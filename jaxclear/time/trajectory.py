@@ -14,11 +14,11 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import GROUND
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
-from jaxclear.scene import dynamics, state
+from jaxclear.scene import dynamics, rigid_step, state
 from jaxclear.scene.contact_point import JointReport
 from jaxclear.scene.mechanism import Mechanism
 from jaxclear.scene.system import System, prepare
-from jaxclear.time.advance import OUTCOMES, REACHED
+from jaxclear.time.advance import COMPLIANT, OUTCOMES, REACHED, RIGID
 
 
 class BodyHistory(eqx.Module):
@@ -90,6 +90,7 @@ class Trajectory(eqx.Module):
     accepted_steps: Array
     rejected_steps: Array
     balanced: bool = eqx.field(static=True)
+    formulation: str = eqx.field(static=True, default=COMPLIANT)
 
     @property
     def succeeded(self) -> Any:
@@ -107,7 +108,7 @@ class Trajectory(eqx.Module):
     def state_names(self) -> list[str]:
         """Names of the columns of `states`."""
         system = prepare(self.mechanism)
-        return state.names(system, state.lay_out(system, self.balanced))
+        return state.names(system, layout_of(system, self.balanced, self.formulation))
 
     def body(self, name: str) -> BodyHistory:
         """Motion of a body."""
@@ -151,7 +152,7 @@ class Trajectory(eqx.Module):
     def worn_volume(self, joint: str, surface: str) -> Float[Array, " time"]:
         """Volume lost by a surface of a joint over time [m3]."""
         self._check_wears(joint, surface)
-        layout = state.lay_out(prepare(self.mechanism), self.balanced)
+        layout = layout_of(prepare(self.mechanism), self.balanced, self.formulation)
         slots = [slot for slot in layout.wear if (slot.bearing, slot.surface) == (joint, surface)]
         return sum(self.states[:, slot.start] for slot in slots)
 
@@ -186,8 +187,14 @@ class Trajectory(eqx.Module):
             raise ValueError(f'no {kind} "{name}" in this mechanism; there are {", ".join(map(repr, names)) or "none"}.')
 
 
+def layout_of(system: System, balanced: bool, formulation: str) -> state.Layout:
+    """The layout of the states of a run."""
+    return state.lay_out(system, balanced, state.contact_components(system) if formulation == RIGID else ())
+
+
 class Instant(NamedTuple):
-    """A saved state made ready: everything the histories are computed from."""
+    """A saved state made ready: everything the histories are computed from. `means`: components of forces that are no functions
+    of the state, as means over the saving interval that ends here."""
 
     system: System
     layout: state.Layout
@@ -197,9 +204,12 @@ class Instant(NamedTuple):
     time: Any
     entries: Any
     read: dict
+    means: Any
 
     def reports(self) -> dict[str, JointReport]:
         """Contacts over the surfaces as they were worn at this instant."""
+        if self.layout.impulses:
+            return rigid_step.reports_at(self.system, self.motions, self.read, [self.means[i] for i in range(len(self.means))])
         return dynamics.touch(self.system, self.motions, state.unpack_memories(self.layout, self.entries), self.read)
 
     def forces(self) -> dynamics.Forces:
@@ -210,15 +220,22 @@ def _over_time(trajectory: Trajectory, function: Any) -> Any:
     """Maps a function of an `Instant` over the saved states."""
     mechanism = trajectory.mechanism
     system = prepare(mechanism)
-    layout = state.lay_out(system, trajectory.balanced)
+    layout = layout_of(system, trajectory.balanced, trajectory.formulation)
 
-    def one(time, entries, read):
+    def one(time, entries, read, means):
         q, v = state.unpack_motion(system, entries)
-        instant = Instant(system, layout, dynamics.move(system, q, v, time), q, v, time, entries, read)
+        instant = Instant(system, layout, dynamics.move(system, q, v, time), q, v, time, entries, read, means)
         return sp.dense(function(instant))
 
     columns = [trajectory.states[:, i] for i in range(layout.size)]
-    return jax.vmap(one)(trajectory.time, columns, trajectory.read)
+    return jax.vmap(one)(trajectory.time, columns, trajectory.read, mean_forces(trajectory, layout))
+
+
+def mean_forces(trajectory: Trajectory, layout: state.Layout) -> Float[Array, "time components"]:
+    """Impulses gained over each saving interval, divided by its length; 0 at the start."""
+    impulses = trajectory.states[:, layout.impulse_start : layout.energy_start]
+    means = jnp.diff(impulses, axis=0) / jnp.diff(trajectory.time)[:, None]
+    return jnp.concatenate([jnp.zeros_like(impulses[:1]), means])
 
 
 @eqx.filter_jit

@@ -1,0 +1,246 @@
+"""One step of a whole mechanism whose clearance joints are rigid: theta method for the motion, percussions for the contacts.
+
+The equations are evaluated once, half a step ahead along the speeds; contacts that the step would close are asked for Newton's
+law of impact and Coulomb's law of friction at the velocities of its end. What overlaps at its end is moved apart (projection in
+the metric of the masses), speeds kept. Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comput.
+Methods Appl. Mech. Eng. 177, 235; Acary & Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, ch. 10.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.laws.contact import Rigid
+from jaxclear.laws.friction import Coulomb, set_valued
+from jaxclear.laws.restitution import restitution
+from jaxclear.scene import contact_point, contact_solve, contact_tangent, dynamics, linear, percussion
+from jaxclear.scene.contact_point import PointState, Response
+from jaxclear.scene.contact_step import by_joint, drift
+from jaxclear.scene.contact_tangent import Apart, Place, Row, Span, along
+from jaxclear.scene.dynamics import Solution
+from jaxclear.scene.loops import Baumgarte
+from jaxclear.scene.state import Layout, unpack_motion
+from jaxclear.scene.state_rate import passive_rates
+from jaxclear.scene.system import System
+
+# Sweeps that move overlapping contacts apart; what they leave, the next step takes.
+PROJECTIONS = 8
+# Indentation [m] below which a contact's extent is read as at this one: wear of a rigid contact needs some.
+TOUCHING = 1e-9
+
+
+class Rules(NamedTuple):
+    """How a step is made: weight `theta` of its end in the mean speed, share `gamma` of the step after which a contact counts as
+    closed, most sweeps over the contacts and the residual at which they end, whether overlaps are moved apart."""
+
+    theta: Any
+    gamma: Any
+    most_sweeps: Any
+    tolerance: Any
+    project: bool
+
+
+class Side(NamedTuple):
+    """A contact as percussions see it: rows of the opening speed and of two or fewer slips, their values at the middle speeds,
+    and for each direction of the joint's own slip its shares in these slips."""
+
+    rows: list[Row]
+    values: list
+    shares: list[list]
+    restitution: Any
+    friction: Coulomb | None
+
+
+def step(
+    system: System,
+    layout: Layout,
+    stabilisation: Baumgarte | None,
+    worn: dict,
+    span: Span,
+    entries: list,
+    last: list,
+    rules: Rules,
+) -> tuple[list, list]:
+    """Entries of the state after the step, and the free accelerations, which the next is handed as `last`."""
+    h = span.length
+    q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
+    middle = [x + 0.5 * h * a for x, a in zip(v, last, strict=True)]
+    halfway = drift(system, q, q, v, 0.5 * h)
+    motion = unpack_motion(system, [*halfway, *middle])
+    apart = contact_tangent.set_apart(system, stabilisation, worn, span.start + 0.5 * h, *motion)
+    sides = _sides(system, apart)
+    found = contact_solve.answer(apart, [row for side in sides for row in side.rows])
+    push = _impacts(apart, sides, found, v, middle, h, rules) if sides else _Push([], [0] * len(v), ())
+    after = [x + h * k + p for x, k, p in zip(v, found.free, push.changes, strict=True)]
+    mean = [rules.theta * b + (1 - rules.theta) * a for a, b in zip(v, after, strict=True)]
+    moved = drift(system, q, drift(system, q, halfway, mean, 0.5 * h), mean, h)
+    if rules.project and sides:
+        moved = _separate(system, worn, span, moved, after, sides, found)
+    state = [*moved, *after, *entries[layout.memory_start : layout.memory_start + layout.memory_count]]
+    change = [sp.sub(a, b) for a, b in zip(mean, middle, strict=True)]
+    passive = _passive(system, layout, apart, sides, push, found, change, motion, span)
+    return [*state, *(x + change for x, change in zip(entries[len(state) :], passive, strict=True))], found.free
+
+
+class _Push(NamedTuple):
+    """Percussions per contact (normal, then along the joint's own slip directions), changes of speeds, closure impulses."""
+
+    percussions: list
+    changes: list
+    multipliers: tuple
+
+
+def _sides(system: System, apart: Apart) -> list[Side]:
+    pairings = [pairing for bearing in system.bearings.values() for pairing in bearing.pairings]
+    sides = []
+    for place, pairing in zip(apart.contacts, pairings, strict=True):
+        law = None if pairing.friction is None else set_valued(pairing.friction)
+        slips = [] if law is None else _slips(place)
+        rows = [{j: sp.neg(entry) for j, entry in place.rows[0].items()}]
+        values, shares = [sp.neg(place.rates[0])], []
+        for weights in slips:
+            rows.append(_combined(place.rows[1:], weights))
+            values.append(sp.dot(weights, place.rates[1:]))
+        for k in range(0 if law is None else len(place.rows) - 1):
+            shares.append([weights[k] for weights in slips])
+        sides.append(Side(rows, values, shares, restitution(pairing.contact), law))
+    return sides
+
+
+def _slips(place: Place) -> list[tuple]:
+    """Weights of the joint's slip directions in each direction that percussions use: those that can move; of a whole basis
+    the two across the normal."""
+    count = len(place.rows) - 1
+    if count < 3:
+        return [tuple(int(i == k) for i in range(count)) for k in range(count) if place.rows[1 + k]]
+    normal = tuple(jnp.asarray(x, float) for x in place.outline.touch.normal)
+    steep = jnp.abs(normal[0]) > 0.7
+    aside = (jnp.where(steep, 0.0, 1.0), jnp.where(steep, 1.0, 0.0), 0)
+    first = sp.cross(normal, aside)
+    first = sp.scale(safe_divide(1.0, safe_sqrt(sp.dot(first, first))), first)
+    return [first, sp.cross(normal, first)]
+
+
+def _combined(rows: tuple[Row, ...], weights: tuple) -> Row:
+    out: Row = {}
+    for row, weight in zip(rows, weights, strict=True):
+        for j, entry in row.items():
+            out[j] = sp.add(out.get(j, 0), sp.mul(weight, entry))
+    return {j: entry for j, entry in out.items() if not sp.is_zero(entry)}
+
+
+def _impacts(apart: Apart, sides, found, v, middle, h, rules) -> _Push:
+    """Percussions of the step."""
+    width = max(len(side.rows) for side in sides)
+    places = [c * width + i for c, side in enumerate(sides) for i in range(len(side.rows))]
+    size = width * len(sides)
+    rows = [row for side in sides for row in side.rows]
+    matrix: list[list[Any]] = [[int(i == j) for j in range(size)] for i in range(size)]
+    for i, row in zip(places, rows, strict=True):
+        for j, (accelerations, _) in zip(places, found.answers, strict=True):
+            matrix[i][j] = along(row, accelerations)
+    start = [sp.sub(a, b) for a, b in zip(v, middle, strict=True)]
+    free = [sp.add(s, h * k) for s, k in zip(start, found.free, strict=True)]
+
+    def padded(change):
+        flat = [0] * size
+        values = [value for side in sides for value in side.values]
+        for i, row, value in zip(places, rows, values, strict=True):
+            flat[i] = sp.add(value, along(row, change))
+        return sp.stack(flat).reshape(len(sides), width)
+
+    before = padded(start)
+    depths = [contact.outline.indentation + (0.5 - rules.gamma) * h * before[i, 0] for i, contact in enumerate(apart.contacts)]
+    slip = safe_sqrt(jnp.sum(before[:, 1:] ** 2, 1))
+    bounds = [0 if side.friction is None else side.friction.bound(slip[i]) for i, side in enumerate(sides)]
+    solved = percussion.impact(
+        linear.to_array(tuple(map(tuple, matrix))),
+        padded(free),
+        before,
+        sp.stack(depths) >= 0,
+        sp.stack([side.restitution for side in sides]),
+        sp.stack(bounds),
+        most_sweeps=rules.most_sweeps,
+        tolerance=rules.tolerance,
+    ).percussion
+    flat = [solved[i // width, i % width] for i in places]
+    changes, multipliers = (
+        [sp.dot(flat, column) for column in zip(*[answer[part] for answer in found.answers], strict=True)] for part in (0, 1)
+    )
+    own = []
+    for c, side in enumerate(sides):
+        tangents = [solved[c, 1 + k] for k in range(len(side.rows) - 1)]
+        own.append((solved[c, 0], *[sp.dot(weights, tangents) for weights in side.shares]))
+    return _Push(own, changes, tuple(multipliers))
+
+
+def _separate(system, worn, span, q, v, sides, found) -> list:
+    """Coordinates at which no contact overlaps any more."""
+    depths = contact_tangent.depths(system, worn, span.start + span.length, *unpack_motion(system, [*q, *v]))
+    first, normals = 0, []
+    for side in sides:
+        normals.append((side.rows[0], found.answers[first][0]))
+        first += len(side.rows)
+    gains = [[along(row, answer) for _, answer in normals] for row, _ in normals]
+    shifts: list[Any] = [jnp.zeros(()) for _ in normals]
+    for _ in range(PROJECTIONS if len(normals) > 1 else 1):
+        for i, line in enumerate(gains):
+            left = depths[i] - sp.dot(line, shifts)
+            mobility = jnp.asarray(line[i], float)
+            shifts[i] = positive_part(shifts[i] + safe_divide(left, mobility))
+    shifts = [jnp.where(depth > 0, shift, 0.0) for depth, shift in zip(depths, shifts, strict=True)]
+    change = [sp.dot(shifts, column) for column in zip(*[answer for _, answer in normals], strict=True)]
+    return drift(system, q, q, change, 1.0)
+
+
+def _passive(system, layout, apart, sides, push, found, change, motion, span) -> list:
+    """Changes of what only follows the motion: worn volumes, impulses, energies."""
+    h = span.length
+    impulses = [part for own in push.percussions for part in own]
+    if not layout.wear and not layout.energies:
+        return impulses
+    forces = [tuple(sp.mul(1 / h, part) for part in own) for own in push.percussions]
+    reports = reports_of(system, apart.poses, apart.contacts, forces, change)
+    acting = apart.forces._replace(reports=reports)
+    if layout.energies:
+        acting = dynamics.act(system, apart.forces.motions, reports, *motion, span.start + 0.5 * h)
+    total = [sp.add(k, sp.mul(1 / h, c)) for k, c in zip(found.free, push.changes, strict=True)]
+    multipliers = tuple(sp.add(a, sp.mul(1 / h, b)) for a, b in zip(found.multipliers, push.multipliers, strict=True))
+    solution = Solution(tuple(tuple(total[b.speeds]) for b in system.topology.branches), multipliers)
+    rates = [sp.mul(h, rate) for rate in passive_rates(system, layout, acting, solution)]
+    worn = len(rates) - len(layout.energies)
+    return [*rates[:worn], *impulses, *rates[worn:]]
+
+
+def reports_of(system: System, poses: dict, contacts: tuple[Place, ...], forces: list[tuple], change: list) -> dict:
+    """Reports of the clearance joints for given forces (normal, then friction along each slip direction), at the contacts' rates
+    with the speeds changed by `change`."""
+    reports = {}
+    parts = by_joint(system, list(zip(contacts, forces, strict=True)))
+    for (name, bearing), own in zip(system.bearings.items(), parts, strict=True):
+        outlines = tuple(
+            contact.outline._replace(indentation=jnp.maximum(contact.outline.indentation, TOUCHING)) for contact, _ in own
+        )
+        pairings = tuple(pairing._replace(contact=Rigid()) for pairing in bearing.pairings)
+        speeds, responses = [], []
+        for contact, force in own:
+            rate, *slip = (sp.add(r, along(row, change)) for r, row in zip(contact.rates, contact.rows, strict=True))
+            speeds.append((rate, tuple(slip)))
+            memory = PointState(None, ())
+            responses.append(Response(force[0], contact_point.slip_speed(tuple(slip)), force[1:], memory))
+        reports[name] = contact_point.assemble(bearing.joint, pairings, poses[name], outlines, speeds, responses)
+    return reports
+
+
+def reports_at(system: System, motions: tuple, worn: dict, components: list) -> dict:
+    """Reports of the clearance joints at an instant, for given components of their contacts' forces, in the state's order."""
+    poses, contacts = contact_tangent.places(system, motions, worn)
+    pairings = [pairing for bearing in system.bearings.values() for pairing in bearing.pairings]
+    forces, first = [], 0
+    for place, pairing in zip(contacts, pairings, strict=True):
+        count = 1 + (0 if pairing.friction is None else len(place.outline.touch.tangents))
+        forces.append(tuple(components[first : first + count]))
+        first += count
+    return reports_of(system, poses, contacts, forces, [0] * system.topology.speed_count)
