@@ -29,6 +29,7 @@ from jaxclear.scene.loops import Baumgarte  # noqa: E402
 from jaxclear.scene.mechanism import Mechanism  # noqa: E402
 from jaxclear.studies import distribution  # noqa: E402
 from jaxclear.studies.advise import advise  # noqa: E402
+from jaxclear.studies.pointing import pointing_error  # noqa: E402
 from jaxclear.studies.problem import Problem, Variable  # noqa: E402
 from jaxclear.studies.sensitivity import sensitivity  # noqa: E402
 from jaxclear.studies.tolerance import monte_carlo  # noqa: E402
@@ -63,6 +64,7 @@ __all__ = [
     "load",
     "material",
     "monte_carlo",
+    "pointing_error",
     "response",
     "scenes",
     "sensitivity",

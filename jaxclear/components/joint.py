@@ -12,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.components.drive import AbstractDrive
+from jaxclear.ground import group
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import (
     REST,
@@ -57,6 +58,22 @@ class AbstractDrivenJoint(AbstractJoint):
     """A joint with one coordinate, which a drive may prescribe."""
 
     drive: eqx.AbstractVar[AbstractDrive | None]
+
+
+class AbstractGroupJoint(AbstractJoint):
+    """A joint whose coordinates are no vector but a group: a quaternion, a position with a quaternion.
+
+    Integrators on groups (`jaxclear.integrator.MuntheKaas`) move it by increments, the speeds held for a time; the coordinates
+    of every other joint they add up.
+    """
+
+    @abstractmethod
+    def moved(self, q: tuple, increment: tuple) -> tuple:
+        """Coordinates after the speeds `increment` have been held for unit time: the group's exponential map, from q."""
+
+    @abstractmethod
+    def bracket(self, a: tuple, b: tuple) -> tuple:
+        """Lie bracket of two increments: what a then b moves more than b then a, to second order."""
 
 
 class Revolute(AbstractDrivenJoint):
@@ -146,7 +163,7 @@ class Universal(AbstractJoint):
         return Twist(sp.ZERO, (-jnp.sin(q[1]) * spin, 0, jnp.cos(q[1]) * spin))
 
 
-class Spherical(AbstractJoint):
+class Spherical(AbstractGroupJoint):
     """Turns freely about a point: q unit quaternion (w, x, y, z), v angular velocity [rad/s] in the child's axes."""
 
     home: ClassVar = (1.0, 0.0, 0.0, 0.0)
@@ -166,8 +183,14 @@ class Spherical(AbstractJoint):
     def bias(self, q, v):
         return None
 
+    def moved(self, q, increment):
+        return group.turned(q, increment)
 
-class Planar(AbstractJoint):
+    def bracket(self, a, b):
+        return sp.cross(a, b)
+
+
+class Planar(AbstractGroupJoint):
     """Moves in the x-y plane and turns about z: q (x [m], y [m], angle [rad]), v in the child's axes."""
 
     home: ClassVar = (0.0, 0.0, 0.0)
@@ -188,8 +211,14 @@ class Planar(AbstractJoint):
     def bias(self, q, v):
         return None
 
+    def moved(self, q, increment):
+        return group.slid(q, increment)
 
-class Free(AbstractJoint):
+    def bracket(self, a, b):
+        return group.planar_bracket(a, b)
+
+
+class Free(AbstractGroupJoint):
     """No constraint: q (x, y, z [m], quaternion w, x, y, z), v twist in the child's axes, linear then angular."""
 
     home: ClassVar = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -208,6 +237,12 @@ class Free(AbstractJoint):
 
     def bias(self, q, v):
         return None
+
+    def moved(self, q, increment):
+        return group.displaced(q, increment)
+
+    def bracket(self, a, b):
+        return group.twist_bracket(a, b)
 
 
 class Fixed(AbstractJoint):

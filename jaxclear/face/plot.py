@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from jaxclear.components.wear_map import CylinderMap
 from jaxclear.studies.advice import PRESENT, REFERENCE, Advice
 from jaxclear.studies.pilot import describe
+from jaxclear.studies.pointing import PointingError, shift, turn
 from jaxclear.studies.sensitivity import Sensitivity
 from jaxclear.studies.tolerance import MonteCarlo
 from jaxclear.time.trajectory import Trajectory
@@ -181,11 +182,11 @@ def monte_carlo(study: MonteCarlo) -> Figure:
 
 
 def _readable(values: np.ndarray, unit: str) -> tuple[float, str]:
-    """Factor and unit in which values in metres are readable; other units stay."""
-    if unit != "m" or not len(values):
+    """Factor and unit in which values in metres or radians are readable; other units stay."""
+    if unit not in ("m", "rad") or not len(values):
         return 1.0, unit
     size = np.abs(values).max()
-    return next(((f, u) for f, u in ((1.0, "m"), (1e3, "mm"), (1e6, "µm")) if size * f >= 1.0), (1e9, "nm"))
+    return next(((f, p + unit) for f, p in ((1.0, ""), (1e3, "m"), (1e6, "µ")) if size * f >= 1.0), (1e9, f"n{unit}"))
 
 
 def sensitivity(study: Sensitivity) -> Figure:
@@ -238,4 +239,39 @@ def work_precision(advice: Advice) -> Figure:
     cheapest = f"cheapest in batches of {advice.batch}" if advice.batch else "cheapest alone"
     axis.set_title(f"Recommended, {cheapest}: {describe(advice.recommended)}", fontsize=10)
     figure.legend(*axis.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3)
+    return figure
+
+
+def pointing_budget(error: PointingError) -> Figure:
+    """Pointing and position error of a tip over time, exact beside the adjoint model, with what each joint contributes; beside
+    it the root mean squares, each with its share of the mean square."""
+    figure, axes = _figure(2, 2, (10.0, 6.4), width_ratios=(2.4, 1.0))
+    table = error.budget()
+    quantities = (
+        ("pointing", error.pointing_angle, turn, "rad"),
+        ("position", error.position_error, shift, "m"),
+    )
+    for (over_time, beside), (what, exact, size, base_unit) in zip(axes, quantities, strict=True):
+        factor, unit = _readable(exact, base_unit)
+        shades = dict(zip(error.names, (f"C{k}" for k in range(len(error.names))), strict=True))
+        for name, shade in shades.items():
+            values = factor * size(error.contributions[name])
+            over_time.plot(error.time, values, color=shade, lw=0.9, alpha=0.85, label=f"{name} alone")
+        over_time.plot(error.time, factor * exact, color="0.55", lw=3.0, label="exact", zorder=2.5)
+        over_time.plot(error.time, factor * size(error.model), "k--", lw=1.0, label="adjoint model", zorder=3)
+        over_time.set_ylabel(f"{what} error [{unit}]")
+        over_time.set_ylim(bottom=0)
+        column = factor * table[f"rms {what} [{base_unit}]"]
+        colours = [shades.get(name, "k" if name == "model" else "0.55") for name in table.index]
+        beside.barh(range(len(table)), column, color=colours)
+        for row, (value, share) in enumerate(zip(column, table[f"share of {what} [1]"], strict=True)):
+            text = "" if np.isnan(share) or row >= len(error.names) else f"{100 * share:.3g} %"
+            beside.text(value, row, f" {text}", va="center", fontsize=8)
+        beside.set_yticks(range(len(table)), table.index)
+        beside.set_xlim(0.0, 1.25 * max(column.max(), np.finfo(float).tiny))
+        beside.invert_yaxis()
+        beside.set_xlabel(f"rms [{unit}], share of the mean square")
+    axes[1][0].set_xlabel("time [s]")
+    figure.legend(*axes[0][0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=5)
+    figure.suptitle(f'Error of the tip on "{error.tip}" seen from "{error.base}"')
     return figure

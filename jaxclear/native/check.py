@@ -186,13 +186,16 @@ def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
     return [v * (1 + NUDGE * (-1) ** i) if v.dtype == float else v for i, v in enumerate(sample)]
 
 
-def agree(found: np.ndarray, wanted: np.ndarray, changed: np.ndarray) -> bool:
-    """Whether a kernel gave what is wanted, as far as `changed` (for nudged numbers) lets one tell; half must tell."""
+def agree(found: np.ndarray, wanted: np.ndarray, changed: np.ndarray, first: np.ndarray) -> bool:
+    """Whether a kernel gave what is wanted, as far as `changed` (for nudged numbers) lets one tell; half must tell.
+
+    `first` is what the turn began with: a sum that cancels it rounds like it.
+    """
     with np.errstate(all="ignore"):
         # Where numbers overflow, inf or nan is a matter of the order of operations.
         finite = np.isfinite(wanted) & np.isfinite(changed)
         doubt = MARGIN * np.where(finite, np.abs(changed - wanted), np.inf)
-        size = np.abs(wanted) + AGREEMENT
+        size = np.abs(wanted) + np.abs(first) + AGREEMENT
         close = ~finite | (np.abs(found - wanted) <= AGREEMENT * size + doubt)
         telling = finite & (doubt <= VAGUE * size)
     return bool(close.all() and telling.mean() >= 0.5)

@@ -307,7 +307,8 @@ def check(program: Program, kernel: Kernel) -> None:
 
     with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
         wanted, changed = (np.array([by_numpy(f(s)) for s in samples]) for f in (lambda s: s, checking.nudged))
-    if not checking.agree(out, wanted, changed):
+    first = np.array([np.concatenate([np.ravel(v).astype(float) for v in s[len(constants) :]]) for s in samples])
+    if not checking.agree(out, wanted, changed, first):
         raise Unsupported("a loop whose kernel does not agree with NumPy")
 
 

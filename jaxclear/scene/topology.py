@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.fitted import AbstractFitted
 from jaxclear.components.joint import AbstractJoint, Free, Planar, drive_of
 
 
@@ -65,6 +66,8 @@ def grow(bodies: dict[str, Body], connections: dict[str, Connection]) -> Topolog
         ends = (ideal[name].parent.body, ideal[name].child.body)
         reached = [end for end in ends if end in depth]
         free = len(joint.home) if drive_of(joint) is None else -1
+        # Friction is known for joints of the tree: these go first among equals.
+        free -= 0.5 * isinstance(joint, AbstractFitted)
         return (free, depth[reached[0]], unused.index(name))
 
     while len(depth) <= len(bodies):

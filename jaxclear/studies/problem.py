@@ -18,7 +18,7 @@ from jaxclear.scene.mechanism import Mechanism
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 from jaxclear.time.integrator import AbstractIntegrator, FixedStep
 from jaxclear.time.response import unit_of
-from jaxclear.time.simulate import check_duration, check_run, run, saving_times
+from jaxclear.time.simulate import check_duration, check_run, run, saving_times, seen_by
 
 
 class Variable(eqx.Module):
@@ -117,7 +117,7 @@ class Problem(eqx.Module):
 
     def evaluate(self, values: Float[Array, " variables"]) -> Outcome:
         """Assemble, run and take the responses for one set of values; pure."""
-        mechanism = self.with_values(values)
+        mechanism = seen_by(self.with_values(values), self.integrator)
         start = assemble_arrays(mechanism)
         trajectory = run(mechanism, start.coordinates, start.speeds, self.shares * self.duration, self.integrator)
         responses = {name: response(trajectory) for name, response in self.response.items()}

@@ -16,6 +16,7 @@ import optimistix
 from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.native.loop import with_fast_loops
 from jaxclear.time.advance import (
+    COMPLIANT,
     REACHED,
     TOO_MANY,
     TOO_MANY_IMPACTS,
@@ -24,6 +25,7 @@ from jaxclear.time.advance import (
     Advance,
     check_count,
 )
+from jaxclear.time.munthe_kaas import GroupTerm, MuntheKaas, state_group
 
 # Share of an interval below which a step is given up.
 SMALLEST_STEP = 1e-11
@@ -40,7 +42,7 @@ class Adaptive(AbstractIntegrator):
     of laws are held a hundred times looser, worn volumes and energies follow the motion. In a batch all samples wait for
     the slowest. Do not differentiate a finished run near contact (52 % wrong in a measurement); see `jaxclear.sensitivity`.
     Stiff scenes (large friction over tiny transition speeds) may prefer an implicit solver, best with a full Newton iteration:
-    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
+    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)). `MuntheKaas` keeps rotations on their group.
 
     `capture_impacts`: every touch is an event, at which laws that remember the impact speed take the approach speed of that
     instant. Restitution is then the law's own whatever its `memory_time`, which plays no part; each touch and each release
@@ -48,6 +50,7 @@ class Adaptive(AbstractIntegrator):
     """
 
     pathwise: ClassVar = False
+    formulation: ClassVar = COMPLIANT
     solver: diffrax.AbstractSolver = eqx.field(default_factory=diffrax.Tsit5)
     rtol: Scalar = quantity(1e-7, "1", "relative local error of coordinates and speeds")
     atol: Scalar = quantity(1e-9, "1", "absolute local error of coordinates [m, rad] and speeds [m/s, rad/s]")
@@ -132,9 +135,13 @@ class Adaptive(AbstractIntegrator):
         def crossing(t, y, args, **_):
             return -jnp.max(_beyond(eqx.combine(args[0], rest).contacts(t, y)[0], args[1]), initial=-1.0)
 
+        term = diffrax.ODETerm(lambda time, y, args: rates(args[0], jnp.asarray(time, float), y))
+        if isinstance(self.solver, MuntheKaas):
+            group, field_of = state_group(eqx.combine(arrays, rest)), term.vector_field
+            term = GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
         finder = optimistix.Bisection(rtol=0.0, atol=EVENT_TOLERANCE, flip=True)
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda time, y, args: rates(args[0], jnp.asarray(time, float), y)),
+            term,
             self.solver,
             start,
             stop,

@@ -13,11 +13,10 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
-from jaxclear.scene import contact_step, rigid_step, state_rate
+from jaxclear.scene import contact_step, fitted_step, rigid_step, state_rate
 from jaxclear.scene.contact_step import Hint
 from jaxclear.scene.contact_tangent import Span
 from jaxclear.scene.loops import Baumgarte
-from jaxclear.scene.rigid_step import Rules
 from jaxclear.scene.state import Layout, impact_speed_places, unpack_motion
 from jaxclear.scene.system import System
 
@@ -76,11 +75,22 @@ class Field(eqx.Module):
         after, now = contact_step.step(*args, iterations, self.captured)
         return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths])
 
-    def rigid_step(self, span: Span, state: State, last: Float[Array, " v"], rules: Rules) -> tuple[State, Float[Array, " v"]]:
+    def rigid_step(
+        self, span: Span, state: State, last: Float[Array, " v"], rules: rigid_step.Rules
+    ) -> tuple[State, Float[Array, " v"]]:
         """The state after a step with rigid contacts, and the free accelerations that the next one starts from."""
         numbers = [last[i] for i in range(len(last))]
         args = (self.system, self.layout, self.stabilisation, self.worn, span, self._entries(state), numbers, rules)
         after, free = rigid_step.step(*args)
+        return sp.stack(after), sp.stack(free)
+
+    def fitted_step(
+        self, span: Span, state: State, last: Float[Array, " v"], rules: fitted_step.Rules
+    ) -> tuple[State, Float[Array, " v"]]:
+        """The state after a step with joints that always touch, and the accelerations that the next one starts from."""
+        numbers = [last[i] for i in range(len(last))]
+        args = (self.system, self.layout, self.stabilisation, span, self._entries(state), numbers, rules)
+        after, free = fitted_step.step(*args)
         return sp.stack(after), sp.stack(free)
 
     def implicit_hint(self, time: Any, state: State) -> Float[Array, " h"]:

@@ -13,7 +13,8 @@ import numpy as np
 
 from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.native.loop import while_loop
-from jaxclear.time.advance import NOT_FINITE, REACHED, AbstractIntegrator, Advance, check_count, check_step
+from jaxclear.time import munthe_kaas
+from jaxclear.time.advance import COMPLIANT, NOT_FINITE, REACHED, AbstractIntegrator, Advance, check_count, check_step
 
 # Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes, weights).
 CHAINS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
@@ -22,6 +23,8 @@ CHAINS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "heun": ((0.0, 1.0), (0.5, 0.5)),
     "rk4": ((0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
 }
+# Methods on the group of the coordinates, by their order.
+ON_GROUPS = {f"munthe_kaas{order}": order for order in munthe_kaas.TABLEAUS}
 # Share of a step by which rounding may miss the end of an interval.
 SLIVER = 1e-9
 
@@ -32,6 +35,7 @@ class FixedStep(AbstractIntegrator):
     Steps are shortened a little to meet the saving times. No error control: halve `step` to see the error. Stable for
     step < 2.8 / omega (rk4; 2 for the others), omega = sqrt(contact stiffness / mass), of the order of 1e4 rad/s in a steel
     bearing. "semi_implicit" is symplectic Euler: order 1, one evaluation a step, no drift of the energy; "euler" gains energy.
+    "munthe_kaas1" to "munthe_kaas4" (order 1 to 4) keep rotations on their group; see `MuntheKaas`.
     `contact_steps` divides a step that starts in contact, or would end there at the present closing speed, into that many; free
     flight keeps the long step, so bounces are resolved at a fraction of the cost. `capture_impacts` takes the approach
     speed of the last step that starts open for the impact speed, in place of a state that follows it within `memory_time`.
@@ -40,6 +44,7 @@ class FixedStep(AbstractIntegrator):
     """
 
     pathwise: ClassVar = True
+    formulation: ClassVar = COMPLIANT
     step: Scalar = quantity(2e-5, "s", "largest step")
     method: str = eqx.field(static=True, default="rk4")
     steps_per_save: int | None = eqx.field(static=True, default=None)
@@ -47,8 +52,8 @@ class FixedStep(AbstractIntegrator):
     capture_impacts: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        if self.method not in CHAINS:
-            raise ValueError(f"no fixed-step method {self.method!r}; there are {', '.join(CHAINS)}.")
+        if self.method not in CHAINS and self.method not in ON_GROUPS:
+            raise ValueError(f"no fixed-step method {self.method!r}; there are {', '.join([*CHAINS, *ON_GROUPS])}.")
         check_count(self.steps_per_save, "steps_per_save of integrator.FixedStep")
         check_step(self.step, "FixedStep")
         short = concrete(self.contact_steps)
@@ -94,10 +99,20 @@ class FixedStep(AbstractIntegrator):
 
     def _whole_step(self, field, time, length, h, y):
         """The length and the end of a step. Stages are a loop: the equations stand in the program once."""
+        if self.method in ON_GROUPS:
+            return self._step_on_group(field, time, length, h, y)
         stages = np.arange(len(CHAINS[self.method][0]))
         carry = (h, y, y, jnp.zeros_like(y))
         (h, y, _, _), _ = jax.lax.scan(lambda c, stage: (self._stage(field, stage, time, length, *c), None), carry, stages)
         return h, y
+
+    def _step_on_group(self, field, time, length, h, y):
+        """As `_whole_step`; the contacts are looked at beforehand, where something depends on them."""
+        if self.capture_impacts or self.contact_steps is not None:
+            depth, closing = field.contacts(time, y)
+            h = length(depth, closing)
+            y = field.remember(y, depth < 0, closing) if self.capture_impacts else y
+        return h, munthe_kaas.fixed_step(field, ON_GROUPS[self.method], time, h, y)
 
     def _steps_that_meet_contacts(self, field, start, stop, longest, state):
         """Every sample at its own pace."""

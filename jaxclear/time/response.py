@@ -11,8 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import Scalar
+from jaxclear.time.tip import checked_through, checked_tip, tip_errors
 from jaxclear.time.trajectory import Trajectory
 
 
@@ -63,6 +65,24 @@ class PositionError(AbstractResponse):
             raise ValueError(f'the reference path of "{self.body}" has shape {self.reference.shape}, the run {path.shape}.')
         away = (path - self.reference)[:, np.array(self.axes)]
         return safe_sqrt(jnp.mean(jnp.sum(away * away, axis=-1)))
+
+
+class PointingAngle(AbstractResponse):
+    """Angle between the boresight (z axis) of a tip and that of the same chain with ideal joints at the same coordinates [rad]:
+    root mean square over the saving times, or the largest with `peak=True`.
+
+    `tip`: a marker or a body's name; `base`, `through`: as in `jaxclear.pointing_error`, which shows where the error comes from.
+    """
+
+    tip: Marker = eqx.field(converter=checked_tip)
+    base: str = eqx.field(static=True, default=GROUND)
+    through: tuple[str, ...] = eqx.field(static=True, default=(), converter=checked_through)
+    peak: bool = eqx.field(static=True, default=False)
+    unit: str = eqx.field(static=True, default="rad")
+
+    def __call__(self, run):
+        angle = tip_errors(run, self.tip, self.base, self.through)[2].pointing_angle
+        return jnp.max(angle) if self.peak else safe_sqrt(jnp.mean(angle * angle))
 
 
 class MeanContactForce(AbstractResponse):

@@ -18,13 +18,14 @@ from jaxclear.ground.quantity import concrete
 from jaxclear.laws.contact import Rigid
 from jaxclear.laws.friction import AbstractBristleFriction, AbstractSlipFriction, set_valued
 from jaxclear.laws.restitution import restitution
+from jaxclear.scene.fit import fit
 from jaxclear.scene.initial import assemble
 from jaxclear.scene.mechanism import Mechanism
 from jaxclear.scene.state import Layout
 from jaxclear.scene.system import System, prepare, readings
 from jaxclear.time import progress
 from jaxclear.time.adaptive import Adaptive
-from jaxclear.time.advance import COMPLIANT, NOT_FINITE, REACHED, RIGID, AbstractIntegrator
+from jaxclear.time.advance import COMPLIANT, FITTED, NOT_FINITE, REACHED, RIGID, AbstractIntegrator
 from jaxclear.time.field import Field
 from jaxclear.time.trajectory import Trajectory, layout_of
 
@@ -170,6 +171,11 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any =
                 )
 
 
+def seen_by(mechanism: Mechanism, integrator: AbstractIntegrator) -> Mechanism:
+    """The mechanism in the integrator's formulation: fitted, where its clearance joints always touch."""
+    return fit(mechanism) if integrator.formulation == FITTED else mechanism
+
+
 def check_set_valued(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     """Laws must say what they are without compliance. Raises `ValueError` with a sentence."""
     name_of = f"integrator.{type(integrator).__name__}"
@@ -219,6 +225,7 @@ def simulate(
     integrator = Adaptive() if integrator is None else integrator
     times = saving_times(duration, save)
     check_run(mechanism, integrator, times)
+    mechanism = seen_by(mechanism, integrator)
     start = assemble(mechanism, start_concentric)
     with progress.bar(progress_bar, "simulating"):
         trajectory = _run(mechanism, start.coordinates, start.speeds, times, integrator, balance, progress_bar)

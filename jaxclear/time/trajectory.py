@@ -14,11 +14,11 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import GROUND
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
-from jaxclear.scene import dynamics, rigid_step, state
+from jaxclear.scene import dynamics, fitted_step, rigid_step, state
 from jaxclear.scene.contact_point import JointReport
 from jaxclear.scene.mechanism import Mechanism
 from jaxclear.scene.system import System, prepare
-from jaxclear.time.advance import COMPLIANT, OUTCOMES, REACHED, RIGID
+from jaxclear.time.advance import COMPLIANT, FITTED, OUTCOMES, REACHED, RIGID
 
 
 class BodyHistory(eqx.Module):
@@ -189,7 +189,8 @@ class Trajectory(eqx.Module):
 
 def layout_of(system: System, balanced: bool, formulation: str) -> state.Layout:
     """The layout of the states of a run."""
-    return state.lay_out(system, balanced, state.contact_components(system) if formulation == RIGID else ())
+    counts = {RIGID: state.contact_components, FITTED: fitted_step.impulse_counts}.get(formulation)
+    return state.lay_out(system, balanced, () if counts is None else counts(system))
 
 
 class Instant(NamedTuple):

@@ -23,7 +23,7 @@ def test_responses_are_what_their_names_say(run):
         jc.response.PeakContactForce("B"): force.max(),
         jc.response.FinalCoordinate("journal", 1, "m"): com[-1, 1],
     }
-    covered = {type(response) for response in expected} | {jc.response.PositionError}
+    covered = {type(response) for response in expected} | {jc.response.PositionError, jc.response.PointingAngle}
     assert covered == {cls for cls in AbstractResponse.__subclasses__() if cls.__module__.startswith("jaxclear.")}
     for response, value in expected.items():
         assert float(response(run)) == pytest.approx(float(value)) and np.isfinite(value) and value != 0

@@ -1,0 +1,191 @@
+"""One step of a mechanism whose clearance joints always touch: ideal joints, whose reactions rub in the gap.
+
+The equations are evaluated once, half a step ahead. Reactions R and the sliding speeds s at the step's end are linear in the
+friction T of the joints, s = s0 + W T; Coulomb's law asks T in [-B, B], B = grip(mu) times the sum of the forces R splits
+into, T = B against sliding, s = 0 in between. This is a horizontal complementarity problem where the directions of the carried
+forces are known (a guide); a journal's turn with T and are iterated upon with it. Coordinates move by exponentials of the
+mean speeds, so rotations stay on their group. Source: antenna paper (000), sections 3 and 4.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxclear.components.fitted import AbstractFitted
+from jaxclear.components.joint import AbstractGroupJoint
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.pose import FLIP
+from jaxclear.laws.friction import set_valued
+from jaxclear.scene import dynamics
+from jaxclear.scene.contact_tangent import Span
+from jaxclear.scene.dynamics import Solution
+from jaxclear.scene.loops import Baumgarte
+from jaxclear.scene.state import Layout, unpack_motion
+from jaxclear.scene.system import System
+
+# Components of the impulse of a joint that always touches: force and torque on the child, friction.
+COMPONENTS = 7
+
+
+class Rules(NamedTuple):
+    """Most sweeps over the joints in a step, change of the friction at which they end relative to its bound, and the width over
+    which friction is rounded at its bound, relative to it (None: exact)."""
+
+    most_sweeps: Any
+    tolerance: Any
+    relaxation: Any | None
+
+
+class Reaction(NamedTuple):
+    """Force [N] and torque [N m] on a joint's child about its marker, in the parent marker's axes."""
+
+    force: sp.Vec
+    torque: sp.Vec
+
+
+class Answer(NamedTuple):
+    """What follows from the friction of the joints: free accelerations, closure multipliers, reactions of touching joints."""
+
+    accelerations: Any
+    multipliers: Any
+    reactions: tuple[Reaction, ...]
+
+
+def touching(system: System) -> tuple[int, ...]:
+    """Links held by a joint that always touches."""
+    return tuple(i for i, link in enumerate(system.links) if isinstance(link.joint, AbstractFitted))
+
+
+def impulse_counts(system: System) -> tuple[tuple[str, int], ...]:
+    """Components of impulse by joint, as `state.lay_out` wants them."""
+    return tuple((system.topology.branches[i].connection, COMPONENTS) for i in touching(system))
+
+
+def displace(system: System, q: list, at: list, speeds: list, h: Any) -> list:
+    """Coordinates after speeds have been held for `h`: groups by their exponential, others by rates taken `at` some place."""
+    out: list[Any] = []
+    own_q, own_v = unpack_motion(system, [*q, *speeds])
+    own_at = unpack_motion(system, [*at, *speeds])[0]
+    for link, place, middle, v in zip(system.links, own_q, own_at, own_v, strict=True):
+        if not place:
+            continue
+        if isinstance(link.joint, AbstractGroupJoint):
+            out.extend(link.joint.moved(place, tuple(h * x for x in v)))
+        else:
+            out.extend(x + h * rate for x, rate in zip(place, link.joint.rate(middle, v), strict=True))
+    return out
+
+
+def step(
+    system: System, layout: Layout, stabilisation: Baumgarte | None, span: Span, entries: list, last: list, rules: Rules
+) -> tuple[list, list]:
+    """Entries of the state after the step, and the free accelerations without friction, handed to the next as `last`."""
+    h = span.length
+    q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
+    middle = [x + 0.5 * h * a for x, a in zip(v, last, strict=True)]
+    halfway = displace(system, q, q, v, 0.5 * h)
+    at = unpack_motion(system, [*halfway, *middle])
+    time = span.start + 0.5 * h
+    motions = dynamics.move(system, *at, time)
+    forces = dynamics.act(system, motions, {}, *at, time)
+    indices = touching(system)
+    places = [system.topology.branches[i].speeds.start for i in indices]
+
+    def respond(friction):
+        return sp.dense(_answer(system, stabilisation, forces, motions, at[0], indices, friction))
+
+    rest = jnp.zeros(len(indices))
+    none, push = jax.linearize(respond, rest)
+    units = [push(rest.at[k].set(1.0)) for k in range(len(indices))]
+    joints = [system.links[i].joint for i in indices]
+    friction = _solve(joints, places, v, h, none, units, rules)
+    found = _at(none, units, friction)
+    after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
+    mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
+    state = [*displace(system, q, halfway, mean, h), *after]
+    for k, reaction in enumerate(found.reactions):
+        state += [entries[len(state) + i] + h * x for i, x in enumerate((*reaction.force, *reaction.torque, friction[k]))]
+    if layout.energies:
+        solution = Solution(tuple(tuple(found.accelerations[b.speeds]) for b in system.topology.branches), found.multipliers)
+        rates = dynamics.powers(system, forces, solution)
+        rates[3] = -sp.total(joint.arm * friction[k] * mean[places[k]] for k, joint in enumerate(joints))
+        state += [x + h * rate for x, rate in zip(entries[len(state) :], rates, strict=True)]
+    return state, [none.accelerations[j] for j in range(len(v))]
+
+
+def _answer(system, stabilisation, forces, motions, q, indices, friction) -> Answer:
+    """How the mechanism answers friction [N] in its touching joints."""
+    coordinate_forces = list(forces.coordinate_forces)
+    for k, i in enumerate(indices):
+        own = coordinate_forces[i][0]
+        coordinate_forces[i] = (sp.add(own, system.links[i].joint.arm * friction[k]),)
+    forces = forces._replace(coordinate_forces=tuple(coordinate_forces))
+    solution = dynamics.solve(system, forces, stabilisation)
+    wrenches = dynamics.joint_wrenches(system, forces, solution)
+    reactions = tuple(_reaction(system, i, q[i], wrenches[i]) for i in indices)
+    return Answer(sp.stack([a for own in solution.accelerations for a in own]), solution.multipliers, reactions)
+
+
+def _reaction(system, index, q, wrench) -> Reaction:
+    """From the wrench that a link receives to the reaction on the connection's child in the parent marker's axes."""
+    joint, branch = system.links[index].joint, system.topology.branches[index]
+    pose = joint.motion(q)
+    if not branch.reversed:
+        return Reaction(sp.apply(pose.rotation, wrench.force), sp.apply(pose.rotation, wrench.torque))
+    force, torque = (tuple(sp.neg(x) for x in sp.apply(FLIP, part)) for part in wrench)
+    return Reaction(force, sp.minus(torque, sp.cross(pose.translation, force)))
+
+
+def _at(none: Answer, units: list[Answer], friction: Any) -> Answer:
+    """The answer at some friction."""
+    return jax.tree.map(lambda x, *slopes: x + sum(s * friction[k] for k, s in enumerate(slopes)), none, *units)
+
+
+def _solve(joints, places, v, h, none: Answer, units: list[Answer], rules: Rules) -> Any:
+    """Friction of each joint [N] that satisfies Coulomb's law at the end of the step."""
+    count = len(joints)
+    if all(joint.friction is None for joint in joints):
+        return jnp.zeros(count)
+    laws = [None if joint.friction is None else set_valued(joint.friction) for joint in joints]
+    grips = []
+    for joint, law, place in zip(joints, laws, places, strict=True):
+        grips.append(None if law is None else joint.grip(law.bound(jnp.abs(joint.arm * v[place]))))
+
+    def bound(k, friction, total):
+        reaction = [_at(none, units, friction).reactions[k]][0]
+        ratio = jnp.where(total[k] > 0, friction[k] / jnp.where(total[k] > 0, total[k], 1.0), 0.0)
+        sizes = [safe_sqrt(sp.dot(part.force, part.force)) for part in joints[k].carried(*reaction, ratio)]
+        return sum(sizes)
+
+    def improve(carry):
+        friction, total, _, sweeps = carry
+        before, largest = friction, jnp.zeros(())
+        for k in range(count):
+            if grips[k] is None:
+                continue
+            slips = [joints[k].arm * h * unit.accelerations[places[k]] for unit in units]
+            slip = joints[k].arm * (v[places[k]] + h * none.accelerations[places[k]]) + sp.dot(slips, friction)
+            total = total.at[k].set(bound(k, friction, total))
+            most = grips[k] * total[k]
+            friction = friction.at[k].set(_within(friction[k] - slip / slips[k], most, rules.relaxation))
+            largest = jnp.maximum(largest, most)
+        change = jnp.max(jnp.abs(friction - before)) / jnp.where(largest > 0, largest, 1.0)
+        return friction, total, change, sweeps + 1
+
+    def unfinished(carry):
+        return (carry[2] > rules.tolerance) & (carry[3] < rules.most_sweeps)
+
+    start = jnp.zeros(count)
+    return jax.lax.while_loop(unfinished, improve, (start, start, jnp.asarray(jnp.inf), jnp.zeros((), int)))[0]
+
+
+def _within(x, most, relaxation):
+    """x moved into [-most, most]; with `relaxation`, rounded over that share of `most` (Chen & Harker 1993, SIAM J. Matrix Anal.
+    Appl. 14, 1168): exact as it vanishes."""
+    if relaxation is None:
+        return jnp.clip(x, -most, most)
+    width = relaxation * most
+    root = lambda y: safe_sqrt(y * y + width * width)
+    return 0.5 * (root(x + most) - root(x - most))

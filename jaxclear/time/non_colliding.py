@@ -1,0 +1,58 @@
+"""Steps of mechanisms whose clearance joints always touch: the cheapest rung, without impacts, with friction that sticks."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.native.loop import while_loop
+from jaxclear.scene.contact_tangent import Span
+from jaxclear.scene.fitted_step import Rules
+from jaxclear.time.advance import FITTED, NOT_FINITE, REACHED, AbstractIntegrator, Advance, check_step
+from jaxclear.time.fixed_step import SLIVER
+
+
+class NonColliding(AbstractIntegrator):
+    """Joints with a small clearance taken as always in contact: motion of the ideal mechanism, reactions carried in the gap,
+    set-valued Coulomb friction that truly sticks. No impacts, no stiffness, so steps follow the motion alone.
+
+    Use where joints stay pressed (slow or well-loaded mechanisms); where a reaction passes through zero a real journal would
+    cross its gap and strike, which `Trajectory.switchings` tells and compliant rungs show. Clearance joints are
+    the same as there, one word changed; a regularised friction law gives its coefficients. Midpoint rule, order 2
+    in smooth motion and 1 across stick and slip; coordinates on groups move by exponentials.
+
+    `sweeps` over the joints at most, until friction changes by less than `tolerance` of its bound. `relaxation` rounds Coulomb's
+    law over this share of the bound: a joint then creeps, and the error is of its order (None: exact).
+
+    Source: antenna paper (000) and guide paper (004).
+    """
+
+    pathwise: ClassVar = True
+    formulation: ClassVar = FITTED
+    step: Scalar = quantity(1e-3, "s", "largest step")
+    sweeps: Scalar = quantity(100.0, "1", "most sweeps over the joints in a step", above=0)
+    tolerance: Scalar = quantity(1e-13, "1", "change of a joint's friction relative to its bound at which sweeps end", above=0)
+    relaxation: Scalar | None = quantity(None, "1", "share of the bound over which friction is rounded (None: exact)", above=0)
+
+    def __check_init__(self):
+        check_step(self.step, "NonColliding")
+
+    def relaxing_step(self, interval):
+        return None
+
+    def first_hint(self, field, start, state):
+        return jnp.zeros(field.layout.speeds)
+
+    def advance(self, field, start, stop, state, hint, weights, running):
+        count = jnp.maximum(jnp.ceil((stop - start) / self.step * (1 - SLIVER)), 1.0)
+        h = (stop - start) / count
+        steps = count.astype(int)
+        rules = Rules(self.sweeps, self.tolerance, self.relaxation)
+
+        def one(carry):
+            index, *rest = carry
+            return index + 1, *field.fitted_step(Span(start + index * h, h, 0.0), *rest, rules)
+
+        _, end, hint = while_loop(lambda carry: carry[0] < steps, one, (jnp.zeros((), int), state, hint))
+        outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)
+        return Advance(end, steps, jnp.zeros_like(steps), hint, outcome)
