@@ -10,6 +10,7 @@ from abc import abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jaxclear.components.clearance import AbstractClearance, BallSocket, JournalBearing, PlanarJournalBearing, SliderGuide, norm
 from jaxclear.components.joint import AbstractJoint, Prismatic, Revolute, Spherical
@@ -17,13 +18,20 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.friction import AbstractFrictionLaw
 
+# How a joint's reaction is carried, as `situation` numbers it.
+SITUATIONS = ("no contact", "one point", "two points on opposite sides", "a line (points on one side)")
+# An end that carries less than this share of the other carries nothing.
+IDLE = 1e-9
+
 
 class Carried(NamedTuple):
-    """One point of the gap that may carry: force on the child there across the sliding direction [N], and which of the clearance
-    joint's contacts it is, as pairs (contact, its normal force, place)."""
+    """One end of the gap that may carry: force on the child there across the sliding direction [N], friction's part of it
+    included where it has one; displacement of that end within the gap [m]; and the clearance joint's contacts there, as (index,
+    normal force, friction, place)."""
 
     force: sp.Vec
-    contacts: tuple[tuple[int, Any, sp.Vec], ...]
+    shift: sp.Vec
+    contacts: tuple[tuple[int, Any, Any, sp.Vec], ...]
 
 
 class AbstractFitted(AbstractJoint):
@@ -43,7 +51,7 @@ class AbstractFitted(AbstractJoint):
 
     @abstractmethod
     def carried(self, force: sp.Vec, torque: sp.Vec, ratio: Any) -> tuple[Carried, ...]:
-        """Where a reaction is carried; `ratio`: friction over the sum of the carried forces' sizes."""
+        """Where a reaction is carried; `ratio`: (signed) friction over the sum of the carried forces' sizes."""
 
     @abstractmethod
     def grip(self, mu: Any) -> Any:
@@ -85,19 +93,24 @@ class FittedRevolute(AbstractFitted):
 
     def carried(self, force, torque, ratio):
         if isinstance(self.gap, PlanarJournalBearing):
-            return (self._end(0, (force[0], force[1], 0), 0),)
+            return (self._end(0, (force[0], force[1], 0), 0, ratio),)
         # About y a torque pairs forces along x, about x the opposite ones along y.
         pair = (sp.mul(1 / self.gap.length, torque[1]), sp.mul(-1 / self.gap.length, torque[0]))
         ends = []
         for k, side in enumerate((-1, 1)):
             own = tuple(sp.add(sp.mul(0.5, f), sp.mul(side, p)) for f, p in zip(force[:2], pair, strict=True))
-            ends.append(self._end(k, (*own, 0), sp.mul(0.5 * side, self.gap.length)))
+            ends.append(self._end(k, (*own, 0), sp.mul(0.5 * side, self.gap.length), ratio))
         return tuple(ends)
 
-    def _end(self, index, force, height):
+    def _end(self, index, force, height, ratio):
+        """force = -N n + T t with t a quarter turn ahead of n, the direction in which the journal leans; T = ratio |force|."""
         size = norm(force)
-        towards = sp.scale(safe_divide(-self.gap.bearing_radius, size), force[:2])
-        return Carried(force, ((index, size, (*towards, height)),))
+        normal = safe_sqrt(1 - ratio * ratio) * size
+        x, y = (safe_divide(part, size * size) for part in force[:2])
+        friction = ratio * size
+        lean = (friction * y - normal * x, -normal * y - friction * x)
+        place = (*sp.scale(self.gap.bearing_radius, lean), height)
+        return Carried(force, (*sp.scale(self.gap.clearance, lean), 0), ((index, normal, friction, place),))
 
     def grip(self, mu):
         return mu / safe_sqrt(1 + mu * mu)
@@ -144,12 +157,23 @@ class FittedPrismatic(AbstractFitted):
                 # The wall on one side pushes towards the other.
                 across = 0.5 * (2 * side - 1) * self.gap.width
                 place = (across, 0, sp.mul(0.5 * along, self.gap.length))
-                contacts.append((2 * side + front, positive_part(own if side == 0 else sp.neg(own)), place))
-            ends.append(Carried((own, 0, 0), tuple(contacts)))
+                normal = positive_part(own if side == 0 else sp.neg(own))
+                contacts.append((2 * side + front, normal, sp.mul(ratio, normal), place))
+            ends.append(Carried((own, 0, 0), (-jnp.sign(own) * self.gap.clearance, 0, 0), tuple(contacts)))
         return tuple(ends)
 
     def grip(self, mu):
         return mu
+
+
+def situation(ends: tuple[Carried, ...]) -> Any:
+    """Index into `SITUATIONS`."""
+    sizes = [norm(end.force) for end in ends]
+    carries = [size > IDLE * sp.total(sizes) for size in sizes]
+    if len(ends) == 1:
+        return carries[0].astype(int)
+    opposite = sp.dot(ends[0].force, ends[1].force) < 0
+    return jnp.where(carries[0] & carries[1], jnp.where(opposite, 2, 3), (carries[0] | carries[1]).astype(int))
 
 
 def fitted_joint(name: str, joint: AbstractClearance) -> AbstractJoint:

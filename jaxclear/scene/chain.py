@@ -18,6 +18,7 @@ import jaxlie
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND, Marker
+from jaxclear.components.fitted import AbstractFitted
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
@@ -30,11 +31,13 @@ AXIS_HELD, AXES_HELD, ACROSS_HELD = {"x.z", "y.z"}, {"x.z", "y.z", "x.y"}, {"x.z
 
 
 class Step(eqx.Module):
-    """One connection of a chain, with its markers in their bodies' frames. `forward`: met from its parent's side."""
+    """One connection of a chain, with its markers in their bodies' frames. `forward`: met from its parent's side; `ideal`:
+    cannot deviate; `fitted`: moves as an ideal joint and deviates as its reaction says."""
 
     name: str = eqx.field(static=True)
     forward: bool = eqx.field(static=True)
     ideal: bool = eqx.field(static=True)
+    fitted: bool = eqx.field(static=True)
     rows: tuple[str, ...] = eqx.field(static=True)
     bodies: tuple[str, str] = eqx.field(static=True)
     parent: Frame
@@ -172,29 +175,31 @@ def _ends(mechanism: Mechanism, name: str) -> tuple[str, str]:
 def _step(mechanism: Mechanism, name: str, forward: bool) -> Step:
     connection = mechanism.connections[name]
     joint = connection.joint
-    ideal = isinstance(joint, AbstractJoint)
-    rows = joint.rows if ideal else joint.ideal_rows
+    fitted = isinstance(joint, AbstractFitted)
+    ideal = isinstance(joint, AbstractJoint) and not fitted
+    rows = joint.rows if ideal or fitted else joint.ideal_rows
     if not ideal and {row for row in rows if len(row) > 1} not in (set(), AXIS_HELD, AXES_HELD, ACROSS_HELD):
         raise ValueError(
             f'joint "{name}" becomes an ideal joint with the rows {", ".join(rows)}; of rotations, a chain knows joints that '
             "hold none, x.z, x.z with y.z, or all three."
         )
     markers = (dense(connection.parent.pose()), dense(connection.child.pose()))
-    return Step(name, forward, ideal, tuple(rows), _ends(mechanism, name), *markers)
+    return Step(name, forward, ideal, fitted, tuple(rows), _ends(mechanism, name), *markers)
 
 
 def measure(chain: Chain, bodies: dict[str, Frame]) -> Setting:
-    """How the joints stand, from the poses of the bodies in the ground frame."""
+    """How the joints stand, from the poses of the bodies in the ground frame; these do not tell how a fitted joint deviates."""
     poses = {GROUND: jnp.eye(4)} | bodies
     motions, away = [], []
     for step in chain.steps:
         parent, child = (poses[b] @ marker for b, marker in zip(step.bodies, (step.parent, step.child), strict=True))
         relative = inverse(parent) @ child
-        motion = relative if step.ideal else nominal_motion(step.rows, relative)
+        exact = step.ideal or step.fitted
+        motion = relative if exact else nominal_motion(step.rows, relative)
         motions.append(motion)
-        away.extend([] if step.ideal else [relative @ inverse(motion)])
+        away.extend([] if exact else [relative @ inverse(motion)])
     found = iter(logarithms(away))
-    return Setting(tuple(motions), tuple(None if step.ideal else next(found) for step in chain.steps))
+    return Setting(tuple(motions), tuple(None if step.ideal or step.fitted else next(found) for step in chain.steps))
 
 
 def nominal_motion(rows: tuple[str, ...], relative: Frame) -> Frame:

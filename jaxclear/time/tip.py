@@ -7,10 +7,12 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.body import Marker
 from jaxclear.scene.chain import Chain, Setting, TipError, chain, frame, measure, tip_error
+from jaxclear.time.advance import FITTED
 from jaxclear.time.trajectory import Trajectory
 
 # How far saving times of two runs may differ, as a share of the duration: rounding.
@@ -39,7 +41,18 @@ def settings(trajectory: Trajectory, links: Chain) -> Setting:
     def one(bodies):
         return measure(links, {name: frame(*pose) for name, pose in bodies.items()})
 
-    return jax.vmap(one)({name: (history.rotation, history.origin) for name, history in histories.items()})
+    found = jax.vmap(one)({name: (history.rotation, history.origin) for name, history in histories.items()})
+    away = [_lean(trajectory, step.name) if step.fitted else own for step, own in zip(links.steps, found.deviations, strict=True)]
+    return Setting(found.motions, tuple(away))
+
+
+def _lean(trajectory: Trajectory, name: str) -> Any:
+    """Twists by which a joint that always touches leans in its gap."""
+    if trajectory.formulation != FITTED:
+        return None
+    history = trajectory.contact(name)
+    tilt = jnp.stack([-history.axis[:, 1], history.axis[:, 0], jnp.zeros_like(history.axis[:, 0])], 1)
+    return jnp.concatenate([history.offset, tilt], 1)
 
 
 def tip_errors(

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxclear.components.body import GROUND
 from jaxclear.ground import sparse as sp
@@ -121,9 +121,33 @@ class Trajectory(eqx.Module):
         return history.origin + jnp.einsum("tij,j->ti", history.rotation, sp.stack(sp.vec3(tuple(at))))
 
     def contact(self, name: str) -> ContactHistory:
-        """Forces and gaps of a clearance joint."""
+        """Forces and gaps of a clearance joint.
+
+        Where forces are no functions of the state (rigid contact, joints that always touch) they are means over the saving
+        intervals, 0 at the start; a joint that always touches leans in its gap as its reaction says.
+        """
+        if self.formulation == FITTED:
+            from jaxclear.time import fitted_history
+
+            self._known(name, fitted_history.touching(self), "joint that always touches")
+            return fitted_history.contact(self, name)
         self._known(name, self.mechanism.topology.clearances, "clearance joint")
         return _contact(self, name)
+
+    def situations(self, name: str) -> Int[Array, " time"]:
+        """How a joint that always touches carries: 0 not at all, 1 at one point, 2 at two points on opposite sides, 3 along a
+        line (two points on one side). Needs a run by integrator.NonColliding."""
+        from jaxclear.time import fitted_history
+
+        self._known(name, fitted_history.touching(self), "joint that always touches")
+        return fitted_history.situations(self, name)
+
+    def switchings(self, name: str) -> Any:
+        """Instants at which such a joint begins to carry in another way, as a pandas table (time [s], from, to)."""
+        from jaxclear.time import fitted_history
+
+        self._known(name, fitted_history.touching(self), "joint that always touches")
+        return fitted_history.switchings(self, name)
 
     def reaction(self, name: str) -> ReactionHistory:
         """Force and torque in a connection, ideal or with clearance."""

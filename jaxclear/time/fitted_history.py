@@ -1,0 +1,108 @@
+"""What a run of joints that always touch tells of them: who carries, who rubs, and when that changes.
+
+Reactions are means over the saving intervals, so save every step where instants matter; they are written at an interval's
+end, where the states stand.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from jaxclear.components.fitted import SITUATIONS, AbstractFitted, Carried, situation
+from jaxclear.ground import sparse as sp
+from jaxclear.scene import fitted_step
+from jaxclear.scene.system import prepare
+from jaxclear.time.trajectory import ContactHistory, Trajectory, layout_of, mean_forces
+
+
+def touching(run: Trajectory) -> tuple[str, ...]:
+    """Connections whose joint always touches."""
+    system = prepare(run.mechanism)
+    return tuple(system.topology.branches[i].connection for i in fitted_step.touching(system))
+
+
+def _ends(joint: AbstractFitted, parts: Any) -> tuple[tuple[Carried, ...], Any]:
+    """Where the components of a joint's mean reaction are carried, and its friction."""
+    numbers = [parts[i] for i in range(fitted_step.COMPONENTS)]
+    force, torque, friction = tuple(numbers[:3]), tuple(numbers[3:6]), numbers[6]
+    flat = joint.carried(force, torque, 0.0)
+    total = sum(jnp.asarray(sp.dot(end.force, end.force), float) ** 0.5 for end in flat)
+    # A guide's friction adds to the moment and so to the sizes: two passes settle the ratio to second order in it.
+    for _ in range(3):
+        ratio = jnp.clip(jnp.where(total > 0, friction / jnp.where(total > 0, total, 1.0), 0.0), -1.0, 1.0)
+        ends = joint.carried(force, torque, ratio)
+        total = sum(jnp.asarray(sp.dot(end.force, end.force), float) ** 0.5 for end in ends)
+    return ends, friction
+
+
+def _over_means(run: Trajectory, name: str, function: Any) -> Any:
+    """Maps a function of (ends, friction, speed of the joint) over the saving times."""
+    system = prepare(run.mechanism)
+    layout = layout_of(system, run.balanced, run.formulation)
+    position = [joint for joint, _ in layout.impulses].index(name) * fitted_step.COMPONENTS
+    means = mean_forces(run, layout)[:, position : position + fitted_step.COMPONENTS]
+    joint = run.mechanism.connections[name].joint
+    return jax.vmap(lambda parts, speed: function(*_ends(joint, parts), speed))(means, run.speed(name)[:, 0])
+
+
+@eqx.filter_jit
+def contact(run: Trajectory, name: str) -> ContactHistory:
+    """Contacts of a joint that always touches, numbered as those of the clearance joint."""
+    joint = run.mechanism.connections[name].joint
+    system = prepare(run.mechanism)
+    layout = layout_of(system, run.balanced, run.formulation)
+    start = [other for other, _ in layout.impulses].index(name) * fitted_step.COMPONENTS
+    means = mean_forces(run, layout)
+
+    def one(ends, friction, speed):
+        found = sorted((entry for end in ends for entry in end.contacts), key=lambda entry: entry[0])
+        places = jnp.stack([sp.stack(place) for *_, place in found])
+        normal = sp.stack([entry[1] for entry in found])
+        traction = jnp.abs(sp.stack([entry[2] for entry in found]))
+        slip = jnp.full(len(found), jnp.abs(joint.arm * speed))
+        shifts = jnp.stack([sp.stack(end.shift) for end in ends])
+        offset, lean = jnp.mean(shifts, 0), jnp.zeros(3)
+        if len(ends) == 2:
+            lean = (shifts[1] - shifts[0]) / joint.gap.length
+        axis = (lean + jnp.array([0.0, 0.0, 1.0])) / jnp.sqrt(1 + lean @ lean)
+        return offset, axis, jnp.zeros(len(found)), normal, slip, traction, places
+
+    parts = _over_means(run, name, one)
+    return ContactHistory(*parts, means[:, start : start + 3], means[:, start + 3 : start + 6])
+
+
+@eqx.filter_jit
+def situations(run: Trajectory, name: str) -> Int[Array, " time"]:
+    """How a joint carries at every saving time: index into `SITUATIONS`."""
+    return _over_means(run, name, lambda ends, friction, speed: situation(ends))
+
+
+@eqx.filter_jit
+def _sides(run: Trajectory, name: str):
+    """Product of the two ends' forces: below zero while they press on opposite sides."""
+    return _over_means(run, name, lambda ends, friction, speed: sp.dot(ends[0].force, ends[-1].force))
+
+
+def switchings(run: Trajectory, name: str) -> Any:
+    """Instants at which a joint begins to carry in another way, as a pandas table (time [s], from, to).
+
+    Between two ways of two points the instant is where the forces of the ends change sign against each other, read off a
+    straight line between the middles of the saving intervals; others are known to an interval.
+    """
+    import pandas
+
+    codes, products, time = (np.asarray(x) for x in (situations(run, name), _sides(run, name), run.time))
+    middles = np.concatenate([time[:1], 0.5 * (time[1:] + time[:-1])])
+    rows = []
+    for i in range(2, len(codes)):
+        if codes[i] == codes[i - 1]:
+            continue
+        instant = 0.5 * (middles[i] + middles[i - 1])
+        if products[i] * products[i - 1] < 0:
+            instant = middles[i - 1] + (middles[i] - middles[i - 1]) * products[i - 1] / (products[i - 1] - products[i])
+        rows.append((instant, SITUATIONS[codes[i - 1]], SITUATIONS[codes[i]]))
+    return pandas.DataFrame(rows, columns=["time [s]", "from", "to"])
