@@ -301,8 +301,10 @@ def check(program: Program, kernel: Kernel) -> None:
     call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(kernel.address)
     call(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples), 1)
 
+    turn_of = checking.evaluator(program.body)
+
     def by_numpy(sample):
-        turn = checking.evaluate(program.body, *sample[program.condition_constants :])
+        turn = turn_of(*sample[program.condition_constants :])
         return np.concatenate([np.ravel(v).astype(float) for v in turn])
 
     with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
