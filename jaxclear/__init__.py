@@ -24,6 +24,7 @@ from jaxclear.components.body import Body, Connection, Marker  # noqa: E402
 from jaxclear.components.wear_map import Wearing  # noqa: E402
 from jaxclear.laws import conformal, contact, friction, material, stiffness, wear  # noqa: E402
 from jaxclear.laws.material import Material  # noqa: E402
+from jaxclear.scene import complementarity  # noqa: E402
 from jaxclear.scene.initial import assemble  # noqa: E402
 from jaxclear.scene.loops import Baumgarte  # noqa: E402
 from jaxclear.scene.mechanism import Mechanism  # noqa: E402
@@ -54,6 +55,7 @@ __all__ = [
     "advise",
     "assemble",
     "clearance",
+    "complementarity",
     "conformal",
     "contact",
     "distribution",

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.scene.complementarity import (
+from jaxclear.scene.complementarity_problem import (
     CORNER,
     LIMIT,
     SOLVED,

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.ground.quantity import Scalar, concrete, quantity
-from jaxclear.scene.complementarity import (
+from jaxclear.scene.complementarity_problem import (
     LIMIT,
     NOT_FINITE,
     SOLVED,

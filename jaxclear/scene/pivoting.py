@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxclear.scene.complementarity import (
+from jaxclear.scene.complementarity_problem import (
     EXACT,
     LIMIT,
     RAY,

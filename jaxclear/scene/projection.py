@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, concrete, quantity
-from jaxclear.scene.complementarity import (
+from jaxclear.scene.complementarity_problem import (
     CORNER,
     LCP,
     LIMIT,
