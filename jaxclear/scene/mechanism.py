@@ -26,7 +26,7 @@ NO_TURN = (1.0, 0.0, 0.0, 0.0)
 
 
 def _guess(value: Any) -> tuple:
-    values = (value,) if np.ndim(value) == 0 else tuple(value)
+    values = tuple(value) if isinstance(value, (tuple, list)) or np.ndim(value) else (value,)
     return tuple(as_number(x) for x in values)
 
 

@@ -1,0 +1,107 @@
+"""Error against cost of every rung, as `jaxclear.advise` measures it: slider-crank and four-bar, a table and a picture of each.
+
+Errors are those of means over a few nearly equal runs, against a tight adaptive reference. Rungs of another formulation (rigid
+contact, joints that always touch) come no nearer than their model: where their points stop falling is what the model is
+off. Pictures go to `benchmarks/figures` (or `--figures`).
+"""
+
+import sys
+from pathlib import Path
+
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+sys.path[0] = str(Path(__file__).parents[1])
+
+import argparse
+
+import matplotlib
+
+matplotlib.use("Agg")
+from benchmarks.measure import report
+
+import jaxclear as jc
+from jaxclear.face import plot
+from jaxclear.scenes import four_bar
+
+STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)
+COPIES = 8
+
+
+def ladder(shortest: float, touching: bool) -> dict[str, list]:
+    """Every kind of integrator, coarse to fine; `touching`: also the one whose joints always touch."""
+    kinds = jc.integrator
+    steps = [step for step in STEPS if step >= shortest]
+    rungs = {
+        "Adaptive": [kinds.Adaptive(rtol=10.0**-n, atol=10.0 ** -(n + 2)) for n in range(3, 10)],
+        "FixedStep rk4": [kinds.FixedStep(step) for step in steps],
+        "FixedStep semi-implicit": [kinds.FixedStep(step, "semi_implicit") for step in steps],
+        "FixedStep, 16 in contact": [kinds.FixedStep(step, contact_steps=16.0) for step in steps],
+        "ImplicitStep": [kinds.ImplicitStep(step) for step in steps],
+        "MoreauJean": [kinds.MoreauJean(step) for step in steps],
+    }
+    if touching:
+        rungs["NonColliding"] = [kinds.NonColliding(step) for step in steps]
+    return {name: rung for name, rung in rungs.items() if rung}
+
+
+def slider_crank() -> jc.Mechanism:
+    """A slider-crank at 50 rad/s, the joint of rod and slider planar with 0.1 mm clearance and friction."""
+    steel = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
+    bearing = jc.clearance.PlanarJournalBearing(
+        jc.contact.CarvalhoMartins(jc.stiffness.HertzStiffness(steel, steel), restitution=0.9),
+        jc.friction.CoulombTanh(0.05),
+        bearing_radius=10e-3,
+        clearance=0.1e-3,
+    )
+    return jc.Mechanism(
+        {
+            "crank": jc.Body(0.3, 1e-4, (0.025, 0.0)),
+            "rod": jc.Body(0.21, 2.5e-4, (0.06, 0.0)),
+            "slider": jc.Body(0.14, 1e-4),
+        },
+        {
+            "O": jc.Connection(jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"),
+            "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0)),
+            "B": jc.Connection(bearing, "rod", "slider", at=(0.12, 0.0)),
+            "G": jc.Connection(jc.joint.Prismatic(), jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")),
+        },
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+        start={"G": 0.17},
+    )
+
+
+def questions(quick: bool) -> dict[str, tuple[jc.Problem, bool]]:
+    """What is asked of each mechanism, and whether its joints may be taken as always touching."""
+    duration = 0.05 if quick else 0.25
+    clearance = jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=1e-6)
+    force = {"mean force": jc.response.MeanContactForce("B")}
+    place = {"slider's end": jc.response.FinalCoordinate("G", unit="m")}
+    crank = jc.Problem(slider_crank(), force | place, {"clearance": clearance}, duration=duration, save=501)
+    duration = 0.2 if quick else 0.628
+    worn = {"worn volume": jc.response.WornVolume("B")}
+    bars = jc.Problem(four_bar("spatial"), force | worn, {"clearance": clearance}, duration=duration, save=251)
+    return {"slider-crank": (crank, True), "four-bar": (bars, False)}
+
+
+def rows_of(advice) -> list[dict]:
+    table = advice.table().reset_index()
+    return [dict(row) for row in table.to_dict("records")]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="short runs, long steps only")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
+    parser.add_argument("--figures", type=Path, default=Path(__file__).parent / "figures", metavar="DIR")
+    options = parser.parse_args()
+    options.figures.mkdir(parents=True, exist_ok=True)
+    for name, (problem, touching) in questions(options.quick).items():
+        rungs = ladder(5e-5 if options.quick else 2e-6, touching)
+        advice = jc.advise(problem, 0.01, copies=COPIES, pilot=float(problem.duration), means=True, ladder=rungs)
+        print(advice.sentence())
+        report(f"{name}: error and cost, rung by rung", rows_of(advice), options)
+        figure = plot.work_precision(advice)
+        figure.savefig(options.figures / f"work_precision_{name.replace('-', '_')}.png", dpi=110)
+
+
+if __name__ == "__main__":
+    main()
