@@ -32,9 +32,10 @@ SLIVER = 1e-9
 class FixedStep(AbstractIntegrator):
     """Explicit Runge-Kutta with equal steps: the same cost for every sample, so the choice for batches.
 
-    Steps are shortened a little to meet the saving times. No error control: halve `step` to see the error. Stable for
-    step < 2.8 / omega (rk4; 2 for the others), omega = sqrt(contact stiffness / mass), of the order of 1e4 rad/s in a steel
-    bearing. "semi_implicit" is symplectic Euler: order 1, one evaluation a step, no drift of the energy; "euler" gains energy.
+    Steps are shortened a little to meet the saving times. No error control: halve `step` to see the error. Stable up to
+    about 1.6 / omega (rk4), half of that ("semi_implicit") and a quarter ("heun"), omega = sqrt(contact stiffness / mass), of the
+    order of 1e4 rad/s in a steel bearing (measured, benchmarks/stability.py). "semi_implicit" is symplectic Euler: order 1, one
+    evaluation a step, no drift of the energy; "euler" gains energy, "heun" slowly.
     "munthe_kaas1" to "munthe_kaas4" (order 1 to 4) keep rotations on their group; see `MuntheKaas`.
     `contact_steps` divides a step that starts in contact, or would end there at the present closing speed, into that many; free
     flight keeps the long step, so bounces are resolved at a fraction of the cost. `capture_impacts` takes the approach
