@@ -10,16 +10,19 @@ import numpy as np
 import pytest
 
 RUN = """
-import json, os
+import json, os, sys
 import jaxclear as jc
+if "flags" in sys.argv:
+    print(json.dumps({"flags": os.environ.get("XLA_FLAGS", "")}))
+    sys.exit()
 run = jc.simulate(jc.scenes.four_bar(), 0.02, save=3, integrator=jc.integrator.FixedStep(2e-5))
 print(json.dumps({"states": run.states.tolist(), "flags": os.environ.get("XLA_FLAGS", "")}))
 """
 
 
-def in_a_process(**environment):
+def in_a_process(*words, **environment):
     environment = {key: value for key, value in os.environ.items() if key != "XLA_FLAGS"} | environment
-    done = subprocess.run([sys.executable, "-c", RUN], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", RUN, *words], env=environment, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
@@ -28,7 +31,7 @@ def plain():
     return in_a_process(JAXCLEAR_PLAIN_XLA="1", JAXCLEAR_PLAIN_LOOPS="1")
 
 
-@pytest.mark.parametrize("kernels", [True, False])
+@pytest.mark.parametrize("kernels", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_results_are_the_same_with_and_without(plain, kernels):
     fast = in_a_process(JAXCLEAR_PLAIN_LOOPS="0" if kernels else "1")
     assert "small_while_loop" in fast["flags"] and plain["flags"] == ""
@@ -38,4 +41,4 @@ def test_results_are_the_same_with_and_without(plain, kernels):
 
 def test_flags_of_the_user_are_kept():
     own = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=2048"
-    assert in_a_process(XLA_FLAGS=own)["flags"] == own
+    assert in_a_process("flags", XLA_FLAGS=own)["flags"] == own

@@ -128,7 +128,7 @@ class Contacts(NamedTuple):
     rho: Float[Array, " c"]
 
 
-def contacts_of(matrix, offset, mu) -> Contacts:
+def _contacts(matrix, offset, mu) -> Contacts:
     c, d = mu.shape[0], offset.shape[0] // mu.shape[0]
     # Slices, not a gather: a time loop with these stays one kernel.
     own = jnp.stack([matrix[i * d : (i + 1) * d, i * d : (i + 1) * d] for i in range(c)])
@@ -141,7 +141,7 @@ def _velocity(contacts: Contacts, r):
     return contacts.rows @ r.reshape(-1) + contacts.velocity
 
 
-def error_of(contacts: Contacts, r):
+def _error(contacts: Contacts, r):
     """Largest residual as a velocity, relative to the data (scaled to 1) or the size of the reactions; infinite if not finite."""
     v = _velocity(contacts, r)
     residual = saxce_residual(r, v, contacts.mu, contacts.rho)
@@ -281,7 +281,7 @@ def _follow_contacts_jvp(primals, tangents):
     r, solved, matrix, offset, mu = primals
     _, _, d_matrix, d_offset, d_mu = tangents
     out = follow_contacts(*primals)
-    contacts = contacts_of(jnp.where(solved, matrix, jnp.eye(r.shape[0])), jnp.where(solved, offset, 0.0), mu)
+    contacts = _contacts(jnp.where(solved, matrix, jnp.eye(r.shape[0])), jnp.where(solved, offset, 0.0), mu)
     blocks = out.reshape(contacts.velocity.shape)
     laws, jacobian = _laws(contacts, blocks, CORNER)
     moved = contacts.rho[:, None] * (d_matrix @ out + d_offset).reshape(blocks.shape)
@@ -319,7 +319,7 @@ class ProjectedGaussSeidel(AbstractSolver):
 
     def _solve_lcp(self, problem: Scaled) -> Found:
         n = problem.offset.shape[0]
-        r, outcome, sweeps = self._iterate(contacts_of(problem.matrix, problem.offset, jnp.zeros(n)))
+        r, outcome, sweeps = self._iterate(_contacts(problem.matrix, problem.offset, jnp.zeros(n)))
         z = r[:, 0]
         return Found(z, z > problem.matrix @ z + problem.offset + CORNER, outcome, sweeps)
 
@@ -328,7 +328,7 @@ class ProjectedGaussSeidel(AbstractSolver):
         finite = jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(offset)) & jnp.all(mu >= 0) & jnp.all(jnp.isfinite(mu))
         matrix, offset, mu = (jnp.where(finite, x, 0.0) for x in (matrix, offset, mu))
         w_scale, m_scale = power_of_two(jnp.max(jnp.abs(offset))), power_of_two(jnp.max(jnp.abs(matrix)))
-        found, outcome, sweeps = self._iterate(contacts_of(matrix / m_scale, offset / w_scale, mu))
+        found, outcome, sweeps = self._iterate(_contacts(matrix / m_scale, offset / w_scale, mu))
         outcome = jnp.where(finite, outcome, NOT_FINITE)
         kept = jax.lax.stop_gradient(found.reshape(-1) * w_scale / m_scale)
         r = follow_contacts(kept, outcome == SOLVED, problem.delassus, problem.free_velocity, problem.mu)
@@ -346,18 +346,18 @@ class ProjectedGaussSeidel(AbstractSolver):
             if not self.newton:
                 return r, error
             there = _newton(contacts, r)
-            error_there = error_of(contacts, there)
+            error_there = _error(contacts, there)
             nearer = error_there < error
             return jnp.where(nearer, there, r), jnp.where(nearer, error_there, error)
 
         def improve(carry):
             r, _, sweeps = carry
             swept = jax.lax.fori_loop(0, SWEEPS, lambda _, r: _sweep(contacts, r, self.over_relaxation), r)
-            swept, error = tried(swept, error_of(contacts, swept))
+            swept, error = tried(swept, _error(contacts, swept))
             return jnp.where(jnp.isfinite(error), swept, r), error, sweeps + SWEEPS
 
         start = jnp.zeros_like(contacts.velocity)
-        r, error, sweeps = jax.lax.while_loop(running, improve, (start, error_of(contacts, start), 0))
+        r, error, sweeps = jax.lax.while_loop(running, improve, (start, _error(contacts, start), 0))
         r, error = tried(r, error)
         outcome = jnp.where(error <= self.tolerance, SOLVED, jnp.where(jnp.isfinite(error), LIMIT, NOT_FINITE))
         return r, outcome, sweeps

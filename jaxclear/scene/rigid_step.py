@@ -2,8 +2,9 @@
 
 The equations are evaluated once, half a step ahead along the speeds; contacts that the step would close are asked for Newton's
 law of impact and Coulomb's law of friction at the velocities of its end. What overlaps at its end is moved apart (projection in
-the metric of the masses), speeds kept. Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comput.
-Methods Appl. Mech. Eng. 177, 235; Acary & Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, ch. 10.
+the metric of the masses), with the normal speed it had when passing the surface: not in the sources, where energy grows.
+Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comput. Methods Appl. Mech. Eng. 177, 235; Acary &
+Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, ch. 10.
 """
 
 from typing import Any, NamedTuple
@@ -76,11 +77,12 @@ def step(
     after = [x + h * k + p for x, k, p in zip(v, found.free, push.changes, strict=True)]
     mean = [rules.theta * b + (1 - rules.theta) * a for a, b in zip(v, after, strict=True)]
     moved = drift(system, q, drift(system, q, halfway, mean, 0.5 * h), mean, h)
-    if rules.project and sides:
-        moved = _separate(system, worn, span, moved, after, sides, found)
-    state = [*moved, *after, *entries[layout.memory_start : layout.memory_start + layout.memory_count]]
     change = [sp.sub(a, b) for a, b in zip(mean, middle, strict=True)]
-    passive = _passive(system, layout, apart, sides, push, found, change, motion, span)
+    parted = _Parted(moved, after, [0] * len(sides), 0)
+    if rules.project and sides:
+        parted = _separate(system, worn, span, moved, after, middle, apart.right, sides, found)
+    state = [*parted.coordinates, *parted.speeds, *entries[layout.memory_start : layout.memory_start + layout.memory_count]]
+    passive = _passive(system, layout, apart, push, parted, found, change, motion, span)
     return [*state, *(x + change for x, change in zip(entries[len(state) :], passive, strict=True))], found.free
 
 
@@ -90,6 +92,15 @@ class _Push(NamedTuple):
     percussions: list
     changes: list
     multipliers: tuple
+
+
+class _Parted(NamedTuple):
+    """After projection: coordinates, speeds, the percussion of each contact that slowed it, energy that this put in [J]."""
+
+    coordinates: list
+    speeds: list
+    brakes: list
+    energy: Any
 
 
 def _sides(system: System, apart: Apart) -> list[Side]:
@@ -141,6 +152,10 @@ def _impacts(apart: Apart, sides, found, v, middle, h, rules) -> _Push:
     for i, row in zip(places, rows, strict=True):
         for j, (accelerations, _) in zip(places, found.answers, strict=True):
             matrix[i][j] = along(row, accelerations)
+    for i in range(size):
+        if i not in places:
+            # What this contact lacks does not act; a number of the size of the others, so that none is lost in scaling.
+            matrix[i][i] = matrix[i - i % width][i - i % width]
     start = [sp.sub(a, b) for a, b in zip(v, middle, strict=True)]
     free = [sp.add(s, h * k) for s, k in zip(start, found.free, strict=True)]
 
@@ -152,19 +167,18 @@ def _impacts(apart: Apart, sides, found, v, middle, h, rules) -> _Push:
         return sp.stack(flat).reshape(len(sides), width)
 
     before, unhindered = padded(start), padded(free)
-    # A resting contact that rounding has opened falls shut within the step: it has not opened.
-    pressed = positive_part(before[:, 0] - unhindered[:, 0])
-    fall = jnp.where(jnp.abs(before[:, 0]) < pressed, 0.5 * h * rules.gamma**2 * pressed, 0.0)
-    depths = [
-        contact.outline.indentation + (0.5 - rules.gamma) * h * before[i, 0] + fall[i] for i, contact in enumerate(apart.contacts)
-    ]
+    depths = sp.stack([contact.outline.indentation for contact in apart.contacts]) + (0.5 - rules.gamma) * h * before[:, 0]
+    if rules.project:
+        # A resting contact that rounding has opened falls shut within the step: it has not opened.
+        pressed = positive_part(before[:, 0] - unhindered[:, 0])
+        depths = depths + jnp.where(jnp.abs(before[:, 0]) < pressed, 0.5 * h * rules.gamma**2 * pressed, 0.0)
     slip = safe_sqrt(jnp.sum(before[:, 1:] ** 2, 1))
     bounds = [0 if side.friction is None else side.friction.bound(slip[i]) for i, side in enumerate(sides)]
     solved = percussion.impact(
-        linear.to_array(tuple(map(tuple, matrix))),
+        [linear.to_array(tuple(map(tuple, matrix[width * c : width * (c + 1)]))) for c in range(len(sides))],
         unhindered,
         before,
-        sp.stack(depths) >= 0,
+        depths >= 0,
         sp.stack([side.restitution for side in sides]),
         sp.stack(bounds),
         most_sweeps=rules.most_sweeps,
@@ -181,8 +195,9 @@ def _impacts(apart: Apart, sides, found, v, middle, h, rules) -> _Push:
     return _Push(own, changes, tuple(multipliers))
 
 
-def _separate(system, worn, span, q, v, sides, found) -> list:
-    """Coordinates at which no contact overlaps any more."""
+def _separate(system, worn, span, q, v, middle, forces, sides, found) -> _Parted:
+    """No contact overlaps any more; one that is still closing has the normal speed with which it passed the surface, so that
+    moving bodies apart against `forces` gives no energy."""
     depths = contact_tangent.depths(system, worn, span.start + span.length, *unpack_motion(system, [*q, *v]))
     first, normals = 0, []
     for side in sides:
@@ -196,14 +211,26 @@ def _separate(system, worn, span, q, v, sides, found) -> list:
             mobility = jnp.asarray(line[i], float)
             shifts[i] = positive_part(shifts[i] + safe_divide(left, mobility))
     shifts = [jnp.where(depth > 0, shift, 0.0) for depth, shift in zip(depths, shifts, strict=True)]
-    change = [sp.dot(shifts, column) for column in zip(*[answer for _, answer in normals], strict=True)]
-    return drift(system, q, q, change, 1.0)
+    brakes, slower = [], []
+    for side, (row, _), line, shift, i in zip(sides, normals, gains, shifts, range(len(sides)), strict=True):
+        opening = sp.add(side.values[0], along(row, [sp.sub(a, b) for a, b in zip(v, middle, strict=True)]))
+        passing = safe_sqrt(positive_part(opening * opening + 2 * along(row, found.free) * line[i] * shift))
+        brake = safe_divide(jnp.where(opening < 0, positive_part(-opening - passing), 0.0), jnp.asarray(line[i], float))
+        brakes.append(brake)
+        slower.append(sp.mul(brake, opening))
+    moved, slowed = (
+        [sp.dot(amounts, column) for column in zip(*[answer for _, answer in normals], strict=True)]
+        for amounts in (shifts, brakes)
+    )
+    braked = sp.total(slower) + 0.5 * sp.total(sp.mul(b, along(row, slowed)) for b, (row, _) in zip(brakes, normals, strict=True))
+    speeds = [sp.add(x, s) for x, s in zip(v, slowed, strict=True)]
+    return _Parted(drift(system, q, q, moved, 1.0), speeds, brakes, braked - sp.dot(forces, moved))
 
 
-def _passive(system, layout, apart, sides, push, found, change, motion, span) -> list:
+def _passive(system, layout, apart, push, parted, found, change, motion, span) -> list:
     """Changes of what only follows the motion: worn volumes, impulses, energies."""
     h = span.length
-    impulses = [part for own in push.percussions for part in own]
+    impulses = [part for own, brake in zip(push.percussions, parted.brakes, strict=True) for part in (own[0] + brake, *own[1:])]
     if not layout.wear and not layout.energies:
         return impulses
     forces = [tuple(sp.mul(1 / h, part) for part in own) for own in push.percussions]
@@ -216,6 +243,9 @@ def _passive(system, layout, apart, sides, push, found, change, motion, span) ->
     solution = Solution(tuple(tuple(total[b.speeds]) for b in system.topology.branches), multipliers)
     rates = [sp.mul(h, rate) for rate in passive_rates(system, layout, acting, solution)]
     worn = len(rates) - len(layout.energies)
+    for name in ("contact_work", "contact_loss") if layout.energies else ():
+        place = worn + layout.energies.index(name)
+        rates[place] = sp.sub(rates[place], parted.energy)
     return [*rates[:worn], *impulses, *rates[worn:]]
 
 
@@ -235,7 +265,12 @@ def reports_of(system: System, poses: dict, contacts: tuple[Place, ...], forces:
             speeds.append((rate, tuple(slip)))
             memory = PointState(None, ())
             responses.append(Response(force[0], contact_point.slip_speed(tuple(slip)), force[1:], memory))
-        reports[name] = contact_point.assemble(bearing.joint, pairings, poses[name], outlines, speeds, responses)
+        report = contact_point.assemble(bearing.joint, pairings, poses[name], outlines, speeds, responses)
+        points = tuple(
+            point._replace(indentation=contact.outline.indentation)
+            for point, (contact, _) in zip(report.points, own, strict=True)
+        )
+        reports[name] = report._replace(points=points)
     return reports
 
 

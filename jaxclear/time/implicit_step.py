@@ -17,7 +17,7 @@ class ImplicitStep(AbstractIntegrator):
     """Midpoint rule with mean contact forces: equal steps that no contact makes too long. The choice for statistics.
 
     Order 2 in free motion. Over a step a contact force does the work that its law says (discrete gradient) or takes more energy
-    out, so stiff contacts do not make motion explode, as long as the iteration ends: at K = 1e12 N/m^1.5 and steps of 5e-4 s three
+    out, so stiff contacts do not make motion explode, as long as the iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s three
     iterations gain energy, `newton=30` does not. An impact that the steps resolve ends with the restitution of its law, one
     within a step with `rebound`: choose the restitution itself where stiff impacts decide. One evaluation a step; `newton`
     iterations on the contact laws alone, in the contact directions (2 are enough but for bristles).

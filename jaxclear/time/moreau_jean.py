@@ -20,8 +20,9 @@ class MoreauJean(AbstractIntegrator):
     is taken (`contact.Rigid` has nothing else), of a regularised friction law its coefficients. Newton's law of impact applies
     to a contact whose gap closes within `gamma` of a step; impacts are not located, so their instants have an error of a step,
     and order is 1. Mean speeds weigh the end of the step by `theta`; 1/2 conserves the energy of smooth motion. Loads
-    are taken at the middle (explicitly): step < 2 / omega of springs. `project` moves apart what overlaps after a step; without
-    it overlaps of an order of step times impact speed stay, as in the scheme's sources.
+    are taken at the middle (explicitly): step < 2 / omega of springs. `project` moves apart what overlaps after a step, gives
+    a contact that is still closing the speed with which it passed the surface, and keeps resting contacts closed that rounding
+    opens; without it, as in the scheme's sources, overlaps of an order of step times impact speed stay.
 
     Forces are impulses: `Trajectory.contact` gives the means over each saving interval. `sweeps` over the contacts at most,
     until the laws hold to `tolerance` of the largest velocity. Derivatives are those of the contacts' present states: an

@@ -98,7 +98,11 @@ def assert_finite(tree, words):
         assert np.all(np.isfinite(leaf)), f"{words}{jax.tree_util.keystr(path)}: {leaf}"
 
 
-@pytest.mark.parametrize("kind", JOINTS)
+# Second derivatives take long to compile: joints whose parts others have as well go with the long tests.
+LONG = {"journal", "journal_with_collars", "ball"}
+
+
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) if k in LONG else k for k in JOINTS])
 def test_rate_and_derivatives_are_finite(kind):
     evaluate = compiled(kind)
 

@@ -150,7 +150,7 @@ def woodpecker(case):
     across = np.stack([normal, tangent], 1).reshape(6, 3)
     h, theta = case["step"], 0.5
     solve = np.linalg.inv(inertia + (h * theta) ** 2 * spring)
-    delassus = jnp.asarray(across @ solve @ across.T)
+    delassus = jnp.asarray(across @ solve @ across.T).reshape(3, 2, 6)
 
     def step(carry, _):
         q, v = carry

@@ -102,7 +102,8 @@ def limb_rows(system, mass_blocks):
     return full
 
 
-@pytest.mark.parametrize("seed", range(12))
+# Every tree compiles anew: four of them always, the others with the long tests.
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(s, marks=pytest.mark.slow) for s in range(4, 12))])
 def test_random_tree_agrees_with_pinocchio(seed):
     rng = np.random.default_rng(seed)
     rig, model, ids, kinds = random_tree(rng, 6)
