@@ -26,7 +26,7 @@ from jaxclear.laws import conformal, contact, friction, material, stiffness, wea
 from jaxclear.laws.material import Material  # noqa: E402
 from jaxclear.scene import complementarity  # noqa: E402
 from jaxclear.scene.initial import assemble  # noqa: E402
-from jaxclear.scene.loops import Baumgarte  # noqa: E402
+from jaxclear.scene.loops import Baumgarte, Projection  # noqa: E402
 from jaxclear.scene.mechanism import Mechanism  # noqa: E402
 from jaxclear.studies import distribution  # noqa: E402
 from jaxclear.studies.advise import advise  # noqa: E402
@@ -48,6 +48,7 @@ __all__ = [
     "Material",
     "Mechanism",
     "Problem",
+    "Projection",
     "SimulationError",
     "Trajectory",
     "Variable",

@@ -4,13 +4,15 @@ from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.fitted import AbstractFitted, fitted_joint
 from jaxclear.scene.mechanism import Mechanism
+from jaxclear.scene.topology import grow
 
 
 def fit(mechanism: Mechanism) -> Mechanism:
     """The mechanism with every clearance joint replaced by the joint that it is while it always touches.
 
-    Starting values of bodies that floated between clearance joints are dropped: these are held now. Raises `ValueError`
-    where a joint has no such form, or where one with friction would close a loop.
+    Starting values of bodies that floated between clearance joints are dropped: these are held now; so are those of joints that
+    now close a loop, which follow. Raises `ValueError` where a joint has no such form, or where one with friction would close
+    a loop.
     """
     if not mechanism.topology.clearances:
         return mechanism
@@ -19,8 +21,8 @@ def fit(mechanism: Mechanism) -> Mechanism:
         joint = connection.joint
         held = fitted_joint(name, joint) if isinstance(joint, AbstractClearance) else joint
         connections[name] = Connection(held, connection.parent, connection.child)
-    floated = {branch.body for branch in mechanism.topology.branches if branch.connection is None}
-    start, speeds = ({n: g for n, g in given.items() if n not in floated} for given in (mechanism.start, mechanism.speeds))
+    held = {branch.connection or branch.body for branch in grow(mechanism.bodies, connections).branches}
+    start, speeds = ({n: g for n, g in given.items() if n in held} for given in (mechanism.start, mechanism.speeds))
     out = Mechanism(
         mechanism.bodies, connections, mechanism.loads, start=start, speeds=speeds, stabilisation=mechanism.stabilisation
     )

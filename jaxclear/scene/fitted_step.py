@@ -17,25 +17,29 @@ from jaxclear.components.joint import AbstractGroupJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.pose import FLIP
-from jaxclear.laws.friction import set_valued
+from jaxclear.laws.friction import AbstractSlipFriction, set_valued
 from jaxclear.scene import dynamics
 from jaxclear.scene.contact_tangent import Span
-from jaxclear.scene.dynamics import Solution
+from jaxclear.scene.dynamics import Forces, Solution
 from jaxclear.scene.loops import Baumgarte
 from jaxclear.scene.state import Layout, unpack_motion
 from jaxclear.scene.system import System
 
 # Components of the impulse of a joint that always touches: force and torque on the child, friction.
 COMPONENTS = 7
+# Friction that accelerates a joint by less than this share of what it gives the mechanism's whole mass does not move it.
+UNMOVED = 1e-12
 
 
 class Rules(NamedTuple):
-    """Most sweeps over the joints in a step, change of the friction at which they end relative to its bound, and the width over
-    which friction is rounded at its bound, relative to it (None: exact)."""
+    """Most sweeps over the joints in a step, change of the friction at which they end relative to its bound, the width over
+    which friction is rounded at its bound, relative to it (None: exact), and whether laws of friction are taken as the functions
+    of the sliding speed that they are, instead of as Coulomb's."""
 
     most_sweeps: Any
     tolerance: Any
     relaxation: Any | None
+    regularised: bool = False
 
 
 class Reaction(NamedTuple):
@@ -81,7 +85,7 @@ def displace(system: System, q: list, at: list, speeds: list, h: Any) -> list:
 def step(
     system: System, layout: Layout, stabilisation: Baumgarte | None, span: Span, entries: list, last: list, rules: Rules
 ) -> tuple[list, list]:
-    """Entries of the state after the step, and the free accelerations without friction, handed to the next as `last`."""
+    """Entries of the state after the step, and the accelerations over it, handed to the next as `last`."""
     h = span.length
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
     middle = [x + 0.5 * h * a for x, a in zip(v, last, strict=True)]
@@ -100,7 +104,11 @@ def step(
     none, push = jax.linearize(respond, rest)
     units = [push(rest.at[k].set(1.0)) for k in range(len(indices))]
     joints = [system.links[i].joint for i in indices]
-    friction = _solve(joints, places, v, h, none, units, rules)
+    if rules.regularised:
+        names = [system.topology.branches[i].connection for i in indices]
+        friction = _rub(joints, names, [middle[place] for place in places], none, units, rules)
+    else:
+        friction = _solve(joints, places, v, h, sp.total(link.mass for link in system.links), none, units, rules)
     found = _at(none, units, friction)
     after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
     mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
@@ -112,16 +120,21 @@ def step(
         rates = dynamics.powers(system, forces, solution)
         rates[3] = -sp.total(joint.arm * friction[k] * mean[places[k]] for k, joint in enumerate(joints))
         state += [x + h * rate for x, rate in zip(entries[len(state) :], rates, strict=True)]
-    return state, [none.accelerations[j] for j in range(len(v))]
+    return state, [found.accelerations[j] for j in range(len(v))]
+
+
+def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
+    """The forces, with friction [N] added in each joint that touches, in the order of `touching`."""
+    coordinate_forces = list(forces.coordinate_forces)
+    for k, i in enumerate(touching(system)):
+        own = coordinate_forces[i][0]
+        coordinate_forces[i] = (sp.add(own, system.links[i].joint.arm * friction[k]),)
+    return forces._replace(coordinate_forces=tuple(coordinate_forces))
 
 
 def _answer(system, stabilisation, forces, motions, q, indices, friction) -> Answer:
     """How the mechanism answers friction [N] in its touching joints."""
-    coordinate_forces = list(forces.coordinate_forces)
-    for k, i in enumerate(indices):
-        own = coordinate_forces[i][0]
-        coordinate_forces[i] = (sp.add(own, system.links[i].joint.arm * friction[k]),)
-    forces = forces._replace(coordinate_forces=tuple(coordinate_forces))
+    forces = with_friction(system, forces, friction)
     solution = dynamics.solve(system, forces, stabilisation)
     wrenches = dynamics.joint_wrenches(system, forces, solution)
     reactions = tuple(_reaction(system, i, q[i], wrenches[i]) for i in indices)
@@ -143,21 +156,29 @@ def _at(none: Answer, units: list[Answer], friction: Any) -> Answer:
     return jax.tree.map(lambda x, *slopes: x + sum(s * friction[k] for k, s in enumerate(slopes)), none, *units)
 
 
-def _solve(joints, places, v, h, none: Answer, units: list[Answer], rules: Rules) -> Any:
-    """Friction of each joint [N] that satisfies Coulomb's law at the end of the step."""
+def _total(joint, reaction, friction, total):
+    """Sum of the sizes of the forces that a joint carries, with the last such sum to tell their share of friction."""
+    ratio = jnp.where(total > 0, friction / jnp.where(total > 0, total, 1.0), 0.0)
+    return sum(safe_sqrt(sp.dot(part.force, part.force)) for part in joint.carried(*reaction, ratio))
+
+
+def _solve(joints, places, v, h, mass, none: Answer, units: list[Answer], rules: Rules) -> Any:
+    """Friction of each joint [N] that satisfies Coulomb's law at the end of the step.
+
+    A joint that slides is held back by kinetic friction, and caught by static friction where it would turn round.
+    """
     count = len(joints)
     if all(joint.friction is None for joint in joints):
         return jnp.zeros(count)
-    laws = [None if joint.friction is None else set_valued(joint.friction) for joint in joints]
-    grips = []
-    for joint, law, place in zip(joints, laws, places, strict=True):
-        grips.append(None if law is None else joint.grip(law.bound(jnp.abs(joint.arm * v[place]))))
-
-    def bound(k, friction, total):
-        reaction = [_at(none, units, friction).reactions[k]][0]
-        ratio = jnp.where(total[k] > 0, friction[k] / jnp.where(total[k] > 0, total[k], 1.0), 0.0)
-        sizes = [safe_sqrt(sp.dot(part.force, part.force)) for part in joints[k].carried(*reaction, ratio)]
-        return sum(sizes)
+    grips: list[Any] = []
+    for joint, place in zip(joints, places, strict=True):
+        if joint.friction is None:
+            grips.append(None)
+            continue
+        law, slip = set_valued(joint.friction), joint.arm * v[place]
+        against = joint.grip(law.bound(jnp.abs(slip)))
+        caught = against if law.mu_static is None else joint.grip(law.bound(jnp.zeros_like(slip)))
+        grips.append((jnp.where(slip > 0, against, caught), jnp.where(slip < 0, against, caught)))
 
     def improve(carry):
         friction, total, _, sweeps = carry
@@ -167,12 +188,45 @@ def _solve(joints, places, v, h, none: Answer, units: list[Answer], rules: Rules
                 continue
             slips = [joints[k].arm * h * unit.accelerations[places[k]] for unit in units]
             slip = joints[k].arm * (v[places[k]] + h * none.accelerations[places[k]]) + sp.dot(slips, friction)
-            total = total.at[k].set(bound(k, friction, total))
-            most = grips[k] * total[k]
-            friction = friction.at[k].set(_within(friction[k] - slip / slips[k], most, rules.relaxation))
-            largest = jnp.maximum(largest, most)
+            total = total.at[k].set(_total(joints[k], _at(none, units, friction).reactions[k], friction[k], total[k]))
+            low, high = (grip * total[k] for grip in grips[k])
+            # A joint that drives move slides whatever friction does (only rounding, of either sign, answers): there it is full.
+            stiff = UNMOVED * h * joints[k].arm ** 2 / mass
+            wanted = friction[k] - slip / jnp.maximum(slips[k], stiff)
+            friction = friction.at[k].set(_within(wanted, low, high, rules.relaxation))
+            largest = jnp.maximum(largest, jnp.maximum(low, high))
         change = jnp.max(jnp.abs(friction - before)) / jnp.where(largest > 0, largest, 1.0)
         return friction, total, change, sweeps + 1
+
+    return _repeat(improve, count, rules)
+
+
+def _rub(joints, names, speeds, none: Answer, units: list[Answer], rules: Rules) -> Any:
+    """Friction of each joint [N] by laws that are functions of the sliding speed, here at the middle of the step."""
+    shares: list[Any] = []
+    for joint, name, speed in zip(joints, names, speeds, strict=True):
+        law, slip = joint.friction, joint.arm * speed
+        if law is not None and not isinstance(law, AbstractSlipFriction):
+            raise ValueError(
+                f'joint "{name}" has friction {type(law).__name__}, which is no function of the sliding speed; for integrator.'
+                "NonColliding(regularised=True) give one that is, such as friction.ThreeZone, or leave `regularised` out."
+            )
+        shares.append(jnp.zeros(()) if law is None else -jnp.sign(slip) * joint.grip(law.coefficient(jnp.abs(slip))))
+
+    def improve(carry):
+        before, total, _, sweeps = carry
+        reactions = _at(none, units, before).reactions
+        total = jnp.stack([_total(joint, reactions[k], before[k], total[k]) for k, joint in enumerate(joints)])
+        friction = jnp.stack(shares) * total
+        largest = jnp.max(total)
+        change = jnp.max(jnp.abs(friction - before)) / jnp.where(largest > 0, largest, 1.0)
+        return friction, total, change, sweeps + 1
+
+    return _repeat(improve, len(joints), rules)
+
+
+def _repeat(improve, count, rules: Rules) -> Any:
+    """Sweeps until friction changes by less than the tolerance."""
 
     def unfinished(carry):
         return (carry[2] > rules.tolerance) & (carry[3] < rules.most_sweeps)
@@ -181,11 +235,11 @@ def _solve(joints, places, v, h, none: Answer, units: list[Answer], rules: Rules
     return jax.lax.while_loop(unfinished, improve, (start, start, jnp.asarray(jnp.inf), jnp.zeros((), int)))[0]
 
 
-def _within(x, most, relaxation):
-    """x moved into [-most, most]; with `relaxation`, rounded over that share of `most` (Chen & Harker 1993, SIAM J. Matrix Anal.
-    Appl. 14, 1168): exact as it vanishes."""
+def _within(x, low, high, relaxation):
+    """x moved into [-low, high]; with `relaxation`, rounded over that share of the bounds (Chen & Harker 1993, SIAM J. Matrix
+    Anal. Appl. 14, 1168): exact as it vanishes."""
     if relaxation is None:
-        return jnp.clip(x, -most, most)
-    width = relaxation * most
+        return jnp.clip(x, -low, high)
+    width = relaxation * 0.5 * (low + high)
     root = lambda y: safe_sqrt(y * y + width * width)
-    return 0.5 * (root(x + most) - root(x - most))
+    return 0.5 * (root(x + low) - root(x - high) + high - low)

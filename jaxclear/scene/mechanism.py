@@ -19,7 +19,7 @@ from jaxclear.components.joint import AbstractJoint, drive_of
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, AbstractLoad, Gravity
 from jaxclear.ground.quantity import as_number, concrete, inside, numbers, parameters, range_in_words
 from jaxclear.laws.stiffness import fitted
-from jaxclear.scene.loops import Baumgarte
+from jaxclear.scene.loops import Baumgarte, Projection
 from jaxclear.scene.topology import Topology, grow, joint_of
 
 NO_TURN = (1.0, 0.0, 0.0, 0.0)
@@ -43,7 +43,7 @@ class Mechanism(eqx.Module):
     loads: dict[str, AbstractLoad]
     start: dict[str, tuple]
     speeds: dict[str, tuple]
-    stabilisation: Baumgarte | None
+    stabilisation: Baumgarte | Projection | None
     topology: Topology = eqx.field(static=True)
 
     def __init__(
@@ -54,7 +54,7 @@ class Mechanism(eqx.Module):
         *,
         start: Mapping[str, Any] | None = None,
         speeds: Mapping[str, Any] | None = None,
-        stabilisation: Baumgarte | None | str = "default",
+        stabilisation: Baumgarte | Projection | None | str = "default",
     ):
         for what, given in (("bodies", bodies), ("connections", connections)):
             _expect(given, Mapping, what, "a dictionary from names")
@@ -66,8 +66,19 @@ class Mechanism(eqx.Module):
         _check_finite("the mechanism", {"start": self.start, "speeds": self.speeds})
         self.topology = grow(self.bodies, self.connections)
         self.stabilisation = Baumgarte() if isinstance(stabilisation, str) and stabilisation == "default" else stabilisation
-        _expect(self.stabilisation, (Baumgarte, type(None)), "stabilisation", "a jaxclear.Baumgarte, or None for none")
+        kinds = (Baumgarte, Projection, type(None))
+        _expect(self.stabilisation, kinds, "stabilisation", "a jaxclear.Baumgarte, a jaxclear.Projection, or None for none")
         check_structure(self)
+
+    @property
+    def baumgarte(self) -> Baumgarte | None:
+        """What pulls drifting loops back within the equations of motion."""
+        return self.stabilisation if isinstance(self.stabilisation, Baumgarte) else None
+
+    @property
+    def projects(self) -> bool:
+        """Whether loops are closed anew after every step."""
+        return isinstance(self.stabilisation, Projection) and bool(self.topology.loops)
 
     def parameters(self) -> Any:
         """All numbers of the mechanism with unit and meaning, as a pandas table."""

@@ -60,6 +60,10 @@ class Adaptive(AbstractIntegrator):
     most_impacts: int = eqx.field(static=True, default=1000)
 
     def __check_init__(self):
+        if not isinstance(self.solver, diffrax.AbstractSolver):
+            raise ValueError(
+                f"the solver of integrator.Adaptive is {self.solver!r}; it must be one of diffrax, such as diffrax.Tsit5()."
+            )
         for name, allowed in (("rtol", "at least 0"), ("atol", "positive")):
             value = concrete(getattr(self, name))
             if value is not None and not (value > 0 or (value == 0 and name == "rtol")):

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
-from jaxclear.scene import contact_step, fitted_step, rigid_step, state_rate
+from jaxclear.scene import closing, contact_step, fitted_step, rigid_step, state_rate
 from jaxclear.scene.contact_step import Hint
 from jaxclear.scene.contact_tangent import Span
 from jaxclear.scene.loops import Baumgarte
@@ -26,7 +26,8 @@ State = Float[Array, " n"]
 class Field(eqx.Module):
     """The state's rate as a function of time and state; `worn` are the current interval's worn surfaces as read.
 
-    `captured`: remembered impact speeds stand still, because the integrator sets them where contacts close.
+    `captured`: remembered impact speeds stand still, because the integrator sets them where contacts close. `projects`: loops
+    are to be closed anew after every step.
     """
 
     system: System
@@ -34,6 +35,7 @@ class Field(eqx.Module):
     stabilisation: Baumgarte | None
     layout: Layout = eqx.field(static=True)
     captured: bool = eqx.field(static=True, default=False)
+    projects: bool = eqx.field(static=True, default=False)
 
     def __call__(self, time: Any, state: State) -> State:
         return self.with_contacts(time, state)[0]
@@ -63,6 +65,10 @@ class Field(eqx.Module):
             if place is not None:
                 entries[place] = jnp.where(wanted[i], positive_part(approach[i]), entries[place])
         return sp.stack(entries)
+
+    def closed(self, time: Any, state: State) -> State:
+        """The state at the end of a step, its loops closed anew where they are to be."""
+        return sp.stack(closing.close(self.system, self.layout, time, self._entries(state))) if self.projects else state
 
     def implicit_step(
         self, span: Span, state: State, hint: Float[Array, " h"], iterations: int

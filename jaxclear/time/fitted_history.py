@@ -18,6 +18,10 @@ from jaxclear.scene import fitted_step
 from jaxclear.scene.system import prepare
 from jaxclear.time.trajectory import ContactHistory, Trajectory, layout_of, mean_forces
 
+# A guide's friction adds to the moment and so to the sizes; each pass shrinks the error of the ratio by mu width / length.
+PASSES = 12
+LINE = SITUATIONS.index("a line (points on one side)")
+
 
 def touching(run: Trajectory) -> tuple[str, ...]:
     """Connections whose joint always touches."""
@@ -31,8 +35,7 @@ def _ends(joint: AbstractFitted, parts: Any) -> tuple[tuple[Carried, ...], Any]:
     force, torque, friction = tuple(numbers[:3]), tuple(numbers[3:6]), numbers[6]
     flat = joint.carried(force, torque, 0.0)
     total = sum(jnp.asarray(sp.dot(end.force, end.force), float) ** 0.5 for end in flat)
-    # A guide's friction adds to the moment and so to the sizes: two passes settle the ratio to second order in it.
-    for _ in range(3):
+    for _ in range(PASSES):
         ratio = jnp.clip(jnp.where(total > 0, friction / jnp.where(total > 0, total, 1.0), 0.0), -1.0, 1.0)
         ends = joint.carried(force, torque, ratio)
         total = sum(jnp.asarray(sp.dot(end.force, end.force), float) ** 0.5 for end in ends)
@@ -83,26 +86,36 @@ def situations(run: Trajectory, name: str) -> Int[Array, " time"]:
 
 @eqx.filter_jit
 def _sides(run: Trajectory, name: str):
-    """Product of the two ends' forces: below zero while they press on opposite sides."""
-    return _over_means(run, name, lambda ends, friction, speed: sp.dot(ends[0].force, ends[-1].force))
+    """Product of the two ends' forces: below zero while they press on opposite sides; and their sum."""
+
+    def one(ends, friction, speed):
+        first, last = ends[0].force, ends[-1].force
+        return sp.dot(first, last), sp.stack(sp.plus(first, last))
+
+    return _over_means(run, name, one)
 
 
 def switchings(run: Trajectory, name: str) -> Any:
     """Instants at which a joint begins to carry in another way, as a pandas table (time [s], from, to).
 
     Between two ways of two points the instant is where the forces of the ends change sign against each other, read off a
-    straight line between the middles of the saving intervals; others are known to an interval.
+    straight line between the middles of the saving intervals; others are known to an interval. A line that changes
+    sides within an interval becomes a line again, at the instant of no force.
     """
     import pandas
 
-    codes, products, time = (np.asarray(x) for x in (situations(run, name), _sides(run, name), run.time))
+    codes, products, sums, time = (np.asarray(x) for x in (situations(run, name), *_sides(run, name), run.time))
     middles = np.concatenate([time[:1], 0.5 * (time[1:] + time[:-1])])
     rows = []
     for i in range(2, len(codes)):
-        if codes[i] == codes[i - 1]:
+        turned = sums[i] @ sums[i - 1]
+        if codes[i] == codes[i - 1] and (codes[i] != LINE or turned >= 0):
             continue
         instant = 0.5 * (middles[i] + middles[i - 1])
         if products[i] * products[i - 1] < 0:
             instant = middles[i - 1] + (middles[i] - middles[i - 1]) * products[i - 1] / (products[i - 1] - products[i])
+        elif codes[i] == codes[i - 1]:
+            before = sums[i - 1] @ sums[i - 1]
+            instant = middles[i - 1] + (middles[i] - middles[i - 1]) * before / (before - turned)
         rows.append((instant, SITUATIONS[codes[i - 1]], SITUATIONS[codes[i]]))
     return pandas.DataFrame(rows, columns=["time [s]", "from", "to"])

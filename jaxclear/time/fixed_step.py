@@ -91,7 +91,8 @@ class FixedStep(AbstractIntegrator):
     def _equal_steps(self, field, start, h, steps, state):
         def one(carry):
             index, y = carry
-            return index + 1, self._whole_step(field, start + index * h, lambda depth, closing: h, h, y)[1]
+            y = self._whole_step(field, start + index * h, lambda depth, closing: h, h, y)[1]
+            return index + 1, field.closed(start + (index + 1) * h, y)
 
         if self.steps_per_save is None:
             return while_loop(lambda carry: carry[0] < steps, one, (jnp.zeros((), int), state))[1]
@@ -130,7 +131,8 @@ class FixedStep(AbstractIntegrator):
             time, steps, y = carry
             h, y = self._whole_step(field, time, choose(stop - time), longest, y)
             # The step that was cut to what was left ends exactly at the end.
-            return jnp.where(h == stop - time, stop, time + h), steps + 1, y
+            time = jnp.where(h == stop - time, stop, time + h)
+            return time, steps + 1, field.closed(time, y)
 
         _, steps, end = while_loop(lambda carry: carry[0] < stop, one, (start, jnp.zeros((), int), state))
         return end, steps

@@ -67,7 +67,8 @@ class ImplicitStep(AbstractIntegrator):
         bias = (1 - self.rebound) / (1 + self.rebound)
 
         def one(index, carry):
-            return field.implicit_step(Span(start + index * h, h, bias), *carry, self.newton)
+            end, hint = field.implicit_step(Span(start + index * h, h, bias), *carry, self.newton)
+            return field.closed(start + (index + 1) * h, end), hint
 
         steps = count.astype(int)
         first = (state, hint)

@@ -60,7 +60,8 @@ class MoreauJean(AbstractIntegrator):
 
         def one(carry):
             index, *rest = carry
-            return index + 1, *field.rigid_step(Span(start + index * h, h, 0.0), *rest, rules)
+            end, last = field.rigid_step(Span(start + index * h, h, 0.0), *rest, rules)
+            return index + 1, field.closed(start + (index + 1) * h, end), last
 
         _, end, hint = while_loop(lambda carry: carry[0] < steps, one, (jnp.zeros((), int), state, hint))
         outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)

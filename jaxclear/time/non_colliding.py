@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.ground.quantity import Scalar, quantity
@@ -19,10 +20,12 @@ class NonColliding(AbstractIntegrator):
     Use where joints stay pressed (slow or well-loaded mechanisms); where a reaction passes through zero a real journal would
     cross its gap and strike, which `Trajectory.switchings` tells and compliant rungs show. Clearance joints are
     the same as there, one word changed; a regularised friction law gives its coefficients. Midpoint rule, order 2
-    in smooth motion and 1 across stick and slip; coordinates on groups move by exponentials.
+    in smooth motion and 1 across stick and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
 
     `sweeps` over the joints at most, until friction changes by less than `tolerance` of its bound. `relaxation` rounds Coulomb's
-    law over this share of the bound: a joint then creeps, and the error is of its order (None: exact).
+    law over this share of the bound: a joint then creeps, and the error is of its order (None: exact). `regularised` takes a
+    friction law as the function of the sliding speed that it is, for comparison: the joint creeps, and steps must be short
+    beside the time in which friction stops a joint that slides at the law's transition speed.
 
     Source: antenna paper (000) and guide paper (004).
     """
@@ -33,6 +36,7 @@ class NonColliding(AbstractIntegrator):
     sweeps: Scalar = quantity(100.0, "1", "most sweeps over the joints in a step", above=0)
     tolerance: Scalar = quantity(1e-13, "1", "change of a joint's friction relative to its bound at which sweeps end", above=0)
     relaxation: Scalar | None = quantity(None, "1", "share of the bound over which friction is rounded (None: exact)", above=0)
+    regularised: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         check_step(self.step, "NonColliding")
@@ -47,11 +51,12 @@ class NonColliding(AbstractIntegrator):
         count = jnp.maximum(jnp.ceil((stop - start) / self.step * (1 - SLIVER)), 1.0)
         h = (stop - start) / count
         steps = count.astype(int)
-        rules = Rules(self.sweeps, self.tolerance, self.relaxation)
+        rules = Rules(self.sweeps, self.tolerance, self.relaxation, self.regularised)
 
         def one(carry):
             index, *rest = carry
-            return index + 1, *field.fitted_step(Span(start + index * h, h, 0.0), *rest, rules)
+            end, last = field.fitted_step(Span(start + index * h, h, 0.0), *rest, rules)
+            return index + 1, field.closed(start + (index + 1) * h, end), last
 
         _, end, hint = while_loop(lambda carry: carry[0] < steps, one, (jnp.zeros((), int), state, hint))
         outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)

@@ -92,7 +92,7 @@ def run(
         start, stop, share = span
         running = outcome == REACHED
         read = readings(system, worn)
-        field = Field(system, read, mechanism.stabilisation, layout)
+        field = Field(system, read, mechanism.baumgarte, layout, projects=mechanism.projects)
         result = integrator.advance(field, start, stop, state, hint, weights, running)
         sound = jnp.all(jnp.isfinite(result.state))
         kept = jnp.where(running & sound, result.state, state)
@@ -107,7 +107,7 @@ def run(
         return (kept, worn, result.hint, outcome, ended), (kept, read, counts)
 
     spans = (times[:-1], times[1:], (times[1:] - times[:-1]) / (times[-1] - times[0]))
-    begun = Field(system, readings(system, worn), mechanism.stabilisation, layout)
+    begun = Field(system, readings(system, worn), mechanism.baumgarte, layout, projects=mechanism.projects)
     hint = integrator.first_hint(begun, times[0], state)
     first = (state, worn, hint, jnp.asarray(REACHED), times[0])
     (_, worn, _, outcome, ended), (states, read, (accepted, rejected)) = jax.lax.scan(interval, first, spans)
@@ -147,6 +147,11 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any =
         raise ValueError(f"the integrator is {integrator!r}; it must be one of jaxclear.integrator, such as Adaptive().")
     known = times is not None and not isinstance(times, jax.core.Tracer)
     step = concrete(integrator.relaxing_step(np.max(np.diff(times)) if known else None))
+    if mechanism.projects and isinstance(integrator, Adaptive):
+        raise ValueError(
+            f'the loop through joint "{mechanism.topology.loops[0]}" is to be closed by projection, which integrator.Adaptive '
+            "would take for an error; give stabilisation=jaxclear.Baumgarte(), or take an integrator with fixed steps."
+        )
     if integrator.formulation != COMPLIANT:
         return check_set_valued(mechanism, integrator)
     for name in mechanism.topology.clearances:

@@ -150,7 +150,8 @@ class Trajectory(eqx.Module):
         return fitted_history.switchings(self, name)
 
     def reaction(self, name: str) -> ReactionHistory:
-        """Force and torque in a connection, ideal or with clearance."""
+        """Force and torque in a connection, ideal or with clearance; friction that is no function of the state enters as its
+        mean over the saving interval, as in `contact`."""
         self._known(name, self.mechanism.connections, "connection")
         return _reaction(self, name)
 
@@ -238,7 +239,13 @@ class Instant(NamedTuple):
         return dynamics.touch(self.system, self.motions, state.unpack_memories(self.layout, self.entries), self.read)
 
     def forces(self) -> dynamics.Forces:
-        return dynamics.act(self.system, self.motions, self.reports(), self.q, self.v, self.time)
+        forces = dynamics.act(self.system, self.motions, self.reports(), self.q, self.v, self.time)
+        # Present only in runs of joints that always touch: friction, the last component of each one's mean forces.
+        count = len(fitted_step.touching(self.system))
+        if count == 0:
+            return forces
+        frictions = self.means.reshape(count, fitted_step.COMPONENTS)[:, -1]
+        return fitted_step.with_friction(self.system, forces, frictions)
 
 
 def _over_time(trajectory: Trajectory, function: Any) -> Any:
@@ -316,7 +323,7 @@ def _reaction(trajectory, name):
 
     def one(now):
         system, motions, forces = now.system, now.motions, now.forces()
-        solution = dynamics.solve(system, forces, trajectory.mechanism.stabilisation)
+        solution = dynamics.solve(system, forces, trajectory.mechanism.baumgarte)
         branch = topology.branch_of(name)
         if branch is not None:
             index = topology.branches.index(branch)
