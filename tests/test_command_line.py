@@ -16,6 +16,15 @@ def test_four_bar_study_writes_figures_and_tables(tmp_path, capsys):
     assert str(tmp_path) in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_antenna_study_writes_figures_and_tables(tmp_path, capsys):
+    main(["antenna", "--out", str(tmp_path), "--duration", "0.5"])
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"motion.csv", "stick_slip.csv", "switchings_step.csv", "pointing_step.csv", "pointing_periodic.csv"} <= names
+    assert sum(name.endswith(".png") for name in names) == 6
+    assert str(tmp_path) in capsys.readouterr().out
+
+
 def test_parameters_are_listed_with_units(capsys):
     main(["parameters"])
     printed = capsys.readouterr().out

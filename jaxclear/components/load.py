@@ -140,6 +140,28 @@ class Torque(AbstractBodyLoad):
         return Effect((Action(self.marker, sp.ZERO, torque),), 0, 0, sp.dot(torque, sights[0].spin))
 
 
+class MotorTorque(AbstractBodyLoad):
+    """A torque [N m] on the body of `journal` about the z axis of `bearing`, and its reaction on the body of `bearing`: a motor
+    in a joint with clearance, which carries no coordinate. A number or function of time. Equal and opposite however the
+    journal leans; for an ideal joint of the tree prefer JointTorque.
+    """
+
+    bearing: Marker
+    journal: Marker
+    value: Scalar | Callable = eqx.field(
+        converter=_number_or_function, metadata={"unit": "N m", "meaning": "torque, or a function of time"}
+    )
+
+    def markers(self):
+        return (self.bearing, self.journal)
+
+    def effect(self, time, sights):
+        torque = sp.scale(_at(self.value, time), sp.apply(sights[0].pose.rotation, (0, 0, 1)))
+        back = tuple(sp.neg(x) for x in torque)
+        actions = (Action(self.bearing, sp.ZERO, back), Action(self.journal, sp.ZERO, torque))
+        return Effect(actions, 0, 0, sp.dot(torque, sp.minus(sights[1].spin, sights[0].spin)))
+
+
 class Spring(AbstractBodyLoad):
     """Spring and damper between two markers, along the line between them: F = k (l - l0) + d dl/dt, positive in tension."""
 

@@ -1,4 +1,5 @@
-"""The command line: `jaxclear four-bar` runs the four-bar study, `jaxclear parameters` lists a scene's numbers with units."""
+"""The command line: `jaxclear four-bar`, `antenna` and `guide` run studies, `jaxclear parameters` lists a scene's numbers with
+units."""
 
 import argparse
 import os
@@ -17,6 +18,17 @@ def main(arguments: list[str] | None = None) -> None:
     four_bar.add_argument("--duration", type=float, default=5.0, help="simulated time of the paper's runs [s] (default 5)")
     four_bar.add_argument("--turns", type=float, default=2.0, help="turns of the crank in the Monte Carlo (default 2)")
     four_bar.add_argument("--quiet", action="store_true", help="no progress bars")
+    antenna = commands.add_parser(
+        "antenna", help="antenna on a satellite with clearance and dry friction: motion, errors of the tip"
+    )
+    antenna.add_argument("--out", type=Path, default=Path("antenna_study"), help="folder for figures and tables")
+    antenna.add_argument("--duration", type=float, default=4.0, help="simulated time of the periodic drive [s] (default 4)")
+    guide = commands.add_parser(
+        "guide", help="slider in a rotating guide: corner forces, switchings, impacts of a small clearance"
+    )
+    guide.add_argument("--out", type=Path, default=Path("guide_study"), help="folder for figures and tables")
+    guide.add_argument("--clearance", type=float, default=1e-5, help="gap of the run with impacts [m] (default 1e-5)")
+    guide.add_argument("--quiet", action="store_true", help="no progress bars")
     commands.add_parser("parameters", help="all numbers of the four-bar with unit and meaning")
     options = parser.parse_args(arguments)
     _keep_compiled_programs()
@@ -25,9 +37,21 @@ def main(arguments: list[str] | None = None) -> None:
 
         print(jc.scenes.four_bar().parameters().to_string(index=False))
         return
+    if options.command == "guide":
+        from jaxclear.face import guide_study
+
+        if not options.clearance > 0:
+            parser.error(f"--clearance is {options.clearance}; it must be positive.")
+        guide_study.study(options.out, options.clearance, not options.quiet)
+        return
     for name, least in (("samples", 16), ("duration", 0.01), ("turns", 0.01)):
-        if not getattr(options, name) >= least:
+        if not getattr(options, name, least) >= least:
             parser.error(f"--{name} is {getattr(options, name)}; it must be at least {least}.")
+    if options.command == "antenna":
+        from jaxclear.face.antenna_study import study as antenna_study
+
+        antenna_study(options.out, options.duration)
+        return
     from jaxclear.face.four_bar_study import study
 
     study(options.out, options.samples, options.duration, options.turns, not options.quiet)

@@ -1,0 +1,158 @@
+"""Dual-axis antenna pointing mechanism on a free-floating satellite, with clearance and dry friction in both revolute joints.
+
+Source: Li, Lyu & Ding 2022, Chin. J. Aeronaut., no. 8, "Dynamics modeling and error analysis for antenna pointing mechanisms with
+frictional spatial revolute joints on SE(3)" (antenna paper 000); its tables of geometry, inertia and simulation parameters are
+lost. Taken from a near relative, Bai & Zhao 2020, Int. J. Aerospace Eng., 8846177, table 2: shafts of 0.5 m, bearing 50 mm long
+with radius 10 mm, journal 54 mm, flange radius 14 mm, radial and axial clearance 0.2 mm, mu_s 0.15, mu_d 0.1, v_s 0.1 m/s, v_d
+1 m/s, restitution 0.9, driving torques of 10 and 4 N m.
+
+Assumed, because no source says: the satellite is a cylinder of 100 kg, radius 0.5 m, height 1 m (a small satellite), joint 1 in
+the middle of its top, turning about its axis; link 1 is a tube of 4 kg and 30 mm radius of gyration rising along that axis; link
+2 is a tube of 2 kg across it, with a dish of 6 kg (a disk of 0.25 m radius) at its end, so that the torques turn it by some
+tenths of a radian to a radian in a second; joint 2 turns about an axis across both links, and link 2 lies beside link 1, 20 mm
+along that axis (two links cannot share a plane at a pin), which is what loads joint 1 about its own axis when joint 2 moves. The
+drives' argument is printed damaged: 2 pi t is assumed. The step drive is assumed too: joint 1 is pushed, braked and released
+while joint 2 is driven by a constant torque, so that joint 1 has to hold against what joint 2 does to it.
+Collars rub without a torque (the paper's assumption), so they have no friction here.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxclear.components import clearance as clearances
+from jaxclear.components.body import Body, Connection, Marker
+from jaxclear.components.joint import Free, Revolute
+from jaxclear.components.load import MotorTorque
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.contact import CarvalhoMartins
+from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, ThreeZone
+from jaxclear.laws.material import steel
+from jaxclear.laws.stiffness import HertzStiffness
+from jaxclear.scene.mechanism import Mechanism
+
+LINK_1, LINK_2 = 0.5, 0.5
+BEARING_RADIUS, BEARING_LENGTH, JOURNAL_LENGTH, FLANGE_RADIUS = 10e-3, 50e-3, 54e-3, 14e-3
+AXIAL_CLEARANCE = 0.2e-3
+STATIC_SPEED, KINETIC_SPEED, RESTITUTION = 0.1, 1.0, 0.9
+TORQUES = (10.0, 4.0)
+# Step drive [s]: joint 1 pushed up to PUSH, braked up to BRAKE; joint 2 driven up to HOLD.
+PUSH, BRAKE, HOLD = 0.2, 0.38, 2.5
+SATELLITE_MASS, SATELLITE_RADIUS, SATELLITE_HEIGHT = 100.0, 0.5, 1.0
+TUBE_1, GYRATION, TUBE_2, DISH, DISH_RADIUS = 4.0, 30e-3, 2.0, 6.0, 0.25
+OFFSET = 20e-3
+KINDS = ("spatial", "planar", "ideal")
+FRICTIONS = ("set_valued", "regularised")
+DRIVES = ("periodic", "step")
+JOINTS = ("J1", "J2")
+# The antenna's boresight runs along link 2.
+TIP = Marker("link2", (OFFSET, LINK_2, 0.0), axis="y")
+BASE = "satellite"
+
+
+class PeriodicTorque(eqx.Module):
+    """amplitude sin(2 pi frequency t)."""
+
+    amplitude: Scalar = quantity(unit="N m", meaning="amplitude of the driving torque")
+    frequency: Scalar = quantity(1.0, "Hz", "frequency of the driving torque")
+
+    def __call__(self, time: Scalar) -> Scalar:
+        return self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * time)
+
+
+class StepTorque(eqx.Module):
+    """`amplitude` up to `push`, its opposite up to `brake`, then none; switched at once. Steps should end at these instants."""
+
+    amplitude: Scalar = quantity(unit="N m", meaning="driving torque")
+    push: Scalar = quantity(unit="s", meaning="end of the push", at_least=0)
+    brake: Scalar | None = quantity(None, "s", "end of the braking (None: no braking)", at_least=0)
+
+    def __call__(self, time: Scalar) -> Scalar:
+        pushed = jnp.where(time < self.push, self.amplitude, 0.0)
+        if self.brake is None:
+            return pushed
+        return jnp.where((time >= self.push) & (time < self.brake), -self.amplitude, pushed)
+
+
+def driving_torques(drive: str | tuple) -> tuple[Any, Any]:
+    """Torque of each joint's motor: "periodic", "step", or two of one's own, numbers or functions of time."""
+    if isinstance(drive, tuple) and len(drive) == 2:
+        return drive
+    if drive == "periodic":
+        return tuple(PeriodicTorque(amplitude) for amplitude in TORQUES)
+    if drive == "step":
+        return StepTorque(TORQUES[0], PUSH, BRAKE), StepTorque(TORQUES[1], HOLD)
+    raise ValueError(f"the drive of the antenna is {', '.join(map(repr, DRIVES))} or two torques, not {drive!r}.")
+
+
+def friction_law(friction: Any, mu_kinetic: Any = 0.1, mu_static: Any = 0.15) -> AbstractFrictionLaw | None:
+    """Coulomb's law ("set_valued"), the three-zone law of Bai & Zhao ("regularised"), a law of one's own, or None."""
+    if friction is None or isinstance(friction, AbstractFrictionLaw):
+        return friction
+    if friction not in FRICTIONS:
+        raise ValueError(f"the friction of the antenna is {', '.join(map(repr, FRICTIONS))} or a law, not {friction!r}.")
+    if friction == "set_valued":
+        return Coulomb(mu_kinetic, mu_static)
+    return ThreeZone(mu_static, mu_kinetic, STATIC_SPEED, KINETIC_SPEED)
+
+
+def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
+    """A joint of the antenna: "spatial" (FSRJ) or "planar" (FPRJ) with clearance, or "ideal"."""
+    if kind not in KINDS:
+        raise ValueError(f"the joints of the antenna are {', '.join(KINDS)}, not {kind!r}.")
+    if kind == "ideal":
+        return Revolute()
+    contact = CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=RESTITUTION)
+    if kind == "planar":
+        return clearances.PlanarJournalBearing(contact, rub, BEARING_RADIUS, clearance, BEARING_LENGTH)
+    flange = clearances.Flange(contact, None, FLANGE_RADIUS, AXIAL_CLEARANCE)
+    return clearances.JournalBearing(contact, rub, BEARING_RADIUS, clearance, BEARING_LENGTH, JOURNAL_LENGTH, flange)
+
+
+def _bodies(offset: float) -> dict[str, Body]:
+    across = SATELLITE_MASS * (3 * SATELLITE_RADIUS**2 + SATELLITE_HEIGHT**2) / 12
+    rod = TUBE_1 * LINK_1**2 / 12
+    mass = TUBE_2 + DISH
+    centre = (0.5 * TUBE_2 + DISH) * LINK_2 / mass
+    swing = TUBE_2 * LINK_2**2 / 3 + DISH * (LINK_2**2 + DISH_RADIUS**2 / 4) - mass * centre**2
+    return {
+        "satellite": Body(SATELLITE_MASS, (across, across, SATELLITE_MASS * SATELLITE_RADIUS**2 / 2)),
+        "link1": Body(TUBE_1, (rod, rod, TUBE_1 * GYRATION**2), (0.0, 0.0, 0.5 * LINK_1)),
+        "link2": Body(mass, (swing, DISH * DISH_RADIUS**2 / 2 + TUBE_2 * GYRATION**2, swing), (offset, centre, 0.0)),
+    }
+
+
+def antenna(
+    kind: str = "spatial",
+    clearance: float = 0.2e-3,
+    *,
+    mu_kinetic: float = 0.1,
+    mu_static: float = 0.15,
+    drive: str | tuple = "periodic",
+    friction: Any = "set_valued",
+    offset: float = OFFSET,
+) -> Mechanism:
+    """The satellite with links 1 and 2, both joints ("J1", "J2") being `kind`: "spatial", "planar" or "ideal".
+
+    `clearance`: radial [m]. `drive`: "periodic", "step" or two torques. `friction`: "set_valued" (Coulomb, for
+    integrator.NonColliding and MoreauJean), "regularised" (three zones, for compliant integrators too), a law, or None. `offset`
+    [m]: how far link 2 lies beside link 1. The planar kind leaves a journal free to tilt and slide unless its joint always
+    touches: take it with integrator.NonColliding only. Everything starts at rest, link 2 level.
+    """
+    joint = bearing(kind, clearance, friction_law(friction, mu_kinetic, mu_static))
+    places = {
+        "J1": (Marker("satellite", (0.0, 0.0, 0.5 * SATELLITE_HEIGHT)), Marker("link1")),
+        "J2": (Marker("link1", (0.0, 0.0, LINK_1), axis="x"), Marker("link2", axis="x")),
+    }
+    torques = zip(JOINTS, driving_torques(drive), strict=True)
+    top = 0.5 * SATELLITE_HEIGHT
+    # Held by contacts alone, bodies start by place.
+    start = {} if kind == "ideal" else {"link1": (0.0, 0.0, top), "link2": (0.0, 0.0, top + LINK_1)}
+    return Mechanism(
+        bodies=_bodies(offset),
+        connections={"base": Connection(Free(), "ground", "satellite")}
+        | {name: Connection(joint, *markers) for name, markers in places.items()},
+        loads={f"motor {name}": MotorTorque(*places[name], torque) for name, torque in torques},
+        start=start,
+    )
