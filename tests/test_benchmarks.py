@@ -32,6 +32,7 @@ def test_friction_and_wear_leave_none_of_their_operations():
     assert bare["atan2"] == 0 < worn["atan2"]
 
 
+@pytest.mark.slow
 def test_engine_agrees_with_both_hand_written_programs():
     # Offsets of 1e-5 m are differences of coordinates near 1 m: 1e-16 / 1e-5, over the smallest offsets, and a margin.
     differences = evaluation.disagreement(evaluation.case(256))

@@ -31,7 +31,8 @@ def plain():
     return in_a_process(JAXCLEAR_PLAIN_XLA="1", JAXCLEAR_PLAIN_LOOPS="1")
 
 
-@pytest.mark.parametrize("kernels", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kernels", [True, False])
+@pytest.mark.slow
 def test_results_are_the_same_with_and_without(plain, kernels):
     fast = in_a_process(JAXCLEAR_PLAIN_LOOPS="0" if kernels else "1")
     assert "small_while_loop" in fast["flags"] and plain["flags"] == ""

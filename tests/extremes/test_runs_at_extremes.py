@@ -64,7 +64,7 @@ def test_run_ends_or_says_why(kind, integrator):
 
 
 @pytest.mark.skipif(ABORTS, reason="XLA's multi-output fusion aborts the process on this derivative")
-@pytest.mark.parametrize("kind", ["planar", "ball"])
+@pytest.mark.parametrize("kind", ["planar", pytest.param("ball", marks=pytest.mark.slow)])
 def test_derivative_of_a_run_from_concentric_rest_is_finite(kind):
     def final(p):
         mechanism = build(kind, p)

@@ -62,7 +62,7 @@ def test_slider_crank_with_clearance_tends_to_the_ideal_one():
     assert abs(observed_order(errors) - 1) < 0.15
 
 
-@pytest.mark.parametrize("kind", ["JournalBearing", "BallSocket"])
+@pytest.mark.parametrize("kind", ["JournalBearing", pytest.param("BallSocket", marks=pytest.mark.slow)])
 def test_bar_in_a_spatial_joint_with_clearance_tends_to_the_ideal_one(kind):
     law = jc.contact.MarhefkaOrin(**CONTACT)
     if kind == "BallSocket":

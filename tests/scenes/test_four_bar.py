@@ -86,6 +86,7 @@ def test_fixed_and_adaptive_steps_agree_on_what_wears(runs):
     np.testing.assert_allclose(*volumes, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_planar_and_spatial_bearings_agree_while_the_journal_stays_parallel():
     planar = jc.simulate(four_bar("planar", wear=False), 0.05, save=51)
     spatial = jc.simulate(four_bar("spatial", wear=False, follower_offset=0.0), 0.05, save=51)

@@ -133,6 +133,7 @@ def test_an_unstable_rung_is_reported():
     assert found.choice.rung == REFERENCE and found.met
 
 
+@pytest.mark.slow
 def test_chaos_is_said():
     response = {"force": jc.response.MeanContactForce("B"), "place": jc.response.FinalCoordinate("journal", unit="m")}
     question = jc.Problem(rattling(), response, CLEARANCE, duration=0.8, save=81)

@@ -202,6 +202,7 @@ def test_nominal_motion_keeps_what_the_ideal_joint_leaves_free(joint, free):
         assert distance <= apart.min() and apart.min() < 1.2 * distance
 
 
+@pytest.mark.slow
 def test_error_over_a_run_recovers_deviations_and_adds_up(wobbling):
     run, _, deviations = wobbling
     error = jc.pointing_error(run, TIP)

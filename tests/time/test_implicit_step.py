@@ -112,6 +112,7 @@ def test_agrees_with_the_reference_on_a_sliding_wearing_journal():
     np.testing.assert_allclose(*[float(run.worn_volume("B", "bearing")[-1]) for run in runs], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_loop_with_bristles_drive_and_loads_agrees_with_the_reference():
     """Contact within a closed loop is solved in its rows: measured 9e-7 m, drift 4e-7 m."""
     runs = [
