@@ -14,7 +14,15 @@ from benchmarks import trace as trace_programs  # noqa: E402
 
 
 def test_programs_stay_within_their_budget():
-    assert not trace_programs.over_budget(trace_programs.variant_rows(whole=False))
+    """Sizes are exact. Compile times are measured beside a reference, but a busy machine can spoil one: three in a row count."""
+    over = trace_programs.over_budget(trace_programs.variant_rows(whole=False))
+    assert not [sentence for sentence in over if "equations" in sentence]
+    stubborn = {sentence.split(" is ")[0] for sentence in over}
+    for _ in range(2):
+        if stubborn:
+            again = trace_programs.over_budget(trace_programs.variant_rows(whole=False))
+            stubborn &= {sentence.split(" is ")[0] for sentence in again}
+    assert not stubborn, over
 
 
 def test_an_absent_feature_leaves_no_equation():
