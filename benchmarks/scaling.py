@@ -169,7 +169,7 @@ def chain_figures(joints: int, name: str, repeats: int) -> dict[str, Any]:
 
 
 def chain_rows(quick: bool) -> list[dict[str, Any]]:
-    sizes, limit, repeats = ((1, 4), 40, 2) if quick else ((1, 4, 16, 64), 900, 5)
+    sizes, limit, repeats = ((1, 4), 40, 2) if quick else ((1, 4, 16, 64), 150, 5)
     keys = ("loop", "compile CPU [s]", "steps", "wall [ns/step]", "CPU [ns/step]", "wall [ns/step/joint]")
     rows: list[dict[str, Any]] = []
     for name in integrators(CHAIN_STEP, implicit=True):
