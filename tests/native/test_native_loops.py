@@ -53,6 +53,7 @@ STEPS = {
     "choices": lambda x: jax.lax.cond(x[0] > 0.4, lambda y: y * 0.5, lambda y: y + 0.3, x),
     "short scans": lambda x: jax.lax.scan(lambda c, a: (c * 0.5 + a, c.sum()), x, np.array([0.1, 0.2]))[0],
     "loops inside": lambda x: 0.1 * x + jax.lax.while_loop(lambda s: s[0] < 3.0, lambda s: jnp.abs(s) * 1.3 + 0.2, x),
+    "reductions of nothing": lambda x: 0.5 * x + jnp.sum(x[:0]) + jnp.exp(jnp.max(x[:0], initial=-jnp.inf)),
     "called programs": lambda x: jax.jit(lambda y: jnp.sin(y) + jax.nn.relu(y))(x),
 }
 
@@ -175,6 +176,22 @@ def test_long_arrays_may_be_part_of_the_state():
     fast, plain = turns(lambda x: jnp.roll(x, 1) * 0.9, 3)
     x = jnp.linspace(0.0, 1.0, 100)
     np.testing.assert_allclose(jax.jit(fast)(x), plain(x), rtol=ROUNDING)
+
+
+def test_a_kernel_that_cannot_be_written_costs_a_warning_not_the_run(monkeypatch):
+    monkeypatch.setattr(kernel, "build", lambda *_: 1 / 0)
+    by_kernel, by_jax = turns(lambda x: 0.37 * x + 0.21, 5)
+    with pytest.warns(RuntimeWarning, match="could not write a loop"):
+        found = jax.jit(by_kernel)(jnp.array([0.3, 0.7]))
+    np.testing.assert_allclose(found, by_jax(jnp.array([0.3, 0.7])), rtol=ROUNDING)
+
+
+def test_rounding_where_a_sum_cancels_is_no_disagreement(caplog):
+    """x - x (1 + tiny) + ... leaves rounding of either order; both are right."""
+    with caplog.at_level(logging.INFO, logger="jaxclear.native.loop"):
+        by_kernel, _ = turns(lambda x: x + (0.1 * x[::-1] - (x + 0.1 * x[::-1])), 3)
+        jax.jit(by_kernel)(jnp.array([0.3, 0.7]))
+    assert not caplog.records
 
 
 def test_a_wrong_kernel_is_caught_and_not_used(monkeypatch, caplog):
