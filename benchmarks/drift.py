@@ -72,8 +72,9 @@ def draw(curves: list[tuple[str, str, Any, np.ndarray]], file: Path) -> None:
             panel.semilogy(t, np.maximum(size, 1e-17), label=gain, linewidth=1)
         panel.set(title=name, xlabel="time [s]")
     panels[0][0].set_ylabel("residual of the loop [m]")
-    panels[0][-1].legend(title="alpha = beta [1/s]")
-    figure.savefig(file, dpi=150)
+    handles, labels = panels[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, title="Baumgarte's alpha = beta [1/s], or", loc="outside lower center", ncols=len(labels))
+    figure.savefig(file, dpi=80)
 
 
 def main() -> None:
