@@ -1,7 +1,8 @@
 """Small symmetric positive definite systems, written out where that is faster than a library call.
 
 A call to LAPACK costs more than the whole arithmetic of a 4 x 4 system inside a compiled loop, and hides structural zeros;
-from `LARGEST_WRITTEN_OUT` unknowns on, LAPACK's Cholesky factorisation takes over.
+beyond `LARGEST_WRITTEN_OUT` unknowns (three free bodies) LAPACK's Cholesky factorisation takes over, for which kernels of
+machine code have no rule: an implicit step of a floating mechanism is then several hundred times slower.
 """
 
 from typing import Any
@@ -11,7 +12,7 @@ import jax.scipy.linalg as jsl
 
 from jaxclear.ground import sparse as sp
 
-LARGEST_WRITTEN_OUT = 8
+LARGEST_WRITTEN_OUT = 18
 
 Rows = tuple[tuple[Any, ...], ...]
 
