@@ -99,7 +99,7 @@ def assert_finite(tree, words):
 
 
 # Second derivatives take long to compile: joints whose parts others have as well go with the long tests.
-LONG = {"journal", "journal_that_wears", "journal_with_collars", "ball"}
+LONG = {"journal", "journal_that_wears", "journal_with_collars", "ball", "ball_with_bristles"}
 
 
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) if k in LONG else k for k in JOINTS])

@@ -161,6 +161,7 @@ def test_forty_windows_of_iftomm():
     assert error < IFTOMM["tolerance"]["A02"]
 
 
+@pytest.mark.slow
 def test_derivative_through_closed_loops_is_that_of_the_single_freedom():
     """phi(1 s) by starting speed and by gravity, forward through 500 Runge-Kutta steps: 1e-8 relative."""
     times = jnp.array([0.0, 1.0])

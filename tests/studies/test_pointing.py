@@ -252,6 +252,7 @@ def test_error_maps_and_differentiates_at_zero_deviation():
     np.testing.assert_allclose(many[2], oracle(Q, DEVIATIONS)[2], rtol=0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_response_differentiates_with_and_without_deviations(wobbling):
     run, q, deviations = wobbling
     response = jc.response.PointingAngle(TIP, "arm")

@@ -25,7 +25,7 @@ def reference():
     "integrator",
     [
         jc.integrator.Adaptive(),
-        jc.integrator.Adaptive(diffrax.Kvaerno5(root_finder=NEWTON), 1e-6, 1e-9),
+        pytest.param(jc.integrator.Adaptive(diffrax.Kvaerno5(root_finder=NEWTON), 1e-6, 1e-9), marks=pytest.mark.slow),
         jc.integrator.FixedStep(2e-6),
         jc.integrator.FixedStep(2e-7, "heun"),
         jc.integrator.FixedStep(steps_per_save=1000),
