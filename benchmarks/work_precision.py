@@ -40,7 +40,7 @@ def ladder(shortest: float, touching: bool) -> dict[str, list]:
     }
     if touching:
         rungs["NonColliding"] = [kinds.NonColliding(step) for step in steps]
-    return {name: rung for name, rung in rungs.items() if rung}
+    return rungs
 
 
 def slider_crank() -> jc.Mechanism:

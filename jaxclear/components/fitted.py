@@ -166,6 +166,11 @@ class FittedPrismatic(AbstractFitted):
         return mu
 
 
+def load_of(ends: tuple[Carried, ...]) -> Any:
+    """Sum of the sizes of the carried forces [N], of which friction is a share."""
+    return sp.total(norm(end.force) for end in ends)
+
+
 def situation(ends: tuple[Carried, ...]) -> Any:
     """Index into `SITUATIONS`."""
     sizes = [norm(end.force) for end in ends]

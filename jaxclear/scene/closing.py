@@ -4,6 +4,7 @@ from typing import Any
 
 from jaxclear.ground import sparse as sp
 from jaxclear.scene import dynamics, linear, tree
+from jaxclear.scene.contact_solve import by_limbs
 from jaxclear.scene.contact_step import drift
 from jaxclear.scene.contact_tangent import Row, along
 from jaxclear.scene.state import Layout, unpack_motion
@@ -16,7 +17,9 @@ def close(system: System, layout: Layout, time: Any, entries: list) -> list:
     motions = dynamics.move(system, *unpack_motion(system, [*q, *v]), time)
     found = [dynamics.closure_rows(system, motions, closure) for closure in system.closures]
     rows: list[Row] = [row for closure in found for row in closure.jacobian]
-    answers = _answers(system, motions, rows)
+    limbs = (tuple(tuple(part[i] for i in limb) for part in (system.links, motions)) for limb in system.topology.limbs)
+    respond = by_limbs([tree.mass_matrix(*limb) for limb in limbs])
+    answers = [respond([row.get(j, 0) for j in range(len(v))]) for row in rows]
     schur = linear.factor([[along(row, answer) for answer in answers] for row in rows])
 
     def change(residuals):
@@ -26,20 +29,3 @@ def close(system: System, layout: Layout, time: Any, entries: list) -> list:
     values, rates = ([x for closure in found for x in part(closure)] for part in (lambda c: c.values, lambda c: c.rates))
     v = [sp.add(x, d) for x, d in zip(v, change(rates), strict=True)]
     return [*drift(system, q, q, change(values), 1.0), *v, *entries[layout.memory_start :]]
-
-
-def _answers(system, motions, rows) -> list[list]:
-    """M^-1 J^T, row by row."""
-    factors = []
-    for limb in system.topology.limbs:
-        mass = tree.mass_matrix(tuple(system.links[i] for i in limb), tuple(motions[i] for i in limb))
-        factors.append((len(mass), linear.factor(mass) if mass else None))
-    answers = []
-    for row in rows:
-        answer, start = [], 0
-        for size, factor in factors:
-            part = tuple(row.get(j, 0) for j in range(start, start + size))
-            answer += part if all(map(sp.is_zero, part)) else linear.solve(factor, part)
-            start += size
-        answers.append(answer)
-    return answers

@@ -69,19 +69,25 @@ def prepare(apart: Apart) -> Split:
     return Split(free, multipliers, way(mass, rows))
 
 
-def _inverse(apart: Apart) -> tuple[Callable, Callable]:
-    """(accelerations under generalised forces, the same corrected to what the closures want with its multipliers)."""
-    factors = [linear.factor(mass) if mass else None for mass in apart.masses]
-    closures, size = apart.closure_rows, len(apart.right)
+def by_limbs(masses: list) -> Callable:
+    """Accelerations under generalised forces, by the mass matrix of each limb; structurally zero where no force acts."""
+    factors = [linear.factor(mass) if mass else None for mass in masses]
 
     def respond(forces):
         out, start = [], 0
-        for mass, factor in zip(apart.masses, factors, strict=True):
+        for mass, factor in zip(masses, factors, strict=True):
             part = tuple(forces[start : start + len(mass)])
             out += part if all(map(sp.is_zero, part)) else linear.solve(factor, part)
             start += len(mass)
         return out
 
+    return respond
+
+
+def _inverse(apart: Apart) -> tuple[Callable, Callable]:
+    """(accelerations under generalised forces, the same corrected to what the closures want with its multipliers)."""
+    respond = by_limbs(apart.masses)
+    closures, size = apart.closure_rows, len(apart.right)
     carried = [respond([row.get(j, 0) for j in range(size)]) for row in closures]
     held = linear.factor([[along(row, other) for other in carried] for row in closures]) if closures else None
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxclear.components.clearance import Pairing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
 from jaxclear.ground.numerics import positive_part, safe_divide
@@ -116,7 +117,7 @@ def _depths_worked_for(system, apart, laws, push) -> list:
     memories = [memory for bearing in laws.memories.values() for memory in bearing]
     rates, forces = (_by_contact(apart, part) for part in (push.rates, push.forces))
     out = []
-    for pairing, memory, depth, rate, force in zip(_pairings(system), memories, laws.depths, rates, forces, strict=True):
+    for pairing, memory, depth, rate, force in zip(pairings_of(system), memories, laws.depths, rates, forces, strict=True):
         law = contact_tangent.mean_force(pairing, memory, laws.span, depth, rate[0])
         share = jnp.clip(safe_divide(-force[0], law), 0.0, 1.0)
         low, end = positive_part(depth), depth + laws.span.length * rate[0]
@@ -124,7 +125,8 @@ def _depths_worked_for(system, apart, laws, push) -> list:
     return out
 
 
-def _pairings(system):
+def pairings_of(system: System) -> list[Pairing]:
+    """Laws of every possible contact, in the order of the state."""
     return [pairing for bearing in system.bearings.values() for pairing in bearing.pairings]
 
 
@@ -177,7 +179,7 @@ def _iterate(system, apart, laws, split, missing, last, iterations) -> Push:
 
     reach = 0.5 * (1 + laws.span.bias) * laws.span.length
     unmoved, rates = [], []
-    parts = zip(apart.contacts, laws.depths, laws.approach, laws.masses, _pairings(system), strict=True)
+    parts = zip(apart.contacts, laws.depths, laws.approach, laws.masses, pairings_of(system), strict=True)
     for contact, depth, approach, mass, pairing in parts:
         active = contact.rows[: contact.active]
         free = [sp.add(rate, along(row, missing)) for rate, row in zip(contact.rates, active, strict=False)]

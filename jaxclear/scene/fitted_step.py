@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxclear.components.fitted import AbstractFitted
+from jaxclear.components.fitted import AbstractFitted, load_of
 from jaxclear.components.joint import AbstractGroupJoint
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import FLIP
 from jaxclear.laws.friction import AbstractSlipFriction, set_valued
 from jaxclear.scene import dynamics
@@ -158,8 +158,7 @@ def _at(none: Answer, units: list[Answer], friction: Any) -> Answer:
 
 def _total(joint, reaction, friction, total):
     """Sum of the sizes of the forces that a joint carries, with the last such sum to tell their share of friction."""
-    ratio = jnp.where(total > 0, friction / jnp.where(total > 0, total, 1.0), 0.0)
-    return sum(safe_sqrt(sp.dot(part.force, part.force)) for part in joint.carried(*reaction, ratio))
+    return load_of(joint.carried(*reaction, safe_divide(friction, total)))
 
 
 def _solve(joints, places, v, h, mass, none: Answer, units: list[Answer], rules: Rules) -> Any:

@@ -18,11 +18,11 @@ from jaxclear.laws.friction import Coulomb, set_valued
 from jaxclear.laws.restitution import restitution
 from jaxclear.scene import contact_point, contact_solve, contact_tangent, dynamics, linear, percussion
 from jaxclear.scene.contact_point import PointState, Response
-from jaxclear.scene.contact_step import by_joint, drift
+from jaxclear.scene.contact_step import by_joint, drift, pairings_of
 from jaxclear.scene.contact_tangent import Apart, Place, Row, Span, along
 from jaxclear.scene.dynamics import Solution
 from jaxclear.scene.loops import Baumgarte
-from jaxclear.scene.state import Layout, unpack_motion
+from jaxclear.scene.state import Layout, component_count, unpack_motion
 from jaxclear.scene.state_rate import passive_rates
 from jaxclear.scene.system import System
 
@@ -104,9 +104,8 @@ class _Parted(NamedTuple):
 
 
 def _sides(system: System, apart: Apart) -> list[Side]:
-    pairings = [pairing for bearing in system.bearings.values() for pairing in bearing.pairings]
     sides = []
-    for place, pairing in zip(apart.contacts, pairings, strict=True):
+    for place, pairing in zip(apart.contacts, pairings_of(system), strict=True):
         law = None if pairing.friction is None else set_valued(pairing.friction)
         slips = [] if law is None else _slips(place)
         rows = [{j: sp.neg(entry) for j, entry in place.rows[0].items()}]
@@ -277,10 +276,9 @@ def reports_of(system: System, poses: dict, contacts: tuple[Place, ...], forces:
 def reports_at(system: System, motions: tuple, worn: dict, components: list) -> dict:
     """Reports of the clearance joints at an instant, for given components of their contacts' forces, in the state's order."""
     poses, contacts = contact_tangent.places(system, motions, worn)
-    pairings = [pairing for bearing in system.bearings.values() for pairing in bearing.pairings]
     forces, first = [], 0
-    for place, pairing in zip(contacts, pairings, strict=True):
-        count = 1 + (0 if pairing.friction is None else len(place.outline.touch.tangents))
+    for place, pairing in zip(contacts, pairings_of(system), strict=True):
+        count = component_count(pairing, place.outline.touch)
         forces.append(tuple(components[first : first + count]))
         first += count
     return reports_of(system, poses, contacts, forces, [0] * system.topology.speed_count)

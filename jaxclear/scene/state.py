@@ -10,6 +10,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from jaxclear.components.clearance import Pairing, Touch
 from jaxclear.ground import sparse as sp
 from jaxclear.scene.contact_point import PointState, memory_template
 from jaxclear.scene.system import Bearing, System
@@ -101,12 +102,17 @@ def probe(system: System, bearing: Bearing) -> tuple:
     return offset, axes, overlaps, bearing.joint.touches(offset, axes, overlaps)
 
 
+def component_count(pairing: Pairing, touch: Touch) -> int:
+    """Components of a contact's force: a normal one, and one per slip direction where it rubs."""
+    return 1 + (0 if pairing.friction is None else len(touch.tangents))
+
+
 def contact_components(system: System) -> tuple[tuple[str, int], ...]:
-    """By clearance joint, how many components its contacts' forces have: a normal one, one per slip direction where it rubs."""
+    """By clearance joint, how many components its contacts' forces have."""
     counts = []
     for name, bearing in system.bearings.items():
         each = zip(bearing.pairings, probe(system, bearing)[3], strict=True)
-        counts.append((name, sum(1 + (0 if p.friction is None else len(t.tangents)) for p, t in each)))
+        counts.append((name, sum(component_count(pairing, touch) for pairing, touch in each)))
     return tuple(counts)
 
 

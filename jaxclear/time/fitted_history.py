@@ -4,7 +4,7 @@ Reactions are means over the saving intervals, so save every step where instants
 end, where the states stand.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from jaxclear.components.fitted import SITUATIONS, AbstractFitted, Carried, situation
+from jaxclear.components.fitted import SITUATIONS, AbstractFitted, Carried, load_of, situation
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.scene import fitted_step
 from jaxclear.scene.system import prepare
 from jaxclear.time.trajectory import ContactHistory, Trajectory, layout_of, mean_forces
@@ -29,67 +30,67 @@ def touching(run: Trajectory) -> tuple[str, ...]:
     return tuple(system.topology.branches[i].connection for i in fitted_step.touching(system))
 
 
-def _ends(joint: AbstractFitted, parts: Any) -> tuple[tuple[Carried, ...], Any]:
-    """Where the components of a joint's mean reaction are carried, and its friction."""
+class Means(NamedTuple):
+    """A joint's mean reaction and friction over a saving interval, where it is carried, and the joint's speed at the end."""
+
+    force: Any
+    torque: Any
+    ends: tuple[Carried, ...]
+    speed: Any
+
+
+def _means(joint: AbstractFitted, parts: Any, speed: Any) -> Means:
+    """From the components of a joint's mean reaction."""
     numbers = [parts[i] for i in range(fitted_step.COMPONENTS)]
     force, torque, friction = tuple(numbers[:3]), tuple(numbers[3:6]), numbers[6]
-    flat = joint.carried(force, torque, 0.0)
-    total = sum(jnp.asarray(sp.dot(end.force, end.force), float) ** 0.5 for end in flat)
+    ends = joint.carried(force, torque, 0.0)
     for _ in range(PASSES):
-        ratio = jnp.clip(jnp.where(total > 0, friction / jnp.where(total > 0, total, 1.0), 0.0), -1.0, 1.0)
-        ends = joint.carried(force, torque, ratio)
-        total = sum(jnp.asarray(sp.dot(end.force, end.force), float) ** 0.5 for end in ends)
-    return ends, friction
+        ends = joint.carried(force, torque, jnp.clip(safe_divide(friction, load_of(ends)), -1.0, 1.0))
+    return Means(parts[:3], parts[3:6], ends, speed)
 
 
 def _over_means(run: Trajectory, name: str, function: Any) -> Any:
-    """Maps a function of (ends, friction, speed of the joint) over the saving times."""
-    system = prepare(run.mechanism)
-    layout = layout_of(system, run.balanced, run.formulation)
-    position = [joint for joint, _ in layout.impulses].index(name) * fitted_step.COMPONENTS
-    means = mean_forces(run, layout)[:, position : position + fitted_step.COMPONENTS]
+    """Maps a function of `Means` over the saving times."""
+    layout = layout_of(prepare(run.mechanism), run.balanced, run.formulation)
+    start = [joint for joint, _ in layout.impulses].index(name) * fitted_step.COMPONENTS
+    parts = mean_forces(run, layout)[:, start : start + fitted_step.COMPONENTS]
     joint = run.mechanism.connections[name].joint
-    return jax.vmap(lambda parts, speed: function(*_ends(joint, parts), speed))(means, run.speed(name)[:, 0])
+    return jax.vmap(lambda *own: function(_means(joint, *own)))(parts, run.speed(name)[:, 0])
 
 
 @eqx.filter_jit
 def contact(run: Trajectory, name: str) -> ContactHistory:
     """Contacts of a joint that always touches, numbered as those of the clearance joint."""
     joint = run.mechanism.connections[name].joint
-    system = prepare(run.mechanism)
-    layout = layout_of(system, run.balanced, run.formulation)
-    start = [other for other, _ in layout.impulses].index(name) * fitted_step.COMPONENTS
-    means = mean_forces(run, layout)
 
-    def one(ends, friction, speed):
-        found = sorted((entry for end in ends for entry in end.contacts), key=lambda entry: entry[0])
+    def one(now):
+        found = sorted((entry for end in now.ends for entry in end.contacts), key=lambda entry: entry[0])
         places = jnp.stack([sp.stack(place) for *_, place in found])
         normal = sp.stack([entry[1] for entry in found])
         traction = jnp.abs(sp.stack([entry[2] for entry in found]))
-        slip = jnp.full(len(found), jnp.abs(joint.arm * speed))
-        shifts = jnp.stack([sp.stack(end.shift) for end in ends])
+        slip = jnp.full(len(found), jnp.abs(joint.arm * now.speed))
+        shifts = jnp.stack([sp.stack(end.shift) for end in now.ends])
         offset, lean = jnp.mean(shifts, 0), jnp.zeros(3)
-        if len(ends) == 2:
+        if len(now.ends) == 2:
             lean = (shifts[1] - shifts[0]) / joint.gap.length
         axis = (lean + jnp.array([0.0, 0.0, 1.0])) / jnp.sqrt(1 + lean @ lean)
-        return offset, axis, jnp.zeros(len(found)), normal, slip, traction, places
+        return ContactHistory(offset, axis, jnp.zeros(len(found)), normal, slip, traction, places, now.force, now.torque)
 
-    parts = _over_means(run, name, one)
-    return ContactHistory(*parts, means[:, start : start + 3], means[:, start + 3 : start + 6])
+    return _over_means(run, name, one)
 
 
 @eqx.filter_jit
 def situations(run: Trajectory, name: str) -> Int[Array, " time"]:
     """How a joint carries at every saving time: index into `SITUATIONS`."""
-    return _over_means(run, name, lambda ends, friction, speed: situation(ends))
+    return _over_means(run, name, lambda now: situation(now.ends))
 
 
 @eqx.filter_jit
 def _sides(run: Trajectory, name: str):
     """Product of the two ends' forces: below zero while they press on opposite sides; and their sum."""
 
-    def one(ends, friction, speed):
-        first, last = ends[0].force, ends[-1].force
+    def one(now):
+        first, last = now.ends[0].force, now.ends[-1].force
         return sp.dot(first, last), sp.stack(sp.plus(first, last))
 
     return _over_means(run, name, one)

@@ -14,7 +14,8 @@ import numpy as np
 from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.native.loop import while_loop
 from jaxclear.time import munthe_kaas
-from jaxclear.time.advance import COMPLIANT, NOT_FINITE, REACHED, AbstractIntegrator, Advance, check_count, check_step
+from jaxclear.time.advance import COMPLIANT, AbstractIntegrator, check_count, check_step
+from jaxclear.time.march import SLIVER, arrived, divide, march
 
 # Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes, weights).
 CHAINS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
@@ -25,8 +26,6 @@ CHAINS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
 }
 # Methods on the group of the coordinates, by their order.
 ON_GROUPS = {f"munthe_kaas{order}": order for order in munthe_kaas.TABLEAUS}
-# Share of a step by which rounding may miss the end of an interval.
-SLIVER = 1e-9
 
 
 class FixedStep(AbstractIntegrator):
@@ -34,8 +33,9 @@ class FixedStep(AbstractIntegrator):
 
     Steps are shortened a little to meet the saving times. No error control: halve `step` to see the error. Stable up to
     about 1.6 / omega (rk4), half of that ("semi_implicit") and a quarter ("heun"), omega = sqrt(contact stiffness / mass), of the
-    order of 1e4 rad/s in a steel bearing (measured, benchmarks/stability.py). "semi_implicit" is symplectic Euler: order 1, one
-    evaluation a step, no drift of the energy; "euler" gains energy, "heun" slowly.
+    order of 1e4 rad/s in a steel bearing (benchmarks/stability.py, for K from 1e10 N/m^1.5 on; in softer contacts a step must not
+    cross the clearance). "semi_implicit" is symplectic Euler: order 1, one evaluation a step, no drift of the energy; "euler"
+    gains energy, "heun" slowly.
     "munthe_kaas1" to "munthe_kaas4" (order 1 to 4) keep rotations on their group; see `MuntheKaas`.
     `contact_steps` divides a step that starts in contact, or would end there at the present closing speed, into that many; free
     flight keeps the long step, so bounces are resolved at a fraction of the cost. `capture_impacts` takes the approach
@@ -78,26 +78,22 @@ class FixedStep(AbstractIntegrator):
 
     def advance(self, field, start, stop, state, hint, weights, running):
         field = field.when_captured() if self.capture_impacts else field
-        count = jnp.maximum(jnp.ceil((stop - start) / self.step * (1 - SLIVER)), 1.0)
-        count = count if self.steps_per_save is None else jnp.asarray(float(self.steps_per_save))
-        h = (stop - start) / count
+        steps, h = divide(start, stop, self.step, self.steps_per_save)
         if self.contact_steps is None:
-            end, steps = self._equal_steps(field, start, h, count.astype(int), state), count.astype(int)
+            end = self._equal_steps(field, start, h, steps, state)
         else:
             end, steps = self._steps_that_meet_contacts(field, start, stop, h, state)
-        outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)
-        return Advance(end, steps, jnp.zeros_like(steps), (), outcome)
+        return arrived(end, steps, ())
 
     def _equal_steps(self, field, start, h, steps, state):
-        def one(carry):
-            index, y = carry
+        def one(index, y, hint):
             y = self._whole_step(field, start + index * h, lambda depth, closing: h, h, y)[1]
-            return index + 1, field.closed(start + (index + 1) * h, y)
+            return field.closed(start + (index + 1) * h, y), hint
 
         if self.steps_per_save is None:
-            return while_loop(lambda carry: carry[0] < steps, one, (jnp.zeros((), int), state))[1]
+            return march(one, steps, state, ())[0]
         turns = jnp.arange(self.steps_per_save)
-        return jax.lax.scan(lambda y, turn: (one((turn, y))[1], None), state, turns)[0]
+        return jax.lax.scan(lambda y, index: (one(index, y, ())[0], None), state, turns)[0]
 
     def _whole_step(self, field, time, length, h, y):
         """The length and the end of a step. Stages are a loop: the equations stand in the program once."""

@@ -7,10 +7,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.ground.quantity import Scalar, concrete, quantity
-from jaxclear.native.loop import while_loop
 from jaxclear.scene.contact_tangent import Span
-from jaxclear.time.advance import COMPLIANT, NOT_FINITE, REACHED, AbstractIntegrator, Advance, check_count, check_step
-from jaxclear.time.fixed_step import SLIVER
+from jaxclear.time.advance import COMPLIANT, AbstractIntegrator, check_count, check_step
+from jaxclear.time.march import arrived, divide, march
 
 
 class ImplicitStep(AbstractIntegrator):
@@ -61,23 +60,18 @@ class ImplicitStep(AbstractIntegrator):
 
     def advance(self, field, start, stop, state, hint, weights, running):
         field = field.when_captured() if self.capture_impacts else field
-        count = jnp.maximum(jnp.ceil((stop - start) / self.step * (1 - SLIVER)), 1.0)
-        count = count if self.steps_per_save is None else jnp.asarray(float(self.steps_per_save))
-        h = (stop - start) / count
+        steps, h = divide(start, stop, self.step, self.steps_per_save)
         bias = (1 - self.rebound) / (1 + self.rebound)
 
-        def one(index, carry):
-            end, hint = field.implicit_step(Span(start + index * h, h, bias), *carry, self.newton)
+        def one(index, state, hint):
+            end, hint = field.implicit_step(Span(start + index * h, h, bias), state, hint, self.newton)
             return field.closed(start + (index + 1) * h, end), hint
 
-        steps = count.astype(int)
-        first = (state, hint)
         if self.steps_per_save is None:
-            whole = lambda carry: (carry[0] + 1, *one(carry[0], carry[1:]))
-            _, end, hint = while_loop(lambda carry: carry[0] < steps, whole, (jnp.zeros((), int), *first))
+            end, hint = march(one, steps, state, hint)
         else:
             turns = jnp.arange(self.steps_per_save)
             # Reverse mode then keeps the states alone and goes through each step again: a third of the time to compile.
-            end, hint = jax.lax.scan(jax.checkpoint(lambda carry, turn: (one(turn, carry), None)), first, turns)[0]
-        outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)
-        return Advance(end, steps, jnp.zeros_like(steps), hint, outcome)
+            turn = jax.checkpoint(lambda carry, index: (one(index, *carry), None))
+            end, hint = jax.lax.scan(turn, (state, hint), turns)[0]
+        return arrived(end, steps, hint)

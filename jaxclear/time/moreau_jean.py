@@ -6,11 +6,10 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.ground.quantity import Scalar, concrete, quantity
-from jaxclear.native.loop import while_loop
 from jaxclear.scene.contact_tangent import Span
 from jaxclear.scene.rigid_step import Rules
-from jaxclear.time.advance import NOT_FINITE, REACHED, RIGID, AbstractIntegrator, Advance, check_step
-from jaxclear.time.fixed_step import SLIVER
+from jaxclear.time.advance import RIGID, AbstractIntegrator, check_step
+from jaxclear.time.march import arrived, divide, march
 
 
 class MoreauJean(AbstractIntegrator):
@@ -53,16 +52,12 @@ class MoreauJean(AbstractIntegrator):
         return jnp.zeros(field.layout.speeds)
 
     def advance(self, field, start, stop, state, hint, weights, running):
-        count = jnp.maximum(jnp.ceil((stop - start) / self.step * (1 - SLIVER)), 1.0)
-        h = (stop - start) / count
-        steps = count.astype(int)
+        steps, h = divide(start, stop, self.step)
         rules = Rules(self.theta, self.gamma, self.sweeps, self.tolerance, self.project)
 
-        def one(carry):
-            index, *rest = carry
-            end, last = field.rigid_step(Span(start + index * h, h, 0.0), *rest, rules)
-            return index + 1, field.closed(start + (index + 1) * h, end), last
+        def one(index, state, last):
+            end, last = field.rigid_step(Span(start + index * h, h, 0.0), state, last, rules)
+            return field.closed(start + (index + 1) * h, end), last
 
-        _, end, hint = while_loop(lambda carry: carry[0] < steps, one, (jnp.zeros((), int), state, hint))
-        outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)
-        return Advance(end, steps, jnp.zeros_like(steps), hint, outcome)
+        end, hint = march(one, steps, state, hint)
+        return arrived(end, steps, hint)

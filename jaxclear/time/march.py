@@ -1,0 +1,32 @@
+"""What all integrators with fixed steps share: how many steps fill an interval, going through them, and the answer at its end."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxclear.native.loop import while_loop
+from jaxclear.time.advance import NOT_FINITE, REACHED, Advance
+
+# Share of a step by which rounding may miss the end of an interval.
+SLIVER = 1e-9
+
+
+def divide(start: Any, stop: Any, step: Any, fixed: int | None = None) -> tuple[Any, Any]:
+    """(number of steps, their length [s]): the fewest equal ones no longer than `step`, or the `fixed` number."""
+    count = jnp.maximum(jnp.ceil((stop - start) / step * (1 - SLIVER)), 1.0)
+    count = count if fixed is None else jnp.asarray(float(fixed))
+    return count.astype(int), (stop - start) / count
+
+
+def march(one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, hint: Any) -> tuple[Any, Any]:
+    """State and hint after `steps` turns of (index, state, hint) -> (state, hint), in one loop."""
+    turn = lambda carry: (carry[0] + 1, *one(*carry))
+    _, state, hint = while_loop(lambda carry: carry[0] < steps, turn, (jnp.zeros((), int), state, hint))
+    return state, hint
+
+
+def arrived(end: Any, steps: Any, hint: Any) -> Advance:
+    """The answer of steps that are never rejected."""
+    outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)
+    return Advance(end, steps, jnp.zeros_like(steps), hint, outcome)
