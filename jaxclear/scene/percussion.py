@@ -19,18 +19,18 @@ from jaxclear.scene.projection import one_contact, saxce_residual
 
 
 class Percussions(NamedTuple):
-    """A solution: percussions and velocities per contact, residual relative to the largest velocity, sweeps taken."""
+    """A solution: percussions and velocities, contact after contact, residual relative to the largest velocity, sweeps taken."""
 
-    percussion: Float[Array, "c d"]
-    velocity: Float[Array, "c d"]
+    percussion: Float[Array, " m"]
+    velocity: Float[Array, " m"]
     residual: Float[Array, ""]
     sweeps: Int[Array, ""]
 
 
 def impact(
-    delassus: Sequence[Float[Array, "d m"]],
-    free: Float[Array, "c d"],
-    before: Float[Array, "c d"],
+    delassus: Sequence[Sequence[Float[Array, " m"]]],
+    free: Sequence[Float[Array, " d"]],
+    before: Sequence[Any],
     active: Bool[Array, " c"],
     restitution: Float[Array, " c"],
     mu: Float[Array, " c"],
@@ -38,47 +38,55 @@ def impact(
     most_sweeps: Any,
     tolerance: Any,
 ) -> Percussions:
-    """The percussions that carry velocities from `before` over the step; `free`: velocities at its end without them.
+    """The percussions that carry velocities over the step; `free`: those at its end without them, `before`: each contact's
+    opening speed at its start.
 
-    `delassus`: its rows contact by contact. A contact that is not `active` has no percussion. `tolerance`: residual of the law,
-    relative to the largest velocity, at which sweeps end.
+    `delassus`: each contact's rows; one has as many as it has directions (1 without friction). A contact that is not `active`
+    has no percussion. `tolerance`: residual of the law, relative to the largest velocity, at which sweeps end.
     """
-    c, d = free.shape
-    kept = jnp.broadcast_to(active[:, None], (c, d)).reshape(-1)
-    heaviest = jnp.max(jnp.stack([jnp.where(active[i], _diagonal(delassus[i], i), 0.0) for i in range(c)]))
+    sizes = [len(part) for part in free]
+    first = np.concatenate([[0], np.cumsum(sizes)]).tolist()
+    eye = np.eye(first[-1])
+    kept = jnp.concatenate([jnp.broadcast_to(active[i], (d,)) for i, d in enumerate(sizes)])
+    inertias = [_diagonal(rows, first[i]) for i, rows in enumerate(delassus)]
+    heaviest = jnp.max(jnp.concatenate([jnp.where(active[i], entries, 0.0) for i, entries in enumerate(inertias)]))
     weight = jnp.where(heaviest > 0, heaviest, 1.0)
-    eye = np.eye(c * d)
-    rows = [jnp.where(active[i] & kept, delassus[i] / weight, eye[i * d : (i + 1) * d]) for i in range(c)]
-    wanted = free.at[:, 0].add(restitution * before[:, 0])
-    wanted = jnp.where(active[:, None], wanted, np.eye(1, d))
-    largest = jnp.max(jnp.abs(jnp.where(active[:, None], wanted, 0.0)))
+    rows = [
+        [jnp.where(active[i] & kept, row / weight, eye[first[i] + k]) for k, row in enumerate(part)]
+        for i, part in enumerate(delassus)
+    ]
+    wanted = [part.at[0].add(restitution[i] * before[i]) for i, part in enumerate(free)]
+    wanted = [jnp.where(active[i], part, np.eye(1, len(part))[0]) for i, part in enumerate(wanted)]
+    largest = jnp.max(jnp.concatenate([jnp.abs(jnp.where(active[i], part, 0.0)) for i, part in enumerate(wanted)]))
     size = jnp.where(largest > 0, largest, 1.0)
-    r, residual, sweeps = _sweep_until(rows, wanted / size, mu, most_sweeps, tolerance)
-    percussion = jnp.where(active[:, None], r * size / weight, 0.0)
-    velocity = free + jnp.stack([block @ percussion.reshape(-1) for block in delassus])
+    found, residual, sweeps = _sweep_until(rows, [part / size for part in wanted], mu, most_sweeps, tolerance)
+    percussion = jnp.where(kept, jnp.concatenate(found) * size / weight, 0.0)
+    velocity = jnp.concatenate(free) + jnp.stack([row @ percussion for part in delassus for row in part])
     return Percussions(percussion, velocity, residual, sweeps)
 
 
-def _diagonal(block: Array, i: int) -> Array:
-    """Diagonal entries of the contact's own part of its rows."""
-    d = block.shape[0]
-    return jnp.stack([block[k, i * d + k] for k in range(d)])
+def _diagonal(rows: Sequence[Array], first: int) -> Array:
+    """Diagonal entries of a contact's own rows, the first of which is `first` of all."""
+    return jnp.stack([row[first + k] for k, row in enumerate(rows)])
 
 
-def _sweep_until(rows: list, wanted: Array, mu: Array, most_sweeps: Any, tolerance: Any) -> tuple[Array, Array, Array]:
-    """(percussions, residual, sweeps) from rest. Small arrays, one contact after the other: large ones do not fit into the
+def _sweep_until(rows: list, wanted: list, mu: Array, most_sweeps: Any, tolerance: Any) -> tuple[tuple, Array, Array]:
+    """(percussions by contact, residual, sweeps) from rest. Small arrays, a row at a time: large ones do not fit into the
     registers of a kernel."""
-    c, d = wanted.shape
-    own = [block[:, i * d : (i + 1) * d] for i, block in enumerate(rows)]
-    rho = [1 / jnp.max(_diagonal(block, i)) for i, block in enumerate(rows)]
+    first = np.concatenate([[0], np.cumsum([len(part) for part in rows])]).tolist()
+    own = [jnp.stack([row[first[i] : first[i + 1]] for row in part]) for i, part in enumerate(rows)]
+    rho = [1 / jnp.max(_diagonal(part, first[i])) for i, part in enumerate(rows)]
+
+    def velocity(i, flat):
+        return jnp.stack([row @ flat for row in rows[i]]) + wanted[i]
 
     def residual(r):
+        flat = jnp.concatenate(r)
         sizes = []
-        for i, block in enumerate(rows):
-            velocity = block @ r.reshape(-1) + wanted[i]
-            left = saxce_residual(r[i][None], velocity[None], mu[i][None], rho[i][None])
+        for i, part in enumerate(r):
+            left = saxce_residual(part[None], velocity(i, flat)[None], mu[i][None], rho[i][None])
             sizes.append(jnp.max(jnp.abs(left)) / rho[i])
-        worst = jnp.max(jnp.stack(sizes)) / excuse(r)
+        worst = jnp.max(jnp.stack(sizes)) / excuse(flat)
         return jnp.where(jnp.isfinite(worst), worst, jnp.inf)
 
     def unfinished(carry):
@@ -87,10 +95,10 @@ def _sweep_until(rows: list, wanted: Array, mu: Array, most_sweeps: Any, toleran
 
     def improve(carry):
         r, _, sweeps = carry
-        for i, block in enumerate(rows):
-            free = block @ r.reshape(-1) + wanted[i] - own[i] @ r[i]
-            r = r.at[i].set(one_contact(own[i], free, mu[i]))
+        for i, part in enumerate(r):
+            free = velocity(i, jnp.concatenate(r)) - own[i] @ part
+            r = (*r[:i], one_contact(own[i], free, mu[i]), *r[i + 1 :])
         return r, residual(r), sweeps + 1
 
-    start = jnp.zeros((c, d))
+    start = tuple(jnp.zeros(len(part)) for part in rows)
     return jax.lax.while_loop(unfinished, improve, (start, residual(start), jnp.zeros((), int)))

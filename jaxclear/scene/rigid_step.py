@@ -7,6 +7,7 @@ Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comp
 Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, ch. 10.
 """
 
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.contact import Rigid
 from jaxclear.laws.friction import Coulomb, set_valued
 from jaxclear.laws.restitution import restitution
-from jaxclear.scene import contact_point, contact_solve, contact_tangent, dynamics, linear, percussion
+from jaxclear.scene import contact_point, contact_solve, contact_tangent, dynamics, percussion
 from jaxclear.scene.contact_point import PointState, Response
 from jaxclear.scene.contact_step import by_joint, drift, pairings_of
 from jaxclear.scene.contact_tangent import Apart, Place, Row, Span, along
@@ -143,55 +144,46 @@ def _combined(rows: tuple[Row, ...], weights: tuple) -> Row:
 
 def _impacts(apart: Apart, sides, found, v, middle, h, rules) -> _Push:
     """Percussions of the step."""
-    width = max(len(side.rows) for side in sides)
-    places = [c * width + i for c, side in enumerate(sides) for i in range(len(side.rows))]
-    size = width * len(sides)
     rows = [row for side in sides for row in side.rows]
-    matrix: list[list[Any]] = [[int(i == j) for j in range(size)] for i in range(size)]
-    for i, row in zip(places, rows, strict=True):
-        for j, (accelerations, _) in zip(places, found.answers, strict=True):
-            matrix[i][j] = along(row, accelerations)
-    for i in range(size):
-        if i not in places:
-            # What this contact lacks does not act; a number of the size of the others, so that none is lost in scaling.
-            matrix[i][i] = matrix[i - i % width][i - i % width]
+    matrix = [sp.stack([along(row, accelerations) for accelerations, _ in found.answers]) for row in rows]
     start = [sp.sub(a, b) for a, b in zip(v, middle, strict=True)]
     free = [sp.add(s, h * k) for s, k in zip(start, found.free, strict=True)]
-
-    def padded(change):
-        flat = [0] * size
-        values = [value for side in sides for value in side.values]
-        for i, row, value in zip(places, rows, values, strict=True):
-            flat[i] = sp.add(value, along(row, change))
-        return sp.stack(flat).reshape(len(sides), width)
-
-    before, unhindered = padded(start), padded(free)
-    depths = sp.stack([contact.outline.indentation for contact in apart.contacts]) + (0.5 - rules.gamma) * h * before[:, 0]
+    # At the step's start all speeds of each contact, at its end as if nothing touched.
+    before, unhindered = (
+        [[sp.add(value, along(row, change)) for value, row in zip(side.values, side.rows, strict=True)] for side in sides]
+        for change in (start, free)
+    )
+    opening = sp.stack([speeds[0] for speeds in before])
+    depths = sp.stack([contact.outline.indentation for contact in apart.contacts]) + (0.5 - rules.gamma) * h * opening
     if rules.project:
         # A resting contact that rounding has opened falls shut within the step: it has not opened.
-        pressed = positive_part(before[:, 0] - unhindered[:, 0])
-        depths = depths + jnp.where(jnp.abs(before[:, 0]) < pressed, 0.5 * h * rules.gamma**2 * pressed, 0.0)
-    slip = safe_sqrt(jnp.sum(before[:, 1:] ** 2, 1))
-    bounds = [0 if side.friction is None else side.friction.bound(slip[i]) for i, side in enumerate(sides)]
+        pressed = positive_part(opening - sp.stack([speeds[0] for speeds in unhindered]))
+        depths = depths + jnp.where(jnp.abs(opening) < pressed, 0.5 * h * rules.gamma**2 * pressed, 0.0)
+    bounds = [0 if side.friction is None else side.friction.bound(_size(b[1:])) for side, b in zip(sides, before, strict=True)]
+    first = list(accumulate([0, *(len(side.rows) for side in sides)]))
     solved = percussion.impact(
-        [linear.to_array(tuple(map(tuple, matrix[width * c : width * (c + 1)]))) for c in range(len(sides))],
-        unhindered,
-        before,
+        [matrix[first[c] : first[c + 1]] for c in range(len(sides))],
+        [sp.stack(speeds) for speeds in unhindered],
+        opening,
         depths >= 0,
         sp.stack([side.restitution for side in sides]),
         sp.stack(bounds),
         most_sweeps=rules.most_sweeps,
         tolerance=rules.tolerance,
     ).percussion
-    flat = [solved[i // width, i % width] for i in places]
+    flat = [solved[i] for i in range(len(rows))]
     changes, multipliers = (
         [sp.dot(flat, column) for column in zip(*[answer[part] for answer in found.answers], strict=True)] for part in (0, 1)
     )
     own = []
     for c, side in enumerate(sides):
-        tangents = [solved[c, 1 + k] for k in range(len(side.rows) - 1)]
-        own.append((solved[c, 0], *[sp.dot(weights, tangents) for weights in side.shares]))
+        normal, *tangents = flat[first[c] : first[c + 1]]
+        own.append((normal, *[sp.dot(weights, tangents) for weights in side.shares]))
     return _Push(own, changes, tuple(multipliers))
+
+
+def _size(slips: list) -> Any:
+    return safe_sqrt(sp.total(sp.mul(slip, slip) for slip in slips) + 0.0)
 
 
 def _separate(system, worn, span, q, v, middle, forces, sides, found) -> _Parted:

@@ -173,9 +173,9 @@ def woodpecker(case):
         active = gaps + normal @ (q + 0.5 * h * v) <= 0
         restitution, mu = jnp.array([0.5, 0.0, 0.0]), jnp.full(3, 0.3)
         push = percussion.impact(
-            delassus, (across @ smooth).reshape(3, 2), before, active, restitution, mu, most_sweeps=2000, tolerance=1e-15
+            delassus, (across @ smooth).reshape(3, 2), before[:, 0], active, restitution, mu, most_sweeps=2000, tolerance=1e-15
         )
-        after = smooth + solve @ (across.T @ push.percussion.reshape(-1))
+        after = smooth + solve @ (across.T @ push.percussion)
         q = q + h * (theta * after + (1 - theta) * v)
         return (q, after), (q, after)
 
