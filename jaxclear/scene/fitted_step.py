@@ -85,10 +85,11 @@ def displace(system: System, q: list, at: list, speeds: list, h: Any) -> list:
 def step(
     system: System, layout: Layout, stabilisation: Baumgarte | None, span: Span, entries: list, last: list, rules: Rules
 ) -> tuple[list, list]:
-    """Entries of the state after the step, and the accelerations over it, handed to the next as `last`."""
+    """Entries of the state after the step, and what the next is handed as `last`: the accelerations over it, then the largest
+    change of friction, relative to its bound, with which a search for it has ended so far."""
     h = span.length
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
-    middle = [x + 0.5 * h * a for x, a in zip(v, last, strict=True)]
+    middle = [x + 0.5 * h * a for x, a in zip(v, last[:-1], strict=True)]
     halfway = displace(system, q, q, v, 0.5 * h)
     at = unpack_motion(system, [*halfway, *middle])
     time = span.start + 0.5 * h
@@ -106,9 +107,9 @@ def step(
     joints = [system.links[i].joint for i in indices]
     if rules.regularised:
         names = [system.topology.branches[i].connection for i in indices]
-        friction = _rub(joints, names, [middle[place] for place in places], none, units, rules)
+        friction, left = _rub(joints, names, [middle[place] for place in places], none, units, rules)
     else:
-        friction = _solve(joints, places, v, h, sp.total(link.mass for link in system.links), none, units, rules)
+        friction, left = _solve(joints, places, v, h, sp.total(link.mass for link in system.links), none, units, rules)
     found = _at(none, units, friction)
     after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
     mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
@@ -120,7 +121,7 @@ def step(
         rates = dynamics.powers(system, forces, solution)
         rates[3] = -sp.total(joint.arm * friction[k] * mean[places[k]] for k, joint in enumerate(joints))
         state += [x + h * rate for x, rate in zip(entries[len(state) :], rates, strict=True)]
-    return state, [found.accelerations[j] for j in range(len(v))]
+    return state, [*(found.accelerations[j] for j in range(len(v))), jnp.maximum(last[-1], left)]
 
 
 def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
@@ -161,14 +162,14 @@ def _total(joint, reaction, friction, total):
     return load_of(joint.carried(*reaction, safe_divide(friction, total)))
 
 
-def _solve(joints, places, v, h, mass, none: Answer, units: list[Answer], rules: Rules) -> Any:
+def _solve(joints, places, v, h, mass, none: Answer, units: list[Answer], rules: Rules) -> tuple[Any, Any]:
     """Friction of each joint [N] that satisfies Coulomb's law at the end of the step.
 
     A joint that slides is held back by kinetic friction, and caught by static friction where it would turn round.
     """
     count = len(joints)
     if all(joint.friction is None for joint in joints):
-        return jnp.zeros(count)
+        return jnp.zeros(count), 0.0
     grips: list[Any] = []
     for joint, place in zip(joints, places, strict=True):
         if joint.friction is None:
@@ -200,7 +201,7 @@ def _solve(joints, places, v, h, mass, none: Answer, units: list[Answer], rules:
     return _repeat(improve, count, rules)
 
 
-def _rub(joints, names, speeds, none: Answer, units: list[Answer], rules: Rules) -> Any:
+def _rub(joints, names, speeds, none: Answer, units: list[Answer], rules: Rules) -> tuple[Any, Any]:
     """Friction of each joint [N] by laws that are functions of the sliding speed, here at the middle of the step."""
     shares: list[Any] = []
     for joint, name, speed in zip(joints, names, speeds, strict=True):
@@ -224,14 +225,15 @@ def _rub(joints, names, speeds, none: Answer, units: list[Answer], rules: Rules)
     return _repeat(improve, len(joints), rules)
 
 
-def _repeat(improve, count, rules: Rules) -> Any:
-    """Sweeps until friction changes by less than the tolerance."""
+def _repeat(improve, count, rules: Rules) -> tuple[Any, Any]:
+    """Sweeps until friction changes by less than the tolerance: friction, and its last change relative to its bound."""
 
     def unfinished(carry):
         return (carry[2] > rules.tolerance) & (carry[3] < rules.most_sweeps)
 
     start = jnp.zeros(count)
-    return jax.lax.while_loop(unfinished, improve, (start, start, jnp.asarray(jnp.inf), jnp.zeros((), int)))[0]
+    friction, _, change, _ = jax.lax.while_loop(unfinished, improve, (start, start, jnp.asarray(jnp.inf), jnp.zeros((), int)))
+    return friction, change
 
 
 def _within(x, low, high, relaxation):

@@ -3,7 +3,8 @@
 Unknown are percussions r [N s] and velocities v [m/s] of the contacts at the end of the step, v = W r + b with Delassus' matrix
 W; per contact the normal first (positive pushes apart; velocity positive opening), then its tangents. Newton's law of impact
 asks v_n + e v_n(before) >= 0 perp r_n >= 0 (Moreau 1988, in Nonsmooth Mechanics and Applications, 1); friction is Coulomb's.
-Sweeps over the contacts, each solved exactly, of plain operations only, so that a time loop stays one kernel.
+Sweeps over the contacts, each solved exactly, then all at once by Newton's method whenever it comes nearer; of plain operations
+only, so that a time loop stays one kernel.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.scene.complementarity_problem import excuse
-from jaxclear.scene.projection import one_contact, saxce_residual
+from jaxclear.scene.projection import REGULAR, law, one_contact, project_on_cone, saxce_residual
+
+# Sweeps between two tries of Newton's method.
+SWEEPS = 2
 
 
 class Percussions(NamedTuple):
@@ -34,6 +38,7 @@ def impact(
     active: Bool[Array, " c"],
     restitution: Float[Array, " c"],
     mu: Float[Array, " c"],
+    guess: Sequence[Float[Array, " d"]] | None = None,
     *,
     most_sweeps: Any,
     tolerance: Any,
@@ -42,7 +47,8 @@ def impact(
     opening speed at its start.
 
     `delassus`: each contact's rows; one has as many as it has directions (1 without friction). A contact that is not `active`
-    has no percussion. `tolerance`: residual of the law, relative to the largest velocity, at which sweeps end.
+    has no percussion. `guess`: percussions to start from. `tolerance`: residual of the law, relative to the largest velocity,
+    at which sweeps end.
     """
     sizes = [len(part) for part in free]
     first = np.concatenate([[0], np.cumsum(sizes)]).tolist()
@@ -59,7 +65,10 @@ def impact(
     wanted = [jnp.where(active[i], part, np.eye(1, len(part))[0]) for i, part in enumerate(wanted)]
     largest = jnp.max(jnp.concatenate([jnp.abs(jnp.where(active[i], part, 0.0)) for i, part in enumerate(wanted)]))
     size = jnp.where(largest > 0, largest, 1.0)
-    found, residual, sweeps = _sweep_until(rows, [part / size for part in wanted], mu, most_sweeps, tolerance)
+    start = tuple(
+        jnp.zeros(d) if guess is None else jnp.where(active[i], guess[i] * weight / size, 0.0) for i, d in enumerate(sizes)
+    )
+    found, residual, sweeps = _sweep_until(rows, [part / size for part in wanted], mu, start, most_sweeps, tolerance)
     percussion = jnp.where(kept, jnp.concatenate(found) * size / weight, 0.0)
     velocity = jnp.concatenate(free) + jnp.stack([row @ percussion for part in delassus for row in part])
     return Percussions(percussion, velocity, residual, sweeps)
@@ -70,8 +79,10 @@ def _diagonal(rows: Sequence[Array], first: int) -> Array:
     return jnp.stack([row[first + k] for k, row in enumerate(rows)])
 
 
-def _sweep_until(rows: list, wanted: list, mu: Array, most_sweeps: Any, tolerance: Any) -> tuple[tuple, Array, Array]:
-    """(percussions by contact, residual, sweeps) from rest. Small arrays, a row at a time: large ones do not fit into the
+def _sweep_until(
+    rows: list, wanted: list, mu: Array, start: tuple, most_sweeps: Any, tolerance: Any
+) -> tuple[tuple, Array, Array]:
+    """(percussions by contact, residual, sweeps). Small arrays, a row at a time: large ones do not fit into the
     registers of a kernel."""
     first = np.concatenate([[0], np.cumsum([len(part) for part in rows])]).tolist()
     own = [jnp.stack([row[first[i] : first[i + 1]] for row in part]) for i, part in enumerate(rows)]
@@ -90,15 +101,67 @@ def _sweep_until(rows: list, wanted: list, mu: Array, most_sweeps: Any, toleranc
         return jnp.where(jnp.isfinite(worst), worst, jnp.inf)
 
     def unfinished(carry):
-        _, left, sweeps = carry
+        _, left, _, sweeps = carry
         return (left > tolerance) & (sweeps < most_sweeps)
 
-    def improve(carry):
-        r, _, sweeps = carry
+    def sweep(_, r):
         for i, part in enumerate(r):
             free = velocity(i, jnp.concatenate(r)) - own[i] @ part
             r = (*r[:i], one_contact(own[i], free, mu[i]), *r[i + 1 :])
-        return r, residual(r), sweeps + 1
+        return r
 
-    start = tuple(jnp.zeros(len(part)) for part in rows)
-    return jax.lax.while_loop(unfinished, improve, (start, residual(start), jnp.zeros((), int)))
+    def improve(carry):
+        r, _, best, sweeps = carry
+        r = jax.lax.fori_loop(0, SWEEPS, sweep, r)
+        left = residual(r)
+        there = _newton(rows, [velocity(i, jnp.concatenate(r)) for i in range(len(r))], mu, rho, r)
+        left_there = residual(there)
+        # Steps that are no better than what was known would lead round in circles.
+        nearer = left_there < 0.5 * jnp.minimum(best, left)
+        r = tuple(jnp.where(nearer, a, b) for a, b in zip(there, r, strict=True))
+        left = jnp.where(nearer, left_there, left)
+        return r, left, jnp.minimum(best, left), sweeps + SWEEPS
+
+    none = jnp.zeros((), int)
+    if len(rows) == 1:
+        # A single contact is solved by one sweep.
+        still = residual(start) <= tolerance
+        found = tuple(jnp.where(still, a, b) for a, b in zip(start, sweep(0, start), strict=True))
+        return found, residual(found), jnp.where(still, none, none + 1)
+    first_residual = residual(start)
+    found, left, _, sweeps = jax.lax.while_loop(unfinished, improve, (start, first_residual, first_residual, none))
+    return found, left, sweeps
+
+
+def _newton(rows: list, velocities: list, mu: Array, rho: list, r: tuple) -> tuple:
+    """A step of Newton's method for all contacts in the states they are in, brought back into their cones."""
+    sizes = [len(part) for part in r]
+    m, lines, first = sum(sizes), [], 0
+    for i, part in enumerate(r):
+        found = law(part, rho[i] * velocities[i], mu[i], 0.0)
+        for a in range(sizes[i]):
+            through_v = sum(rho[i] * found.of_s[a, b] * row for b, row in enumerate(rows[i]))
+            # Redundant contacts leave a regular system.
+            direct = found.of_r[a] + REGULAR * found.of_s[a]
+            padded = jnp.concatenate([jnp.zeros(first), direct, jnp.zeros(m - first - sizes[i])])
+            lines.append(jnp.append(through_v + padded, found.value[a]))
+        first += sizes[i]
+    change = jnp.stack(_eliminate(lines))
+    ends = np.cumsum(sizes).tolist()
+    return tuple(
+        project_on_cone(part - change[e - d : e], mu[i]) for i, (part, e, d) in enumerate(zip(r, ends, sizes, strict=True))
+    )
+
+
+def _eliminate(lines: list) -> list:
+    """Solution of a system of equations whose right-hand sides end its rows, by elimination with partial pivoting."""
+    n = len(lines)
+    for k in range(n):
+        for i in range(k + 1, n):
+            larger = jnp.abs(lines[i][k]) > jnp.abs(lines[k][k])
+            lines[k], lines[i] = jnp.where(larger, lines[i], lines[k]), jnp.where(larger, lines[k], lines[i])
+        lines[k] = lines[k] / lines[k][k]
+        lines[k + 1 :] = [line - line[k] * lines[k] for line in lines[k + 1 :]]
+    for k in range(n - 1, 0, -1):
+        lines[:k] = [line - line[k] * lines[k] for line in lines[:k]]
+    return [line[n] for line in lines]

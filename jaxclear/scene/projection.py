@@ -51,7 +51,7 @@ def project_on_cone(r: Float[Array, " d"], mu: Scalar) -> Float[Array, " d"]:
     normal = jnp.maximum(r[0] + mu * size, 0.0) / (1 + mu**2)
     tangent = safe_divide(mu * normal, size) * r[1:]
     outside = jnp.concatenate([normal[None], tangent])
-    return jnp.where(size <= mu * r[0], r, outside)
+    return jnp.where((size <= mu * r[0]) & (r[0] >= 0), r, outside)
 
 
 def saxce_residual(

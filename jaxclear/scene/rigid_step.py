@@ -1,8 +1,8 @@
 """One step of a whole mechanism whose clearance joints are rigid: theta method for the motion, percussions for the contacts.
 
 The equations are evaluated once, half a step ahead along the speeds; contacts that the step would close are asked for Newton's
-law of impact and Coulomb's law of friction at the velocities of its end. What overlaps at its end is moved apart (projection in
-the metric of the masses), with the normal speed it had when passing the surface: not in the sources, where energy grows.
+law of impact and Coulomb's law of friction at the velocities of its end. What overlaps then, and
+would not part within a step by itself, is moved apart: projection in the metric of the masses.
 Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comput. Methods Appl. Mech. Eng. 177, 235; Acary &
 Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, ch. 10.
 """
@@ -27,8 +27,6 @@ from jaxclear.scene.state import Layout, component_count, unpack_motion
 from jaxclear.scene.state_rate import passive_rates
 from jaxclear.scene.system import System
 
-# Sweeps that move overlapping contacts apart; what they leave, the next step takes.
-PROJECTIONS = 8
 # Indentation [m] below which a contact's extent is read as at this one: wear of a rigid contact needs some.
 TOUCHING = 1e-9
 
@@ -65,42 +63,51 @@ def step(
     last: list,
     rules: Rules,
 ) -> tuple[list, list]:
-    """Entries of the state after the step, and the free accelerations, which the next is handed as `last`."""
+    """Entries of the state after the step, and what the next is handed as `last`: the free accelerations, the percussions in the
+    state's order, then the largest residual of the contact laws so far."""
     h = span.length
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
-    middle = [x + 0.5 * h * a for x, a in zip(v, last, strict=True)]
+    accelerations, before = last[: len(v)], last[len(v) : -1]
+    middle = [x + 0.5 * h * a for x, a in zip(v, accelerations, strict=True)]
     halfway = drift(system, q, q, v, 0.5 * h)
     motion = unpack_motion(system, [*halfway, *middle])
     apart = contact_tangent.set_apart(system, stabilisation, worn, span.start + 0.5 * h, *motion)
     sides = _sides(system, apart)
     found = contact_solve.answer(apart, [row for side in sides for row in side.rows])
-    push = _impacts(apart, sides, found, v, middle, h, rules) if sides else _Push([], [0] * len(v), ())
+    push = _impacts(apart, sides, found, v, middle, before, h, rules) if sides else _Push([], [0] * len(v), (), 0.0)
     after = [x + h * k + p for x, k, p in zip(v, found.free, push.changes, strict=True)]
     mean = [rules.theta * b + (1 - rules.theta) * a for a, b in zip(v, after, strict=True)]
     moved = drift(system, q, drift(system, q, halfway, mean, 0.5 * h), mean, h)
     change = [sp.sub(a, b) for a, b in zip(mean, middle, strict=True)]
-    parted = _Parted(moved, after, [0] * len(sides), 0)
+    settled = _Settled(moved, [0] * len(v), 0)
     if rules.project and sides:
-        parted = _separate(system, worn, span, moved, after, middle, apart.right, sides, found)
-    state = [*parted.coordinates, *parted.speeds, *entries[layout.memory_start : layout.memory_start + layout.memory_count]]
-    passive = _passive(system, layout, apart, push, parted, found, change, motion, span)
-    return [*state, *(x + change for x, change in zip(entries[len(state) :], passive, strict=True))], found.free
+        settled = _settle(system, worn, span, moved, after, middle, apart.right, sides, found, rules)
+    state = [*settled.coordinates, *after, *entries[layout.memory_start : layout.memory_start + layout.memory_count]]
+    travelled = [sp.add(x, sp.mul(1 / h, m)) for x, m in zip(mean, settled.moved, strict=True)]
+    average = unpack_motion(system, [*halfway, *travelled])
+    passive = _passive(system, layout, apart, push, settled.energy, found, change, average, span)
+    return [*state, *(x + change for x, change in zip(entries[len(state) :], passive, strict=True))], [
+        *found.free,
+        *(part for own in push.percussions for part in own),
+        jnp.maximum(last[-1], push.residual),
+    ]
 
 
 class _Push(NamedTuple):
-    """Percussions per contact (normal, then along the joint's own slip directions), changes of speeds, closure impulses."""
+    """Percussions per contact (normal, then along the joint's own slip directions), changes of speeds, closure impulses, and
+    the residual of the contact laws relative to the largest velocity."""
 
     percussions: list
     changes: list
     multipliers: tuple
+    residual: Any
 
 
-class _Parted(NamedTuple):
-    """After projection: coordinates, speeds, the percussion of each contact that slowed it, energy that this put in [J]."""
+class _Settled(NamedTuple):
+    """After projection: coordinates, by how much they were moved (in terms of speeds), energy that this put in [J]."""
 
     coordinates: list
-    speeds: list
-    brakes: list
+    moved: list
     energy: Any
 
 
@@ -142,8 +149,8 @@ def _combined(rows: tuple[Row, ...], weights: tuple) -> Row:
     return {j: entry for j, entry in out.items() if not sp.is_zero(entry)}
 
 
-def _impacts(apart: Apart, sides, found, v, middle, h, rules) -> _Push:
-    """Percussions of the step."""
+def _impacts(apart: Apart, sides, found, v, middle, last, h, rules) -> _Push:
+    """Percussions of the step, searched from the `last` ones."""
     rows = [row for side in sides for row in side.rows]
     matrix = [sp.stack([along(row, accelerations) for accelerations, _ in found.answers]) for row in rows]
     start = [sp.sub(a, b) for a, b in zip(v, middle, strict=True)]
@@ -168,10 +175,11 @@ def _impacts(apart: Apart, sides, found, v, middle, h, rules) -> _Push:
         depths >= 0,
         sp.stack([side.restitution for side in sides]),
         sp.stack(bounds),
+        _guesses(sides, last),
         most_sweeps=rules.most_sweeps,
         tolerance=rules.tolerance,
-    ).percussion
-    flat = [solved[i] for i in range(len(rows))]
+    )
+    flat = [solved.percussion[i] for i in range(len(rows))]
     changes, multipliers = (
         [sp.dot(flat, column) for column in zip(*[answer[part] for answer in found.answers], strict=True)] for part in (0, 1)
     )
@@ -179,56 +187,65 @@ def _impacts(apart: Apart, sides, found, v, middle, h, rules) -> _Push:
     for c, side in enumerate(sides):
         normal, *tangents = flat[first[c] : first[c + 1]]
         own.append((normal, *[sp.dot(weights, tangents) for weights in side.shares]))
-    return _Push(own, changes, tuple(multipliers))
+    return _Push(own, changes, tuple(multipliers), solved.residual)
+
+
+def _guesses(sides: list[Side], last: list) -> list:
+    """From components in the state's order to those of percussions, contact by contact."""
+    out, first = [], 0
+    for side in sides:
+        count = len(side.shares)
+        own = last[first + 1 : first + 1 + count]
+        slips = [sp.dot([share[k] for share in side.shares], own) for k in range(len(side.rows) - 1)]
+        out.append(sp.stack([last[first], *slips]))
+        first += 1 + count
+    return out
 
 
 def _size(slips: list) -> Any:
     return safe_sqrt(sp.total(sp.mul(slip, slip) for slip in slips) + 0.0)
 
 
-def _separate(system, worn, span, q, v, middle, forces, sides, found) -> _Parted:
-    """No contact overlaps any more; one that is still closing has the normal speed with which it passed the surface, so that
-    moving bodies apart against `forces` gives no energy."""
-    depths = contact_tangent.depths(system, worn, span.start + span.length, *unpack_motion(system, [*q, *v]))
-    first, normals = 0, []
-    for side in sides:
-        normals.append((side.rows[0], found.answers[first][0]))
-        first += len(side.rows)
-    gains = [[along(row, answer) for _, answer in normals] for row, _ in normals]
-    shifts: list[Any] = [jnp.zeros(()) for _ in normals]
-    for _ in range(PROJECTIONS if len(normals) > 1 else 1):
-        for i, line in enumerate(gains):
-            left = depths[i] - sp.dot(line, shifts)
-            mobility = jnp.asarray(line[i], float)
-            shifts[i] = positive_part(shifts[i] + safe_divide(left, mobility))
-    shifts = [jnp.where(depth > 0, shift, 0.0) for depth, shift in zip(depths, shifts, strict=True)]
-    brakes, slower = [], []
-    for side, (row, _), line, shift, i in zip(sides, normals, gains, shifts, range(len(sides)), strict=True):
-        opening = sp.add(side.values[0], along(row, [sp.sub(a, b) for a, b in zip(v, middle, strict=True)]))
-        passing = safe_sqrt(positive_part(opening * opening + 2 * along(row, found.free) * line[i] * shift))
-        brake = safe_divide(jnp.where(opening < 0, positive_part(-opening - passing), 0.0), jnp.asarray(line[i], float))
-        brakes.append(brake)
-        slower.append(sp.mul(brake, opening))
-    moved, slowed = (
-        [sp.dot(amounts, column) for column in zip(*[answer for _, answer in normals], strict=True)]
-        for amounts in (shifts, brakes)
-    )
-    braked = sp.total(slower) + 0.5 * sp.total(sp.mul(b, along(row, slowed)) for b, (row, _) in zip(brakes, normals, strict=True))
-    speeds = [sp.add(x, s) for x, s in zip(v, slowed, strict=True)]
-    return _Parted(drift(system, q, q, moved, 1.0), speeds, brakes, braked - sp.dot(forces, moved))
+def _settle(system, worn, span, q, v, middle, forces, sides, found, rules) -> _Settled:
+    """Contacts overlap by no more than they would leave or fall in a step: one at rest stays closed whatever rounding and the
+    turning of its normal do, and what strikes and rebounds undoes its overlap itself; moving it would give it energy."""
+    h = span.length
+    depths = contact_tangent.depths(system, worn, span.start + h, *unpack_motion(system, [*q, *v]))
+    first = accumulate([0, *(len(side.rows) for side in sides[:-1])])
+    normals = [(side.rows[0], found.answers[k][0]) for side, k in zip(sides, first, strict=True)]
+    change = [sp.sub(a, b) for a, b in zip(v, middle, strict=True)]
+    opening = sp.stack([sp.add(side.values[0], along(row, change)) for side, (row, _) in zip(sides, normals, strict=True)])
+    # What a contact gains in closing speed within a step if nothing holds it.
+    pressed = h * sp.stack([positive_part(sp.neg(along(row, found.free))) for row, _ in normals])
+    none = jnp.zeros(len(sides))
+    shifts = percussion.impact(
+        [[sp.stack([along(row, answer) for _, answer in normals])] for row, _ in normals],
+        [(h * (pressed[i] + jnp.abs(opening[i])) - depth)[None] for i, depth in enumerate(depths)],
+        none,
+        none == 0,
+        none,
+        none,
+        most_sweeps=rules.most_sweeps,
+        tolerance=rules.tolerance,
+    ).percussion
+    answers = zip(*[answer for _, answer in normals], strict=True)
+    moved = [sp.dot([shifts[i] for i in range(len(sides))], column) for column in answers]
+    return _Settled(drift(system, q, q, moved, 1.0), moved, sp.neg(sp.dot(forces, moved)))
 
 
-def _passive(system, layout, apart, push, parted, found, change, motion, span) -> list:
+def _passive(system, layout, apart, push, settling, found, change, mean, span) -> list:
     """Changes of what only follows the motion: worn volumes, impulses, energies."""
     h = span.length
-    impulses = [part for own, brake in zip(push.percussions, parted.brakes, strict=True) for part in (own[0] + brake, *own[1:])]
+    impulses = [part for own in push.percussions for part in own]
     if not layout.wear and not layout.energies:
         return impulses
     forces = [tuple(sp.mul(1 / h, part) for part in own) for own in push.percussions]
     reports = reports_of(system, apart.poses, apart.contacts, forces, change)
     acting = apart.forces._replace(reports=reports)
     if layout.energies:
-        acting = dynamics.act(system, apart.forces.motions, reports, *motion, span.start + 0.5 * h)
+        # Loads work along the mean speeds: those of the middle know nothing of the impulses against which the loads press.
+        middle = span.start + 0.5 * h
+        acting = dynamics.act(system, dynamics.move(system, *mean, middle), reports, *mean, middle)
     total = [sp.add(k, sp.mul(1 / h, c)) for k, c in zip(found.free, push.changes, strict=True)]
     multipliers = tuple(sp.add(a, sp.mul(1 / h, b)) for a, b in zip(found.multipliers, push.multipliers, strict=True))
     solution = Solution(tuple(tuple(total[b.speeds]) for b in system.topology.branches), multipliers)
@@ -236,7 +253,7 @@ def _passive(system, layout, apart, push, parted, found, change, motion, span) -
     worn = len(rates) - len(layout.energies)
     for name in ("contact_work", "contact_loss") if layout.energies else ():
         place = worn + layout.energies.index(name)
-        rates[place] = sp.sub(rates[place], parted.energy)
+        rates[place] = sp.sub(rates[place], settling)
     return [*rates[:worn], *impulses, *rates[worn:]]
 
 

@@ -19,8 +19,9 @@ OUTCOMES = (
     "The allowed number of steps between two saved times was used up.",
     "The state became infinite or not a number.",
     "The allowed number of captured impacts between two saved times was used up.",
+    "The laws of contact or friction were not met: the sweeps over the joints were used up far from their solution.",
 )
-REACHED, TOO_SMALL, TOO_MANY, NOT_FINITE, TOO_MANY_IMPACTS = range(5)
+REACHED, TOO_SMALL, TOO_MANY, NOT_FINITE, TOO_MANY_IMPACTS, NOT_SOLVED = range(6)
 # Forces that follow from the state; percussions of rigid contacts; reactions of joints that are always in contact.
 FORMULATIONS = COMPLIANT, RIGID, FITTED = ("compliant", "rigid", "fitted")
 

@@ -82,18 +82,18 @@ class Field(eqx.Module):
         return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths])
 
     def rigid_step(
-        self, span: Span, state: State, last: Float[Array, " v"], rules: rigid_step.Rules
-    ) -> tuple[State, Float[Array, " v"]]:
-        """The state after a step with rigid contacts, and the free accelerations that the next one starts from."""
+        self, span: Span, state: State, last: Float[Array, " h"], rules: rigid_step.Rules
+    ) -> tuple[State, Float[Array, " h"]]:
+        """The state after a step with rigid contacts, and what it hands on: free accelerations, percussions, and a residual."""
         numbers = [last[i] for i in range(len(last))]
         args = (self.system, self.layout, self.stabilisation, self.worn, span, self._entries(state), numbers, rules)
         after, free = rigid_step.step(*args)
         return sp.stack(after), sp.stack(free)
 
     def fitted_step(
-        self, span: Span, state: State, last: Float[Array, " v"], rules: fitted_step.Rules
-    ) -> tuple[State, Float[Array, " v"]]:
-        """The state after a step with joints that always touch, and the accelerations that the next one starts from."""
+        self, span: Span, state: State, last: Float[Array, " h"], rules: fitted_step.Rules
+    ) -> tuple[State, Float[Array, " h"]]:
+        """The state after a step with joints that always touch, and what it hands on: accelerations, and a residual."""
         numbers = [last[i] for i in range(len(last))]
         args = (self.system, self.layout, self.stabilisation, span, self._entries(state), numbers, rules)
         after, free = fitted_step.step(*args)

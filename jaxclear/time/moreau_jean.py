@@ -9,23 +9,27 @@ from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.scene.contact_tangent import Span
 from jaxclear.scene.rigid_step import Rules
 from jaxclear.time.advance import RIGID, AbstractIntegrator, check_step
-from jaxclear.time.march import arrived, divide, march
+from jaxclear.time.march import divide, solved
 
 
 class MoreauJean(AbstractIntegrator):
-    """Event-capturing steps with unilateral contact and set-valued Coulomb friction: bodies never overlap, joints truly stick.
+    """Event-capturing steps with unilateral contact and set-valued Coulomb friction: no stiffness, and joints truly stick.
 
     Clearance joints are the same as for compliant contact, one word changed; of a contact law only its coefficient of restitution
     is taken (`contact.Rigid` has nothing else), of a regularised friction law its coefficients. Newton's law of impact applies
     to a contact whose gap closes within `gamma` of a step; impacts are not located, so their instants have an error of a step,
     and order is 1. Mean speeds weigh the end of the step by `theta`; 1/2 conserves the energy of smooth motion. Loads
-    are taken at the middle (explicitly): step < 2 / omega of springs. `project` moves apart what overlaps after a step, gives
-    a contact that is still closing the speed with which it passed the surface, and keeps resting contacts closed that rounding
-    opens; without it, as in the scheme's sources, overlaps of an order of step times impact speed stay.
+    are taken at the middle (explicitly): step < 2 / omega of springs. `project` moves apart what overlaps by more than it would
+    part or fall in a step, so a contact that strikes overlaps by at most a step of its speed, one at rest by a step's fall;
+    without it, as in the scheme's sources, resting contacts creep inwards.
+
+    Steps must be short: no body may cross its clearance within one (step^2 x acceleration < clearance, for light bodies above
+    all), and with a restitution near 1 turning bodies gain energy unless step x spin is well below 1 - restitution.
 
     Forces are impulses: `Trajectory.contact` gives the means over each saving interval. `sweeps` over the contacts at most,
-    until the laws hold to `tolerance` of the largest velocity. Derivatives are those of the contacts' present states: an
-    impact's instant does not move with them, so do not differentiate through impacts.
+    until the laws hold to `tolerance` of the largest velocity; where they end far from that, the run ends and says so.
+    Derivatives are those of the contacts' present states: an impact's instant does not move with them, so do not differentiate
+    through impacts.
 
     Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comput. Methods Appl. Mech. Eng. 177, 235.
     """
@@ -49,7 +53,7 @@ class MoreauJean(AbstractIntegrator):
         return None
 
     def first_hint(self, field, start, state):
-        return jnp.zeros(field.layout.speeds)
+        return jnp.zeros(field.layout.speeds + sum(count for _, count in field.layout.impulses) + 1)
 
     def advance(self, field, start, stop, state, hint, weights, running):
         steps, h = divide(start, stop, self.step)
@@ -59,5 +63,4 @@ class MoreauJean(AbstractIntegrator):
             end, last = field.rigid_step(Span(start + index * h, h, 0.0), state, last, rules)
             return field.closed(start + (index + 1) * h, end), last
 
-        end, hint = march(one, steps, state, hint)
-        return arrived(end, steps, hint)
+        return solved(one, steps, state, hint)

@@ -9,7 +9,7 @@ from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.scene.contact_tangent import Span
 from jaxclear.scene.fitted_step import Rules
 from jaxclear.time.advance import FITTED, AbstractIntegrator, check_step
-from jaxclear.time.march import arrived, divide, march
+from jaxclear.time.march import divide, solved
 
 
 class NonColliding(AbstractIntegrator):
@@ -21,7 +21,8 @@ class NonColliding(AbstractIntegrator):
     the same as there, one word changed; a regularised friction law gives its coefficients. Midpoint rule, order 2
     in smooth motion and 1 across stick and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
 
-    `sweeps` over the joints at most, until friction changes by less than `tolerance` of its bound. `relaxation` rounds Coulomb's
+    `sweeps` over the joints at most, until friction changes by less than `tolerance` of its bound; where they end far from that
+    (a guide about to lock itself), the run ends and says so. `relaxation` rounds Coulomb's
     law over this share of the bound: a joint then creeps, and the error is of its order (None: exact). `regularised` takes a
     friction law as the function of the sliding speed that it is, for comparison: the joint creeps, and steps must be short
     beside the time in which friction stops a joint that slides at the law's transition speed.
@@ -32,7 +33,7 @@ class NonColliding(AbstractIntegrator):
     pathwise: ClassVar = True
     formulation: ClassVar = FITTED
     step: Scalar = quantity(1e-3, "s", "largest step")
-    sweeps: Scalar = quantity(100.0, "1", "most sweeps over the joints in a step", above=0)
+    sweeps: Scalar = quantity(1000.0, "1", "most sweeps over the joints in a step", above=0)
     tolerance: Scalar = quantity(1e-13, "1", "change of a joint's friction relative to its bound at which sweeps end", above=0)
     relaxation: Scalar | None = quantity(None, "1", "share of the bound over which friction is rounded (None: exact)", above=0)
     regularised: bool = eqx.field(static=True, default=False)
@@ -44,7 +45,7 @@ class NonColliding(AbstractIntegrator):
         return None
 
     def first_hint(self, field, start, state):
-        return jnp.zeros(field.layout.speeds)
+        return jnp.zeros(field.layout.speeds + 1)
 
     def advance(self, field, start, stop, state, hint, weights, running):
         steps, h = divide(start, stop, self.step)
@@ -54,5 +55,4 @@ class NonColliding(AbstractIntegrator):
             end, last = field.fitted_step(Span(start + index * h, h, 0.0), state, last, rules)
             return field.closed(start + (index + 1) * h, end), last
 
-        end, hint = march(one, steps, state, hint)
-        return arrived(end, steps, hint)
+        return solved(one, steps, state, hint)

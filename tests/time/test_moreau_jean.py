@@ -121,11 +121,12 @@ def test_a_block_is_stopped_along_its_velocity():
 
 @pytest.mark.parametrize("restitution", [1.0, 0.9, 0.0])
 def test_bounces_never_gain_energy_and_impulses_are_changes_of_momentum(restitution):
-    """Projection sets a ball back to the floor; its speed there is that with which it passed."""
+    """A ball overlaps the floor by half a step of its speed at most; energy is counted to rounding."""
     found = simulate(block(0.0, 0.0, height=0.05, restitution=restitution), 1.0, save=101)
     energy = found.energy_balance()
     total = np.asarray(energy.kinetic + energy.potential)
-    assert np.diff(total).max() < 1e-12 and float(found.body("block").com[:, 1].min()) > -1e-15
+    fastest = np.sqrt(2 * GRAVITY * 0.05)
+    assert np.diff(total).max() < 1e-12 and float(found.body("block").com[:, 1].min()) > -0.5 * STEP * fastest
     assert float(np.abs(energy.error).max()) < 1e-12
     if restitution == 1:
         np.testing.assert_allclose(total, total[0], rtol=1e-12)
@@ -142,7 +143,7 @@ def test_a_journal_bouncing_in_its_bearing_never_gains_energy(restitution):
     energy = found.energy_balance()
     kinetic = np.asarray(energy.kinetic)
     assert np.diff(kinetic).max() < 1e-15 and float(np.abs(energy.error).max()) < 1e-12
-    assert float(found.contact("B").indentation.max()) < 1e-9
+    assert float(found.contact("B").indentation.max()) < 0.5 * STEP * np.hypot(0.3, 0.2)
     assert kinetic[-1] == pytest.approx(kinetic[0], rel=1e-12) if restitution == 1 else kinetic[-1] < 0.1 * kinetic[0]
 
 
@@ -154,8 +155,9 @@ def test_a_turning_journal_with_weight_loses_energy():
     assert np.diff(total).max() < STEP * 5.0 * 2 * total[0] and total[-1] < 0.1 * total[0]
     assert float(energy.contact_loss[-1]) > 0 and float(energy.friction_loss[-1]) > 0
     contact = found.contact("B")
-    # The path between two projections bends; the force is a mean over a saving interval.
-    assert float(contact.indentation.max()) < 5e-9 and float(contact.normal_force.min()) >= 0
+    assert float(contact.indentation.max()) < 0.5 * STEP * np.hypot(0.3, 0.2) and float(contact.normal_force.min()) >= 0
+    # At rest at last: a step's fall, and that of the turning normal.
+    assert float(contact.indentation[-1, 0]) < 2 * STEP**2 * GRAVITY
 
 
 def test_a_resting_journal_carries_its_weight():
@@ -173,7 +175,7 @@ def test_every_start_is_finite_and_ends_inside(name):
         found = simulate(journal(0.5, 0.2, start=(STARTS[name], 0.0, 0.0), speeds=(0.0, 0.0, 1.0), gravity=gravity), 0.01)
         assert bool(jnp.all(jnp.isfinite(found.states))) and found.succeeded
         assert all(bool(jnp.all(jnp.isfinite(part))) for part in jax.tree.leaves(found.contact("B")))
-        assert float(found.contact("B").indentation[-1, 0]) < 1e-9
+        assert float(found.contact("B").indentation[-1, 0]) < 2 * STEP**2 * GRAVITY
         if name == "concentric" and gravity[1] == 0:
             assert float(np.abs(found.contact("B").normal_force).max()) == 0
 
@@ -197,7 +199,7 @@ def guide():
 
 @pytest.mark.parametrize("make", [ball, tilted, guide, lambda: journal(0.5, MU, speeds=(0.3, 0.2, 5.0))])
 def test_loops_are_native_and_contacts_keep_their_laws(make, caplog):
-    """In a batch as alone; no overlap, no pull, no friction beyond the cone."""
+    """In a batch as alone; no overlap beyond a step's fall at last, no pull, no friction beyond the cone."""
     mechanism = make()
     q, v = guess(mechanism)
 
@@ -212,7 +214,7 @@ def test_loops_are_native_and_contacts_keep_their_laws(make, caplog):
     np.testing.assert_allclose(batch[1], alone.states, atol=1e-9)
     assert bool(jnp.all(jnp.isfinite(batch)))
     contact = alone.contact("B")
-    assert float(contact.indentation.max()) < 1e-9
+    assert float(contact.indentation[-1].max()) < 2 * STEP**2 * GRAVITY
     normal = np.asarray(contact.normal_force)
     assert normal.min() >= 0 and normal.max() > 0
     assert (np.asarray(contact.traction) <= MU * normal + 1e-10).all()
@@ -254,8 +256,8 @@ def test_stiff_compliant_contact_tends_to_rigid_contact():
 
 @pytest.mark.slow
 def test_wear_of_the_four_bar_is_that_of_the_reference():
-    """From 0.1 to 0.3 s: measured 1.5 %. Over the whole 0.3 s the two differ by 9 %, nearly all of it in the first 0.05 s; at
-    that the rigid run is within 3 % of itself at finer steps, so the cause is not the step and is not known."""
+    """From 0.1 to 0.3 s. In the first impacts the two differ: steel's take 0.75 ms, in which the journal slides on and the
+    normal turns (benchmarks/stiffness_limit.py)."""
     rig = jc.scenes.four_bar("planar")
     joint = rig.connections["B"].joint
     laws = jc.contact.CarvalhoMartins(joint.contact.stiffness, restitution=0.9), jc.friction.ThreeZone(0.1, 0.1, 1e-3, 1e-2)
