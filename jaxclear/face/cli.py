@@ -31,6 +31,9 @@ def main(arguments: list[str] | None = None) -> None:
     guide.add_argument("--quiet", action="store_true", help="no progress bars")
     commands.add_parser("parameters", help="all numbers of the four-bar with unit and meaning")
     options = parser.parse_args(arguments)
+    out = getattr(options, "out", None)
+    if out is not None and out.exists() and not out.is_dir():
+        parser.error(f"--out is {out}, which is a file; give a folder.")
     _keep_compiled_programs()
     if options.command == "parameters":
         import jaxclear as jc

@@ -102,7 +102,9 @@ def parameters(tree: Any, name: str = "") -> list[dict[str, Any]]:
 
 def inside(leaf: Any, metadata: Mapping[str, Any]) -> Any:
     """True where a number lies in its field's range; works on traced numbers."""
-    fits = jnp.isfinite(leaf)
+    # A number that is known stays known within a program that is being traced.
+    leaf = leaf if isinstance(leaf, jax.core.Tracer) else np.asarray(leaf)
+    fits = jnp.isfinite(leaf) if isinstance(leaf, jax.core.Tracer) else np.isfinite(leaf)
     if "above" in metadata:
         fits = fits & (leaf > metadata["above"])
     if "at_least" in metadata:

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.ground.numerics import smooth_sign, smooth_step
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import Scalar, concrete, quantity
 
 # LuGre's bristles yield at a deflection in proportion to the friction level: to no less than this share of the largest,
 # and a largest coefficient below LEAST_FRICTION is no friction.
@@ -70,6 +70,13 @@ class Coulomb(AbstractSetValuedFriction):
 
     mu_kinetic: Scalar = mu_kinetic_field()
     mu_static: Scalar | None = quantity(None, "1", "static friction coefficient mu_s (None: as the kinetic one)", at_least=0)
+
+    def __check_init__(self):
+        kinetic, static = concrete(self.mu_kinetic), None if self.mu_static is None else concrete(self.mu_static)
+        if kinetic is not None and static is not None and static < kinetic:
+            raise ValueError(
+                f"friction.Coulomb has mu_static {static} below mu_kinetic {kinetic}; at rest it is at least that of sliding."
+            )
 
     def bound(self, slip_speed: Scalar) -> Scalar:
         """Largest friction over normal force, for the sliding speed [m/s] with which an instant begins."""

@@ -78,6 +78,9 @@ class Solution(eqx.Module):
         """Whether the solver's tolerance was met."""
         return self.outcome == SOLVED
 
+    def __str__(self) -> str:
+        return self.sentence()
+
     def sentence(self) -> str:
         """How the solve ended; for a batch, how many ended how."""
         codes, counts = np.unique(np.asarray(self.outcome), return_counts=True)
@@ -277,9 +280,17 @@ class Found(NamedTuple):
     iterations: Int[Array, ""]
 
 
+def posed(problem: AbstractProblem) -> LCP:
+    """The problem as an LCP. Raises `ValueError` for what is no problem."""
+    if not isinstance(problem, AbstractProblem):
+        kind = type(problem).__name__
+        raise ValueError(f"a solver is given a {kind}; it takes a problem, such as complementarity.LCP(matrix, offset).")
+    return problem.to_lcp()
+
+
 def solve_exactly(problem: AbstractProblem, algorithm: Callable[[Scaled], Found], singular: bool) -> Solution:
     """Pose as an LCP, scale, solve, scale back, attach derivatives, and read the problem's own unknowns."""
-    lcp = problem.to_lcp()
+    lcp = posed(problem)
     small = scaled(lcp)
     found = jax.lax.stop_gradient(algorithm(small))
     outcome = jnp.where(small.finite, found.outcome, NOT_FINITE)

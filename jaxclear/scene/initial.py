@@ -146,7 +146,7 @@ def assemble_arrays(mechanism: Mechanism, concentric: bool = True, time: float =
     return Start(q, v, {n: r[0] for n, r in rows.items()}, {n: r[2] for n, r in rows.items()})
 
 
-_assemble = eqx.filter_jit(assemble_arrays)
+assembled = eqx.filter_jit(assemble_arrays)
 
 
 def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
@@ -155,7 +155,7 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     `concentric=False` leaves clearance joints where the guess puts them and closes ideal loops only.
     Raises `ValueError`.
     """
-    start = _assemble(mechanism, concentric)
+    start = assembled(mechanism, concentric)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(start)):
         return start
     residuals = {name: np.abs(np.asarray(r)).max(initial=0.0) for name, r in start.residuals.items()}

@@ -18,6 +18,7 @@ from jaxclear.scene.complementarity_problem import (
     AbstractProblem,
     AbstractSolver,
     Solution,
+    posed,
     scaled,
 )
 
@@ -55,7 +56,7 @@ class InteriorPoint(AbstractSolver):
             raise ValueError(f"kappa of InteriorPoint is {kappa}; it must be positive. For the exact solution take Lemke.")
 
     def solve(self, problem: AbstractProblem) -> Solution:
-        lcp = problem.to_lcp()
+        lcp = posed(problem)
         small = scaled(lcp)
         kappa = jax.lax.stop_gradient(self.kappa) / (small.z_scale * small.w_scale)
         finite = small.finite & jnp.all(jnp.isfinite(kappa))

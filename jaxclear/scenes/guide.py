@@ -29,6 +29,7 @@ from jaxclear.components.clearance import SliderGuide
 from jaxclear.components.drive import AbstractDrive, ConstantSpeed
 from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.components.load import Gravity, JointTorque
+from jaxclear.ground.quantity import concrete
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, AdamsStep, Coulomb, CoulombTanh
 from jaxclear.laws.material import steel
@@ -87,6 +88,9 @@ def guide(
     """
     if kind not in KINDS:
         raise ValueError(f"the joint of slider and guide is {' or '.join(map(repr, KINDS))}, not {kind!r}.")
+    distance = concrete(ground_distance)
+    if distance is not None and not distance > CRANK:
+        raise ValueError(f"ground_distance of the guide is {distance} m; it must be more than the crank's {CRANK} m.")
     joint = Prismatic()
     if kind == "guide":
         contact = CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=0.8)

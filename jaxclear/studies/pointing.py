@@ -136,6 +136,9 @@ def pointing_error(
     deviations are small, and differences of motion too.
     Raises `ValueError` with a sentence for a tip, base or chain that is not there.
     """
+    for run in (trajectory, *([] if nominal is None else [nominal])):
+        if not isinstance(run, Trajectory):
+            raise ValueError(f"pointing_error is given a {type(run).__name__}; it takes a run, as jaxclear.simulate returns it.")
     if nominal is not None and MOTION in trajectory.mechanism.connections:
         raise ValueError(f'connection "{MOTION}" bears the name of the contribution of differing coordinates; rename it.')
     links, setting, errors = tip_errors(trajectory, checked_tip(tip), base, checked_through(through), nominal)

@@ -180,7 +180,8 @@ def judge(response: str, variable: str, estimates: dict[str, Estimate]) -> Deriv
     order = sorted(answers, key=lambda name: answers[name].error)
     if order:
         largest = VAGUE * (abs(answers[order[0]].value) + answers[order[0]].error)
-        order = [name for name in order if answers[name].error <= largest]
+        # An exact zero makes no other answer vague.
+        order = [name for name in order if largest == 0 or answers[name].error <= largest]
 
     def agree(a, b):
         return abs(a.value - b.value) <= np.hypot(a.error, b.error)

@@ -19,8 +19,9 @@ from jaxclear.scene import fitted_step
 from jaxclear.scene.system import prepare
 from jaxclear.time.trajectory import ContactHistory, Trajectory, layout_of, mean_forces
 
-# A guide's friction adds to the moment and so to the sizes; each pass shrinks the error of the ratio by mu width / length.
-PASSES = 12
+# A guide's friction adds to the moment and so to the sizes; a pass shrinks the error of the ratio to half of it or, at worst, to
+# (1 + mu width / length) / 2.
+PASSES = 40
 LINE = SITUATIONS.index("a line (points on one side)")
 
 
@@ -43,10 +44,13 @@ def _means(joint: AbstractFitted, parts: Any, speed: Any) -> Means:
     """From the components of a joint's mean reaction."""
     numbers = [parts[i] for i in range(fitted_step.COMPONENTS)]
     force, torque, friction = tuple(numbers[:3]), tuple(numbers[3:6]), numbers[6]
-    ends = joint.carried(force, torque, 0.0)
-    for _ in range(PASSES):
-        ends = joint.carried(force, torque, jnp.clip(safe_divide(friction, load_of(ends)), -1.0, 1.0))
-    return Means(parts[:3], parts[3:6], ends, speed)
+
+    def improve(_, ratio):
+        # Half the way: friction that adds to the forces more than the forces to friction would overshoot.
+        return 0.5 * (ratio + safe_divide(friction, load_of(joint.carried(force, torque, ratio))))
+
+    ratio = jax.lax.fori_loop(0, PASSES, improve, jnp.zeros(()))
+    return Means(parts[:3], parts[3:6], joint.carried(force, torque, ratio), speed)
 
 
 def _over_means(run: Trajectory, name: str, function: Any) -> Any:
@@ -118,5 +122,6 @@ def switchings(run: Trajectory, name: str) -> Any:
         elif codes[i] == codes[i - 1]:
             before = sums[i - 1] @ sums[i - 1]
             instant = middles[i - 1] + (middles[i] - middles[i - 1]) * before / (before - turned)
-        rows.append((instant, SITUATIONS[codes[i - 1]], SITUATIONS[codes[i]]))
+        other = ", on the other side" if codes[i] == codes[i - 1] else ""
+        rows.append((instant, SITUATIONS[codes[i - 1]], SITUATIONS[codes[i]] + other))
     return pandas.DataFrame(rows, columns=["time [s]", "from", "to"])

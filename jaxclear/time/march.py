@@ -10,8 +10,6 @@ from jaxclear.time.advance import NOT_FINITE, NOT_SOLVED, REACHED, Advance
 
 # Share of a step by which rounding may miss the end of an interval.
 SLIVER = 1e-9
-# Residual of the laws of contact and friction, relative to the velocities or forces at hand, beyond which they are not met.
-LOOSE = 0.1
 
 
 def divide(start: Any, stop: Any, step: Any, fixed: int | None = None) -> tuple[Any, Any]:
@@ -34,10 +32,10 @@ def arrived(end: Any, steps: Any, hint: Any) -> Advance:
     return Advance(end, steps, jnp.zeros_like(steps), hint, outcome)
 
 
-def solved(one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, hint: Any) -> Advance:
+def solved(one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, hint: Any, loose: float) -> Advance:
     """The answer of steps each of which searches for percussions or friction; the last entry of the hint is the largest residual
-    with which a search has ended."""
+    with which a search has ended, and beyond `loose` the laws are not met."""
     end, hint = march(one, steps, state, hint.at[-1].set(0.0))
     found = arrived(end, steps, hint)
-    failed = (found.outcome == REACHED) & (found.hint[-1] > LOOSE)
+    failed = (found.outcome == REACHED) & (found.hint[-1] > loose)
     return found._replace(outcome=jnp.where(failed, NOT_SOLVED, found.outcome))

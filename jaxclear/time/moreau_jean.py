@@ -11,6 +11,9 @@ from jaxclear.scene.rigid_step import Rules
 from jaxclear.time.advance import RIGID, AbstractIntegrator, check_step
 from jaxclear.time.march import divide, solved
 
+# Residual of the contact laws, relative to the largest velocity, beyond which they are not met.
+LOOSE = 0.1
+
 
 class MoreauJean(AbstractIntegrator):
     """Event-capturing steps with unilateral contact and set-valued Coulomb friction: no stiffness, and joints truly stick.
@@ -63,4 +66,4 @@ class MoreauJean(AbstractIntegrator):
             end, last = field.rigid_step(Span(start + index * h, h, 0.0), state, last, rules)
             return field.closed(start + (index + 1) * h, end), last
 
-        return solved(one, steps, state, hint)
+        return solved(one, steps, state, hint, LOOSE)

@@ -11,6 +11,9 @@ from jaxclear.scene.fitted_step import Rules
 from jaxclear.time.advance import FITTED, AbstractIntegrator, check_step
 from jaxclear.time.march import divide, solved
 
+# Last change of friction in a search, relative to its bound, beyond which it may be far from the solution.
+LOOSE = 1e-6
+
 
 class NonColliding(AbstractIntegrator):
     """Joints with a small clearance taken as always in contact: motion of the ideal mechanism, reactions carried in the gap,
@@ -55,4 +58,4 @@ class NonColliding(AbstractIntegrator):
             end, last = field.fitted_step(Span(start + index * h, h, 0.0), state, last, rules)
             return field.closed(start + (index + 1) * h, end), last
 
-        return solved(one, steps, state, hint)
+        return solved(one, steps, state, hint, LOOSE)

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import Scalar
+from jaxclear.time.advance import COMPLIANT
 from jaxclear.time.tip import checked_through, checked_tip, tip_errors
 from jaxclear.time.trajectory import Trajectory
 
@@ -86,13 +87,20 @@ class PointingAngle(AbstractResponse):
 
 
 class MeanContactForce(AbstractResponse):
-    """Mean over the saving times of the normal forces of a clearance joint, summed over its contacts [N]."""
+    """Mean over the saving times of the normal forces of a clearance joint, summed over its contacts [N].
+
+    Where forces are means over the saving intervals (rigid contact, joints that always touch), the mean over the run; of joints
+    that always touch it is that of the size of the mean reaction, so save densely beside the time in which this turns.
+    """
 
     joint: str = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="N")
 
     def __call__(self, run):
-        return jnp.mean(jnp.sum(run.contact(self.joint).normal_force, axis=-1))
+        force = jnp.sum(run.contact(self.joint).normal_force, axis=-1)
+        if run.formulation == COMPLIANT:
+            return jnp.mean(force)
+        return jnp.sum(force[1:] * jnp.diff(run.time)) / (run.time[-1] - run.time[0])
 
 
 class PeakContactForce(AbstractResponse):

@@ -128,7 +128,8 @@ def saving_times(duration: Any, save: Any) -> Array:
             raise ValueError(f"save={save!r}: give a whole number of saving times, at least 2, or the times themselves.")
         return jnp.linspace(0.0, jnp.asarray(duration, float), int(save))
     times = np.asarray(save, float)
-    if times.size < 1 or not np.all(np.diff(times) > 0) or not times[0] >= 0 or not times[-1] <= float(duration):
+    rising = times.ndim == 1 and times.size > 0 and np.all(np.diff(times) > 0)
+    if not (rising and times[0] >= 0 and times[-1] <= float(duration)):
         raise ValueError("the times to save at must increase from 0 or later to at most the duration.")
     times = times if times[0] == 0 else np.concatenate([[0.0], times])
     return jnp.asarray(times if times[-1] == duration else np.concatenate([times, [duration]]))
@@ -164,8 +165,8 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any =
                 )
             if law is not None and not isinstance(law, (AbstractSlipFriction, AbstractBristleFriction)):
                 raise ValueError(
-                    f'joint "{name}" has set-valued friction {type(law).__name__}, which has no force law; on a compliant '
-                    "contact use a regularised one, such as friction.ThreeZone or friction.LuGre."
+                    f'joint "{name}" has set-valued friction {type(law).__name__}, which has no force law: take '
+                    "integrator.MoreauJean or NonColliding, or a regularised law such as friction.ThreeZone or friction.LuGre."
                 )
             memory = concrete(pairing.contact.memory_time) if pairing.contact.remembers_impact_speed else None
             if step is not None and memory is not None and step > MEMORY_STEPS * memory:

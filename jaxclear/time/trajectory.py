@@ -124,12 +124,12 @@ class Trajectory(eqx.Module):
         """Forces and gaps of a clearance joint.
 
         Where forces are no functions of the state (rigid contact, joints that always touch) they are means over the saving
-        intervals, 0 at the start; a joint that always touches leans in its gap as its reaction says.
+        intervals, at the start over the first; a joint that always touches leans in its gap as its reaction says.
         """
         if self.formulation == FITTED:
             from jaxclear.time import fitted_history
 
-            self._known(name, fitted_history.touching(self), "joint that always touches")
+            self._touching(name)
             return fitted_history.contact(self, name)
         self._known(name, self.mechanism.topology.clearances, "clearance joint")
         return _contact(self, name)
@@ -139,14 +139,14 @@ class Trajectory(eqx.Module):
         line (two points on one side). Needs a run by integrator.NonColliding."""
         from jaxclear.time import fitted_history
 
-        self._known(name, fitted_history.touching(self), "joint that always touches")
+        self._touching(name)
         return fitted_history.situations(self, name)
 
     def switchings(self, name: str) -> Any:
         """Instants at which such a joint begins to carry in another way, as a pandas table (time [s], from, to)."""
         from jaxclear.time import fitted_history
 
-        self._known(name, fitted_history.touching(self), "joint that always touches")
+        self._touching(name)
         return fitted_history.switchings(self, name)
 
     def reaction(self, name: str) -> ReactionHistory:
@@ -207,6 +207,13 @@ class Trajectory(eqx.Module):
 
         return to_dataset(self)
 
+    def _touching(self, name):
+        from jaxclear.time import fitted_history
+
+        if self.formulation != FITTED:
+            raise ValueError(f'how joint "{name}" carries is known of joints that always touch: run integrator.NonColliding.')
+        self._known(name, fitted_history.touching(self), "joint that always touches")
+
     def _known(self, name, names, kind):
         if name not in names or name == GROUND:
             raise ValueError(f'no {kind} "{name}" in this mechanism; there are {", ".join(map(repr, names)) or "none"}.')
@@ -264,10 +271,10 @@ def _over_time(trajectory: Trajectory, function: Any) -> Any:
 
 
 def mean_forces(trajectory: Trajectory, layout: state.Layout) -> Float[Array, "time components"]:
-    """Impulses gained over each saving interval, divided by its length; 0 at the start."""
+    """Impulses gained over each saving interval, divided by its length; at the start those of the first interval."""
     impulses = trajectory.states[:, layout.impulse_start : layout.energy_start]
     means = jnp.diff(impulses, axis=0) / jnp.diff(trajectory.time)[:, None]
-    return jnp.concatenate([jnp.zeros_like(impulses[:1]), means])
+    return jnp.concatenate([means[:1], means])
 
 
 @eqx.filter_jit
