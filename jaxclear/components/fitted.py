@@ -50,6 +50,14 @@ class AbstractFitted(AbstractJoint):
         """Sliding speed [m/s] per unit of the joint's speed, and generalised force per unit of friction."""
 
     @abstractmethod
+    def along(self, velocity: sp.Vec, spin: sp.Vec) -> Any:
+        """The joint's speed, from the child's relative velocity and spin in the parent marker's axes."""
+
+    @abstractmethod
+    def push(self, friction: Any) -> tuple[sp.Vec, sp.Vec]:
+        """Force and torque of friction [N] on the child about its marker, in the parent marker's axes."""
+
+    @abstractmethod
     def carried(self, force: sp.Vec, torque: sp.Vec, ratio: Any) -> tuple[Carried, ...]:
         """Where a reaction is carried; `ratio`: (signed) friction over the sum of the carried forces' sizes."""
 
@@ -90,6 +98,12 @@ class FittedRevolute(AbstractFitted):
 
     def bias(self, q, v):
         return None
+
+    def along(self, velocity, spin):
+        return spin[2]
+
+    def push(self, friction):
+        return sp.ZERO, (0, 0, self.arm * friction)
 
     def carried(self, force, torque, ratio):
         if isinstance(self.gap, PlanarJournalBearing):
@@ -144,6 +158,12 @@ class FittedPrismatic(AbstractFitted):
 
     def bias(self, q, v):
         return None
+
+    def along(self, velocity, spin):
+        return velocity[2]
+
+    def push(self, friction):
+        return (0, 0, friction), sp.ZERO
 
     def carried(self, force, torque, ratio):
         # Friction at half the width from the axis adds to the moment: torque = l/2 (front - back) + w/2 ratio (front + back).

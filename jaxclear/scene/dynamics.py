@@ -4,6 +4,7 @@ move -> contacts -> loads -> balance of forces -> accelerations. Alike limbs and
 takes what it uses and returns plain tuples, so each can be checked by itself.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -66,7 +67,7 @@ def touch(system: System, motions: tuple[Motion, ...], memories: dict, worn: dic
         return dict(zip(names, map_alike(contact_point.evaluate, calls), strict=True))
 
 
-def _pair_of_wrenches(closure: loops.Closure, pose: Pose, force: sp.Vec, torque: sp.Vec):
+def pair_of_wrenches(closure: loops.Closure, pose: Pose, force: sp.Vec, torque: sp.Vec):
     """A wrench on the child about its marker, in the parent marker's axes, as (link, wrench) on both links."""
     on_child = Wrench(sp.apply_transposed(pose.rotation, force), sp.apply_transposed(pose.rotation, torque))
     back = tuple(sp.neg(x) for x in force)
@@ -90,7 +91,7 @@ def act(system: System, motions: tuple[Motion, ...], reports: dict[str, JointRep
     for name, report in reports.items():
         closure = system.bearings[name].closure
         pose = relative_motion(closure, motions)[1]
-        for link, wrench in _pair_of_wrenches(closure, pose, report.force, report.torque):
+        for link, wrench in pair_of_wrenches(closure, pose, report.force, report.torque):
             add(link, wrench)
     stored, damping, external = 0, 0, 0
     with jax.named_scope("loads"):
@@ -198,21 +199,27 @@ class ClosureRows(NamedTuple):
     jacobian: list[dict[int, Any]]
 
 
-def closure_rows(system: System, motions: tuple[Motion, ...], closure: loops.Closure) -> ClosureRows:
-    """Residuals, rates and Jacobian (by speed index) of a closure's rows."""
-    _, pose, relative = relative_motion(closure, motions)
-    values = loops.residuals(closure.rows, pose)
-    rates = loops.row_rates(closure.rows, pose, relative.velocity, relative.spin)
-    jacobian: list[dict[int, Any]] = [{} for _ in closure.rows]
+def relative_rows(system: System, motions: tuple[Motion, ...], closure: loops.Closure, rates: Callable) -> list[dict[int, Any]]:
+    """Rows (by speed index) of what `rates` draws, linearly, from the closure's pose, relative velocity and spin."""
+    pose = relative_motion(closure, motions)[1]
+    rows: list[dict[int, Any]] = [{} for _ in rates(pose, sp.ZERO, sp.ZERO)]
     ends = ((closure.parent_link, closure.parent), (closure.child_link, closure.child))
     for side, (link, marker) in enumerate(ends):
         for j, column in jacobian_columns(system, motions, link).items():
             twist = loops.marker_twist(column, marker)
             pair = (twist, STILL) if side == 0 else (STILL, twist)
-            entries = loops.row_rates(closure.rows, pose, *loops.relative_velocity(pose, *pair))
-            for row, entry in zip(jacobian, entries, strict=True):
+            for row, entry in zip(rows, rates(pose, *loops.relative_velocity(pose, *pair)), strict=True):
                 if not sp.is_zero(entry):
                     row[j] = sp.add(row.get(j, 0), entry)
+    return rows
+
+
+def closure_rows(system: System, motions: tuple[Motion, ...], closure: loops.Closure) -> ClosureRows:
+    """Residuals, rates and Jacobian (by speed index) of a closure's rows."""
+    _, pose, relative = relative_motion(closure, motions)
+    values = loops.residuals(closure.rows, pose)
+    rates = loops.row_rates(closure.rows, pose, relative.velocity, relative.spin)
+    jacobian = relative_rows(system, motions, closure, lambda *own: loops.row_rates(closure.rows, *own))
     kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(values[i])]
     return ClosureRows(kept, *[[part[i] for i in kept] for part in (values, rates, jacobian)])
 
@@ -288,7 +295,7 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
     """
     wrenches = list(forces.wrenches)
     for closure, force, torque, pose in closure_wrenches(system, forces.motions, solution.multipliers):
-        for link, wrench in _pair_of_wrenches(closure, pose, force, torque):
+        for link, wrench in pair_of_wrenches(closure, pose, force, torque):
             if link is not None:
                 old = wrenches[link]
                 wrenches[link] = Wrench(sp.plus(old.force, wrench.force), sp.plus(old.torque, wrench.torque))

@@ -5,7 +5,7 @@ import jaxlie
 
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.components.fitted import AbstractFitted, FittedPrismatic, FittedRevolute, fitted_joint
+from jaxclear.components.fitted import FittedPrismatic, FittedRevolute, fitted_joint
 from jaxclear.ground import sparse as sp
 from jaxclear.scene import dynamics, initial
 from jaxclear.scene.mechanism import Mechanism
@@ -19,7 +19,7 @@ def fit(mechanism: Mechanism) -> Mechanism:
 
     Starts and speeds of bodies that floated between clearance joints become those of the joints that hold them now, as they
     follow once journals are concentric; those of joints that now close a loop are dropped, these follow. Raises `ValueError`
-    where a joint has no such form, or where one with friction would close a loop.
+    where a joint has no such form.
     """
     if not mechanism.topology.clearances:
         return mechanism
@@ -35,17 +35,9 @@ def fit(mechanism: Mechanism) -> Mechanism:
         taken = [branch for name, branch in branches.items() if name in mechanism.topology.clearances]
         for name, (coordinates, rates) in _carried_over(mechanism, taken).items():
             start[name], speeds[name] = coordinates, rates
-    out = Mechanism(
+    return Mechanism(
         mechanism.bodies, connections, mechanism.loads, start=start, speeds=speeds, stabilisation=mechanism.stabilisation
     )
-    for name in out.topology.loops:
-        joint = connections[name].joint
-        if isinstance(joint, AbstractFitted) and joint.friction is not None:
-            raise ValueError(
-                f'joint "{name}" closes a loop of the mechanism, where integrator.NonColliding knows no friction; leave its '
-                "friction out, or make another joint of the loop one that closes it (with more freedoms, spherical say)."
-            )
-    return out
 
 
 def _carried_over(mechanism: Mechanism, branches: list[Branch]) -> dict[str, tuple[tuple, tuple]]:

@@ -19,11 +19,12 @@ from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import FLIP
 from jaxclear.laws.friction import AbstractSlipFriction, set_valued
 from jaxclear.scene import dynamics
-from jaxclear.scene.contact_tangent import Span
+from jaxclear.scene.contact_tangent import Row, Span, along
 from jaxclear.scene.dynamics import Forces, Solution
 from jaxclear.scene.loops import Baumgarte
 from jaxclear.scene.state import Layout, unpack_motion
 from jaxclear.scene.system import System
+from jaxclear.scene.tree import Wrench
 
 # Components of the impulse of a joint that always touches: force and torque on the child, friction.
 COMPONENTS = 7
@@ -57,14 +58,47 @@ class Answer(NamedTuple):
     reactions: tuple[Reaction, ...]
 
 
-def touching(system: System) -> tuple[int, ...]:
-    """Links held by a joint that always touches."""
-    return tuple(i for i, link in enumerate(system.links) if isinstance(link.joint, AbstractFitted))
+class Held(NamedTuple):
+    """A joint that always touches: its connection, and the link that it holds in the tree or the loop that it closes."""
+
+    name: str
+    joint: AbstractFitted
+    link: int | None
+    loop: int | None
+
+
+class Slip(NamedTuple):
+    """Speed of such a joint, offset + row @ speeds; what drives prescribe is in the offset."""
+
+    row: Row
+    offset: Any
+
+    def at(self, speeds: Any) -> Any:
+        return sp.add(self.offset, along(self.row, speeds))
+
+
+def touching(system: System) -> tuple[Held, ...]:
+    """Joints that always touch: those of the tree in its order, then those that close loops."""
+    branches, loops = system.topology.branches, system.topology.loops
+    found = [Held(branch.connection, system.links[i].joint, i, None) for i, branch in enumerate(branches)]
+    found += [Held(name, system.closing[i], None, i) for i, name in enumerate(loops)]
+    return tuple(held for held in found if isinstance(held.joint, AbstractFitted))
 
 
 def impulse_counts(system: System) -> tuple[tuple[str, int], ...]:
     """Components of impulse by joint, as `state.lay_out` wants them."""
-    return tuple((system.topology.branches[i].connection, COMPONENTS) for i in touching(system))
+    return tuple((held.name, COMPONENTS) for held in touching(system))
+
+
+def slip_of(system: System, motions: tuple, held: Held, speeds: list) -> Slip:
+    """How a joint's speed follows from the mechanism's `speeds`, at which the motions are taken."""
+    if held.loop is None:
+        return Slip({system.topology.branches[held.link].speeds.start: 1}, 0)
+    rates = lambda pose, velocity, spin: (held.joint.along(velocity, spin),)
+    closure = system.closures[held.loop]
+    (row,) = dynamics.relative_rows(system, motions, closure, rates)
+    relative = dynamics.relative_motion(closure, motions)[2]
+    return Slip(row, sp.sub(held.joint.along(relative.velocity, relative.spin), along(row, speeds)))
 
 
 def displace(system: System, q: list, at: list, speeds: list, h: Any) -> list:
@@ -95,21 +129,20 @@ def step(
     time = span.start + 0.5 * h
     motions = dynamics.move(system, *at, time)
     forces = dynamics.act(system, motions, {}, *at, time)
-    indices = touching(system)
-    places = [system.topology.branches[i].speeds.start for i in indices]
+    held = touching(system)
+    slips = [slip_of(system, motions, one, middle) for one in held]
 
     def respond(friction):
-        return sp.dense(_answer(system, stabilisation, forces, motions, at[0], indices, friction))
+        return sp.dense(_answer(system, stabilisation, forces, motions, at[0], held, friction))
 
-    rest = jnp.zeros(len(indices))
+    rest = jnp.zeros(len(held))
     none, push = jax.linearize(respond, rest)
-    units = [push(rest.at[k].set(1.0)) for k in range(len(indices))]
-    joints = [system.links[i].joint for i in indices]
+    units = [push(rest.at[k].set(1.0)) for k in range(len(held))]
+    joints = [one.joint for one in held]
     if rules.regularised:
-        names = [system.topology.branches[i].connection for i in indices]
-        friction, left = _rub(joints, names, [middle[place] for place in places], none, units, rules)
+        friction, left = _rub(held, [slip.at(middle) for slip in slips], none, units, rules)
     else:
-        friction, left = _solve(joints, places, v, h, sp.total(link.mass for link in system.links), none, units, rules)
+        friction, left = _solve(joints, slips, v, h, sp.total(link.mass for link in system.links), none, units, rules)
     found = _at(none, units, friction)
     after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
     mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
@@ -118,27 +151,39 @@ def step(
         state += [entries[len(state) + i] + h * x for i, x in enumerate((*reaction.force, *reaction.torque, friction[k]))]
     if layout.energies:
         solution = Solution(tuple(tuple(found.accelerations[b.speeds]) for b in system.topology.branches), found.multipliers)
-        rates = dynamics.powers(system, forces, solution)
-        rates[3] = -sp.total(joint.arm * friction[k] * mean[places[k]] for k, joint in enumerate(joints))
+        rates = dynamics.powers(system, with_friction(system, forces, friction), solution)
+        rates[3] = -sp.total(joint.arm * friction[k] * slips[k].at(mean) for k, joint in enumerate(joints))
         state += [x + h * rate for x, rate in zip(entries[len(state) :], rates, strict=True)]
     return state, [*(found.accelerations[j] for j in range(len(v))), jnp.maximum(last[-1], left)]
 
 
 def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
     """The forces, with friction [N] added in each joint that touches, in the order of `touching`."""
-    coordinate_forces = list(forces.coordinate_forces)
-    for k, i in enumerate(touching(system)):
-        own = coordinate_forces[i][0]
-        coordinate_forces[i] = (sp.add(own, system.links[i].joint.arm * friction[k]),)
-    return forces._replace(coordinate_forces=tuple(coordinate_forces))
+    coordinate_forces, wrenches = list(forces.coordinate_forces), list(forces.wrenches)
+    for k, held in enumerate(touching(system)):
+        if held.loop is None:
+            own = coordinate_forces[held.link][0]
+            coordinate_forces[held.link] = (sp.add(own, held.joint.arm * friction[k]),)
+            continue
+        closure = system.closures[held.loop]
+        pose = dynamics.relative_motion(closure, forces.motions)[1]
+        for link, (force, torque) in dynamics.pair_of_wrenches(closure, pose, *held.joint.push(friction[k])):
+            if link is not None:
+                old = wrenches[link]
+                wrenches[link] = Wrench(sp.plus(old.force, force), sp.plus(old.torque, torque))
+    return forces._replace(wrenches=tuple(wrenches), coordinate_forces=tuple(coordinate_forces))
 
 
-def _answer(system, stabilisation, forces, motions, q, indices, friction) -> Answer:
+def _answer(system, stabilisation, forces, motions, q, touching_joints, friction) -> Answer:
     """How the mechanism answers friction [N] in its touching joints."""
     forces = with_friction(system, forces, friction)
     solution = dynamics.solve(system, forces, stabilisation)
     wrenches = dynamics.joint_wrenches(system, forces, solution)
-    reactions = tuple(_reaction(system, i, q[i], wrenches[i]) for i in indices)
+    closed = [Reaction(force, torque) for _, force, torque, _ in dynamics.closure_wrenches(system, motions, solution.multipliers)]
+    reactions = tuple(
+        closed[held.loop] if held.link is None else _reaction(system, held.link, q[held.link], wrenches[held.link])
+        for held in touching_joints
+    )
     return Answer(sp.stack([a for own in solution.accelerations for a in own]), solution.multipliers, reactions)
 
 
@@ -162,7 +207,7 @@ def _total(joint, reaction, friction, total):
     return load_of(joint.carried(*reaction, safe_divide(friction, total)))
 
 
-def _solve(joints, places, v, h, mass, none: Answer, units: list[Answer], rules: Rules) -> tuple[Any, Any]:
+def _solve(joints, slips, v, h, mass, none: Answer, units: list[Answer], rules: Rules) -> tuple[Any, Any]:
     """Friction of each joint [N] that satisfies Coulomb's law at the end of the step.
 
     A joint that slides is held back by kinetic friction, and caught by static friction where it would turn round.
@@ -171,11 +216,11 @@ def _solve(joints, places, v, h, mass, none: Answer, units: list[Answer], rules:
     if all(joint.friction is None for joint in joints):
         return jnp.zeros(count), 0.0
     grips: list[Any] = []
-    for joint, place in zip(joints, places, strict=True):
+    for joint, sliding in zip(joints, slips, strict=True):
         if joint.friction is None:
             grips.append(None)
             continue
-        law, slip = set_valued(joint.friction), joint.arm * v[place]
+        law, slip = set_valued(joint.friction), joint.arm * sliding.at(v)
         against = joint.grip(law.bound(jnp.abs(slip)))
         caught = against if law.mu_static is None else joint.grip(law.bound(jnp.zeros_like(slip)))
         grips.append((jnp.where(slip > 0, against, caught), jnp.where(slip < 0, against, caught)))
@@ -186,13 +231,14 @@ def _solve(joints, places, v, h, mass, none: Answer, units: list[Answer], rules:
         for k in range(count):
             if grips[k] is None:
                 continue
-            slips = [joints[k].arm * h * unit.accelerations[places[k]] for unit in units]
-            slip = joints[k].arm * (v[places[k]] + h * none.accelerations[places[k]]) + sp.dot(slips, friction)
+            gains = [joints[k].arm * h * along(slips[k].row, unit.accelerations) for unit in units]
+            end = [x + h * none.accelerations[j] for j, x in enumerate(v)]
+            slip = joints[k].arm * slips[k].at(end) + sp.dot(gains, friction)
             total = total.at[k].set(_total(joints[k], _at(none, units, friction).reactions[k], friction[k], total[k]))
             low, high = (grip * total[k] for grip in grips[k])
             # A joint that drives move slides whatever friction does (only rounding, of either sign, answers): there it is full.
             stiff = UNMOVED * h * joints[k].arm ** 2 / mass
-            wanted = friction[k] - slip / jnp.maximum(slips[k], stiff)
+            wanted = friction[k] - slip / jnp.maximum(gains[k], stiff)
             friction = friction.at[k].set(_within(wanted, low, high, rules.relaxation))
             largest = jnp.maximum(largest, jnp.maximum(low, high))
         change = jnp.max(jnp.abs(friction - before)) / jnp.where(largest > 0, largest, 1.0)
@@ -201,10 +247,11 @@ def _solve(joints, places, v, h, mass, none: Answer, units: list[Answer], rules:
     return _repeat(improve, count, rules)
 
 
-def _rub(joints, names, speeds, none: Answer, units: list[Answer], rules: Rules) -> tuple[Any, Any]:
+def _rub(held, speeds, none: Answer, units: list[Answer], rules: Rules) -> tuple[Any, Any]:
     """Friction of each joint [N] by laws that are functions of the sliding speed, here at the middle of the step."""
     shares: list[Any] = []
-    for joint, name, speed in zip(joints, names, speeds, strict=True):
+    joints = [one.joint for one in held]
+    for joint, (name, *_), speed in zip(joints, held, speeds, strict=True):
         law, slip = joint.friction, joint.arm * speed
         if law is not None and not isinstance(law, AbstractSlipFriction):
             raise ValueError(

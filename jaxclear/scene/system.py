@@ -29,10 +29,11 @@ class Bearing(eqx.Module):
 
 
 class System(eqx.Module):
-    """Links in the topology's order, loop closures, clearance joints and loads."""
+    """Links in the topology's order, loop closures and the joints that make them, clearance joints and loads."""
 
     links: tuple[Link, ...]
     closures: tuple[Closure, ...]
+    closing: tuple[Any, ...]
     bearings: dict[str, Bearing]
     loads: dict[str, Any]
     load_markers: dict[str, tuple[tuple[int | None, Pose], ...]]
@@ -76,7 +77,8 @@ def prepare(mechanism: Mechanism) -> System:
             loads[name] = load
         if isinstance(load, AbstractBodyLoad):
             markers[name] = tuple((topology.index(m.body), frames[m.body].after(m.pose())) for m in load.markers())
-    return System(tuple(links), closures, bearings, loads, markers, gravity, topology)
+    closing = tuple(mechanism.connections[name].joint for name in topology.loops)
+    return System(tuple(links), closures, closing, bearings, loads, markers, gravity, topology)
 
 
 def _link(mechanism: Mechanism, position: int, limb: tuple[int, ...], links: list[Link]) -> Link:

@@ -66,7 +66,7 @@ def grow(bodies: dict[str, Body], connections: dict[str, Connection]) -> Topolog
         ends = (ideal[name].parent.body, ideal[name].child.body)
         reached = [end for end in ends if end in depth]
         free = len(joint.home) if drive_of(joint) is None else -1
-        # Friction is known for joints of the tree: these go first among equals.
+        # Friction costs least in the tree: joints that may have it go first among equals.
         free -= 0.5 * isinstance(joint, AbstractFitted)
         return (free, depth[reached[0]], unused.index(name))
 

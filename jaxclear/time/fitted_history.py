@@ -10,14 +10,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
 from jaxclear.components.fitted import SITUATIONS, AbstractFitted, Carried, load_of, situation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.scene import fitted_step
+from jaxclear.scene import dynamics, fitted_step
 from jaxclear.scene.system import prepare
-from jaxclear.time.trajectory import ContactHistory, Trajectory, layout_of, mean_forces
+from jaxclear.time.trajectory import ContactHistory, Trajectory, layout_of, mean_forces, over_time
 
 # A guide's friction adds to the moment and so to the sizes; a pass shrinks the error of the ratio to half of it or, at worst, to
 # (1 + mu width / length) / 2.
@@ -27,8 +27,7 @@ LINE = SITUATIONS.index("a line (points on one side)")
 
 def touching(run: Trajectory) -> tuple[str, ...]:
     """Connections whose joint always touches."""
-    system = prepare(run.mechanism)
-    return tuple(system.topology.branches[i].connection for i in fitted_step.touching(system))
+    return tuple(held.name for held in fitted_step.touching(prepare(run.mechanism)))
 
 
 class Means(NamedTuple):
@@ -59,7 +58,21 @@ def _over_means(run: Trajectory, name: str, function: Any) -> Any:
     start = [joint for joint, _ in layout.impulses].index(name) * fitted_step.COMPONENTS
     parts = mean_forces(run, layout)[:, start : start + fitted_step.COMPONENTS]
     joint = run.mechanism.connections[name].joint
-    return jax.vmap(lambda *own: function(_means(joint, *own)))(parts, run.speed(name)[:, 0])
+    return jax.vmap(lambda *own: function(_means(joint, *own)))(parts, _speed(run, name))
+
+
+def _speed(run: Trajectory, name: str) -> Float[Array, " time"]:
+    """Speed of a joint at the saving times."""
+    if run.mechanism.topology.branch_of(name) is not None:
+        return run.speed(name)[:, 0]
+    joint = run.mechanism.connections[name].joint
+
+    def one(now):
+        closure = now.system.closures[now.system.topology.loops.index(name)]
+        relative = dynamics.relative_motion(closure, now.motions)[2]
+        return joint.along(relative.velocity, relative.spin)
+
+    return over_time(run, one)
 
 
 @eqx.filter_jit

@@ -255,7 +255,7 @@ class Instant(NamedTuple):
         return fitted_step.with_friction(self.system, forces, frictions)
 
 
-def _over_time(trajectory: Trajectory, function: Any) -> Any:
+def over_time(trajectory: Trajectory, function: Any) -> Any:
     """Maps a function of an `Instant` over the saved states."""
     mechanism = trajectory.mechanism
     system = prepare(mechanism)
@@ -296,7 +296,7 @@ def _body(trajectory, name):
             pose.translation,
         )
 
-    return _arrays(_over_time(trajectory, one))
+    return _arrays(over_time(trajectory, one))
 
 
 def _arrays(history):
@@ -321,7 +321,7 @@ def _contact(trajectory, name):
         places = tuple(p.place for p in points)
         return ContactHistory(pose.translation, axis, *fields, places, report.force, report.torque)
 
-    return _arrays(_over_time(trajectory, one))
+    return _arrays(over_time(trajectory, one))
 
 
 @eqx.filter_jit
@@ -350,7 +350,7 @@ def _reaction(trajectory, name):
         rotation = dynamics.relative_motion(closure, motions)[0].parent_pose.rotation
         return ReactionHistory(sp.apply(rotation, force), sp.apply(rotation, torque))
 
-    return _arrays(_over_time(trajectory, one))
+    return _arrays(over_time(trajectory, one))
 
 
 @eqx.filter_jit
@@ -361,7 +361,7 @@ def _drift(trajectory):
             for name, closure in zip(now.system.topology.loops, now.system.closures, strict=True)
         }
 
-    return _over_time(trajectory, one)
+    return over_time(trajectory, one)
 
 
 @eqx.filter_jit
@@ -369,7 +369,7 @@ def _energies(trajectory):
     def one(now):
         return (*dynamics.mechanical_energy(now.system, now.forces()), *now.entries[now.layout.energy_start :])
 
-    kinetic, potential, supplied, contact_work, contact_loss, friction_loss, damping_loss = _over_time(trajectory, one)
+    kinetic, potential, supplied, contact_work, contact_loss, friction_loss, damping_loss = over_time(trajectory, one)
     stored = contact_work - contact_loss
     total = kinetic + potential + contact_work + friction_loss + damping_loss
     error = total - total[0] - supplied

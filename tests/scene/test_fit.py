@@ -80,3 +80,53 @@ def test_a_search_that_ends_far_from_the_laws_ends_the_run_with_a_sentence():
     assert slider(0.195, 0.1, 1000.0).succeeded
     lost = slider(0.195, 0.1, 10.0)
     assert not lost.succeeded and "laws of contact or friction were not met" in lost.result
+
+
+def rubbing(order, mu, law=jc.friction.Coulomb):
+    """A slider-crank all of whose joints but the crank's have clearance and friction, one of which closes its loop."""
+    planar = jc.clearance.PlanarJournalBearing(jc.contact.Rigid(0.0), law(mu), 10e-3, 2e-5)
+    guide = jc.clearance.SliderGuide(jc.contact.Rigid(0.0), law(mu), clearance=2e-5)
+    connections = {
+        "O": jc.Connection(jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"),
+        "A": jc.Connection(planar, "crank", "rod", at=(0.05, 0.0)),
+        "B": jc.Connection(planar, "rod", "slider", at=(0.12, 0.0)),
+        "G": jc.Connection(guide, jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")),
+    }
+    return jc.Mechanism(
+        {"crank": jc.Body(0.3, 1e-4, (0.025, 0.0)), "rod": jc.Body(0.21, 2.5e-4, (0.06, 0.0)), "slider": jc.Body(0.14, 1e-4)},
+        {name: connections[name] for name in order},
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+        start={"slider": (0.17, 0.0, 0.0)},
+    )
+
+
+def means(run):
+    return [float(jnp.mean(jnp.sum(run.contact(name).normal_force[1:], axis=-1))) for name in "ABG"]
+
+
+def test_friction_is_the_same_in_a_joint_of_the_tree_and_in_one_that_closes_a_loop():
+    runs = [
+        jc.simulate(rubbing(order, 0.1), 0.126, save=127, integrator=jc.integrator.NonColliding(1e-4), balance=True)
+        for order in ("OABG", "OGBA")
+    ]
+    assert [run.mechanism.topology.loops for run in runs] == [("B",), ("A",)]
+    np.testing.assert_allclose(means(runs[0]), means(runs[1]), rtol=1e-4)
+    for name in "ABG":
+        parts = [run.contact(name) for run in runs]
+        np.testing.assert_allclose(parts[0].slip_speed[1:], parts[1].slip_speed[1:], atol=5e-4)
+        assert float(parts[0].traction.sum() / parts[0].normal_force.sum()) == pytest.approx(0.1, rel=0.01)
+    for run in runs:
+        energy = run.energy_balance()
+        assert float(jnp.max(jnp.abs(energy.error))) < 5e-4 * float(energy.friction_loss[-1])
+    losses = [float(run.energy_balance().friction_loss[-1]) for run in runs]
+    assert losses[0] == pytest.approx(losses[1], rel=1e-3)
+
+
+def test_friction_in_loops_agrees_with_rigid_contact():
+    """Whose journals cross a gap and strike now and then: to some per cent."""
+    rig = rubbing("OABG", 0.1)
+    fitted = jc.simulate(rig, 0.126, save=127, integrator=jc.integrator.NonColliding(1e-4), balance=True)
+    rigid = jc.simulate(rig, 0.126, save=127, integrator=jc.integrator.MoreauJean(2e-5), balance=True)
+    np.testing.assert_allclose(means(fitted), means(rigid), rtol=0.05)
+    losses = [float(run.energy_balance().friction_loss[-1]) for run in (fitted, rigid)]
+    assert losses[0] == pytest.approx(losses[1], rel=0.05)
