@@ -145,7 +145,7 @@ def test_switching_instants_are_those_of_the_model_with_a_small_clearance(driven
     assert list(driven.switchings("P")["to"]) == [
         "two points on opposite sides",
         "a line (points on one side)",
-        "a line (points on one side)",
+        "a line (points on one side), on the other side",
     ]
     time, touch = np.asarray(compliant.time), np.asarray(compliant.contact("P").normal_force) > 0
     # The back corner leaves its wall, and strikes the other while the front corner still carries.
