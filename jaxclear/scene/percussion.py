@@ -18,8 +18,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxclear.scene.complementarity_problem import excuse
 from jaxclear.scene.projection import REGULAR, law, one_contact, project_on_cone, saxce_residual
 
-# Sweeps between two tries of Newton's method.
-SWEEPS = 2
+# Sweeps between two tries of Newton's method, which is left out beyond so many unknowns: its elimination is written out.
+SWEEPS, LARGEST_ELIMINATED = 2, 24
 
 
 class Percussions(NamedTuple):
@@ -114,6 +114,8 @@ def _sweep_until(
         r, _, best, sweeps = carry
         r = jax.lax.fori_loop(0, SWEEPS, sweep, r)
         left = residual(r)
+        if first[-1] > LARGEST_ELIMINATED:
+            return r, left, jnp.minimum(best, left), sweeps + SWEEPS
         there = _newton(rows, [velocity(i, jnp.concatenate(r)) for i in range(len(r))], mu, rho, r)
         left_there = residual(there)
         # Steps that are no better than what was known would lead round in circles.
