@@ -270,7 +270,7 @@ def pointing_budget(error: PointingError) -> Figure:
         beside.set_yticks(range(len(table)), table.index)
         beside.set_xlim(0.0, 1.25 * max(column.max(), np.finfo(float).tiny))
         beside.invert_yaxis()
-        beside.set_xlabel(f"rms [{unit}], share of the mean square")
+        beside.set_xlabel(f"rms [{unit}]; %: share of its square")
     axes[1][0].set_xlabel("time [s]")
     figure.legend(*axes[0][0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=5)
     figure.suptitle(f'Error of the tip on "{error.tip}" seen from "{error.base}"')

@@ -191,12 +191,14 @@ def jacobian_columns(system: System, motions: tuple[Motion, ...], link: int | No
 
 
 class ClosureRows(NamedTuple):
-    """Rows of one closure that are not structurally satisfied: their places in the closure, values, rates, Jacobian."""
+    """Rows of one closure that motion changes: their places in the closure, values, rates, Jacobian. `fixed`: values of those
+    that no motion changes."""
 
     kept: list[int]
     values: tuple
     rates: tuple
     jacobian: list[dict[int, Any]]
+    fixed: tuple
 
 
 def relative_rows(system: System, motions: tuple[Motion, ...], closure: loops.Closure, rates: Callable) -> list[dict[int, Any]]:
@@ -220,8 +222,9 @@ def closure_rows(system: System, motions: tuple[Motion, ...], closure: loops.Clo
     values = loops.residuals(closure.rows, pose)
     rates = loops.row_rates(closure.rows, pose, relative.velocity, relative.spin)
     jacobian = relative_rows(system, motions, closure, lambda *own: loops.row_rates(closure.rows, *own))
-    kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(values[i])]
-    return ClosureRows(kept, *[[part[i] for i in kept] for part in (values, rates, jacobian)])
+    kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
+    fixed = tuple(value for i, value in enumerate(values) if i not in kept and not sp.is_zero(value))
+    return ClosureRows(kept, *[[part[i] for i in kept] for part in (values, rates, jacobian)], fixed)
 
 
 def closure_targets(system: System, motions: tuple[Motion, ...], stabilisation: Baumgarte | None) -> tuple[list, list]:

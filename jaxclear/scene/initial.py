@@ -14,6 +14,7 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.components.fitted import AbstractFitted
 from jaxclear.components.joint import Free, Spherical
 from jaxclear.ground import sparse as sp
 from jaxclear.scene import dynamics, linear
@@ -100,14 +101,15 @@ def _check_flat_bodies(mechanism: Mechanism, system: System, motions: tuple) -> 
 
 
 def _rows(system, closures, q, v, time):
-    """Residuals, rates and Jacobian of the closures, as arrays by name."""
+    """Residuals, rates and Jacobian of the closures, as arrays by name; last the residuals that no motion changes."""
     own_q, own_v = unpack_motion(system, list(q) + list(v))
     motions = dynamics.move(system, own_q, own_v, time)
     out = {}
     for name, closure in closures.items():
         found = dynamics.closure_rows(system, motions, closure)
         rows = tuple(tuple(row.get(j, 0) for j in range(len(v))) for row in found.jacobian)
-        out[name] = (sp.stack(found.values), sp.stack(found.rates), linear.to_array(rows).reshape(len(rows), len(v)))
+        jacobian = linear.to_array(rows).reshape(len(rows), len(v))
+        out[name] = (sp.stack(found.values), sp.stack(found.rates), jacobian, sp.stack(found.fixed))
     return out
 
 
@@ -125,8 +127,7 @@ def assemble_arrays(mechanism: Mechanism, concentric: bool = True, time: float =
     q, v = guess(mechanism)
     _check_flat_bodies(mechanism, system, dynamics.move(system, *unpack_motion(system, list(q) + list(v)), time))
     if not closures or v.shape[0] == 0:
-        rows = _rows(system, closures, q, v, time)
-        return Start(q, v, {n: r[0] for n, r in rows.items()}, {n: r[2] for n, r in rows.items()})
+        return _started(q, v, _rows(system, closures, q, v, time))
 
     def stacked(q, v):
         rows = _rows(system, closures, q, v, time).values()
@@ -142,8 +143,12 @@ def assemble_arrays(mechanism: Mechanism, concentric: bool = True, time: float =
     for _ in range(2):
         _, rates, jacobian = stacked(q, v)
         v = v - _least_change(jacobian, rates)
-    rows = _rows(system, closures, q, v, time)
-    return Start(q, v, {n: r[0] for n, r in rows.items()}, {n: r[2] for n, r in rows.items()})
+    return _started(q, v, _rows(system, closures, q, v, time))
+
+
+def _started(q, v, rows) -> Start:
+    residuals = {name: jnp.concatenate([found[0], found[3]]) for name, found in rows.items()}
+    return Start(q, v, residuals, {name: found[2] for name, found in rows.items()})
 
 
 assembled = eqx.filter_jit(assemble_arrays)
@@ -177,21 +182,22 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
 
 
 def _check_rank(mechanism: Mechanism, start: Start) -> None:
-    rows, kept = [], None
+    fitted = any(isinstance(connection.joint, AbstractFitted) for connection in mechanism.connections.values())
+    kept = np.zeros((0, len(start.speeds)))
     for name in mechanism.topology.loops:
-        for row in np.asarray(start.jacobians[name]):
-            rows.append((name, row))
-    for name, row in rows:
-        new = row[None] if kept is None else np.vstack([kept, row])
-        if np.linalg.matrix_rank(new, tol=1e-9 * np.abs(new).max(initial=1.0)) < len(new):
-            if _singular_only_here(mechanism, start):
-                return
+        rows = np.asarray(start.jacobians[name])
+        # A row that no motion changes; where joints always touch, those of the tree carry what it would.
+        superfluous = len(start.residuals[name]) > len(rows) and not fitted
+        kept = np.vstack([kept, rows])
+        dependent = np.linalg.matrix_rank(kept, tol=1e-9 * np.abs(kept).max(initial=1.0)) < len(kept)
+        if superfluous or (dependent and not _singular_only_here(mechanism, start)):
             raise ValueError(
                 f'the loop closed by joint "{name}" is overconstrained: one of its rows follows from the others, so its '
                 "reaction is undetermined. For a planar mechanism give planar places (2 numbers) throughout; otherwise "
                 "replace a revolute joint in this loop by a spherical, cylindrical or universal one."
             )
-        kept = new
+        if dependent:
+            return
 
 
 def _singular_only_here(mechanism: Mechanism, start: Start) -> bool:

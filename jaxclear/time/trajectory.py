@@ -357,7 +357,7 @@ def _reaction(trajectory, name):
 def _drift(trajectory):
     def one(now):
         return {
-            name: jnp.max(jnp.abs(sp.stack(dynamics.closure_rows(now.system, now.motions, closure).values)))
+            name: jnp.max(jnp.abs(sp.stack(dynamics.closure_rows(now.system, now.motions, closure).values)), initial=0.0)
             for name, closure in zip(now.system.topology.loops, now.system.closures, strict=True)
         }
 

@@ -130,3 +130,18 @@ def test_friction_in_loops_agrees_with_rigid_contact():
     np.testing.assert_allclose(means(fitted), means(rigid), rtol=0.05)
     losses = [float(run.energy_balance().friction_loss[-1]) for run in (fitted, rigid)]
     assert losses[0] == pytest.approx(losses[1], rel=0.05)
+
+
+def test_the_four_bar_runs_though_its_ball_holds_what_a_journal_holds_too():
+    """Along its axes: no motion changes this, and the journal carries it. Without friction its reaction is the ideal joint's."""
+    fitted = jc.simulate(
+        jc.scenes.four_bar("spatial", wear=False, friction=False, follower_offset=1e-6),
+        0.3,
+        save=31,
+        integrator=jc.integrator.NonColliding(1e-4),
+    )
+    ideal = jc.simulate(jc.scenes.four_bar("ideal"), 0.3, save=31)
+    np.testing.assert_allclose(fitted.body("follower").com, ideal.body("follower").com, atol=2e-6)
+    wanted = np.asarray(ideal.reaction("B").force)
+    found = np.asarray(fitted.reaction("B").force)
+    np.testing.assert_allclose(found[5:], wanted[5:], atol=0.01 * np.abs(wanted).max())
