@@ -96,9 +96,9 @@ def four_bar_scene(quick: bool) -> Scene:
     ladders = {
         "Adaptive": Ladder([adaptive(r) for r in (1e-3, 1e-4, 1e-5, 1e-6)], adaptive(1e-8), 1000 * turns + 1),
         "FixedStep semi-implicit": Ladder(
-            [kinds.FixedStep(h, "semi_implicit") for h in (4e-5, 2e-5, 1e-5)], None, 1000 * turns + 1
+            [kinds.FixedStep(h, "semi_implicit") for h in (4e-5, 2e-5, 1e-5, 5e-6, 2e-6)], None, 1000 * turns + 1
         ),
-        "ImplicitStep": Ladder([kinds.ImplicitStep(h) for h in (2e-4, 1e-4, 5e-5, 2e-5)], None, 1000 * turns + 1),
+        "ImplicitStep": Ladder([kinds.ImplicitStep(h) for h in (2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)], None, 1000 * turns + 1),
         "MoreauJean": Ladder(
             [kinds.MoreauJean(h) for h in (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)], kinds.MoreauJean(5e-6), 628 * turns + 1
         ),
