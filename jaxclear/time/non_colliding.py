@@ -25,10 +25,10 @@ class NonColliding(AbstractIntegrator):
     in smooth motion and 1 across stick and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
 
     `sweeps` over the joints at most, until friction changes by less than `tolerance` of its bound; where they end far from that
-    (a guide about to lock itself), the run ends and says so. `relaxation` rounds Coulomb's
-    law over this share of the bound: a joint then creeps, and the error is of its order (None: exact). `regularised` takes a
-    friction law as the function of the sliding speed that it is, for comparison: the joint creeps, and steps must be short
-    beside the time in which friction stops a joint that slides at the law's transition speed.
+    (a guide about to lock itself), the run ends and says so. `relaxation` rounds Coulomb's law over this share of the bound: a
+    joint then creeps, and the error is of its order (None: exact). `regularised` takes a friction law as the function of the
+    sliding speed that it is, for comparison: the joint creeps, and steps must be short beside the time in which friction stops
+    a joint that slides at the law's transition speed.
 
     Source: antenna paper (000) and guide paper (004).
     """
