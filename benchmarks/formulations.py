@@ -33,8 +33,9 @@ ACCURACY = 0.02
 STEPS, CHEAPEST = "steps", "sample of a batch, CPU [ms]"
 # Samples a chunk: that of studies on a CPU.
 CHUNK = 64
-# Clearances of the members differ by up to this share; those of a batch by up to this one.
-SPREAD, BATCH_SPREAD = 2e-3, 0.05
+# Clearances of the members differ by up to this share, enough for rattling paths to have nothing in common; those of a batch
+# by up to this one.
+SPREAD, BATCH_SPREAD = 2e-2, 0.05
 # Friction of the antenna as a function of speed: full beyond a tenth of the sliding speeds.
 ANTENNA_FRICTION = (0.1, 1e-3)
 
@@ -224,7 +225,7 @@ def judge(scene: Scene, members: int, samples: int) -> list[dict[str, Any]]:
 
 def main() -> None:
     options = arguments(__doc__)
-    members = 4 if options.quick else 8
+    members = 4 if options.quick else 16
     for name, make in SCENES.items():
         scene = make(options.quick)
         # What a sample costs is known from fewer of the antenna, whose rigid contacts are dear.
