@@ -265,3 +265,18 @@ def test_a_failing_member_leaves_its_batch_alone():
 def test_bad_problems_are_refused_before_tracing(words, build):
     with pytest.raises(ValueError, match=words):
         build()
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_an_open_contact_without_friction_is_solved(dimension):
+    """Its cone is a half-line, which a pull does not belong to."""
+    free = np.zeros(dimension)
+    free[0] = 1.0
+    found = ProjectedGaussSeidel().solve(FrictionContact(np.eye(dimension), free, np.zeros(1)))
+    assert bool(found.solved) and not np.any(found.z)
+    assert str(found) == found.sentence()
+
+
+def test_solvers_take_problems():
+    with pytest.raises(ValueError, match="a solver is given a ndarray; it takes a problem"):
+        Lemke().solve(np.eye(2))

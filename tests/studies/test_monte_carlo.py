@@ -143,6 +143,8 @@ def test_methods_that_disagree_say_so():
     assert not apart.trustworthy and abs(apart.value - 1.5) < 1e-12 and apart.error >= 0.5
     vague = judge("r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(5.0, 100.0)})
     assert not vague.trustworthy
+    nought = judge("r", "v", {"regression": Estimate(-1e-3, 1e-2), "differences": Estimate(0.0, 0.0)})
+    assert "Agreed by differences and regression" in nought.verdict
     alone = judge("r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(np.nan, np.nan, "no")})
     assert "Unconfirmed" in alone.verdict and alone.value == 1.0
 

@@ -220,6 +220,43 @@ def test_loops_are_native_and_contacts_keep_their_laws(make, caplog):
     assert (np.asarray(contact.traction) <= MU * normal + 1e-10).all()
 
 
+def hung(ratio):
+    """A light link between ground and a heavy one, both joints with clearance."""
+    pin = jc.clearance.PlanarJournalBearing(jc.contact.Rigid(0.0), jc.friction.Coulomb(MU), clearance=CLEARANCE)
+    return jc.Mechanism(
+        {"light": jc.Body(1.0, 1e-3, (0.05, 0.0)), "heavy": jc.Body(ratio, 1e-3 * ratio, (0.05, 0.0))},
+        {"B": jc.Connection(pin, "ground", "light"), "C": jc.Connection(pin, "light", "heavy", at=(0.1, 0.0))},
+        {"gravity": jc.load.Gravity((0.0, -GRAVITY))},
+        start={"heavy": (0.1, 0.0, 0.0)},
+    )
+
+
+@pytest.mark.parametrize("ratio", [1.0, 10.0, 100.0])
+def test_a_light_link_holds_a_heavy_one(ratio):
+    found = simulate(hung(ratio), 0.2, save=201)
+    energy = found.energy_balance()
+    assert max(float(found.contact(name).indentation.max()) for name in "BC") < 0.05 * CLEARANCE
+    assert float(np.abs(energy.error).max()) < 5e-3 * ratio * GRAVITY * 0.1
+
+
+def test_projection_puts_no_work_into_a_driven_mechanism():
+    """The guide, driven: the balance closes with it as without, and friction is the same."""
+    losses = []
+    for project in (True, False):
+        found = jc.simulate(jc.scenes.guide(), 1.2, integrator=jc.integrator.MoreauJean(STEP, project=project), balance=True)
+        energy = found.energy_balance()
+        assert float(np.abs(energy.error).max()) < 1e-6 * float(energy.input[-1])
+        losses.append(float(energy.friction_loss[-1]))
+    assert losses[0] == pytest.approx(losses[1], rel=1e-3)
+
+
+def test_a_mean_force_does_not_hang_on_how_often_it_is_saved():
+    mean = jc.response.MeanContactForce("B")
+    rig = journal(0.9, 0.2, speeds=(0.3, 0.2, 5.0), gravity=(0.0, -GRAVITY))
+    found = [float(mean(simulate(rig, 0.1, save=save))) for save in (101, 21, 3)]
+    np.testing.assert_allclose(found, found[0], rtol=1e-9)
+
+
 def test_sentences_name_the_joint():
     compliant = jc.integrator.ImplicitStep()
     with pytest.raises(ValueError, match='joint "B" has contact.Rigid.*MoreauJean'):
