@@ -201,9 +201,10 @@ class ClosureRows(NamedTuple):
     fixed: tuple
 
 
-def relative_rows(system: System, motions: tuple[Motion, ...], closure: loops.Closure, rates: Callable) -> list[dict[int, Any]]:
-    """Rows (by speed index) of what `rates` draws, linearly, from the closure's pose, relative velocity and spin."""
-    pose = relative_motion(closure, motions)[1]
+def relative_rows(
+    system: System, motions: tuple[Motion, ...], closure: loops.Closure, pose: Pose, rates: Callable
+) -> list[dict[int, Any]]:
+    """Rows (by speed index) of what `rates` draws, linearly, from the closure's `pose`, relative velocity and spin."""
     rows: list[dict[int, Any]] = [{} for _ in rates(pose, sp.ZERO, sp.ZERO)]
     ends = ((closure.parent_link, closure.parent), (closure.child_link, closure.child))
     for side, (link, marker) in enumerate(ends):
@@ -221,7 +222,7 @@ def closure_rows(system: System, motions: tuple[Motion, ...], closure: loops.Clo
     _, pose, relative = relative_motion(closure, motions)
     values = loops.residuals(closure.rows, pose)
     rates = loops.row_rates(closure.rows, pose, relative.velocity, relative.spin)
-    jacobian = relative_rows(system, motions, closure, lambda *own: loops.row_rates(closure.rows, *own))
+    jacobian = relative_rows(system, motions, closure, pose, lambda *own: loops.row_rates(closure.rows, *own))
     kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
     fixed = tuple(value for i, value in enumerate(values) if i not in kept and not sp.is_zero(value))
     return ClosureRows(kept, *[[part[i] for i in kept] for part in (values, rates, jacobian)], fixed)

@@ -96,8 +96,8 @@ def slip_of(system: System, motions: tuple, held: Held, speeds: list) -> Slip:
         return Slip({system.topology.branches[held.link].speeds.start: 1}, 0)
     rates = lambda pose, velocity, spin: (held.joint.along(velocity, spin),)
     closure = system.closures[held.loop]
-    (row,) = dynamics.relative_rows(system, motions, closure, rates)
-    relative = dynamics.relative_motion(closure, motions)[2]
+    _, pose, relative = dynamics.relative_motion(closure, motions)
+    (row,) = dynamics.relative_rows(system, motions, closure, pose, rates)
     return Slip(row, sp.sub(held.joint.along(relative.velocity, relative.spin), along(row, speeds)))
 
 
