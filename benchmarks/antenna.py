@@ -16,10 +16,9 @@ sys.path[0] = str(Path(__file__).parents[1])
 import time
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from benchmarks.measure import arguments, report
+from benchmarks.measure import alone, arguments, report
 
 import jaxclear as jc
 from jaxclear.face.antenna_study import friction_runs, friction_table
@@ -79,19 +78,6 @@ def question(duration: float) -> jc.Problem:
 
 def with_step(problem: jc.Problem, step: float) -> jc.Problem:
     return eqx.tree_at(lambda p: p.integrator.step, problem, jnp.asarray(step))
-
-
-def alone(problem: jc.Problem, repeats: int) -> tuple[float, float]:
-    """(wall, CPU) seconds of one run, compiled before."""
-    one = eqx.filter_jit(lambda p, v: p.evaluate(v))
-    value = problem.nominal()
-    jax.block_until_ready(one(problem, value).responses)
-    best = (np.inf, np.inf)
-    for _ in range(repeats):
-        cpu, wall = time.process_time(), time.perf_counter()
-        jax.block_until_ready(one(problem, value).responses)
-        best = tuple(map(min, best, (time.perf_counter() - wall, time.process_time() - cpu)))
-    return best
 
 
 def convergence(problem: jc.Problem, duration: float, members: int) -> list[dict]:

@@ -17,10 +17,9 @@ import time
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from benchmarks.measure import arguments, report
+from benchmarks.measure import alone, arguments, report
 from benchmarks.work_precision import slider_crank
 
 import jaxclear as jc
@@ -175,14 +174,7 @@ def off(found: dict, wanted: dict) -> tuple[str, float, float]:
 
 def cost(problem: jc.Problem, steps: float, samples: int) -> dict[str, float]:
     """Time of a step and of a run alone, and of a sample in a batch."""
-    one = eqx.filter_jit(lambda p, v: p.evaluate(v))
-    value = problem.nominal()
-    jax.block_until_ready(one(problem, value).responses)
-    best = np.inf
-    for _ in range(3):
-        start = time.process_time()
-        jax.block_until_ready(one(problem, value).responses)
-        best = min(best, time.process_time() - start)
+    best, value = alone(problem, 3)[1], problem.nominal()
     rng = np.random.default_rng(0)
     batch = np.asarray(value) * (1 + BATCH_SPREAD * rng.uniform(-1, 1, (samples, np.size(value))))
     evaluate_all(problem, jnp.asarray(batch[:CHUNK]), chunk=CHUNK)

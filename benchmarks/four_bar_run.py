@@ -15,9 +15,8 @@ sys.path[0] = str(Path(__file__).parents[1])
 import time
 
 import equinox as eqx
-import jax
 import numpy as np
-from benchmarks.measure import arguments, report
+from benchmarks.measure import alone, arguments, report
 
 import jaxclear as jc
 from jaxclear.scenes.four_bar import four_bar
@@ -71,19 +70,6 @@ def statistics(problem: jc.Problem, values: np.ndarray) -> tuple[dict[str, np.nd
     return outcome.responses, bool(np.all(outcome.outcome == REACHED))
 
 
-def alone(problem: jc.Problem, repeats: int) -> float:
-    """Wall seconds of one run, compiled before."""
-    one = eqx.filter_jit(lambda p, v: p.evaluate(v))
-    value = problem.nominal()
-    jax.block_until_ready(one(problem, value).responses)
-    best = np.inf
-    for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(one(problem, value).responses)
-        best = min(best, time.perf_counter() - start)
-    return best
-
-
 def main() -> None:
     options = arguments(__doc__)
     duration, members, samples = (0.5, 4, 64) if options.quick else (5.0, 8, 1024)
@@ -104,7 +90,7 @@ def main() -> None:
             row[f"{key} [%]"] = 100 * float(error)
             worst = max(worst, error)
             doubt = max(doubt, difference.std(ddof=1) / np.sqrt(members))
-        wall = alone(asked, 2) if sound else np.nan
+        wall = alone(asked, 2)[0] if sound else np.nan
         row |= {"standard error [%]": 100 * float(doubt), "alone [s]": wall, "simulated / computed": duration / wall}
         row["within 1 %"] = "yes" if sound and worst < ACCURACY else ("no" if sound else "did not reach its end")
         rows.append(row)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 
 
@@ -33,6 +34,13 @@ def side_by_side(cases: dict[str, Callable[[], Any]], repeats: int = 5) -> dict[
             spent = time.perf_counter() - wall, time.process_time() - cpu
             best[name] = tuple(map(min, best[name], spent))
     return best
+
+
+def alone(problem: Any, repeats: int) -> tuple[float, float]:
+    """(wall, CPU) seconds of a problem's nominal run, compiled before."""
+    one = eqx.filter_jit(lambda p, v: p.evaluate(v))
+    value = problem.nominal()
+    return side_by_side({"alone": lambda: one(problem, value).responses}, repeats)["alone"]
 
 
 def seconds_to_compile(function: Callable, *args: Any) -> tuple[Any, float]:

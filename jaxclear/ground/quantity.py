@@ -103,8 +103,9 @@ def parameters(tree: Any, name: str = "") -> list[dict[str, Any]]:
 def inside(leaf: Any, metadata: Mapping[str, Any]) -> Any:
     """True where a number lies in its field's range; works on traced numbers."""
     # A number that is known stays known within a program that is being traced.
-    leaf = leaf if isinstance(leaf, jax.core.Tracer) else np.asarray(leaf)
-    fits = jnp.isfinite(leaf) if isinstance(leaf, jax.core.Tracer) else np.isfinite(leaf)
+    library = jnp if isinstance(leaf, jax.core.Tracer) else np
+    leaf = library.asarray(leaf)
+    fits = library.isfinite(leaf)
     if "above" in metadata:
         fits = fits & (leaf > metadata["above"])
     if "at_least" in metadata:

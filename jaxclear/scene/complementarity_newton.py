@@ -40,9 +40,8 @@ class SemismoothNewton(AbstractSolver):
     """Damped Newton on the Fischer-Burmeister function. Few iterations, each one linear system, so steady in a batch.
 
     Solves LCPs with P-matrices whose rows and columns are of like size, others mostly: it may stall where the merit function has
-    a minimum of its own.
-    Prefer `Lemke` where a ray must be told. Derivatives keep the active set; at a corner z_i = w_i = 0, z_i is taken to stay zero
-    (the one-sided derivative towards larger w_i). Of redundant contacts they are the least.
+    a minimum of its own. Prefer `Lemke` where a ray must be told. Derivatives keep the active set; at a corner z_i = w_i = 0, z_i
+    is taken to stay zero (the one-sided derivative towards larger w_i). Of redundant contacts they are the least.
     """
 
     tolerance: Scalar = quantity(1e-12, "1", "residual relative to the data at which to stop", above=0)

@@ -67,32 +67,28 @@ def touch(system: System, motions: tuple[Motion, ...], memories: dict, worn: dic
         return dict(zip(names, map_alike(contact_point.evaluate, calls), strict=True))
 
 
-def pair_of_wrenches(closure: loops.Closure, pose: Pose, force: sp.Vec, torque: sp.Vec):
-    """A wrench on the child about its marker, in the parent marker's axes, as (link, wrench) on both links."""
+def _add(wrenches: list[Wrench], link: int | None, wrench: Wrench) -> None:
+    if link is not None:
+        old = wrenches[link]
+        wrenches[link] = Wrench(sp.plus(old.force, wrench.force), sp.plus(old.torque, wrench.torque))
+
+
+def add_pair(wrenches: list[Wrench], closure: loops.Closure, pose: Pose, force: sp.Vec, torque: sp.Vec) -> None:
+    """Add a wrench on the closure's child about its marker, in the parent marker's axes, and its opposite on the parent."""
     on_child = Wrench(sp.apply_transposed(pose.rotation, force), sp.apply_transposed(pose.rotation, torque))
     back = tuple(sp.neg(x) for x in force)
     moment = sp.plus(torque, sp.cross(pose.translation, force))
     on_parent = Wrench(back, tuple(sp.neg(x) for x in moment))
-    return (
-        (closure.child_link, tree.carry_wrench(closure.child, on_child)),
-        (closure.parent_link, tree.carry_wrench(closure.parent, on_parent)),
-    )
+    _add(wrenches, closure.child_link, tree.carry_wrench(closure.child, on_child))
+    _add(wrenches, closure.parent_link, tree.carry_wrench(closure.parent, on_parent))
 
 
 def act(system: System, motions: tuple[Motion, ...], reports: dict[str, JointReport], q, v, time: Any) -> Forces:
     """Wrench of contacts and loads on every link, and forces on coordinates."""
     wrenches = [NOTHING] * len(system.links)
-
-    def add(link, wrench):
-        if link is not None:
-            old = wrenches[link]
-            wrenches[link] = Wrench(sp.plus(old.force, wrench.force), sp.plus(old.torque, wrench.torque))
-
     for name, report in reports.items():
         closure = system.bearings[name].closure
-        pose = relative_motion(closure, motions)[1]
-        for link, wrench in pair_of_wrenches(closure, pose, report.force, report.torque):
-            add(link, wrench)
+        add_pair(wrenches, closure, relative_motion(closure, motions)[1], report.force, report.torque)
     stored, damping, external = 0, 0, 0
     with jax.named_scope("loads"):
         for name, load in body_loads(system):
@@ -100,7 +96,7 @@ def act(system: System, motions: tuple[Motion, ...], reports: dict[str, JointRep
             sights = tuple(_sight(place, motions) for place in places)
             effect = load.effect(time, sights)
             for action, (link, marker) in zip(effect.actions, places, strict=True):
-                add(link, _wrench_of(action, link, marker, motions))
+                _add(wrenches, link, _wrench_of(action, link, marker, motions))
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
     forces = [(0,) * len(motion.columns) for motion in motions]
@@ -299,10 +295,7 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
     """
     wrenches = list(forces.wrenches)
     for closure, force, torque, pose in closure_wrenches(system, forces.motions, solution.multipliers):
-        for link, wrench in pair_of_wrenches(closure, pose, force, torque):
-            if link is not None:
-                old = wrenches[link]
-                wrenches[link] = Wrench(sp.plus(old.force, wrench.force), sp.plus(old.torque, wrench.torque))
+        add_pair(wrenches, closure, pose, force, torque)
     accelerations = _accelerate(system, forces.motions, solution.accelerations)
     out: list[Wrench] = []
     for limb in system.topology.limbs:

@@ -5,7 +5,7 @@ import jaxlie
 
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.components.fitted import FittedPrismatic, FittedRevolute, fitted_joint
+from jaxclear.components.fitted import AbstractFitted, FittedRevolute, fitted_joint
 from jaxclear.ground import sparse as sp
 from jaxclear.scene import dynamics, initial
 from jaxclear.scene.mechanism import Mechanism
@@ -50,13 +50,13 @@ def _carried_over(mechanism: Mechanism, branches: list[Branch]) -> dict[str, tup
         bearing = system.bearings[branch.connection]
         _, pose, relative = dynamics.relative_motion(bearing.closure, motions)
         joint = fitted_joint(branch.connection, bearing.joint)
-        if isinstance(joint, FittedRevolute):
-            angle = jnp.arctan2(*(jnp.asarray(pose.rotation[i][0], float) for i in (1, 0)))
-            out[branch.connection] = (angle,), (relative.spin[2],)
-        elif isinstance(joint, FittedPrismatic):
-            out[branch.connection] = (pose.translation[2],), (relative.velocity[2],)
-        else:
+        if not isinstance(joint, AbstractFitted):
             out[branch.connection] = _ball(pose.rotation, relative.spin, branch.reversed)
+            continue
+        place = pose.translation[2]
+        if isinstance(joint, FittedRevolute):
+            place = jnp.arctan2(*(jnp.asarray(pose.rotation[i][0], float) for i in (1, 0)))
+        out[branch.connection] = (place,), (joint.along(relative.velocity, relative.spin),)
     return {name: tuple(tuple(jnp.asarray(x, float) for x in part) for part in pair) for name, pair in out.items()}
 
 

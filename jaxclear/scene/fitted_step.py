@@ -24,7 +24,6 @@ from jaxclear.scene.dynamics import Forces, Solution
 from jaxclear.scene.loops import Baumgarte
 from jaxclear.scene.state import Layout, unpack_motion
 from jaxclear.scene.system import System
-from jaxclear.scene.tree import Wrench
 
 # Components of the impulse of a joint that always touches: force and torque on the child, friction.
 COMPONENTS = 7
@@ -167,10 +166,7 @@ def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
             continue
         closure = system.closures[held.loop]
         pose = dynamics.relative_motion(closure, forces.motions)[1]
-        for link, (force, torque) in dynamics.pair_of_wrenches(closure, pose, *held.joint.push(friction[k])):
-            if link is not None:
-                old = wrenches[link]
-                wrenches[link] = Wrench(sp.plus(old.force, force), sp.plus(old.torque, torque))
+        dynamics.add_pair(wrenches, closure, pose, *held.joint.push(friction[k]))
     return forces._replace(wrenches=tuple(wrenches), coordinate_forces=tuple(coordinate_forces))
 
 
@@ -179,7 +175,11 @@ def _answer(system, stabilisation, forces, motions, q, touching_joints, friction
     forces = with_friction(system, forces, friction)
     solution = dynamics.solve(system, forces, stabilisation)
     wrenches = dynamics.joint_wrenches(system, forces, solution)
-    closed = [Reaction(force, torque) for _, force, torque, _ in dynamics.closure_wrenches(system, motions, solution.multipliers)]
+    closed = []
+    if any(held.link is None for held in touching_joints):
+        closed = [
+            Reaction(force, torque) for _, force, torque, _ in dynamics.closure_wrenches(system, motions, solution.multipliers)
+        ]
     reactions = tuple(
         closed[held.loop] if held.link is None else _reaction(system, held.link, q[held.link], wrenches[held.link])
         for held in touching_joints
@@ -225,20 +225,25 @@ def _solve(joints, slips, v, h, mass, none: Answer, units: list[Answer], rules: 
         caught = against if law.mu_static is None else joint.grip(law.bound(jnp.zeros_like(slip)))
         grips.append((jnp.where(slip > 0, against, caught), jnp.where(slip < 0, against, caught)))
 
+    # Speeds at the step's end without friction, and what friction in each joint adds to each joint's slip.
+    end = [x + h * none.accelerations[j] for j, x in enumerate(v)]
+    gains = [
+        [joint.arm * h * along(sliding.row, unit.accelerations) for unit in units]
+        for joint, sliding in zip(joints, slips, strict=True)
+    ]
+
     def improve(carry):
         friction, total, _, sweeps = carry
         before, largest = friction, jnp.zeros(())
         for k in range(count):
             if grips[k] is None:
                 continue
-            gains = [joints[k].arm * h * along(slips[k].row, unit.accelerations) for unit in units]
-            end = [x + h * none.accelerations[j] for j, x in enumerate(v)]
-            slip = joints[k].arm * slips[k].at(end) + sp.dot(gains, friction)
+            slip = joints[k].arm * slips[k].at(end) + sp.dot(gains[k], friction)
             total = total.at[k].set(_total(joints[k], _at(none, units, friction).reactions[k], friction[k], total[k]))
             low, high = (grip * total[k] for grip in grips[k])
             # A joint that drives move slides whatever friction does (only rounding, of either sign, answers): there it is full.
             stiff = UNMOVED * h * joints[k].arm ** 2 / mass
-            wanted = friction[k] - slip / jnp.maximum(gains[k], stiff)
+            wanted = friction[k] - slip / jnp.maximum(gains[k][k], stiff)
             friction = friction.at[k].set(_within(wanted, low, high, rules.relaxation))
             largest = jnp.maximum(largest, jnp.maximum(low, high))
         change = jnp.max(jnp.abs(friction - before)) / jnp.where(largest > 0, largest, 1.0)
@@ -251,12 +256,12 @@ def _rub(held, speeds, none: Answer, units: list[Answer], rules: Rules) -> tuple
     """Friction of each joint [N] by laws that are functions of the sliding speed, here at the middle of the step."""
     shares: list[Any] = []
     joints = [one.joint for one in held]
-    for joint, (name, *_), speed in zip(joints, held, speeds, strict=True):
+    for one, joint, speed in zip(held, joints, speeds, strict=True):
         law, slip = joint.friction, joint.arm * speed
         if law is not None and not isinstance(law, AbstractSlipFriction):
             raise ValueError(
-                f'joint "{name}" has friction {type(law).__name__}, which is no function of the sliding speed; for integrator.'
-                "NonColliding(regularised=True) give one that is, such as friction.ThreeZone, or leave `regularised` out."
+                f'joint "{one.name}" has friction {type(law).__name__}, which is no function of the sliding speed; for integrator'
+                ".NonColliding(regularised=True) give one that is, such as friction.ThreeZone, or leave `regularised` out."
             )
         shares.append(jnp.zeros(()) if law is None else -jnp.sign(slip) * joint.grip(law.coefficient(jnp.abs(slip))))
 

@@ -1,13 +1,13 @@
 """One step of a whole mechanism whose clearance joints are rigid: theta method for the motion, percussions for the contacts.
 
 The equations are evaluated once, half a step ahead along the speeds; contacts that the step would close are asked for Newton's
-law of impact and Coulomb's law of friction at the velocities of its end. What overlaps then, and
-would not part within a step by itself, is moved apart: projection in the metric of the masses.
+law of impact and Coulomb's law of friction at the velocities of its end. What overlaps then, and would not part within a step by
+itself, is moved apart: projection in the metric of the masses.
 Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comput. Methods Appl. Mech. Eng. 177, 235; Acary &
 Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, ch. 10.
 """
 
-from itertools import accumulate
+from itertools import islice
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -167,9 +167,9 @@ def _impacts(apart: Apart, sides, found, v, middle, last, h, rules) -> _Push:
         pressed = positive_part(opening - sp.stack([speeds[0] for speeds in unhindered]))
         depths = depths + jnp.where(jnp.abs(opening) < pressed, 0.5 * h * rules.gamma**2 * pressed, 0.0)
     bounds = [0 if side.friction is None else side.friction.bound(_size(b[1:])) for side, b in zip(sides, before, strict=True)]
-    first = list(accumulate([0, *(len(side.rows) for side in sides)]))
+    sizes = [len(side.rows) for side in sides]
     solved = percussion.impact(
-        [matrix[first[c] : first[c + 1]] for c in range(len(sides))],
+        _split(matrix, sizes),
         [sp.stack(speeds) for speeds in unhindered],
         opening,
         depths >= 0,
@@ -184,22 +184,24 @@ def _impacts(apart: Apart, sides, found, v, middle, last, h, rules) -> _Push:
         [sp.dot(flat, column) for column in zip(*[answer[part] for answer in found.answers], strict=True)] for part in (0, 1)
     )
     own = []
-    for c, side in enumerate(sides):
-        normal, *tangents = flat[first[c] : first[c + 1]]
+    for side, (normal, *tangents) in zip(sides, _split(flat, sizes), strict=True):
         own.append((normal, *[sp.dot(weights, tangents) for weights in side.shares]))
     return _Push(own, changes, tuple(multipliers), solved.residual)
 
 
 def _guesses(sides: list[Side], last: list) -> list:
     """From components in the state's order to those of percussions, contact by contact."""
-    out, first = [], 0
-    for side in sides:
-        count = len(side.shares)
-        own = last[first + 1 : first + 1 + count]
+    out = []
+    for side, (normal, *own) in zip(sides, _split(last, [1 + len(side.shares) for side in sides]), strict=True):
         slips = [sp.dot([share[k] for share in side.shares], own) for k in range(len(side.rows) - 1)]
-        out.append(sp.stack([last[first], *slips]))
-        first += 1 + count
+        out.append(sp.stack([normal, *slips]))
     return out
+
+
+def _split(flat: list, sizes: list[int]) -> list[list]:
+    """The parts of a list, one after the other."""
+    rest = iter(flat)
+    return [list(islice(rest, size)) for size in sizes]
 
 
 def _size(slips: list) -> Any:
@@ -211,8 +213,8 @@ def _settle(system, worn, span, q, v, middle, forces, sides, found, rules) -> _S
     turning of its normal do, and what strikes and rebounds undoes its overlap itself; moving it would give it energy."""
     h = span.length
     depths = contact_tangent.depths(system, worn, span.start + h, *unpack_motion(system, [*q, *v]))
-    first = accumulate([0, *(len(side.rows) for side in sides[:-1])])
-    normals = [(side.rows[0], found.answers[k][0]) for side, k in zip(sides, first, strict=True)]
+    answers = _split(list(found.answers), [len(side.rows) for side in sides])
+    normals = [(side.rows[0], own[0][0]) for side, own in zip(sides, answers, strict=True)]
     change = [sp.sub(a, b) for a, b in zip(v, middle, strict=True)]
     opening = sp.stack([sp.add(side.values[0], along(row, change)) for side, (row, _) in zip(sides, normals, strict=True)])
     # What a contact gains in closing speed within a step if nothing holds it.
@@ -228,8 +230,8 @@ def _settle(system, worn, span, q, v, middle, forces, sides, found, rules) -> _S
         most_sweeps=rules.most_sweeps,
         tolerance=rules.tolerance,
     ).percussion
-    answers = zip(*[answer for _, answer in normals], strict=True)
-    moved = [sp.dot([shifts[i] for i in range(len(sides))], column) for column in answers]
+    columns = zip(*[answer for _, answer in normals], strict=True)
+    moved = [sp.dot([shifts[i] for i in range(len(sides))], column) for column in columns]
     return _Settled(drift(system, q, q, moved, 1.0), moved, sp.neg(sp.dot(forces, moved)))
 
 
@@ -285,9 +287,6 @@ def reports_of(system: System, poses: dict, contacts: tuple[Place, ...], forces:
 def reports_at(system: System, motions: tuple, worn: dict, components: list) -> dict:
     """Reports of the clearance joints at an instant, for given components of their contacts' forces, in the state's order."""
     poses, contacts = contact_tangent.places(system, motions, worn)
-    forces, first = [], 0
-    for place, pairing in zip(contacts, pairings_of(system), strict=True):
-        count = component_count(pairing, place.outline.touch)
-        forces.append(tuple(components[first : first + count]))
-        first += count
+    counts = [component_count(pairing, p.outline.touch) for p, pairing in zip(contacts, pairings_of(system), strict=True)]
+    forces = [tuple(own) for own in _split(components, counts)]
     return reports_of(system, poses, contacts, forces, [0] * system.topology.speed_count)
