@@ -1,16 +1,19 @@
-"""Sixty seconds of the antenna (spatial joints with Coulomb friction, periodic drive) on NonColliding: what a run costs.
+"""Sixty seconds of the antenna (spatial joints with Coulomb friction, periodic drive) on
+NonColliding: what a run costs.
 
-The step is chosen by the errors of the statistics against short steps: root mean square pointing angle, mean normal force and
-mean friction of joint 1, and root mean square of its speed, as means over a few antennas with slightly different friction. Its
-swing is shown but not counted: nothing holds the joints at an angle, so where they have drifted to after a minute hangs on
-every stick. Then the cost alone and a sample in a batch, and how still Coulomb's law holds joint 1 where a regularised law
-creeps. Compilation is not counted.
+The step is chosen by the errors of the statistics against short steps: root mean square pointing
+angle, mean normal force and mean friction of joint 1, and root mean square of its speed, as means
+over a few antennas with slightly different friction. Its swing is shown but not counted: nothing
+holds the joints at an angle, so where they have drifted to after a minute hangs on every stick.
+Then the cost alone and a sample in a batch, and how still Coulomb's law holds joint 1 where a
+regularised law creeps. Compilation is not counted.
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import time
@@ -21,10 +24,10 @@ import numpy as np
 from benchmarks.measure import alone, arguments, report
 
 import jaxclear as jc
-from jaxclear.face.antenna_study import friction_runs, friction_table
+from jaxclear.commands.antenna import friction_runs, friction_table
 from jaxclear.scenes.antenna import BASE, HOLD, JOINTS, TIP, antenna
 from jaxclear.studies.batch import cores, evaluate_all
-from jaxclear.time.integrator import REACHED
+from jaxclear.integrators import REACHED
 
 SAVES_PER_SECOND = 20
 STEPS = (1e-3, 2e-3, 5e-3, 1e-2, 2.5e-2)
@@ -64,10 +67,12 @@ def question(duration: float) -> jc.Problem:
         },
         {
             "clearance": jc.Variable(
-                lambda rig: [rig.connections[name].joint.clearance for name in JOINTS], tolerance=CLEARANCE_TOLERANCE
+                lambda rig: [rig.connections[name].joint.clearance for name in JOINTS],
+                tolerance=CLEARANCE_TOLERANCE,
             ),
             "friction": jc.Variable(
-                lambda rig: [rig.connections[name].joint.friction.mu_kinetic for name in JOINTS], tolerance=FRICTION_TOLERANCE
+                lambda rig: [rig.connections[name].joint.friction.mu_kinetic for name in JOINTS],
+                tolerance=FRICTION_TOLERANCE,
             ),
         },
         duration=duration,
@@ -83,7 +88,9 @@ def with_step(problem: jc.Problem, step: float) -> jc.Problem:
 def convergence(problem: jc.Problem, duration: float, members: int) -> list[dict]:
     """A row a step: errors of the means, and the cost alone."""
     nominal = np.asarray(problem.nominal())
-    values = jnp.asarray(np.stack([nominal * [1.0, 1 + x] for x in SPREAD * np.linspace(-1, 1, members)]))
+    values = jnp.asarray(
+        np.stack([nominal * [1.0, 1 + x] for x in SPREAD * np.linspace(-1, 1, members)])
+    )
     wanted = evaluate_all(with_step(problem, REFERENCE), values).responses
     rows = []
     for step in STEPS:
@@ -97,7 +104,9 @@ def convergence(problem: jc.Problem, duration: float, members: int) -> list[dict
         wall, cpu = alone(asked, 3)
         row |= {"alone, wall [s]": wall, "alone, CPU [s]": cpu, "simulated / wall": duration / wall}
         sound = bool(np.all(found.outcome == REACHED))
-        row["within 1 %"] = "yes" if sound and worst < ACCURACY else ("no" if sound else "did not reach its end")
+        row["within 1 %"] = (
+            "yes" if sound and worst < ACCURACY else ("no" if sound else "did not reach its end")
+        )
         rows.append(row)
     return rows
 
@@ -106,7 +115,9 @@ def batch(problem: jc.Problem, step: float, samples: int) -> dict:
     """Cost of a sample in a batch, clearance and friction varied within their tolerances."""
     rng = np.random.default_rng(0)
     tolerances = np.array([CLEARANCE_TOLERANCE, FRICTION_TOLERANCE])
-    values = jnp.asarray(np.asarray(problem.nominal()) + tolerances * rng.uniform(-1, 1, (samples, 2)))
+    values = jnp.asarray(
+        np.asarray(problem.nominal()) + tolerances * rng.uniform(-1, 1, (samples, 2))
+    )
     asked = with_step(problem, step)
     chunk = min(CHUNK, -(-samples // cores()))
     evaluate_all(asked, values[:chunk], chunk=chunk)
@@ -123,15 +134,26 @@ def main() -> None:
     duration, members, samples = (6.0, 4, 64) if options.quick else (60.0, 8, 1024)
     problem = question(duration)
     rows = convergence(problem, duration, members)
-    title = f"antenna, {duration:g} s, NonColliding: means over {members} runs against {REFERENCE:g} s, and cost alone"
+    title = (
+        f"antenna, {duration:g} s, NonColliding: means over {members} runs against {REFERENCE:g} "
+        "s, and cost alone"
+    )
     report(title, rows, options)
     # A step counts if all finer ones are good too; the finest is shown beside the longest.
-    good = [step for k, step in enumerate(STEPS) if all(row["within 1 %"] == "yes" for row in rows[: k + 1])]
+    good = [
+        step
+        for k, step in enumerate(STEPS)
+        if all(row["within 1 %"] == "yes" for row in rows[: k + 1])
+    ]
     if good:
         found = [batch(problem, step, samples) for step in dict.fromkeys((good[-1], good[0]))]
         report(f"antenna, {duration:g} s: a batch on all cores", found, options)
     table = friction_table(friction_runs(HOLD)).to_dict("records")
-    report(f"antenna, step drive, {HOLD:g} s: slip of joint 1 while Coulomb's law makes it stick", table, options)
+    report(
+        f"antenna, step drive, {HOLD:g} s: slip of joint 1 while Coulomb's law makes it stick",
+        table,
+        options,
+    )
 
 
 if __name__ == "__main__":

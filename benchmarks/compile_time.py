@@ -1,10 +1,11 @@
-"""What a user waits for before the first result: `simulate` of the four-bar in a new process, by rung, without and with the
-persistent cache of compiled programs."""
+"""What a user waits for before the first result: `simulate` of the four-bar in a new process, by
+rung, without and with the persistent cache of compiled programs."""
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import os
@@ -41,12 +42,16 @@ LIMIT = 5.0
 
 
 def measured(integrator: str, cache: str | None) -> list[float]:
-    """Seconds to import and build, to assemble, of the first run, and of the second one, in a new process."""
+    """Seconds to import and build, to assemble, of the first run, and of the second one, in a new
+    process.
+    """
     environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
     environment |= {"JAX_COMPILATION_CACHE_DIR": cache} if cache else {}
     environment["PYTHONPATH"] = str(Path(__file__).parents[1])
     program = PROGRAM.format(integrator=integrator)
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
     return [float(word) for word in done.stdout.split()]
 
 
@@ -59,11 +64,22 @@ def main() -> None:
             measured(rung, folder)
             cached = measured(rung, folder)
         row = {"rung": rung, "import [s]": plain[0], "assembly: compile and run [s]": plain[1]}
-        row |= {"first run [s]": plain[2], "second run [s]": plain[3], "compile [s]": plain[2] - plain[3]}
-        row |= {"with the cache: compile [s]": cached[2] - cached[3], "assembly with the cache [s]": cached[1]}
+        row |= {
+            "first run [s]": plain[2],
+            "second run [s]": plain[3],
+            "compile [s]": plain[2] - plain[3],
+        }
+        row |= {
+            "with the cache: compile [s]": cached[2] - cached[3],
+            "assembly with the cache [s]": cached[1],
+        }
         row[f"at most {LIMIT:g} s"] = "yes" if plain[2] - plain[3] <= LIMIT else "no"
         rows.append(row)
-    report("compile: the four-bar in a new process, without and with the persistent cache", rows, options)
+    report(
+        "compile: the four-bar in a new process, without and with the persistent cache",
+        rows,
+        options,
+    )
 
 
 if __name__ == "__main__":

@@ -1,15 +1,18 @@
-"""What one complementarity problem costs: each solver alone in a compiled loop and in a batch of 1024, beside Lemke in numba.
+"""What one complementarity problem costs: each solver alone in a compiled loop and in a batch of
+1024, beside Lemke in numba.
 
-Random symmetric positive definite matrices H H^T + 0.1 with normal entries, as contacts without friction have; and spatial
-contacts with friction. `solved` is the share whose natural residual, computed anew in numpy, is at most 1e-10 (InteriorPoint:
-with kappa = 1e-14). quantecon's `lcp_lemke` joins in where it is installed. CPU time of all threads; start-up and compilation
-are not counted.
+Random symmetric positive definite matrices H H^T + 0.1 with normal entries, as contacts without
+friction have; and spatial contacts with friction. `solved` is the share whose natural residual,
+computed anew in numpy, is at most 1e-10 (InteriorPoint: with kappa = 1e-14). quantecon's
+`lcp_lemke` joins in where it is installed. CPU time of all threads; start-up and compilation are
+not counted.
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import importlib.util
@@ -22,11 +25,11 @@ import numba
 import numpy as np
 
 import jaxclear  # noqa: F401  float64, and the compiler option
-from jaxclear.scene.complementarity import LCP
-from jaxclear.scene.complementarity_newton import SemismoothNewton
-from jaxclear.scene.interior_point import InteriorPoint
-from jaxclear.scene.pivoting import Lemke
-from jaxclear.scene.projection import FrictionContact, ProjectedGaussSeidel
+from jaxclear.complementarity import LCP
+from jaxclear.complementarity.semismooth_newton import SemismoothNewton
+from jaxclear.complementarity.interior_point import InteriorPoint
+from jaxclear.complementarity.lemke import Lemke
+from jaxclear.complementarity.friction_cone import FrictionContact, ProjectedGaussSeidel
 
 SOLVERS = {
     "Lemke": Lemke,
@@ -48,12 +51,18 @@ def contacts(count: int, of_each: int):
     """Random (W, b, mu) of spatial contacts, stacked."""
     rng = np.random.default_rng(count)
     half = rng.normal(size=(of_each, 3 * count, 3 * count))
-    return half @ half.transpose(0, 2, 1), rng.normal(size=(of_each, 3 * count)), rng.uniform(0.1, 0.5, (of_each, count))
+    return (
+        half @ half.transpose(0, 2, 1),
+        rng.normal(size=(of_each, 3 * count)),
+        rng.uniform(0.1, 0.5, (of_each, count)),
+    )
 
 
 @numba.njit(cache=True)
 def numba_lemke(matrix, offset, most):
-    """z of one LCP by Lemke's method on a full tableau; ties go to the first row. Zero where the path ends on a ray."""
+    """z of one LCP by Lemke's method on a full tableau; ties go to the first row. Zero where the
+    path ends on a ray.
+    """
     n = offset.size
     z = np.zeros(n)
     if offset.min() >= 0:
@@ -106,7 +115,9 @@ def registry_loop(matrices, offsets):
     """quantecon's Lemke (compiled by numba), called from Python problem by problem."""
     from quantecon.optimize import lcp_lemke
 
-    return np.stack([lcp_lemke(matrix, offset).z for matrix, offset in zip(matrices, offsets, strict=True)])
+    return np.stack(
+        [lcp_lemke(matrix, offset).z for matrix, offset in zip(matrices, offsets, strict=True)]
+    )
 
 
 def share_solved(matrices, offsets, z) -> float:
@@ -122,13 +133,17 @@ def lcp_rows(n: int, alone: int, batch: int, repeats: int):
     cases, counts, found = {}, {}, {}
     for name, make in SOLVERS.items():
         solver = make()
-        one_by_one = eqx.filter_jit(lambda m, q, s=solver: jax.lax.map(lambda p: s.solve(LCP(*p)).z, (m, q)))
+        one_by_one = eqx.filter_jit(
+            lambda m, q, s=solver: jax.lax.map(lambda p: s.solve(LCP(*p)).z, (m, q))
+        )
         together = eqx.filter_jit(jax.vmap(lambda m, q, s=solver: s.solve(LCP(m, q)).z))
         cases[name, "alone"] = lambda f=one_by_one: f(*few)
         cases[name, "batch"] = lambda f=together: f(*many)
     cases["numba Lemke", "alone"] = lambda: numba_loop(matrices, offsets)
     if importlib.util.find_spec("quantecon"):
-        cases["quantecon lcp_lemke", "alone"] = lambda: registry_loop(matrices[:alone], offsets[:alone])
+        cases["quantecon lcp_lemke", "alone"] = lambda: registry_loop(
+            matrices[:alone], offsets[:alone]
+        )
     for key, case in cases.items():
         found[key] = np.asarray(case())
         counts[key] = len(found[key])

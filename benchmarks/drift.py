@@ -1,13 +1,16 @@
-"""How far an ideal loop opens over time: the ideal four-bar with Baumgarte's stabilisation at several gains, and with none.
+"""How far an ideal loop opens over time: the ideal four-bar with Baumgarte's stabilisation at
+several gains, and with none.
 
-A closed loop is held by accelerations, so what steps lose adds up: without stabilisation the residual grows about as t^2, with it
-the residual settles where the loss of a step balances its decay, as long as gain x step stays well below 2.
+A closed loop is held by accelerations, so what steps lose adds up: without stabilisation the
+residual grows about as t^2, with it the residual settles where the loss of a step balances its
+decay, as long as gain x step stays well below 2.
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import argparse
@@ -33,28 +36,53 @@ QUICK = ("FixedStep rk4, 1e-3 s", "Adaptive, rtol 1e-7")
 
 def options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="two integrators and a tenth of the time")
+    parser.add_argument(
+        "--quick", action="store_true", help="two integrators and a tenth of the time"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw drift over time as a PNG")
     return parser.parse_args()
 
 
 def four_bar(gain: float | str | None) -> jc.Mechanism:
-    """The loop with alpha = beta = `gain` [1/s]; None: no stabilisation; "projection": closed anew after every step."""
-    stabilisation = None if gain is None else jc.Projection() if gain == "projection" else jc.Baumgarte(gain, gain)
+    """The loop with alpha = beta = `gain` [1/s]; None: no stabilisation; "projection": closed anew
+    after every step.
+    """
+    stabilisation = (
+        None
+        if gain is None
+        else jc.Projection()
+        if gain == "projection"
+        else jc.Baumgarte(gain, gain)
+    )
     whole = jc.scenes.four_bar("ideal")
-    return jc.Mechanism(whole.bodies, whole.connections, whole.loads, start={"A": 0.81, "D": 1.32}, stabilisation=stabilisation)
+    return jc.Mechanism(
+        whole.bodies,
+        whole.connections,
+        whole.loads,
+        start={"A": 0.81, "D": 1.32},
+        stabilisation=stabilisation,
+    )
 
 
-def drift(gain: float | str | None, integrator: Any, duration: float) -> tuple[dict[str, Any], Any, np.ndarray]:
+def drift(
+    gain: float | str | None, integrator: Any, duration: float
+) -> tuple[dict[str, Any], Any, np.ndarray]:
     """(row of the table, times, largest residual of the loop at each)."""
     rig = four_bar(gain)
     begun = time.process_time()
     run = jc.simulate(rig, duration, save=SAVES, integrator=integrator, throw=False)
     first = time.process_time() - begun
     size = np.max([np.asarray(part) for part in run.drift().values()], axis=0)
-    row = {"after a tenth [m]": float(size[SAVES // 10]), "at the end [m]": float(size[-1]), "largest [m]": float(size.max())}
-    steps = {"steps": int(run.accepted_steps) + int(run.rejected_steps), "CPU with compilation [s]": first}
+    row = {
+        "after a tenth [m]": float(size[SAVES // 10]),
+        "at the end [m]": float(size[-1]),
+        "largest [m]": float(size.max()),
+    }
+    steps = {
+        "steps": int(run.accepted_steps) + int(run.rejected_steps),
+        "CPU with compilation [s]": first,
+    }
     return row | steps | {"result": "ok" if run.succeeded else run.result}, run.time, size
 
 
@@ -66,14 +94,22 @@ def draw(curves: list[tuple[str, str, Any, np.ndarray]], file: Path) -> None:
     from matplotlib import pyplot
 
     names = list(dict.fromkeys(name for name, *_ in curves))
-    figure, panels = pyplot.subplots(1, len(names), figsize=(4 * len(names), 4), sharey=True, squeeze=False, layout="constrained")
+    figure, panels = pyplot.subplots(
+        1, len(names), figsize=(4 * len(names), 4), sharey=True, squeeze=False, layout="constrained"
+    )
     for panel, name in zip(panels[0], names, strict=True):
         for gain, t, size in [rest for own, *rest in curves if own == name]:
             panel.semilogy(t, np.maximum(size, 1e-17), label=gain, linewidth=1)
         panel.set(title=name, xlabel="time [s]")
     panels[0][0].set_ylabel("residual of the loop [m]")
     handles, labels = panels[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, title="Baumgarte's alpha = beta [1/s], or", loc="outside lower center", ncols=len(labels))
+    figure.legend(
+        handles,
+        labels,
+        title="Baumgarte's alpha = beta [1/s], or",
+        loc="outside lower center",
+        ncols=len(labels),
+    )
     figure.savefig(file, dpi=80)
 
 

@@ -1,13 +1,16 @@
-"""What one evaluation of the rate costs: jaxclear beside the same mechanism written by hand in JAX and in numba.
+"""What one evaluation of the rate costs: jaxclear beside the same mechanism written by hand in JAX
+and in numba.
 
-The four-bar with a spatial clearance joint, friction and wear, worn surfaces read back; first all three must agree. Alone means
-inside a compiled loop, so calling the program does not count; a batch shares every number but the clearance.
+The four-bar with a spatial clearance joint, friction and wear, worn surfaces read back; first all
+three must agree. Alone means inside a compiled loop, so calling the program does not count; a batch
+shares every number but the clearance.
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 
@@ -43,15 +46,28 @@ def case(count: int, seed: int = 0) -> Case:
     """States in and out of contact, clearances from 0.05 to 0.25 mm, and rough worn surfaces."""
     mechanism = build(FULL)
     rng = np.random.default_rng(seed)
-    tables = tuple(jnp.asarray(rng.uniform(0, WORN, t.shape)) for t in field_of(mechanism).worn["B"]["bearing"])
+    tables = tuple(
+        jnp.asarray(rng.uniform(0, WORN, t.shape)) for t in field_of(mechanism).worn["B"]["bearing"]
+    )
     clearances = np.linspace(0.25, 1.25, count) * CLEARANCE
-    stiffness = jax.vmap(lambda c: by_hand.parameters(field_of(with_clearance(mechanism, c)).system).stiffness)
+    stiffness = jax.vmap(
+        lambda c: by_hand.parameters(field_of(with_clearance(mechanism, c)).system).stiffness
+    )
     numbers = by_hand.parameters(field_of(mechanism).system)
-    return Case(samples(mechanism, count, seed), clearances, np.asarray(stiffness(clearances)), tables, numbers, mechanism)
+    return Case(
+        samples(mechanism, count, seed),
+        clearances,
+        np.asarray(stiffness(clearances)),
+        tables,
+        numbers,
+        mechanism,
+    )
 
 
 def prepared(case: Case) -> tuple[Any, Any, Any]:
-    """(numbers, their batch axes, everything else) of the fields; what the clearance does not change is shared."""
+    """(numbers, their batch axes, everything else) of the fields; what the clearance does not
+    change is shared.
+    """
 
     def field(clearance):
         return field_of(with_clearance(case.mechanism, clearance), {"B": {"bearing": case.tables}})
@@ -65,16 +81,22 @@ def prepared(case: Case) -> tuple[Any, Any, Any]:
 
 
 def programs(case: Case) -> dict[str, Callable]:
-    """Each a function without arguments returning the rates of the whole batch: JAX a row a rate, numba a row a sample."""
+    """Each a function without arguments returning the rates of the whole batch: JAX a row a rate,
+    numba a row a sample.
+    """
     numbers, axes, rest = prepared(case)
 
     @jax.jit
     def engine(time, numbers, rows):
-        one = jax.vmap(lambda n, state: eqx.combine(n, rest)(time, state), in_axes=(axes, 1), out_axes=1)
+        one = jax.vmap(
+            lambda n, state: eqx.combine(n, rest)(time, state), in_axes=(axes, 1), out_axes=1
+        )
         return one(numbers, rows)
 
     hand = jax.jit(by_hand.jax_batch(by_hand.jax_rate()))
-    shared = case.parameters._replace(clearance=jnp.asarray(case.clearances), stiffness=jnp.asarray(case.stiffnesses))
+    shared = case.parameters._replace(
+        clearance=jnp.asarray(case.clearances), stiffness=jnp.asarray(case.stiffnesses)
+    )
     rows = jnp.asarray(case.states.T)
     plain = by_hand.Parameters(*map(float, case.parameters))
     tables = tuple(map(np.asarray, case.tables))
@@ -94,17 +116,26 @@ def programs(case: Case) -> dict[str, Callable]:
 
 
 def disagreement(case: Case) -> dict[str, float]:
-    """Largest difference of each program from jaxclear, each rate measured by its own largest value over the samples."""
+    """Largest difference of each program from jaxclear, each rate measured by its own largest value
+    over the samples.
+    """
     count = len(case.clearances)
     rates = {name: np.array(program()) for name, program in programs(case).items()}
     rates = {name: rate if rate.shape[0] == count else rate.T for name, rate in rates.items()}
     scale = np.abs(rates["jaxclear"]).max(axis=0)
-    return {name: float((np.abs(rate - rates["jaxclear"]) / scale).max()) for name, rate in rates.items()}
+    return {
+        name: float((np.abs(rate - rates["jaxclear"]) / scale).max())
+        for name, rate in rates.items()
+    }
 
 
 def alone(case: Case, steps: int) -> dict[str, Callable]:
-    """Explicit Euler steps of vanishing length from one state: a loop of evaluations, one after the other."""
-    numbers, rest = eqx.partition(field_of(case.mechanism, {"B": {"bearing": case.tables}}), eqx.is_array)
+    """Explicit Euler steps of vanishing length from one state: a loop of evaluations, one after the
+    other.
+    """
+    numbers, rest = eqx.partition(
+        field_of(case.mechanism, {"B": {"bearing": case.tables}}), eqx.is_array
+    )
     hand = by_hand.jax_rate()
     state = jnp.asarray(case.states[0])
     tiny = 1e-12
@@ -131,7 +162,9 @@ def alone(case: Case, steps: int) -> dict[str, Callable]:
     }
 
 
-def rows(label: str, programs: dict[str, Callable], evaluations: int, repeats: int) -> list[dict[str, Any]]:
+def rows(
+    label: str, programs: dict[str, Callable], evaluations: int, repeats: int
+) -> list[dict[str, Any]]:
     times = side_by_side(programs, repeats)
     mark = times["JAX by hand"][0]
     return [
@@ -150,9 +183,15 @@ def main() -> None:
     options = arguments(__doc__)
     batch = case(1024)
     difference = disagreement(batch)
-    report("evaluation: agreement", [{"program": n, "difference": d} for n, d in difference.items()], options)
+    report(
+        "evaluation: agreement",
+        [{"program": n, "difference": d} for n, d in difference.items()],
+        options,
+    )
     repeats, steps = (5, 2000) if options.quick else (40, 20000)
-    table = rows("batch of 1024", programs(batch), 1024, repeats) + rows("alone", alone(batch, steps), steps, repeats)
+    table = rows("batch of 1024", programs(batch), 1024, repeats) + rows(
+        "alone", alone(batch, steps), steps, repeats
+    )
     report("evaluation: one rate of the four-bar", table, options)
 
 

@@ -1,16 +1,20 @@
-"""One mechanism, three formulations: what a step, a run and a sample of a batch cost at equal accuracy of statistics.
+"""One mechanism, three formulations: what a step, a run and a sample of a batch cost at equal
+accuracy of statistics.
 
-Slider-crank and four-bar with one clearance joint, the antenna with two, each on compliant contact, on rigid contact (MoreauJean)
-and with joints that always touch (NonColliding), friction laws the same. Statistics are means over a few nearly equal runs. Each
-formulation is judged by itself: the coarsest step whose means, and those of all finer ones tried, are within the accuracy of
-its own finest reference. Then what the formulation itself is off by: its reference against the compliant one. Cost: a step, a
-run alone (wall), and CPU time of a sample in a batch. Compilation is not counted.
+Slider-crank and four-bar with one clearance joint, the antenna with two, each on compliant contact,
+on rigid contact (MoreauJean) and with joints that always touch (NonColliding), friction laws the
+same. Statistics are means over a few nearly equal runs. Each formulation is judged by itself: the
+coarsest step whose means, and those of all finer ones tried, are within the accuracy of its own
+finest reference. Then what the formulation itself is off by: its reference against the compliant
+one. Cost: a step, a run alone (wall), and CPU time of a sample in a batch. Compilation is not
+counted.
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import time
@@ -26,22 +30,22 @@ import jaxclear as jc
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP, antenna
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.time.integrator import REACHED
+from jaxclear.integrators import REACHED
 
 ACCURACY = 0.02
 STEPS, CHEAPEST = "steps", "sample of a batch, CPU [ms]"
 # Samples a chunk: that of studies on a CPU.
 CHUNK = 64
-# Clearances of the members differ by up to this share, enough for rattling paths to have nothing in common; those of a batch
-# by up to this one.
+# Clearances of the members differ by up to this share, enough for rattling paths to have nothing in
+# common; those of a batch by up to this one.
 SPREAD, BATCH_SPREAD = 2e-2, 0.05
 # Friction of the antenna as a function of speed: full beyond a tenth of the sliding speeds.
 ANTENNA_FRICTION = (0.1, 1e-3)
 
 
 class Ladder(NamedTuple):
-    """Rungs from coarse to fine, their reference (None: that of the ladder before), and how often a run is saved: no more often
-    than the longest step, but often where a mean is one of instants."""
+    """Rungs from coarse to fine, their reference (None: that of the ladder before), and how often a
+    run is saved: no more often than the longest step, but often where a mean is one of instants."""
 
     rungs: list
     reference: Any
@@ -61,22 +65,36 @@ def clearances(names: tuple[str, ...]):
 
 def crank_scene(quick: bool) -> Scene:
     kinds = jc.integrator
-    responses = {"mean force": jc.response.MeanContactForce("B"), "slider": rms_speed("G"), STEPS: steps_of}
+    responses = {
+        "mean force": jc.response.MeanContactForce("B"),
+        "slider": rms_speed("G"),
+        STEPS: steps_of,
+    }
     variables = {"clearance": jc.Variable(clearances(("B",)), tolerance=1e-6)}
     turns = 1 if quick else 4
     problem = jc.Problem(slider_crank(), responses, variables, duration=0.125664 * turns)
     adaptive = lambda rtol: kinds.Adaptive(rtol=rtol, atol=1e-2 * rtol)
     ladders = {
-        "Adaptive": Ladder([adaptive(r) for r in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)], adaptive(1e-9), 1000 * turns + 1),
-        "FixedStep semi-implicit": Ladder(
-            [kinds.FixedStep(h, "semi_implicit") for h in (5e-5, 2e-5, 1e-5)], None, 1000 * turns + 1
+        "Adaptive": Ladder(
+            [adaptive(r) for r in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)], adaptive(1e-9), 1000 * turns + 1
         ),
-        "ImplicitStep": Ladder([kinds.ImplicitStep(h) for h in (1e-4, 5e-5, 2e-5, 1e-5)], None, 1000 * turns + 1),
+        "FixedStep semi-implicit": Ladder(
+            [kinds.FixedStep(h, "semi_implicit") for h in (5e-5, 2e-5, 1e-5)],
+            None,
+            1000 * turns + 1,
+        ),
+        "ImplicitStep": Ladder(
+            [kinds.ImplicitStep(h) for h in (1e-4, 5e-5, 2e-5, 1e-5)], None, 1000 * turns + 1
+        ),
         "MoreauJean": Ladder(
-            [kinds.MoreauJean(h) for h in (1e-3, 5e-4, 2e-4, 1e-4, 5e-5)], kinds.MoreauJean(5e-6), 125 * turns + 1
+            [kinds.MoreauJean(h) for h in (1e-3, 5e-4, 2e-4, 1e-4, 5e-5)],
+            kinds.MoreauJean(5e-6),
+            125 * turns + 1,
         ),
         "NonColliding": Ladder(
-            [kinds.NonColliding(h) for h in (2e-3, 1e-3, 5e-4, 2e-4)], kinds.NonColliding(2e-5), 62 * turns + 1
+            [kinds.NonColliding(h) for h in (2e-3, 1e-3, 5e-4, 2e-4)],
+            kinds.NonColliding(2e-5),
+            62 * turns + 1,
         ),
     }
     return Scene(problem, ladders)
@@ -88,22 +106,38 @@ def four_bar_scene(quick: bool) -> Scene:
     # The same coefficient, acting from small speeds on: rigid formulations know no speeds.
     law = jc.friction.CoulombTanh(rig.connections["B"].joint.friction.mu_kinetic, 1e-2)
     rig = eqx.tree_at(lambda m: m.connections["B"].joint.friction, rig, law)
-    responses = {"mean force": jc.response.MeanContactForce("B"), "follower": rms_spin("follower"), STEPS: steps_of}
+    responses = {
+        "mean force": jc.response.MeanContactForce("B"),
+        "follower": rms_spin("follower"),
+        STEPS: steps_of,
+    }
     variables = {"clearance": jc.Variable(clearances(("B",)), tolerance=1e-6)}
     turns = 1 if quick else 2
     problem = jc.Problem(rig, responses, variables, duration=0.628319 * turns)
     adaptive = lambda rtol: kinds.Adaptive(rtol=rtol, atol=1e-2 * rtol)
     ladders = {
-        "Adaptive": Ladder([adaptive(r) for r in (1e-3, 1e-4, 1e-5, 1e-6)], adaptive(1e-8), 1000 * turns + 1),
-        "FixedStep semi-implicit": Ladder(
-            [kinds.FixedStep(h, "semi_implicit") for h in (4e-5, 2e-5, 1e-5, 5e-6, 2e-6)], None, 1000 * turns + 1
+        "Adaptive": Ladder(
+            [adaptive(r) for r in (1e-3, 1e-4, 1e-5, 1e-6)], adaptive(1e-8), 1000 * turns + 1
         ),
-        "ImplicitStep": Ladder([kinds.ImplicitStep(h) for h in (2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)], None, 1000 * turns + 1),
+        "FixedStep semi-implicit": Ladder(
+            [kinds.FixedStep(h, "semi_implicit") for h in (4e-5, 2e-5, 1e-5, 5e-6, 2e-6)],
+            None,
+            1000 * turns + 1,
+        ),
+        "ImplicitStep": Ladder(
+            [kinds.ImplicitStep(h) for h in (2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6)],
+            None,
+            1000 * turns + 1,
+        ),
         "MoreauJean": Ladder(
-            [kinds.MoreauJean(h) for h in (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)], kinds.MoreauJean(5e-6), 628 * turns + 1
+            [kinds.MoreauJean(h) for h in (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)],
+            kinds.MoreauJean(5e-6),
+            628 * turns + 1,
         ),
         "NonColliding": Ladder(
-            [kinds.NonColliding(h) for h in (1e-2, 5e-3, 2e-3, 1e-3)], kinds.NonColliding(5e-5), 63 * turns + 1
+            [kinds.NonColliding(h) for h in (1e-2, 5e-3, 2e-3, 1e-3)],
+            kinds.NonColliding(5e-5),
+            63 * turns + 1,
         ),
     }
     return Scene(problem, ladders)
@@ -123,12 +157,18 @@ def antenna_scene(quick: bool) -> Scene:
     problem = jc.Problem(rig, responses, variables, duration=seconds)
     steps = (4e-4, 2e-4, 1e-4, 5e-5, 2e-5)
     ladders = {
-        "ImplicitStep": Ladder([kinds.ImplicitStep(h) for h in steps], kinds.ImplicitStep(5e-6), 1000 * seconds + 1),
+        "ImplicitStep": Ladder(
+            [kinds.ImplicitStep(h) for h in steps], kinds.ImplicitStep(5e-6), 1000 * seconds + 1
+        ),
         "MoreauJean": Ladder(
-            [kinds.MoreauJean(h) for h in (2e-3, 1e-3, 5e-4, *steps[1:4])], kinds.MoreauJean(2e-5), 500 * seconds + 1
+            [kinds.MoreauJean(h) for h in (2e-3, 1e-3, 5e-4, *steps[1:4])],
+            kinds.MoreauJean(2e-5),
+            500 * seconds + 1,
         ),
         "NonColliding": Ladder(
-            [kinds.NonColliding(h) for h in (1e-2, 5e-3, 2e-3, 1e-3)], kinds.NonColliding(2e-4), 100 * seconds + 1
+            [kinds.NonColliding(h) for h in (1e-2, 5e-3, 2e-3, 1e-3)],
+            kinds.NonColliding(2e-4),
+            100 * seconds + 1,
         ),
     }
     return Scene(problem, ladders)
@@ -152,7 +192,9 @@ def rms_spin(body: str):
 
 
 def posed(problem: jc.Problem, integrator: Any, saves: int) -> jc.Problem:
-    return eqx.tree_at(lambda p: (p.integrator, p.shares), problem, (integrator, jnp.linspace(0.0, 1.0, saves)))
+    return eqx.tree_at(
+        lambda p: (p.integrator, p.shares), problem, (integrator, jnp.linspace(0.0, 1.0, saves))
+    )
 
 
 def means_of(problem: jc.Problem, values: np.ndarray) -> dict[str, tuple[float, float]] | None:
@@ -160,15 +202,22 @@ def means_of(problem: jc.Problem, values: np.ndarray) -> dict[str, tuple[float, 
     found = evaluate_all(problem, jnp.asarray(values))
     if not np.all(found.outcome == REACHED):
         return None
-    return {k: (float(np.mean(x)), float(np.std(x, ddof=1) / np.sqrt(len(x)))) for k, x in found.responses.items()}
+    return {
+        k: (float(np.mean(x)), float(np.std(x, ddof=1) / np.sqrt(len(x))))
+        for k, x in found.responses.items()
+    }
 
 
 def off(found: dict, wanted: dict) -> tuple[str, float, float]:
-    """Response whose means differ most, the difference and its standard error, as shares of the wanted mean."""
+    """Response whose means differ most, the difference and its standard error, as shares of the
+    wanted mean.
+    """
     rows = []
     for name in set(found) - {STEPS}:
         (mean, doubt), (known, known_doubt) = found[name], wanted[name]
-        rows.append((name, abs(mean - known) / abs(known), float(np.hypot(doubt, known_doubt)) / abs(known)))
+        rows.append(
+            (name, abs(mean - known) / abs(known), float(np.hypot(doubt, known_doubt)) / abs(known))
+        )
     return max(rows, key=lambda row: row[1])
 
 
@@ -181,11 +230,17 @@ def cost(problem: jc.Problem, steps: float, samples: int) -> dict[str, float]:
     start = time.process_time()
     evaluate_all(problem, jnp.asarray(batch), chunk=CHUNK)
     sample = (time.process_time() - start) / samples
-    return {"step, CPU [us]": 1e6 * best / steps, "run, CPU [ms]": 1e3 * best, "sample of a batch, CPU [ms]": 1e3 * sample}
+    return {
+        "step, CPU [us]": 1e6 * best / steps,
+        "run, CPU [ms]": 1e3 * best,
+        "sample of a batch, CPU [ms]": 1e3 * sample,
+    }
 
 
 def judge(scene: Scene, members: int, samples: int) -> list[dict[str, Any]]:
-    """A row for each formulation: its coarsest step that is good enough, what that costs, and what the formulation is off by."""
+    """A row for each formulation: its coarsest step that is good enough, what that costs, and what
+    the formulation is off by.
+    """
     nominal = np.asarray(scene.problem.nominal())
     values = nominal * (1 + SPREAD * np.linspace(-1, 1, members))[:, None]
     reference = truth = None
@@ -195,7 +250,9 @@ def judge(scene: Scene, members: int, samples: int) -> list[dict[str, Any]]:
             reference = means_of(posed(scene.problem, finest, saves), values)
             truth = reference if truth is None else truth
         row: dict[str, Any] = {"integrator": name, "setting": "none"}
-        row |= dict.fromkeys(("error [%]", "standard error [%]", "step, CPU [us]", "run, CPU [ms]", CHEAPEST), np.nan)
+        row |= dict.fromkeys(
+            ("error [%]", "standard error [%]", "step, CPU [us]", "run, CPU [ms]", CHEAPEST), np.nan
+        )
         for rung in reversed(rungs):
             found = means_of(posed(scene.problem, rung, saves), values)
             if found is None:
@@ -203,13 +260,19 @@ def judge(scene: Scene, members: int, samples: int) -> list[dict[str, Any]]:
             _, error, doubt = off(found, reference)
             if error > max(ACCURACY, 2 * doubt):
                 break
-            setting = f"rtol {float(rung.rtol):g}" if isinstance(rung, jc.integrator.Adaptive) else f"{float(rung.step):g} s"
+            setting = (
+                f"rtol {float(rung.rtol):g}"
+                if isinstance(rung, jc.integrator.Adaptive)
+                else f"{float(rung.step):g} s"
+            )
             row |= {"setting": setting, "error [%]": 100 * error, "standard error [%]": 100 * doubt}
             kept, steps = rung, found[STEPS][0]
         if row["setting"] != "none":
             row |= cost(posed(scene.problem, kept, saves), steps, samples)
         which, gap, doubt = off(reference, truth)
-        row["formulation is off by [%]"] = 100 * gap if finest is not None and reference is not truth else 0.0
+        row["formulation is off by [%]"] = (
+            100 * gap if finest is not None and reference is not truth else 0.0
+        )
         row["in"] = which if row["formulation is off by [%]"] else ""
         rows.append(row)
     return rows
@@ -222,7 +285,10 @@ def main() -> None:
         scene = make(options.quick)
         # What a sample costs is known from fewer of the antenna, whose rigid contacts are dear.
         samples = 128 if options.quick or name == "antenna" else 1024
-        title = f"{name}, {float(scene.problem.duration):g} s: within {100 * ACCURACY:g} % in its statistics"
+        title = (
+            f"{name}, {float(scene.problem.duration):g} s: within {100 * ACCURACY:g} % in its "
+            "statistics"
+        )
         report(title, judge(scene, members, samples), options)
 
 

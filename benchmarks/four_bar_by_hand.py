@@ -1,8 +1,10 @@
-"""The four-bar with a spatial clearance joint, written by hand for JAX and for numba: the mark that jaxclear is measured against.
+"""The four-bar with a spatial clearance joint, written by hand for JAX and for numba: the mark that
+jaxclear is measured against.
 
-Same mechanism, coordinates and laws as `four_bar_variants.build(FULL)`; simplified by hand: crank and coupler in the plane, the
-follower by its quaternion, gradients of the indentation worked out on paper. The kinematics are one source for both
-back-ends; the contact law has a branch-free form for JAX and one with branches for numba, which is what each does best.
+Same mechanism, coordinates and laws as `four_bar_variants.build(FULL)`; simplified by hand: crank
+and coupler in the plane, the follower by its quaternion, gradients of the indentation worked out on
+paper. The kinematics are one source for both back-ends; the contact law has a branch-free form for
+JAX and one with branches for numba, which is what each does best.
 """
 
 import math
@@ -23,7 +25,9 @@ SLIP_ROUNDING = 1e-14
 
 
 class Parameters(NamedTuple):
-    """Numbers of the joint at B, SI units; `wear` is acceleration times k / H, `damping` the factor d of the contact law."""
+    """Numbers of the joint at B, SI units; `wear` is acceleration times k / H, `damping` the factor
+    d of the contact law.
+    """
 
     clearance: Any
     radius: Any
@@ -42,7 +46,11 @@ class Parameters(NamedTuple):
 def parameters(system: Any) -> Parameters:
     """The same numbers, from a prepared system."""
     bearing = system.bearings["B"]
-    joint, contact, friction = bearing.joint, bearing.pairings[0].contact, bearing.pairings[0].friction
+    joint, contact, friction = (
+        bearing.joint,
+        bearing.contact_laws[0].contact,
+        bearing.contact_laws[0].friction,
+    )
     wearing = joint.bearing_wear
     return Parameters(
         joint.clearance,
@@ -69,7 +77,9 @@ def jax_laws():
         nearest = jnp.round(position)
         f = position - nearest
         row = table[nearest.astype(int) % around]
-        return row[0] + f * (row[1] + f * row[2]), (row[1] + 2 * f * row[2]) * (around / (2 * math.pi))
+        return row[0] + f * (row[1] + f * row[2]), (row[1] + 2 * f * row[2]) * (
+            around / (2 * math.pi)
+        )
 
     def normal(p, delta, rate, memory):
         open_ = delta <= 0
@@ -81,7 +91,9 @@ def jax_laws():
     def friction(p, force, speed):
         rise = jnp.sin(math.pi / 2 * jnp.minimum(speed / p.static_speed, 1.0))
         share = jnp.clip((speed - p.static_speed) / (p.kinetic_speed - p.static_speed), 0.0, 1.0)
-        return p.mu_static * rise + (p.mu_kinetic - p.mu_static) * (0.5 - 0.5 * jnp.cos(math.pi * share))
+        return p.mu_static * rise + (p.mu_kinetic - p.mu_static) * (
+            0.5 - 0.5 * jnp.cos(math.pi * share)
+        )
 
     def share(here, opposite):
         below = here + jnp.maximum(-opposite, 0.0)
@@ -137,7 +149,9 @@ def make_rate(laws: tuple, compiled: Any):
 
     @compiled
     def end(p, table, z, u, a, s, velocity, spin, turning, memory, other):
-        """One end of the bearing: force and torque on the journal, and the rates of what is remembered and worn."""
+        """One end of the bearing: force and torque on the journal, and the rates of what is
+        remembered and worn.
+        """
         rise = z - u[2]
         cx, cy = u[0] + rise * s[0], u[1] + rise * s[1]
         r = sqrt(cx * cx + cy * cy)
@@ -169,7 +183,19 @@ def make_rate(laws: tuple, compiled: Any):
         volume = p.wear * force * speed
         lower = u[0] + (other - u[2]) * s[0], u[1] + (other - u[2]) * s[1]
         share = share_of(delta, lower[0] * nx + lower[1] * ny - p.clearance)
-        return fx, fy, fz, mx, my, mz, memory_rate, volume, volume * nx, volume * ny, volume * p.length * share
+        return (
+            fx,
+            fy,
+            fz,
+            mx,
+            my,
+            mz,
+            memory_rate,
+            volume,
+            volume * nx,
+            volume * ny,
+            volume * p.length * share,
+        )
 
     @compiled
     def rate(time, y, p, lower, upper):
@@ -245,12 +271,16 @@ def make_rate(laws: tuple, compiled: Any):
 
 
 def jax_rate():
-    """The hand-written rate for JAX: scalars in, a tuple of scalars out; works on whole rows of samples but for the table."""
+    """The hand-written rate for JAX: scalars in, a tuple of scalars out; works on whole rows of
+    samples but for the table.
+    """
     return make_rate(jax_laws(), lambda function: function)
 
 
 def jax_batch(rate, layout: str = "rows"):
-    """rate over a batch: (times, states (19, n), clearances and stiffnesses (n), other parameters shared)."""
+    """rate over a batch: (times, states (19, n), clearances and stiffnesses (n), other parameters
+    shared).
+    """
 
     def one(time, y, p, lower, upper):
         return jnp.stack(rate(time, y, p, lower, upper))
@@ -266,7 +296,8 @@ def numba_rate():
 
 
 def numba_batch(parallel: bool = False):
-    """Loop over samples: out[:, j] = rate(time, states[:, j]) with its own clearance and stiffness."""
+    """Loop over samples: out[:, j] = rate(time, states[:, j]) with its own clearance and
+    stiffness."""
     rate, loop = numba_rate(), numba.prange if parallel else range
 
     @numba.njit(parallel=parallel, error_model="numpy")
@@ -299,7 +330,9 @@ def numba_euler():
 
 
 def numba_runge_kutta(parallel: bool = False):
-    """Classical Runge-Kutta for every sample by itself, `steps` steps of h from time zero, in place."""
+    """Classical Runge-Kutta for every sample by itself, `steps` steps of h from time zero, in
+    place.
+    """
     rate, loop = numba_rate(), numba.prange if parallel else range
     advance = _numba_step(rate)
 

@@ -1,15 +1,18 @@
-"""Five seconds of the four-bar (spatial clearance, friction, wear): what a run costs at 1 % in its statistics, rung by rung.
+"""Five seconds of the four-bar (spatial clearance, friction, wear): what a run costs at 1 % in its
+statistics, rung by rung.
 
-Statistics: mean normal force, peak worn depth, worn volume, root mean square of the follower's error in the plane. Rattling is
-chaotic, so a rung is compared with the reference over a few runs whose clearances differ by up to 0.1 um: the errors of
-the means, and the standard error of these differences beside them. The cost is that of one run alone, and of a sample in a
-batch. Compilation is not counted.
+Statistics: mean normal force, peak worn depth, worn volume, root mean square of the follower's
+error in the plane. Rattling is chaotic, so a rung is compared with the reference over a few runs
+whose clearances differ by up to 0.1 um: the errors of the means, and the standard error of these
+differences beside them. The cost is that of one run alone, and of a sample in a batch. Compilation
+is not counted.
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import time
@@ -21,7 +24,7 @@ from benchmarks.measure import alone, arguments, report
 import jaxclear as jc
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.time.integrator import REACHED
+from jaxclear.integrators import REACHED
 
 SAVES_PER_SECOND = 400
 # Clearances of the ensemble differ by this share: far below what moves a mean, far above rounding.
@@ -35,10 +38,19 @@ def rungs() -> dict[str, jc.integrator.AbstractIntegrator]:
     """The ladder, dear to cheap within each family."""
     fixed, implicit = jc.integrator.FixedStep, jc.integrator.ImplicitStep
     found = {f"FixedStep rk4, {step:g} s": fixed(step) for step in (2e-5, 4e-5, 8e-5)}
-    found |= {f"FixedStep semi-implicit, {step:g} s": fixed(step, "semi_implicit") for step in (5e-6, 1e-5, 2e-5)}
-    found |= {f"FixedStep rk4, {step:g} s, 4 in contact": fixed(step, contact_steps=4.0) for step in (8e-5, 1.6e-4)}
+    found |= {
+        f"FixedStep semi-implicit, {step:g} s": fixed(step, "semi_implicit")
+        for step in (5e-6, 1e-5, 2e-5)
+    }
+    found |= {
+        f"FixedStep rk4, {step:g} s, 4 in contact": fixed(step, contact_steps=4.0)
+        for step in (8e-5, 1.6e-4)
+    }
     found |= {f"ImplicitStep, {step:g} s": implicit(step) for step in (2e-5, 5e-5, 1e-4)}
-    found |= {f"Adaptive, rtol {rtol:g}": jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol) for rtol in (1e-7, 1e-5)}
+    found |= {
+        f"Adaptive, rtol {rtol:g}": jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol)
+        for rtol in (1e-7, 1e-5)
+    }
     return found
 
 
@@ -54,13 +66,19 @@ def question(duration: float) -> jc.Problem:
             "worn volume": jc.response.WornVolume("B"),
             "follower error": jc.response.PositionError("follower", ideal, axes=(0, 1)),
         },
-        {"clearance": jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=BATCH_SPREAD)},
+        {
+            "clearance": jc.Variable(
+                lambda rig: rig.connections["B"].joint.clearance, tolerance=BATCH_SPREAD
+            )
+        },
         duration=duration,
         save=saves,
     )
 
 
-def with_integrator(problem: jc.Problem, integrator: jc.integrator.AbstractIntegrator) -> jc.Problem:
+def with_integrator(
+    problem: jc.Problem, integrator: jc.integrator.AbstractIntegrator
+) -> jc.Problem:
     return eqx.tree_at(lambda p: p.integrator, problem, integrator)
 
 
@@ -76,7 +94,9 @@ def main() -> None:
     problem = question(duration)
     nominal = float(problem.nominal()[0])
     values = nominal * (1 + SPREAD * np.linspace(-1, 1, members))[:, None]
-    reference, sound = statistics(with_integrator(problem, jc.integrator.Adaptive(**REFERENCE)), values)
+    reference, sound = statistics(
+        with_integrator(problem, jc.integrator.Adaptive(**REFERENCE)), values
+    )
     if not sound:
         raise SystemExit("the reference did not reach its end")
     rows, good = [], []
@@ -91,12 +111,20 @@ def main() -> None:
             worst = max(worst, error)
             doubt = max(doubt, difference.std(ddof=1) / np.sqrt(members))
         wall = alone(asked, 2)[0] if sound else np.nan
-        row |= {"standard error [%]": 100 * float(doubt), "alone [s]": wall, "simulated / computed": duration / wall}
-        row["within 1 %"] = "yes" if sound and worst < ACCURACY else ("no" if sound else "did not reach its end")
+        row |= {
+            "standard error [%]": 100 * float(doubt),
+            "alone [s]": wall,
+            "simulated / computed": duration / wall,
+        }
+        row["within 1 %"] = (
+            "yes" if sound and worst < ACCURACY else ("no" if sound else "did not reach its end")
+        )
         rows.append(row)
         if sound and worst < ACCURACY:
             good.append((wall, name))
-    report(f"four-bar, {duration:g} s: statistics against the reference and cost alone", rows, options)
+    report(
+        f"four-bar, {duration:g} s: statistics against the reference and cost alone", rows, options
+    )
     rng = np.random.default_rng(0)
     batch = nominal + BATCH_SPREAD * rng.uniform(-1, 1, (samples, 1))
     rows = []
@@ -107,9 +135,20 @@ def main() -> None:
         outcome = evaluate_all(asked, batch)
         wall = time.perf_counter() - start
         failed = int(np.sum(outcome.outcome != REACHED))
-        rows.append({"rung": name, "samples": samples, "failed": failed, "wall [ms/sample]": 1e3 * wall / samples})
+        rows.append(
+            {
+                "rung": name,
+                "samples": samples,
+                "failed": failed,
+                "wall [ms/sample]": 1e3 * wall / samples,
+            }
+        )
     if rows:
-        report(f"four-bar, {duration:g} s: a batch on all cores, the three cheapest rungs within 1 %", rows, options)
+        report(
+            f"four-bar, {duration:g} s: a batch on all cores, the three cheapest rungs within 1 %",
+            rows,
+            options,
+        )
 
 
 if __name__ == "__main__":

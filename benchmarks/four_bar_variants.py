@@ -1,6 +1,8 @@
-"""The four-bar of paper 001 as the benchmarks take it apart: which joint at B, with or without friction and wear.
+"""The four-bar of paper 001 as the benchmarks take it apart: which joint at B, with or without
+friction and wear.
 
-Crank 0.1 m (driven), coupler 0.4 m, follower 0.3 m on a ball joint, ground 0.3 m; inertias are those of slender rods.
+Crank 0.1 m (driven), coupler 0.4 m, follower 0.3 m on a ball joint, ground 0.3 m; inertias are
+those of slender rods.
 """
 
 from typing import Any, NamedTuple
@@ -12,17 +14,19 @@ import numpy as np
 
 import jaxclear as jc
 from jaxclear.laws.stiffness import HertzStiffness
-from jaxclear.scene import dynamics
-from jaxclear.scene.state import Layout, lay_out, unpack_motion
-from jaxclear.scene.system import System, prepare, readings
-from jaxclear.time.simulate import Field, unworn
+from jaxclear.multibody import dynamics
+from jaxclear.multibody.state import Layout, lay_out, unpack_motion
+from jaxclear.multibody.system import System, prepare, readings
+from jaxclear.simulation.simulate import Field, unworn
 
 CLEARANCE = 2e-4
 WEAR_FIELDS = {"planar": "wear", "spatial": "bearing_wear"}
 
 
 class Variant(NamedTuple):
-    """One scene of the family; `kind` is the joint at B: ideal, or with planar or spatial clearance."""
+    """One scene of the family; `kind` is the joint at B: ideal, or with planar or spatial
+    clearance.
+    """
 
     kind: str
     friction: bool
@@ -34,7 +38,10 @@ class Variant(NamedTuple):
 
 
 VARIANTS = (Variant("ideal", False, False),) + tuple(
-    Variant(kind, friction, wear) for kind in WEAR_FIELDS for friction in (False, True) for wear in (False, True)
+    Variant(kind, friction, wear)
+    for kind in WEAR_FIELDS
+    for friction in (False, True)
+    for wear in (False, True)
 )
 FULL = Variant("spatial", True, True)
 
@@ -48,8 +55,12 @@ def bearing(variant: Variant, clearance: Any = CLEARANCE) -> Any:
     friction = jc.friction.ThreeZone() if variant.friction else None
     wear = jc.Wearing(jc.wear.Archard(wear_coefficient=2e-2)) if variant.wear else None
     if variant.kind == "planar":
-        return jc.clearance.PlanarJournalBearing(contact, friction, clearance=clearance, length=0.03, wear=wear)
-    return jc.clearance.JournalBearing(contact, friction, clearance=clearance, length=0.03, bearing_wear=wear)
+        return jc.clearance.PlanarJournalBearing(
+            contact, friction, clearance=clearance, length=0.03, wear=wear
+        )
+    return jc.clearance.JournalBearing(
+        contact, friction, clearance=clearance, length=0.03, bearing_wear=wear
+    )
 
 
 def rod(mass: float, length: float, planar: bool) -> jc.Body:
@@ -63,11 +74,20 @@ def build(variant: Variant = FULL, clearance: Any = CLEARANCE) -> jc.Mechanism:
     flat = variant.kind != "spatial"
     foot = jc.joint.Revolute() if flat else jc.joint.Spherical()
     return jc.Mechanism(
-        bodies={"crank": rod(0.46, 0.1, True), "coupler": rod(1.44, 0.4, True), "follower": rod(1.63, 0.3, flat)},
+        bodies={
+            "crank": rod(0.46, 0.1, True),
+            "coupler": rod(1.44, 0.4, True),
+            "follower": rod(1.63, 0.3, flat),
+        },
         connections={
             "O": jc.Connection(jc.joint.Revolute(jc.drive.ConstantSpeed(10.0)), "ground", "crank"),
             "A": jc.Connection(jc.joint.Revolute(), "crank", "coupler", at=(0.1, 0.0)),
-            "B": jc.Connection(bearing(variant, clearance), "coupler", jc.Marker("follower", (0.3, 0.0)), at=(0.4, 0.0)),
+            "B": jc.Connection(
+                bearing(variant, clearance),
+                "coupler",
+                jc.Marker("follower", (0.3, 0.0)),
+                at=(0.4, 0.0),
+            ),
             "D": jc.Connection(foot, "ground", "follower", at=(0.3, 0.0)),
         },
         loads={"gravity": jc.load.Gravity()},
@@ -76,7 +96,9 @@ def build(variant: Variant = FULL, clearance: Any = CLEARANCE) -> jc.Mechanism:
 
 
 def without(mechanism: jc.Mechanism, kind: str, feature: str) -> jc.Mechanism:
-    """The mechanism with a feature of joint B taken out afterwards: must equal the one that never had it."""
+    """The mechanism with a feature of joint B taken out afterwards: must equal the one that never
+    had it.
+    """
     field = {"friction": "friction", "wear": WEAR_FIELDS[kind]}[feature]
     return eqx.tree_at(lambda m: getattr(m.connections["B"].joint, field), mechanism, None)
 
@@ -93,7 +115,8 @@ def parts(mechanism: jc.Mechanism) -> tuple[System, Layout, dict]:
 
 
 def field_of(mechanism: jc.Mechanism, read: dict | None = None) -> Field:
-    """The rate of the state as `simulate` integrates it; surfaces are new unless `read` gives them."""
+    """The rate of the state as `simulate` integrates it; surfaces are new unless `read` gives
+    them."""
     system, layout, new = parts(mechanism)
     return Field(system, new if read is None else read, mechanism.stabilisation, layout)
 
@@ -101,7 +124,9 @@ def field_of(mechanism: jc.Mechanism, read: dict | None = None) -> Field:
 def start_of(mechanism: jc.Mechanism) -> jax.Array:
     """The state in which `simulate` starts."""
     start, (_, layout, _) = jc.assemble(mechanism), parts(mechanism)
-    return jnp.concatenate([start.coordinates, start.speeds, jnp.zeros(layout.size - layout.memory_start)])
+    return jnp.concatenate(
+        [start.coordinates, start.speeds, jnp.zeros(layout.size - layout.memory_start)]
+    )
 
 
 def constraint_rows(mechanism: jc.Mechanism) -> int:
@@ -109,16 +134,22 @@ def constraint_rows(mechanism: jc.Mechanism) -> int:
     system, layout, _ = parts(mechanism)
     q, v = unpack_motion(system, list(start_of(mechanism)))
     motions = dynamics.move(system, q, v, 0.0)
-    return sum(len(dynamics.closure_rows(system, motions, closure).kept) for closure in system.closures)
+    return sum(
+        len(dynamics.closure_rows(system, motions, closure).kept) for closure in system.closures
+    )
 
 
 def samples(mechanism: jc.Mechanism, count: int, seed: int = 0) -> np.ndarray:
-    """States near the assembled start at time zero, the journal off centre by about a clearance: in and out of contact."""
+    """States near the assembled start at time zero, the journal off centre by about a clearance: in
+    and out of contact.
+    """
     rng = np.random.default_rng(seed)
     layout = parts(mechanism)[1]
     states = np.tile(np.asarray(start_of(mechanism)), (count, 1))
     motion = layout.memory_start
-    off = rng.normal(size=(count, layout.coordinates)) * rng.uniform(0.5, 2.0, (count, 1)) * CLEARANCE
+    off = (
+        rng.normal(size=(count, layout.coordinates)) * rng.uniform(0.5, 2.0, (count, 1)) * CLEARANCE
+    )
     states[:, : layout.coordinates] += off
     states[:, layout.coordinates : motion] += rng.normal(size=(count, layout.speeds))
     states[:, motion:] = np.abs(rng.normal(size=(count, layout.size - motion)))

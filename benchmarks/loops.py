@@ -1,8 +1,9 @@
-"""What runs the time loop, and what that is worth: XLA as it comes, XLA with the compiler option that jaxclear sets, and
-jaxclear's own kernels (`jaxclear.native`). The four-bar, alone and in a batch, each way in a process of its own.
+"""What runs the time loop, and what that is worth: XLA as it comes, XLA with the compiler option
+that jaxclear sets, and jaxclear's own kernels (`jaxclear.native`). The four-bar, alone and in a
+batch, each way in a process of its own.
 
-The option is read when JAX starts, so it cannot be changed within a process; the processes take turns, and the smallest of
-several times counts.
+The option is read when JAX starts, so it cannot be changed within a process; the processes take
+turns, and the smallest of several times counts.
 """
 
 import os
@@ -10,7 +11,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import json
@@ -29,22 +31,35 @@ WAYS = {
 
 
 def measured() -> dict[str, dict[str, float]]:
-    """Seconds of the first call (compiling) and ns a step of later ones, by integrator, alone and in a batch."""
+    """Seconds of the first call (compiling) and ns a step of later ones, by integrator, alone and
+    in a batch.
+    """
     import jaxclear as jc
     from jaxclear.studies.batch import evaluate_all
-    from jaxclear.studies.tolerance import draw
+    from jaxclear.studies.monte_carlo import draw
 
     rig, found = jc.scenes.four_bar(), {}
     jc.assemble(rig)
     variables = {"c": jc.Variable(lambda m: m.connections["B"].joint.clearance, tolerance=20e-6)}
-    for integrator in (jc.integrator.FixedStep(), jc.integrator.ImplicitStep(), jc.integrator.Adaptive()):
-        run, first, best = _timed(lambda i=integrator: jc.simulate(rig, DURATION, save=21, integrator=i))
+    for integrator in (
+        jc.integrator.FixedStep(),
+        jc.integrator.ImplicitStep(),
+        jc.integrator.Adaptive(),
+    ):
+        run, first, best = _timed(
+            lambda i=integrator: jc.simulate(rig, DURATION, save=21, integrator=i)
+        )
         steps = int(run.accepted_steps) + int(run.rejected_steps)
         row = {"first run alone [s]": first, "alone [ns/step]": best / steps * 1e9}
-        problem = jc.Problem(rig, _steps_taken, variables, duration=DURATION, save=21, integrator=integrator)
+        problem = jc.Problem(
+            rig, _steps_taken, variables, duration=DURATION, save=21, integrator=integrator
+        )
         values = draw(problem, SAMPLES, 0)
         outcome, first, best = _timed(lambda p=problem, v=values: evaluate_all(p, v))
-        row |= {"first batch [s]": first, "batch [ns/step and sample]": best / outcome.responses["response"].sum() * 1e9}
+        row |= {
+            "first batch [s]": first,
+            "batch [ns/step and sample]": best / outcome.responses["response"].sum() * 1e9,
+        }
         found[type(integrator).__name__] = row
     return found
 
@@ -66,7 +81,9 @@ def _timed(call):
 
 def in_a_process(settings: dict[str, str]) -> dict[str, dict[str, float]]:
     command = [sys.executable, __file__, "--measure"]
-    done = subprocess.run(command, env=os.environ | settings, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, env=os.environ | settings, capture_output=True, text=True, check=True
+    )
     return json.loads(done.stdout)
 
 
@@ -86,9 +103,17 @@ def main() -> None:
         mark = best[name, "XLA as it comes"]
         for way in WAYS:
             figures = best[name, way]
-            ratios = {f"{k.split()[0]}: faster than XLA as it comes": mark[k] / figures[k] for k in figures if "ns" in k}
+            ratios = {
+                f"{k.split()[0]}: faster than XLA as it comes": mark[k] / figures[k]
+                for k in figures
+                if "ns" in k
+            }
             rows.append({"integrator": name, "loop": way} | figures | ratios)
-    report("loops: steps of the four-bar, spatial clearance with friction, wear and collars", rows, options)
+    report(
+        "loops: steps of the four-bar, spatial clearance with friction, wear and collars",
+        rows,
+        options,
+    )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """How the benchmarks measure: side by side, the smallest of several, and never across processes.
 
-Wall time is what a user waits for; CPU time is what the work costs, and the one to compare on a machine that is shared.
+Wall time is what a user waits for; CPU time is what the work costs, and the one to compare on a
+machine that is shared.
 """
 
 import argparse
@@ -22,7 +23,9 @@ def arguments(description: str) -> argparse.Namespace:
     return parser.parse_args()
 
 
-def side_by_side(cases: dict[str, Callable[[], Any]], repeats: int = 5) -> dict[str, tuple[float, float]]:
+def side_by_side(
+    cases: dict[str, Callable[[], Any]], repeats: int = 5
+) -> dict[str, tuple[float, float]]:
     """Smallest (wall, CPU) seconds of each case, the cases taking turns; each runs once before."""
     best = {name: (float("inf"), float("inf")) for name in cases}
     for case in cases.values():
@@ -58,7 +61,10 @@ def report(title: str, rows: list[dict[str, Any]], options: argparse.Namespace) 
     widths = [max(len(name), *(len(line[i]) for line in cells)) for i, name in enumerate(names)]
     for line in [names, *cells]:
         print(
-            "  ".join(text.ljust(w) if i == 0 else text.rjust(w) for i, (text, w) in enumerate(zip(line, widths, strict=False)))
+            "  ".join(
+                text.ljust(w) if i == 0 else text.rjust(w)
+                for i, (text, w) in enumerate(zip(line, widths, strict=False))
+            )
         )
     if options.json is not None:
         known = json.loads(options.json.read_text()) if options.json.exists() else {}

@@ -1,16 +1,19 @@
-"""What a sample of a Monte Carlo study costs, by chunk size: the four-bar study's own problem, end to end, on all cores."""
+"""What a sample of a Monte Carlo study costs, by chunk size: the four-bar study's own problem, end
+to end, on all cores.
+"""
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import numpy as np
 from benchmarks.measure import arguments, report, side_by_side
 
 import jaxclear as jc
-from jaxclear.face.four_bar_study import problem
+from jaxclear.commands.four_bar import problem
 
 STEP = 2e-5
 
@@ -21,7 +24,9 @@ def main() -> None:
     question = problem(duration, 26)
     chunks = (16, 64) if options.quick else (1, 4, 16, 32, 64, 128, 256)
     cases = {
-        f"chunks of {chunk}": lambda c=chunk: jc.monte_carlo(question, samples, chunk=c).responses["follower error"]
+        f"chunks of {chunk}": lambda c=chunk: jc.monte_carlo(question, samples, chunk=c).responses[
+            "follower error"
+        ]
         for chunk in chunks
     }
     single = jc.scenes.four_bar()
@@ -35,9 +40,16 @@ def main() -> None:
         runs = 1 if name == "one run at a time" else samples
         per_sample = wall / runs
         row = {"how": name, "samples": runs, "wall [ms/sample]": 1e3 * per_sample}
-        row |= {"wall [ns/sample-step]": per_sample / (duration / STEP) * 1e9, "faster than one at a time": mark / per_sample}
+        row |= {
+            "wall [ns/sample-step]": per_sample / (duration / STEP) * 1e9,
+            "faster than one at a time": mark / per_sample,
+        }
         rows.append(row)
-    report(f"monte carlo: {duration:g} s of the four-bar a sample, rk4 steps of {STEP:g} s", rows, options)
+    report(
+        f"monte carlo: {duration:g} s of the four-bar a sample, rk4 steps of {STEP:g} s",
+        rows,
+        options,
+    )
 
 
 if __name__ == "__main__":

@@ -1,33 +1,46 @@
-"""jaxclear beside other programs on a planar slider-crank with one clearance: time at equal accuracy, alone and in a Monte Carlo.
+"""jaxclear beside other programs on a planar slider-crank with one clearance: time at equal
+accuracy, alone and in a Monte Carlo.
 
-Every program solves the rig of `peers_rig` and returns the slider's place at the saving times and the peak contact force. Each is
-held against its law's reference (scipy, event by event), takes the coarsest setting from which three in a row meet the accuracy
-asked, and is timed there. What is not installed is left out with a word: `pip install ".[test,peers]"` brings all.
+Every program solves the rig of `peers_rig` and returns the slider's place at the saving times and
+the peak contact force. Each is held against its law's reference (scipy, event by event), takes the
+coarsest setting from which three in a row meet the accuracy asked, and is timed there. What is not
+installed is left out with a word: `pip install ".[test,peers]"` brings all.
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import time
 from typing import NamedTuple
 
 import numpy as np
-from benchmarks import peers_by_hand, peers_in_c, peers_jaxclear, peers_mujoco, peers_programs, peers_rig as rig
+from benchmarks import (
+    peers_by_hand,
+    peers_in_c,
+    peers_jaxclear,
+    peers_mujoco,
+    peers_programs,
+    peers_rig as rig,
+)
 from benchmarks.measure import arguments, report, side_by_side
 from benchmarks.peers_rig import Answer, Batch, Program
 
 # (turns of the crank, samples, longest run tried on the ladder [s], seconds for one batch).
 FULL, QUICK = (2.0, 1024, 25.0, 12.0), (0.2, 64, 2.0, 2.0)
-# A setting counts when it and the next finer ones meet the accuracy: errors near impacts are not monotonic.
+# A setting counts when it and the next finer ones meet the accuracy: errors near impacts are not
+# monotonic.
 IN_A_ROW = 3
 # Runs longer than this [s] are timed once, on the ladder.
 LONG_RUN = 5.0
-# Samples from which the size of a batch is planned, and as many where a run takes longer than a second.
+# Samples from which the size of a batch is planned, and as many where a run takes longer than a
+# second.
 PILOT, SLOW_PILOT = 16, 4
-# What the project set itself: (sentence, programs by how their names begin, in a batch?, least ratio of their time to ours).
+# What the project set itself: (sentence, programs by how their names begin, in a batch?, least
+# ratio of their time to ours).
 TARGETS = (
     ("alone: at most 1.5 times fixed steps by hand", ("numba, RK4", "C, RK4"), False, 1 / 1.5),
     ("batch: at most numba's fixed steps on all cores", ("numba, RK4",), True, 1.0),
@@ -63,12 +76,19 @@ def by_hand(question: rig.Question) -> list[Program]:
     tolerances, size = rig.tolerance_ladder(1e-5, 1e-11), (question.saves, question.interval)
     loop = Batch(lambda r, c: peers_by_hand.batch_adaptive(p, c, *size, r), "prange")
     adaptive = lambda r: peers_by_hand.run_adaptive(p, rig.CLEARANCE, *size, r)
-    return [*programs, Program("numba, adaptive by hand", "captured", tolerances, adaptive, loop, True)]
+    return [
+        *programs,
+        Program("numba, adaptive by hand", "captured", tolerances, adaptive, loop, True),
+    ]
 
 
 def all_programs(question: rig.Question) -> list[Program]:
     """Those of jaxclear first, then what is installed."""
-    programs = peers_jaxclear.programs(question) + by_hand(question) + peers_programs.scipy_programs(question)
+    programs = (
+        peers_jaxclear.programs(question)
+        + by_hand(question)
+        + peers_programs.scipy_programs(question)
+    )
     if peers_programs.installed("exudyn"):
         programs += peers_programs.exudyn_programs(question)
     if peers_programs.installed("mujoco"):
@@ -79,8 +99,8 @@ def all_programs(question: rig.Question) -> list[Program]:
 
 
 class Found(NamedTuple):
-    """A program at its setting: settings in a row that met the accuracy, errors, error of the finest run tried, seconds that the
-    first call took longer, (wall, CPU) seconds of the run."""
+    """A program at its setting: settings in a row that met the accuracy, errors, error of the
+    finest run tried, seconds that the first call took longer, (wall, CPU) seconds of the run."""
 
     program: Program
     setting: float
@@ -95,11 +115,15 @@ class Found(NamedTuple):
 
 def errors(answer: Answer, reference: Answer) -> tuple[float, float]:
     """(largest error of the slider's place [m], relative error of the peak force)."""
-    return float(np.abs(answer.places - reference.places).max()), abs(answer.peak / reference.peak - 1)
+    return float(np.abs(answer.places - reference.places).max()), abs(
+        answer.peak / reference.peak - 1
+    )
 
 
 def climb(program: Program, reference: Answer, patience: float) -> Found:
-    """From coarse to fine until enough settings in a row meet the accuracy, or a run takes longer than `patience` [s]."""
+    """From coarse to fine until enough settings in a row meet the accuracy, or a run takes longer
+    than `patience` [s].
+    """
 
     def timed(setting):
         wall, cpu = time.perf_counter(), time.process_time()
@@ -117,7 +141,11 @@ def climb(program: Program, reference: Answer, patience: float) -> Found:
             good = 0
             continue
         place, force = errors(answer, reference)
-        tried.append(Found(program, setting, 0, answer.steps, place, force, place, max(cold - warm, 0.0), spent))
+        tried.append(
+            Found(
+                program, setting, 0, answer.steps, place, force, place, max(cold - warm, 0.0), spent
+            )
+        )
         good = good + 1 if place <= rig.PLACE_ACCURACY and force <= rig.FORCE_ACCURACY else 0
         if good == IN_A_ROW or spent[0] > patience:
             break
@@ -127,7 +155,11 @@ def climb(program: Program, reference: Answer, patience: float) -> Found:
 
 def setting_text(found: "Found", question: rig.Question) -> str:
     """A step in seconds or a tolerance."""
-    return f"rtol {found.setting:.1e}" if found.program.adaptive else f"{question.duration / found.steps:.2e} s"
+    return (
+        f"rtol {found.setting:.1e}"
+        if found.program.adaptive
+        else f"{question.duration / found.steps:.2e} s"
+    )
 
 
 class Cost(NamedTuple):
@@ -138,7 +170,9 @@ class Cost(NamedTuple):
 
 
 def fastest(costs: dict[str, Cost], found: list[Found], *starts: str) -> str | None:
-    """The program with the least CPU time among those whose names begin so; those that met the accuracy go first."""
+    """The program with the least CPU time among those whose names begin so; those that met the
+    accuracy go first.
+    """
     met = {f.program.name: f.met for f in found}
     names = [name for name in costs if any(name.startswith(start) for start in starts)]
     return min(names, key=lambda name: (not met[name], costs[name].cpu), default=None)
@@ -146,7 +180,9 @@ def fastest(costs: dict[str, Cost], found: list[Found], *starts: str) -> str | N
 
 def alone_rows(found: list[Found], question: rig.Question) -> tuple[list[dict], dict[str, Cost]]:
     """Table of single runs, and their costs."""
-    cases = {f.program.name: lambda f=f: f.program.run(f.setting) for f in found if f.spent[0] < LONG_RUN}
+    cases = {
+        f.program.name: lambda f=f: f.program.run(f.setting) for f in found if f.spent[0] < LONG_RUN
+    }
     spent = {f.program.name: f.spent for f in found} | side_by_side(cases)
     costs = {name: Cost(*both) for name, both in spent.items()}
     best = costs[fastest(costs, found, "jaxclear")]
@@ -173,8 +209,12 @@ def alone_rows(found: list[Found], question: rig.Question) -> tuple[list[dict], 
     return rows, costs
 
 
-def batch_costs(found: list[Found], clearances: np.ndarray, budget: float) -> tuple[dict[str, Cost], dict, dict]:
-    """Cost of a sample, number of samples run, and what came out, by program; left out is what takes too long for one sample."""
+def batch_costs(
+    found: list[Found], clearances: np.ndarray, budget: float
+) -> tuple[dict[str, Cost], dict, dict]:
+    """Cost of a sample, number of samples run, and what came out, by program; left out is what
+    takes too long for one sample.
+    """
     cases, sizes, answers = {}, {}, {}
     for f in found:
         batch, name = f.program.batch, f.program.name
@@ -199,14 +239,18 @@ def batch_costs(found: list[Found], clearances: np.ndarray, budget: float) -> tu
     return costs, sizes, answers
 
 
-def batch_rows(found: list[Found], question: rig.Question, samples: int, budget: float) -> tuple[list[dict], dict[str, Cost]]:
+def batch_rows(
+    found: list[Found], question: rig.Question, samples: int, budget: float
+) -> tuple[list[dict], dict[str, Cost]]:
     """Table of Monte Carlos, and the costs of a sample where none failed."""
     clearances = np.random.default_rng(0).uniform(0.8, 1.2, samples) * rig.CLEARANCE
     costs, sizes, answers = batch_costs(found, clearances, budget)
     failed = {name: int(np.isnan(answer[:, 0]).sum()) for name, answer in answers.items()}
     sound = {name: cost for name, cost in costs.items() if not failed[name]}
     best, rows = sound[fastest(sound, found, "jaxclear")], []
-    exact = peers_by_hand.batch_adaptive(rig.LAWS["captured"], clearances, question.saves, question.interval, 1e-11)
+    exact = peers_by_hand.batch_adaptive(
+        rig.LAWS["captured"], clearances, question.saves, question.interval, 1e-11
+    )
     for f in found:
         name, batch = f.program.name, f.program.batch
         if name not in costs:
@@ -236,7 +280,10 @@ def target_rows(alone: dict[str, Cost], batch: dict[str, Cost], found: list[Foun
         costs = batch if in_batch else alone
         own, other = fastest(costs, found, "jaxclear"), fastest(costs, found, *names)
         if other is None:
-            rows.append(dict.fromkeys(("jaxclear", "the other", "CPU ratio", "wall ratio", "met"), "–") | {"target": sentence})
+            rows.append(
+                dict.fromkeys(("jaxclear", "the other", "CPU ratio", "wall ratio", "met"), "–")
+                | {"target": sentence}
+            )
             continue
         ratio = costs[other].cpu / costs[own].cpu
         rows.append(
@@ -273,8 +320,14 @@ def main() -> None:
     turns, samples, patience, budget = QUICK if options.quick else FULL
     question = rig.question(turns)
     print(f"{turns:g} turns of the crank, {question.duration * 1e3:.3g} ms; no gravity.")
-    print(f"Accuracy asked: {rig.PLACE_ACCURACY:g} m in the slider's place, {rig.FORCE_ACCURACY:g} in the peak force.")
-    print("Errors are against the reference of the program's own law; agreement: the same of its finest run on the ladder.")
+    print(
+        f"Accuracy asked: {rig.PLACE_ACCURACY:g} m in the slider's place, {rig.FORCE_ACCURACY:g} "
+        "in the peak force."
+    )
+    print(
+        "Errors are against the reference of the program's own law; agreement: the same of its "
+        "finest run on the ladder."
+    )
     report("references: scipy, event by event", reference_rows(question), options)
     found = []
     for program in all_programs(question):
@@ -283,7 +336,11 @@ def main() -> None:
     rows, alone = alone_rows(found, question)
     report("alone, at equal accuracy", rows, options)
     rows, batch = batch_rows(found, question, samples, budget)
-    report(f"Monte Carlo of {samples} clearances from 0.4 to 0.6 mm, each program at the same setting", rows, options)
+    report(
+        f"Monte Carlo of {samples} clearances from 0.4 to 0.6 mm, each program at the same setting",
+        rows,
+        options,
+    )
     report("targets", target_rows(alone, batch, found), options)
 
 

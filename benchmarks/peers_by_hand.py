@@ -1,9 +1,11 @@
-"""The slider-crank of `peers_rig`, written by hand for numba: what a user without a library would write.
+"""The slider-crank of `peers_rig`, written by hand for numba: what a user without a library would
+write.
 
-Coordinates are the rod's angle and the slider's place. Two ways to hold the impact speed: a memory that follows the approach
-speed, which is jaxclear's law (`memory_time` > 0), and exact capture, in which the step that would enter the contact is
-shortened to end at first touch (`memory_time` = 0). `peers_in_c` is the same in C. Beside the fixed steps stands an adaptive
-run, for a user who writes that by hand as well.
+Coordinates are the rod's angle and the slider's place. Two ways to hold the impact speed: a memory
+that follows the approach speed, which is jaxclear's law (`memory_time` > 0), and exact capture, in
+which the step that would enter the contact is shortened to end at first touch (`memory_time` = 0).
+`peers_in_c` is the same in C. Beside the fixed steps stands an adaptive run, for a user who writes
+that by hand as well.
 """
 
 import math
@@ -21,14 +23,18 @@ CENTRE = 1e-4
 
 @numba.njit(inline="always", error_model="numpy")
 def _forces(p, c, stiffness, cth, sth, phi, x, w, u, memory):
-    """(accelerations of rod and slider, rate of the memory, indentation, its rate, normal force)."""
+    """(accelerations of rod and slider, rate of the memory, indentation, its rate, normal
+    force)."""
     sphi, cphi = math.sin(phi), math.cos(phi)
     ex, ey = x - p.crank * cth - p.rod * cphi, -p.crank * sth - p.rod * sphi
     moment = p.pull * (sth * cphi - cth * sphi)
     square = ex * ex + ey * ey
     if square < (CENTRE * c) ** 2:
         return moment / p.inertia, 0.0, 0.0, -c, 0.0, 0.0
-    vx, vy = u + p.crank * p.speed * sth + p.rod * w * sphi, -p.crank * p.speed * cth - p.rod * w * cphi
+    vx, vy = (
+        u + p.crank * p.speed * sth + p.rod * w * sphi,
+        -p.crank * p.speed * cth - p.rod * w * cphi,
+    )
     r = math.sqrt(square)
     nx, ny = ex / r, ey / r
     delta, rate = r - c, nx * vx + ny * vy
@@ -48,7 +54,9 @@ def _forces(p, c, stiffness, cth, sth, phi, x, w, u, memory):
 
 @numba.njit(inline="always", error_model="numpy")
 def _step(p, c, k, t, h, y, f):
-    """One classical Runge-Kutta step from y = (phi, x, w, u, memory) with forces f there: (y, f) at its end."""
+    """One classical Runge-Kutta step from y = (phi, x, w, u, memory) with forces f there: (y, f) at
+    its end.
+    """
     phi, x, w, u, m = y
     half = 0.5 * h
     cm, sm = math.cos(p.speed * (t + half)), math.sin(p.speed * (t + half))
@@ -70,7 +78,9 @@ def _step(p, c, k, t, h, y, f):
 
 @numba.njit(error_model="numpy")
 def _to_touch(p, c, t, h, y, f):
-    """(time, state) of first touch within a step that began open: flight without contact, shortened until the gap is 0."""
+    """(time, state) of first touch within a step that began open: flight without contact, shortened
+    until the gap is 0.
+    """
     for n in range(TOUCH_STEPS + 1):
         z, g = _step(p, c, 0.0, t, h, y, f)
         if n < TOUCH_STEPS:
@@ -94,7 +104,18 @@ def _run(p, c, saves, per_save, h, out):
                 if closed or g[3] <= 0.0 or p.memory_time > 0.0:
                     break
                 t, y = _to_touch(p, c, t, rest, y, f)
-                f = _forces(p, c, k, math.cos(p.speed * t), math.sin(p.speed * t), y[0], y[1], y[2], y[3], y[4])
+                f = _forces(
+                    p,
+                    c,
+                    k,
+                    math.cos(p.speed * t),
+                    math.sin(p.speed * t),
+                    y[0],
+                    y[1],
+                    y[2],
+                    y[3],
+                    y[4],
+                )
                 rest, closed = (n + 1) * h - t, True
             closed = g[3] > 0.0
             y, f = z, g
@@ -133,7 +154,9 @@ LONGEST = 1e-5
 
 @numba.njit(error_model="numpy")
 def _embedded(p, c, k, t, h, y, m, slopes, z, rtol, atol):
-    """One step of Dormand and Prince from y, its slope in slopes[0]: (indentation, rate, force at its end z, error)."""
+    """One step of Dormand and Prince from y, its slope in slopes[0]: (indentation, rate, force at
+    its end z, error).
+    """
     last = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for i in range(6):
         for n in range(4):
@@ -143,7 +166,12 @@ def _embedded(p, c, k, t, h, y, m, slopes, z, rtol, atol):
             z[n] = y[n] + h * moved
         angle = p.speed * (t + _TIMES[i] * h)
         last = _forces(p, c, k, math.cos(angle), math.sin(angle), z[0], z[1], z[2], z[3], m)
-        slopes[i + 1, 0], slopes[i + 1, 1], slopes[i + 1, 2], slopes[i + 1, 3] = z[2], z[3], last[0], last[1]
+        slopes[i + 1, 0], slopes[i + 1, 1], slopes[i + 1, 2], slopes[i + 1, 3] = (
+            z[2],
+            z[3],
+            last[0],
+            last[1],
+        )
     worst = 0.0
     for n in range(4):
         off = 0.0
@@ -157,7 +185,11 @@ def _embedded(p, c, k, t, h, y, m, slopes, z, rtol, atol):
 def _run_adaptive(p, c, saves, interval, rtol, atol, out):
     """Exact capture under error control: (peak force, steps tried)."""
     stiff = 4.0 / 3.0 * p.modulus * math.sqrt((p.radius - c) * p.radius / c)
-    y, z, slopes = np.array([0.0, p.crank + p.rod, -p.crank * p.speed / p.rod, 0.0]), np.zeros(4), np.zeros((7, 4))
+    y, z, slopes = (
+        np.array([0.0, p.crank + p.rod, -p.crank * p.speed / p.rod, 0.0]),
+        np.zeros(4),
+        np.zeros((7, 4)),
+    )
     slopes[0, 0], slopes[0, 1] = y[2], y[3]
     t, m, peak, closed, tried, wish = 0.0, 1.0, 0.0, False, 0, 1e-7
     for save in range(saves):
@@ -174,7 +206,9 @@ def _run_adaptive(p, c, saves, interval, rtol, atol, out):
             if not closed and delta > 0.0:
                 for _ in range(TOUCH_STEPS):
                     h -= delta / rate
-                    delta, rate, normal, worst = _embedded(p, c, k, t, h, y, m, slopes, z, rtol, atol)
+                    delta, rate, normal, worst = _embedded(
+                        p, c, k, t, h, y, m, slopes, z, rtol, atol
+                    )
                 m, closed, wish, tried = rate, True, min(wish, 1e-7), tried + TOUCH_STEPS
                 t += h
             else:
@@ -216,7 +250,9 @@ def run_adaptive(p, clearance: float, saves: int, interval: float, rtol: float) 
     return Answer(places, peak, tried)
 
 
-def batch_adaptive(p, clearances: np.ndarray, saves: int, interval: float, rtol: float) -> np.ndarray:
+def batch_adaptive(
+    p, clearances: np.ndarray, saves: int, interval: float, rtol: float
+) -> np.ndarray:
     """As `batch`, under error control."""
     out = np.empty((len(clearances), 2))
     _batch_adaptive(p, clearances, saves, interval, rtol, ATOL_SHARE * rtol, out)

@@ -1,6 +1,8 @@
-"""The slider-crank of `peers_by_hand` once more in C: the same algorithm, line by line, compiled for this machine.
+"""The slider-crank of `peers_by_hand` once more in C: the same algorithm, line by line, compiled
+for this machine.
 
-The source is a string, so that nothing is built when the package is installed; without a compiler there is no C program.
+The source is a string, so that nothing is built when the package is installed; without a compiler
+there is no C program.
 """
 
 import ctypes
@@ -134,7 +136,10 @@ def compiled(source: str, *flags: str) -> ctypes.CDLL | None:
     always = ["-O3", "-march=native", "-fno-math-errno", "-fopenmp", "-shared", "-fPIC"]
     defined = [f"-DTOUCH_STEPS={TOUCH_STEPS}", f"-DCENTRE={CENTRE}"]
     library = folder / "peers.so"
-    subprocess.run([compiler, *always, *defined, *flags, str(folder / "peers.c"), "-o", str(library), "-lm"], check=True)
+    subprocess.run(
+        [compiler, *always, *defined, *flags, str(folder / "peers.c"), "-o", str(library), "-lm"],
+        check=True,
+    )
     loaded = ctypes.CDLL(str(library))
     shutil.rmtree(folder)
     return loaded
@@ -156,7 +161,13 @@ def _doubles(array: np.ndarray):
 def run(p, clearance: float, saves: int, per_save: int, h: float) -> Answer:
     """Slider's place at the saving times and the peak force."""
     places, plain = np.empty(saves), np.array(p)
-    of = (_doubles(plain), ctypes.c_double(clearance), ctypes.c_long(saves), ctypes.c_long(per_save), ctypes.c_double(h))
+    of = (
+        _doubles(plain),
+        ctypes.c_double(clearance),
+        ctypes.c_long(saves),
+        ctypes.c_long(per_save),
+        ctypes.c_double(h),
+    )
     peak = library().run(*of, _doubles(places))
     return Answer(places, peak, saves * per_save)
 
@@ -164,6 +175,13 @@ def run(p, clearance: float, saves: int, per_save: int, h: float) -> Answer:
 def batch(p, clearances: np.ndarray, saves: int, per_save: int, h: float) -> np.ndarray:
     """(peak force, slider's last place) of every sample, on all threads."""
     out, plain = np.empty((len(clearances), 2)), np.array(p)
-    counts = (ctypes.c_long(len(clearances)), ctypes.c_long(saves), ctypes.c_long(per_save), ctypes.c_double(h))
-    library().batch(_doubles(plain), _doubles(np.ascontiguousarray(clearances)), *counts, _doubles(out))
+    counts = (
+        ctypes.c_long(len(clearances)),
+        ctypes.c_long(saves),
+        ctypes.c_long(per_save),
+        ctypes.c_double(h),
+    )
+    library().batch(
+        _doubles(plain), _doubles(np.ascontiguousarray(clearances)), *counts, _doubles(out)
+    )
     return out

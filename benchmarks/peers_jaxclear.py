@@ -1,4 +1,6 @@
-"""jaxclear on the slider-crank of `peers_rig`, as one program among others. A further integrator is a line more in `JAXCLEAR`."""
+"""jaxclear on the slider-crank of `peers_rig`, as one program among others. A further integrator is
+a line more in `JAXCLEAR`.
+"""
 
 from collections.abc import Callable
 from functools import cache, partial
@@ -13,19 +15,20 @@ import jaxclear as jc
 from benchmarks import peers_rig as rig
 from benchmarks.peers_rig import Answer, Batch, Program
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.time.integrator import REACHED
-from jaxclear.time.simulate import run
+from jaxclear.integrators import REACHED
+from jaxclear.simulation.simulate import run
 
-# jaxclear saves this often within a saving interval of the others, and looks this often between two of its own: forces are
-# wanted every 2 us or so, and what lies between two saved states follows from their speeds.
+# jaxclear saves this often within a saving interval of the others, and looks this often between two
+# of its own: forces are wanted every 2 us or so, and what lies between two saved states follows
+# from their speeds.
 FINER_SAVES, LOOKS = 4, 6
 # Samples a chunk of adaptive runs, which wait for the slowest of their chunk.
 FEW = 16
 
 
 class Entry(NamedTuple):
-    """One way to run jaxclear: law of `rig.LAWS`, settings [s, or relative tolerance] from coarse to fine, the integrator of a
-    setting, samples a chunk in a batch (None: as jaxclear chooses)."""
+    """One way to run jaxclear: law of `rig.LAWS`, settings [s, or relative tolerance] from coarse
+    to fine, the integrator of a setting, samples a chunk in a batch (None: as jaxclear chooses)."""
 
     law: str
     ladder: tuple[float, ...]
@@ -34,7 +37,10 @@ class Entry(NamedTuple):
     chunk: int | None = None
 
 
-STEPS, TOLERANCES = tuple(rig.TURN / rig.GRID / k for k in rig.steps_ladder(3e-6, 2e-8)), rig.tolerance_ladder(1e-5, 1e-11)
+STEPS, TOLERANCES = (
+    tuple(rig.TURN / rig.GRID / k for k in rig.steps_ladder(3e-6, 2e-8)),
+    rig.tolerance_ladder(1e-5, 1e-11),
+)
 
 
 def _fixed(step, **options):
@@ -50,13 +56,19 @@ JAXCLEAR = {
     "jaxclear Adaptive": Entry("remembered", TOLERANCES, _adaptive, True, FEW),
 }
 if "capture_impacts" in jc.integrator.FixedStep.__dataclass_fields__:
-    JAXCLEAR["jaxclear FixedStep rk4, captured"] = Entry("captured", STEPS, partial(_fixed, capture_impacts=True))
+    JAXCLEAR["jaxclear FixedStep rk4, captured"] = Entry(
+        "captured", STEPS, partial(_fixed, capture_impacts=True)
+    )
 if "capture_impacts" in jc.integrator.Adaptive.__dataclass_fields__:
-    JAXCLEAR["jaxclear Adaptive, captured"] = Entry("captured", TOLERANCES, partial(_adaptive, capture_impacts=True), True, FEW)
+    JAXCLEAR["jaxclear Adaptive, captured"] = Entry(
+        "captured", TOLERANCES, partial(_adaptive, capture_impacts=True), True, FEW
+    )
 
 
 def peak_force(trajectory: jc.Trajectory) -> jax.Array:
-    """Largest contact force, between the saved states too: coordinates by Hermite's cubic, their speeds by its derivative."""
+    """Largest contact force, between the saved states too: coordinates by Hermite's cubic, their
+    speeds by its derivative.
+    """
     t, states = trajectory.time, trajectory.states
     n = trajectory.mechanism.topology.coordinate_count
     h = (t[1:] - t[:-1])[:, None, None]
@@ -97,7 +109,11 @@ def program(name: str, entry: Entry, question: rig.Question) -> Program:
         return jc.Problem(
             mechanism,
             {"peak": peak_force, "place": jc.response.FinalCoordinate("G", unit="m")},
-            {"clearance": jc.Variable(lambda m: m.connections["B"].joint.clearance, tolerance=0.1e-3)},
+            {
+                "clearance": jc.Variable(
+                    lambda m: m.connections["B"].joint.clearance, tolerance=0.1e-3
+                )
+            },
             duration=question.duration,
             integrator=entry.integrator(setting),
             save=question.saves * FINER_SAVES + 1,

@@ -1,7 +1,9 @@
-"""The slider-crank of `peers_rig` in MuJoCo (C) and in MJX, in their own joint coordinates, the contact as an applied force.
+"""The slider-crank of `peers_rig` in MuJoCo (C) and in MJX, in their own joint coordinates, the
+contact as an applied force.
 
-MuJoCo's contacts know neither a journal in a hole nor Hertz's law, so the contact law is ours: for C the compiled law of
-`peers_in_c` as a callback, for MJX the law in JAX. Their part is the equations of motion. A flywheel keeps the crank's speed.
+MuJoCo's contacts know neither a journal in a hole nor Hertz's law, so the contact law is ours: for
+C the compiled law of `peers_in_c` as a callback, for MJX the law in JAX. Their part is the
+equations of motion. A flywheel keeps the crank's speed.
 """
 
 import ctypes
@@ -18,7 +20,8 @@ from benchmarks.peers_rig import Answer
 
 # Inertia of the crank [kg m2].
 FLYWHEEL = 1e9
-# MJX in a batch: samples times steps are cut down to a few saving intervals of few steps, and scaled up.
+# MJX in a batch: samples times steps are cut down to a few saving intervals of few steps, and
+# scaled up.
 FEW_SAVES, FEW_STEPS = 4, 25
 CALLBACK = r"""
 #include <mujoco/mujoco.h>
@@ -91,13 +94,17 @@ def _model(step: float):
 
 @cache
 def _install() -> bool:
-    """Set the contact as a compiled callback; False without a compiler: the mechanism then moves without contact."""
+    """Set the contact as a compiled callback; False without a compiler: the mechanism then moves
+    without contact.
+    """
     import mujoco
 
     headers = f"-I{Path(mujoco.__file__).parent / 'include'}"
     library = peers_in_c.compiled(peers_in_c.SOURCE + CALLBACK, headers)
     if library is not None:
-        mujoco.set_mjcb_passive(ctypes.cast(library.passive, ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)))
+        mujoco.set_mjcb_passive(
+            ctypes.cast(library.passive, ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p))
+        )
     return library is not None
 
 
@@ -125,7 +132,9 @@ def mujoco_batch(question: rig.Question, per_save: float, clearances: np.ndarray
     """mujoco.batch on all threads."""
     from mujoco.batch import Batch
 
-    sims = Batch(_model(question.interval / int(per_save)), nsim=len(clearances), nthread=os.cpu_count())
+    sims = Batch(
+        _model(question.interval / int(per_save)), nsim=len(clearances), nthread=os.cpu_count()
+    )
     places, speeds, memories = (sims.bind(name) for name in ("qpos", "qvel", "userdata"))
     places[:], speeds[:] = START
     memories[:] = np.stack([_memory(c) for c in clearances])
@@ -138,7 +147,9 @@ def mujoco_programs(question: rig.Question) -> list[rig.Program]:
     name = "MuJoCo C, RK4" if _install() else "MuJoCo C, RK4, WITHOUT the contact: a lower bound"
     batch = None
     if _has_batch():
-        batch = rig.Batch(lambda k, c: mujoco_batch(question, k, c), f"mujoco.batch, {os.cpu_count()} threads")
+        batch = rig.Batch(
+            lambda k, c: mujoco_batch(question, k, c), f"mujoco.batch, {os.cpu_count()} threads"
+        )
     ladder = rig.steps_ladder(3e-6, 2e-8)
     return [rig.Program(name, "captured", ladder, lambda k: mujoco_run(question, k), batch)]
 
@@ -148,12 +159,17 @@ def _has_batch() -> bool:
 
     there = (Path(mujoco.__file__).parent / "batch.py").exists()
     if not there:
-        print("This MuJoCo has no mujoco.batch, so it is left out of the batches; `pip install 'mujoco>=4'` brings it.")
+        print(
+            "This MuJoCo has no mujoco.batch, so it is left out of the batches; `pip install "
+            "'mujoco>=4'` brings it."
+        )
     return there
 
 
 def _jax_contact(c, stiffness, q, v, memory):
-    """(generalised force on the rod, on the slider, indentation, its rate, normal force); memory below 0: still open."""
+    """(generalised force on the rod, on the slider, indentation, its rate, normal force); memory
+    below 0: still open.
+    """
     st, ct, sp, cp = jnp.sin(q[0]), jnp.cos(q[0]), jnp.sin(q[0] + q[1]), jnp.cos(q[0] + q[1])
     w = v[0] + v[1]
     ex, ey = q[2] - P.crank * ct - P.rod * cp, -P.crank * st - P.rod * sp
@@ -168,7 +184,12 @@ def _jax_contact(c, stiffness, q, v, memory):
     normal = stiffness * depth * jnp.sqrt(depth) * jnp.maximum(1 + P.damping * rate / impact, 0.0)
     reach = P.radius + 0.5 * delta
     slip = nx * vy - ny * vx - w * reach
-    drag = -jnp.sign(slip) * P.mu * jnp.clip((jnp.abs(slip) - P.inner) / (P.outer - P.inner), 0.0, 1.0) * normal
+    drag = (
+        -jnp.sign(slip)
+        * P.mu
+        * jnp.clip((jnp.abs(slip) - P.inner) / (P.outer - P.inner), 0.0, 1.0)
+        * normal
+    )
     fx, fy = -normal * nx - drag * ny, -normal * ny + drag * nx
     return -(P.rod * (cp * fy - sp * fx) + reach * drag), fx, delta, rate, normal
 
@@ -228,7 +249,9 @@ def _mjx_batch():
 
 
 def mjx_run(question: rig.Question, per_save: float) -> Answer:
-    """One run; the law's own Runge-Kutta around mjx.forward, because mjx.step holds applied forces over its stages."""
+    """One run; the law's own Runge-Kutta around mjx.forward, because mjx.step holds applied forces
+    over its stages.
+    """
     found = _mjx_alone(question.saves)(rig.CLEARANCE, question.interval / per_save, int(per_save))
     places, peak = jax.block_until_ready(found)
     return Answer(np.asarray(places), float(peak), question.saves * int(per_save))
@@ -238,7 +261,9 @@ def mjx_programs(question: rig.Question) -> list[rig.Program]:
     """MJX in float64."""
 
     def go(per_save, clearances):
-        places, peaks = _mjx_batch()(jnp.asarray(clearances), question.interval / per_save, FEW_STEPS)
+        places, peaks = _mjx_batch()(
+            jnp.asarray(clearances), question.interval / per_save, FEW_STEPS
+        )
         return np.stack([peaks, places[:, -1]], axis=1)
 
     def share(per_save):

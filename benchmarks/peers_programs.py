@@ -1,8 +1,10 @@
-"""The slider-crank of `peers_rig` in other programs without a mechanism of ours: scipy with numba's right-hand side, and Exudyn.
+"""The slider-crank of `peers_rig` in other programs without a mechanism of ours: scipy with numba's
+right-hand side, and Exudyn.
 
-scipy stops at every touch and every opening, so it holds the impact speed exactly; at tight tolerance it is the reference of
-each law. Exudyn's ball in a hollow sphere is, in planar motion, a journal in a bearing; its Hunt-Crossley law is
-Lankarani and Nikravesh's with 1.5 (1 - e') = 0.75 (1 - e^2), its friction is linear from 0 to the regularisation speed.
+scipy stops at every touch and every opening, so it holds the impact speed exactly; at tight
+tolerance it is the reference of each law. Exudyn's ball in a hollow sphere is, in planar motion, a
+journal in a bearing; its Hunt-Crossley law is Lankarani and Nikravesh's with 1.5 (1 - e') = 0.75 (1
+- e^2), its friction is linear from 0 to the regularisation speed.
 """
 
 import importlib.util
@@ -29,7 +31,8 @@ LOOKS = 400
 CONTACT_STEP, FLIGHT_STEP = 1e-5, 3e-5
 # Shorter by this for the reference.
 FINER = 0.3
-# Exudyn: inertia [kg m2] that keeps the crank's speed, spacing of recorded forces [s], and the smallest step it may halve to.
+# Exudyn: inertia [kg m2] that keeps the crank's speed, spacing of recorded forces [s], and the
+# smallest step it may halve to.
 FLYWHEEL, RECORD, SMALLEST_STEP = 1e9, 2.5e-6, 1e-14
 # Its adaptive runs take no longer steps than this [s].
 LONGEST_EXUDYN = 5e-6
@@ -40,9 +43,15 @@ PIP = {"exudyn": "exudyn", "mujoco": "mujoco", "mujoco.mjx": "mujoco-mjx"}
 def installed(module: str) -> bool:
     """Whether a program is there; prints what would bring it if not."""
     parent = module.split(".")[0]
-    if importlib.util.find_spec(parent) is not None and importlib.util.find_spec(module) is not None:
+    if (
+        importlib.util.find_spec(parent) is not None
+        and importlib.util.find_spec(module) is not None
+    ):
         return True
-    print(f"{MISSING[module]} is not installed and is left out; `pip install {PIP[module]}` brings it.")
+    print(
+        f"{MISSING[module]} is not installed and is left out; `pip install {PIP[module]}` brings "
+        "it."
+    )
     return False
 
 
@@ -57,14 +66,22 @@ def _slope(t, y, p, c, k, closed):
 @numba.njit(error_model="numpy")
 def _contact(t, y, p, c, k):
     """(indentation, its rate, normal force)."""
-    return _forces(p, c, k, math.cos(p.speed * t), math.sin(p.speed * t), y[0], y[1], y[2], y[3], y[4])[3:]
+    return _forces(
+        p, c, k, math.cos(p.speed * t), math.sin(p.speed * t), y[0], y[1], y[2], y[3], y[4]
+    )[3:]
 
 
-def scipy_run(law: str, question: rig.Question, method: str, rtol: float, finer: float = 1.0) -> Answer:
+def scipy_run(
+    law: str, question: rig.Question, method: str, rtol: float, finer: float = 1.0
+) -> Answer:
     """Flights and contacts by turns, each solved for itself. `steps` counts evaluations."""
     p, c = rig.LAWS[law], rig.CLEARANCE
     stiffness = rig.stiffness(c)
-    t, y, closed = 0.0, np.array([0.0, p.crank + p.rod, -p.crank * p.speed / p.rod, 0.0, 0.0]), False
+    t, y, closed = (
+        0.0,
+        np.array([0.0, p.crank + p.rod, -p.crank * p.speed / p.rod, 0.0, 0.0]),
+        False,
+    )
     places, times, peak, count = np.empty(question.saves), question.times, 0.0, 0
     while t < question.duration:
         k, longest = (stiffness, CONTACT_STEP) if closed else (0.0, FLIGHT_STEP)
@@ -83,7 +100,13 @@ def scipy_run(law: str, question: rig.Question, method: str, rtol: float, finer:
             places[inside] = found.sol(times[inside])[1]
         if closed:
             looks = np.linspace(t, found.t[-1], LOOKS)
-            peak = max(peak, max(_contact(s, z, p, c, k)[2] for s, z in zip(looks, found.sol(looks).T, strict=True)))
+            peak = max(
+                peak,
+                max(
+                    _contact(s, z, p, c, k)[2]
+                    for s, z in zip(looks, found.sol(looks).T, strict=True)
+                ),
+            )
         t, y = found.t[-1], found.y[:, -1].copy()
         if found.status == 1:
             closed = not closed
@@ -104,7 +127,13 @@ def scipy_programs(question: rig.Question) -> list[rig.Program]:
     """The two methods that come out fastest."""
     law, ladder = "captured", rig.tolerance_ladder(1e-5, 1e-12)
     return [
-        rig.Program(f"scipy {m} + numba", law, ladder, lambda r, m=m: scipy_run(law, question, m, r), adaptive=True)
+        rig.Program(
+            f"scipy {m} + numba",
+            law,
+            ladder,
+            lambda r, m=m: scipy_run(law, question, m, r),
+            adaptive=True,
+        )
         for m in ("LSODA", "DOP853")
     ]
 
@@ -119,7 +148,9 @@ def _exudyn():
 
 
 def _exudyn_trees(exu, items, mbs, p):
-    """Crank and rod, and the slider, as kinematic trees in joint coordinates: (rod's tree, slider's tree, slider's node)."""
+    """Crank and rod, and the slider, as kinematic trees in joint coordinates: (rod's tree, slider's
+    tree, slider's node).
+    """
     eye = np.eye(3)
     start = [p.speed, -p.crank * p.speed / p.rod - p.speed]
     swing = mbs.AddNode(items.NodeGenericODE2("", [0.0, 0.0], [0.0, 0.0], start, 2))
@@ -161,9 +192,15 @@ def _exudyn_system(clearance: float):
     container = exu.SystemContainer()
     mbs = container.AddSystem()
     tree, block, slide = _exudyn_trees(exu, items, mbs, p)
-    ball = mbs.AddMarker(items.MarkerKinematicTreeRigid(objectNumber=block, linkNumber=0, localPosition=[0, 0, 0]))
-    hole = mbs.AddMarker(items.MarkerKinematicTreeRigid(objectNumber=tree, linkNumber=1, localPosition=[p.rod, 0, 0]))
-    memory = mbs.AddNode(items.NodeGenericData(initialCoordinates=[clearance, 0, 0, 0], numberOfDataCoordinates=4))
+    ball = mbs.AddMarker(
+        items.MarkerKinematicTreeRigid(objectNumber=block, linkNumber=0, localPosition=[0, 0, 0])
+    )
+    hole = mbs.AddMarker(
+        items.MarkerKinematicTreeRigid(objectNumber=tree, linkNumber=1, localPosition=[p.rod, 0, 0])
+    )
+    memory = mbs.AddNode(
+        items.NodeGenericData(initialCoordinates=[clearance, 0, 0, 0], numberOfDataCoordinates=4)
+    )
     contact = mbs.AddObject(
         items.ObjectContactSphereSphere(
             markerNumbers=[ball, hole],
@@ -180,14 +217,19 @@ def _exudyn_system(clearance: float):
         )
     )
     kinds, kept = exu.OutputVariableType, {"storeInternal": True, "writeToFile": False}
-    place = mbs.AddSensor(items.SensorNode(nodeNumber=slide, outputVariableType=kinds.Coordinates, **kept))
-    force = mbs.AddSensor(items.SensorObject(objectNumber=contact, outputVariableType=kinds.Force, **kept))
+    place = mbs.AddSensor(
+        items.SensorNode(nodeNumber=slide, outputVariableType=kinds.Coordinates, **kept)
+    )
+    force = mbs.AddSensor(
+        items.SensorObject(objectNumber=contact, outputVariableType=kinds.Force, **kept)
+    )
     mbs.Assemble()
     return container, mbs, place, force
 
 
 def exudyn_run(question: rig.Question, clearance: float, setting: float, solver: str) -> Answer:
-    """One run. Adaptive solvers: `setting` is the tolerance; the others: steps per saving interval."""
+    """One run. Adaptive solvers: `setting` is the tolerance; the others: steps per saving
+    interval."""
     exu = _exudyn()
     _, mbs, place, force = _exudyn_system(clearance)
     settings = exu.SimulationSettings()
@@ -196,14 +238,20 @@ def exudyn_run(question: rig.Question, clearance: float, setting: float, solver:
     longest = LONGEST_EXUDYN if adaptive else question.interval / setting
     stepping.numberOfSteps = int(round(question.duration / longest))
     stepping.explicit.computeEndOfStepAccelerations = False
-    # Where a contact closes, steps are halved down to the smallest: that is how this program finds the touch.
+    # Where a contact closes, steps are halved down to the smallest: that is how this program finds
+    # the touch.
     stepping.adaptiveStep, stepping.discontinuous.useRecommendedStepSize = adaptive, adaptive
     stepping.minimumStepSize, stepping.automaticStepSize = SMALLEST_STEP, adaptive
     if adaptive:
         stepping.relativeTolerance, stepping.absoluteTolerance = setting, rig.ATOL_SHARE * setting
     settings.solution.file.write = False
     settings.solution.sensors.writePeriod = RECORD
-    mbs.SolveDynamic(settings, solverType=getattr(exu.DynamicSolverType, solver), showHints=False, updateInitialValues=False)
+    mbs.SolveDynamic(
+        settings,
+        solverType=getattr(exu.DynamicSolverType, solver),
+        showHints=False,
+        updateInitialValues=False,
+    )
     places, forces = mbs.GetSensorStoredData(place), mbs.GetSensorStoredData(force)
     times, first = np.unique(places[:, 0], return_index=True)
     at_grid = CubicSpline(times, places[first, 1])(question.times)
@@ -227,12 +275,28 @@ def exudyn_programs(question: rig.Question) -> list[rig.Program]:
 
     def batch(solver):
         def go(setting, clearances):
-            return np.array(list(_processes().map(_exudyn_sample, [(question, float(c), setting, solver) for c in clearances])))
+            return np.array(
+                list(
+                    _processes().map(
+                        _exudyn_sample, [(question, float(c), setting, solver) for c in clearances]
+                    )
+                )
+            )
 
         return rig.Batch(go, f"{os.cpu_count()} processes", most=8)
 
     law, coarse = "captured, friction from 0", rig.steps_ladder(1e-6, 1e-8)
     return [
-        rig.Program(f"Exudyn {s}", law, ladder, lambda x, s=s: exudyn_run(question, rig.CLEARANCE, x, s), batch(s), a)
-        for s, ladder, a in (("DOPRI5", rig.tolerance_ladder(1e-5, 1e-12), True), ("ExplicitMidpoint", coarse, False))
+        rig.Program(
+            f"Exudyn {s}",
+            law,
+            ladder,
+            lambda x, s=s: exudyn_run(question, rig.CLEARANCE, x, s),
+            batch(s),
+            a,
+        )
+        for s, ladder, a in (
+            ("DOPRI5", rig.tolerance_ladder(1e-5, 1e-12), True),
+            ("ExplicitMidpoint", coarse, False),
+        )
     ]

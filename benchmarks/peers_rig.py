@@ -1,7 +1,9 @@
-"""The mechanism on which jaxclear and other programs run side by side: a slider-crank with a worn-out rod-slider joint.
+"""The mechanism on which jaxclear and other programs run side by side: a slider-crank with a
+worn-out rod-slider joint.
 
-Crank driven at constant speed, rod, slider; the slider carries the journal, the rod the bearing. No gravity: at this speed it is
-a thousandth of the crank pin's acceleration. Start: crank along the guide, journal concentric and at rest in the bearing.
+Crank driven at constant speed, rod, slider; the slider carries the journal, the rod the bearing. No
+gravity: at this speed it is a thousandth of the crank pin's acceleration. Start: crank along the
+guide, journal concentric and at rest in the bearing.
 """
 
 import math
@@ -22,8 +24,9 @@ GRID = 240
 # An error-controlled program holds coordinates and speeds to rtol |y| + ATOL_SHARE rtol.
 ATOL_SHARE = 1e-2
 
-# Accuracy asked: a fiftieth of a percent of the slider's stroke would be 20 um; 1 um is 0.2 % of the clearance, so the path
-# of the journal in its bearing is still right. A peak force to 1 % is more than any stiffness is known to.
+# Accuracy asked: a fiftieth of a percent of the slider's stroke would be 20 um; 1 um is 0.2 % of
+# the clearance, so the path of the journal in its bearing is still right. A peak force to 1 % is
+# more than any stiffness is known to.
 PLACE_ACCURACY, FORCE_ACCURACY = 1e-6, 1e-2
 # References are solved to this tolerance, and once more by another method to the second.
 REFERENCE_RTOL, SECOND_RTOL = 1e-12, 1e-10
@@ -51,7 +54,9 @@ def question(turns: float) -> Question:
 
 
 class Answer(NamedTuple):
-    """What every program returns: the slider's place [m] at the saving times after the first, the peak force [N], steps taken."""
+    """What every program returns: the slider's place [m] at the saving times after the first, the
+    peak force [N], steps taken.
+    """
 
     places: np.ndarray
     peak: float
@@ -59,10 +64,11 @@ class Answer(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """A program's way to run many clearances, at most `most`: `go(setting, clearances)`, which does `share(setting)` of a run.
+    """A program's way to run many clearances, at most `most`: `go(setting, clearances)`, which does
+    `share(setting)` of a run.
 
-    It returns a row for every sample: peak force [N] (NaN: the sample failed), the slider's last place [m], and CPU time spent in
-    another process [s], if any.
+    It returns a row for every sample: peak force [N] (NaN: the sample failed), the slider's last
+    place [m], and CPU time spent in another process [s], if any.
     """
 
     go: Callable[[float, np.ndarray], np.ndarray]
@@ -73,7 +79,8 @@ class Batch(NamedTuple):
 
 @dataclass(frozen=True)
 class Program:
-    """One program: `run(setting)`, the setting a number of steps per saving interval, or a relative tolerance.
+    """One program: `run(setting)`, the setting a number of steps per saving interval, or a relative
+    tolerance.
 
     `settings` from coarse to fine. `law`: which of `LAWS` it solves.
     """
@@ -87,8 +94,9 @@ class Program:
 
 
 class Numbers(NamedTuple):
-    """What a hand-written program needs, SI units. `inertia`: of the rod about the crank pin; `pull`: product of the rod's mass,
-    half its length and the crank pin's acceleration; `damping`: 0.75 (1 - e^2); `memory_time` 0 stands for exact capture."""
+    """What a hand-written program needs, SI units. `inertia`: of the rod about the crank pin;
+    `pull`: product of the rod's mass, half its length and the crank pin's acceleration; `damping`:
+    0.75 (1 - e^2); `memory_time` 0 stands for exact capture."""
 
     crank: float
     rod: float
@@ -117,7 +125,9 @@ def mechanism(memory_time: float, clearance: float = CLEARANCE) -> jc.Mechanism:
     steel = jc.Material(YOUNG, POISSON)
     bearing = jc.clearance.PlanarJournalBearing(
         contact=jc.contact.LankaraniNikravesh(
-            stiffness=jc.stiffness.HertzStiffness(steel, steel), restitution=RESTITUTION, memory_time=memory_time
+            stiffness=jc.stiffness.HertzStiffness(steel, steel),
+            restitution=RESTITUTION,
+            memory_time=memory_time,
         ),
         friction=jc.friction.Ambrosio(mu_kinetic=MU),
         bearing_radius=RADIUS,
@@ -130,10 +140,14 @@ def mechanism(memory_time: float, clearance: float = CLEARANCE) -> jc.Mechanism:
             "slider": jc.Body(mass=SLIDER_MASS, inertia=1e-4),
         },
         connections={
-            "O": jc.Connection(jc.joint.Revolute(drive=jc.drive.ConstantSpeed(SPEED)), "ground", "crank"),
+            "O": jc.Connection(
+                jc.joint.Revolute(drive=jc.drive.ConstantSpeed(SPEED)), "ground", "crank"
+            ),
             "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(CRANK, 0.0)),
             "B": jc.Connection(bearing, "rod", "slider", at=(ROD, 0.0)),
-            "G": jc.Connection(jc.joint.Prismatic(), jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")),
+            "G": jc.Connection(
+                jc.joint.Prismatic(), jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")
+            ),
         },
         start={"G": CRANK + ROD},
     )
@@ -169,7 +183,9 @@ LAWS: dict[str, Numbers] = {
 
 
 def steps_ladder(coarse: float, fine: float) -> tuple[float, ...]:
-    """Steps per saving interval, growing by the square root of two, for steps between `coarse` and `fine` [s]."""
+    """Steps per saving interval, growing by the square root of two, for steps between `coarse` and
+    `fine` [s].
+    """
     interval = TURN / GRID
     count = math.ceil(2 * math.log2(coarse / fine))
     return tuple(float(round(interval / coarse * 2 ** (i / 2))) for i in range(count + 1))

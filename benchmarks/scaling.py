@@ -1,15 +1,16 @@
-"""What running costs as scenes grow: with the number of clearance joints, of samples, and with simulated time; and what the
-engine's own compiled loops are worth against XLA's.
+"""What running costs as scenes grow: with the number of clearance joints, of samples, and with
+simulated time; and what the engine's own compiled loops are worth against XLA's.
 
-Times are the smallest of several, of compiled programs; compiling is given apart, in CPU seconds. Each chain is measured in a
-process of its own with a time limit, because long chains may not compile in bearable time; everything else takes
-turns in one process.
+Times are the smallest of several, of compiled programs; compiling is given apart, in CPU seconds.
+Each chain is measured in a process of its own with a time limit, because long chains may not
+compile in bearable time; everything else takes turns in one process.
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import json
@@ -31,7 +32,7 @@ from benchmarks.measure import arguments, report, seconds_to_compile, side_by_si
 
 import jaxclear as jc
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.time.simulate import run
+from jaxclear.simulation.simulate import run
 
 PLAIN_LOOPS = "JAXCLEAR_PLAIN_LOOPS"
 # Chain: step [s] of the fixed ones, simulated time [s], and how long a process may take [s].
@@ -43,7 +44,8 @@ SAVING = 2.5e-3
 BATCH = 64
 # A batch that would take longer than this [s] is left out.
 LONGEST = 120.0
-# Running must take this share of what a run of no length takes, or the time of its steps is not told.
+# Running must take this share of what a run of no length takes, or the time of its steps is not
+# told.
 CLEAR = 0.2
 
 
@@ -56,9 +58,13 @@ def integrators(step: float, implicit: bool = False) -> dict[str, Any]:
 def slider_crank() -> jc.Mechanism:
     """The planar slider-crank of README, without wear."""
     steel = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
-    contact = jc.contact.LankaraniNikravesh(stiffness=jc.stiffness.HertzStiffness(steel, steel), restitution=0.9)
+    contact = jc.contact.LankaraniNikravesh(
+        stiffness=jc.stiffness.HertzStiffness(steel, steel), restitution=0.9
+    )
     friction = jc.friction.Ambrosio(mu_kinetic=0.03)
-    bearing = jc.clearance.PlanarJournalBearing(contact, friction, bearing_radius=10e-3, clearance=0.2e-3)
+    bearing = jc.clearance.PlanarJournalBearing(
+        contact, friction, bearing_radius=10e-3, clearance=0.2e-3
+    )
     return jc.Mechanism(
         bodies={
             "crank": jc.Body(mass=0.3, inertia=1e-4, com=(0.025, 0.0)),
@@ -66,10 +72,14 @@ def slider_crank() -> jc.Mechanism:
             "slider": jc.Body(mass=0.14, inertia=1e-4),
         },
         connections={
-            "O": jc.Connection(jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"),
+            "O": jc.Connection(
+                jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"
+            ),
             "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0)),
             "B": jc.Connection(bearing, "rod", "slider", at=(0.12, 0.0)),
-            "G": jc.Connection(jc.joint.Prismatic(), jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")),
+            "G": jc.Connection(
+                jc.joint.Prismatic(), jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")
+            ),
         },
         loads={"gravity": jc.load.Gravity((0.0, -9.81))},
         start={"G": 0.17},
@@ -78,7 +88,10 @@ def slider_crank() -> jc.Mechanism:
 
 # Of clearance and length [m].
 TOLERANCES = (20e-6, 50e-6)
-SCENES: dict[str, Callable[[], jc.Mechanism]] = {"four-bar": jc.scenes.four_bar, "slider-crank": slider_crank}
+SCENES: dict[str, Callable[[], jc.Mechanism]] = {
+    "four-bar": jc.scenes.four_bar,
+    "slider-crank": slider_crank,
+}
 
 
 class _Reasons(logging.Handler):
@@ -118,7 +131,9 @@ def loops(plain: bool) -> Iterator[None]:
             os.environ[PLAIN_LOOPS] = before
 
 
-def program(mechanism: jc.Mechanism, integrator: Any, times: Any, samples: int = 1) -> tuple[Callable, dict[str, Any]]:
+def program(
+    mechanism: jc.Mechanism, integrator: Any, times: Any, samples: int = 1
+) -> tuple[Callable, dict[str, Any]]:
     """A compiled run (or so many alike side by side in one program), and what compiling it said."""
     start = jc.assemble(mechanism)
     numbers, rest = eqx.partition((mechanism, integrator), eqx.is_array)
@@ -139,7 +154,10 @@ def program(mechanism: jc.Mechanism, integrator: Any, times: Any, samples: int =
     with reasons() as why:
         compiled, seconds = seconds_to_compile(one if samples == 1 else batch, *args)
     own = 'custom_call_target="jaxclear_' in compiled.as_text()
-    told = {"loop": "XLA" if not own else "own and XLA" if why else "own", "compile CPU [s]": seconds}
+    told = {
+        "loop": "XLA" if not own else "own and XLA" if why else "own",
+        "compile CPU [s]": seconds,
+    }
     return lambda: compiled(*args), told | {"reason": why[0] if why else ""}
 
 
@@ -170,7 +188,14 @@ def chain_figures(joints: int, name: str, repeats: int) -> dict[str, Any]:
 
 def chain_rows(quick: bool) -> list[dict[str, Any]]:
     sizes, limit, repeats = ((1, 4), 40, 2) if quick else ((1, 4, 16, 64), 150, 5)
-    keys = ("loop", "compile CPU [s]", "steps", "wall [ns/step]", "CPU [ns/step]", "wall [ns/step/joint]")
+    keys = (
+        "loop",
+        "compile CPU [s]",
+        "steps",
+        "wall [ns/step]",
+        "CPU [ns/step]",
+        "wall [ns/step/joint]",
+    )
     rows: list[dict[str, Any]] = []
     for name in integrators(CHAIN_STEP, implicit=True):
         lost = None
@@ -203,13 +228,19 @@ def _in_a_process(joints: int, name: str, repeats: int, limit: int) -> dict[str,
 
 
 def question(mechanism: jc.Mechanism, integrator: Any, duration: float) -> jc.Problem:
-    """Clearance, and the length of the link that carries the bearing, vary; answers how many steps a sample took."""
+    """Clearance, and the length of the link that carries the bearing, vary; answers how many steps
+    a sample took.
+    """
     return jc.Problem(
         mechanism,
         {"steps": lambda run: run.accepted_steps + run.rejected_steps},
         {
-            "clearance": jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=TOLERANCES[0]),
-            "length": jc.Variable(lambda rig: rig.connections["B"].parent.at[0], tolerance=TOLERANCES[1]),
+            "clearance": jc.Variable(
+                lambda rig: rig.connections["B"].joint.clearance, tolerance=TOLERANCES[0]
+            ),
+            "length": jc.Variable(
+                lambda rig: rig.connections["B"].parent.at[0], tolerance=TOLERANCES[1]
+            ),
         },
         duration=duration,
         integrator=integrator,
@@ -225,11 +256,17 @@ def sample_rows(quick: bool) -> list[dict[str, Any]]:
         for name, integrator in integrators(STEP).items():
             first, expected = None, 0.0
             for size in sizes:
-                row = {"scene": scene, "integrator": name, "samples": size} | dict.fromkeys(SAMPLE_KEYS, "-")
+                row = {"scene": scene, "integrator": name, "samples": size} | dict.fromkeys(
+                    SAMPLE_KEYS, "-"
+                )
                 if expected * size > LONGEST:
                     row["result"] = f"left out: would take {expected * size:.0f} s"
                 else:
-                    row |= _samples(question(build(), integrator, duration), size, 1 if quick or size > 256 else 5)
+                    row |= _samples(
+                        question(build(), integrator, duration),
+                        size,
+                        1 if quick or size > 256 else 5,
+                    )
                     expected = row["wall [ms/sample]"] / 1e3
                     first = first or expected
                     row["faster than one"] = first / expected
@@ -237,13 +274,20 @@ def sample_rows(quick: bool) -> list[dict[str, Any]]:
     return rows
 
 
-SAMPLE_KEYS = ("wall [ms/sample]", "at no length [ms/sample]", "faster than one", "steps/sample", "most / mean")
+SAMPLE_KEYS = (
+    "wall [ms/sample]",
+    "at no length [ms/sample]",
+    "faster than one",
+    "steps/sample",
+    "most / mean",
+)
 SAMPLE_KEYS += ("varied [ns/step]", "alike [ns/step]", "waiting", "result")
 
 
 def _samples(asked: jc.Problem, size: int, repeats: int) -> dict[str, Any]:
-    """One line: samples that differ, samples that are alike (where each chooses its steps), and runs of no length, which
-    assemble, answer and start the program only. Waiting: a step of those that differ over a step of those alike."""
+    """One line: samples that differ, samples that are alike (where each chooses its steps), and
+    runs of no length, which assemble, answer and start the program only. Waiting: a step of those
+    that differ over a step of those alike."""
     rng = np.random.default_rng(0)
     nominal, tolerances = np.asarray(asked.nominal()), np.array(TOLERANCES)
     varied = nominal + tolerances * np.clip(rng.normal(size=(size, 2)) / 3, -1, 1)
@@ -254,17 +298,32 @@ def _samples(asked: jc.Problem, size: int, repeats: int) -> dict[str, Any]:
         return answers[key].responses["steps"]
 
     at_once = eqx.tree_at(lambda p: p.duration, asked, jnp.zeros(()))
-    cases = {"varied": lambda: go("varied", asked, varied), "starting": lambda: go("starting", at_once, varied)}
+    cases = {
+        "varied": lambda: go("varied", asked, varied),
+        "starting": lambda: go("starting", at_once, varied),
+    }
     if isinstance(asked.integrator, jc.integrator.Adaptive):
         cases["alike"] = lambda: go("alike", asked, np.tile(nominal, (size, 1)))
     walls = {key: wall for key, (wall, _) in side_by_side(cases, repeats).items()}
     moving = {key: walls[key] - walls["starting"] for key in answers if key != "starting"}
     # A difference that is a small part of what is subtracted says nothing.
     clear = {key: spent for key, spent in moving.items() if spent > CLEAR * walls["starting"]}
-    each = {key: float(spent / np.sum(answers[key].responses["steps"]) * 1e9) for key, spent in clear.items()}
-    steps, well = answers["varied"].responses["steps"], answers["varied"].outcome == jc.integrator.REACHED
-    row = {"wall [ms/sample]": 1e3 * walls["varied"] / size, "at no length [ms/sample]": 1e3 * walls["starting"] / size}
-    row |= {"steps/sample": float(np.mean(steps)), "most / mean": float(np.max(steps) / np.mean(steps))}
+    each = {
+        key: float(spent / np.sum(answers[key].responses["steps"]) * 1e9)
+        for key, spent in clear.items()
+    }
+    steps, well = (
+        answers["varied"].responses["steps"],
+        answers["varied"].outcome == jc.integrator.REACHED,
+    )
+    row = {
+        "wall [ms/sample]": 1e3 * walls["varied"] / size,
+        "at no length [ms/sample]": 1e3 * walls["starting"] / size,
+    }
+    row |= {
+        "steps/sample": float(np.mean(steps)),
+        "most / mean": float(np.max(steps) / np.mean(steps)),
+    }
     row |= {f"{key} [ns/step]": value for key, value in each.items()}
     row |= {"waiting": each["varied"] / each["alike"]} if len(each) == 2 else {}
     return row | {"result": f"{np.sum(well)} of {size} ended well"}
@@ -280,9 +339,15 @@ def duration_rows(quick: bool) -> list[dict[str, Any]]:
         told: dict[float, tuple] = {}
         cases, loop = {}, {}
         for duration in durations:
-            go, said = program(jc.scenes.four_bar(), integrator, jnp.linspace(0.0, duration, round(duration / SAVING) + 1))
+            go, said = program(
+                jc.scenes.four_bar(),
+                integrator,
+                jnp.linspace(0.0, duration, round(duration / SAVING) + 1),
+            )
             told[duration], cases[duration], loop[duration] = go()[1:], go, said["loop"]
-        walls = {duration: wall for duration, (wall, _) in side_by_side(cases, 1 if quick else 5).items()}
+        walls = {
+            duration: wall for duration, (wall, _) in side_by_side(cases, 1 if quick else 5).items()
+        }
         for duration, before in zip(durations, (None, *durations), strict=False):
             steps, outcome = int(told[duration][0]), told[duration][1]
             row = {
@@ -294,7 +359,9 @@ def duration_rows(quick: bool) -> list[dict[str, Any]]:
                 "steps per simulated s": steps / duration,
                 "wall [ns/step]": walls[duration] / steps * 1e9,
                 # Exponent of the time with which the cost grew since the line above: 1 is linear.
-                "exponent": "-" if before is None else math.log(walls[duration] / walls[before]) / math.log(duration / before),
+                "exponent": "-"
+                if before is None
+                else math.log(walls[duration] / walls[before]) / math.log(duration / before),
             }
             rows.append(row | {"result": _ended(outcome)})
     return rows
@@ -309,16 +376,34 @@ def loop_rows(quick: bool) -> list[dict[str, Any]]:
     rows = []
     for scene, build in scenes.items():
         for name, integrator in integrators(STEP, implicit=not quick).items():
-            rows += _both_loops(scene, build(), name, integrator, jnp.linspace(0.0, duration, 11), repeats)
+            rows += _both_loops(
+                scene, build(), name, integrator, jnp.linspace(0.0, duration, 11), repeats
+            )
     return rows
 
 
-def _both_loops(scene: str, mechanism: Any, name: str, integrator: Any, times: Any, repeats: int) -> list[dict[str, Any]]:
+def _both_loops(
+    scene: str, mechanism: Any, name: str, integrator: Any, times: Any, repeats: int
+) -> list[dict[str, Any]]:
     rows, cases, counts = [], {}, {}
     for samples in (1, BATCH):
         for plain in (False, True):
-            row = {"scene": scene, "integrator": name, "samples": samples, "asked for": "XLA" if plain else "own"}
-            row |= {key: "-" for key in ("loop", "compile CPU [s]", "wall [ns/step/sample]", "own is faster", "result")}
+            row = {
+                "scene": scene,
+                "integrator": name,
+                "samples": samples,
+                "asked for": "XLA" if plain else "own",
+            }
+            row |= {
+                key: "-"
+                for key in (
+                    "loop",
+                    "compile CPU [s]",
+                    "wall [ns/step/sample]",
+                    "own is faster",
+                    "result",
+                )
+            }
             rows.append(row)
             key = (samples, plain)
             try:
@@ -338,7 +423,10 @@ def _both_loops(scene: str, mechanism: Any, name: str, integrator: Any, times: A
             row["wall [ns/step/sample]"] = walls[samples, plain] / counts[samples, plain] * 1e9
             if (samples, not plain) in walls and not plain:
                 row["own is faster"] = (
-                    walls[samples, True] / counts[samples, True] * counts[samples, False] / walls[samples, False]
+                    walls[samples, True]
+                    / counts[samples, True]
+                    * counts[samples, False]
+                    / walls[samples, False]
                 )
     return rows
 

@@ -1,13 +1,16 @@
-"""What one Runge-Kutta step costs: one run alone (fixed and adaptive steps), and batches over clearance on one or more threads.
+"""What one Runge-Kutta step costs: one run alone (fixed and adaptive steps), and batches over
+clearance on one or more threads.
 
-Batches are `jax.vmap` of the pure core of `simulate`, cut into chunks; beside them the loop in numba. Compiled loops leave
-Python free, so chunks run side by side in threads. Start-up and compilation are not counted.
+Batches are `jax.vmap` of the pure core of `simulate`, cut into chunks; beside them the loop in
+numba. Compiled loops leave Python free, so chunks run side by side in threads. Start-up and
+compilation are not counted.
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 
@@ -24,7 +27,7 @@ from benchmarks.four_bar_variants import build, start_of, with_clearance
 from benchmarks.measure import arguments, report, side_by_side
 
 import jaxclear as jc
-from jaxclear.time.simulate import run
+from jaxclear.simulation.simulate import run
 
 SAVES = 11
 STEP = 2e-5
@@ -38,7 +41,9 @@ def alone(steps: int):
     programs, counts = {}, {}
     for integrator in (jc.integrator.FixedStep(STEP), jc.integrator.Adaptive()):
         compiled = eqx.filter_jit(run)
-        program = lambda f=compiled, i=integrator: f(mechanism, start.coordinates, start.speeds, times, i)  # noqa: E731
+        program = lambda f=compiled, i=integrator: f(
+            mechanism, start.coordinates, start.speeds, times, i
+        )  # noqa: E731
         name = f"{type(integrator).__name__}, alone"
         programs[name] = lambda p=program: p().states
         found = program()
@@ -65,20 +70,27 @@ def batches(samples: int, steps: int, chunks: tuple[int, ...]):
     def go(chunk, threads):
         pieces = clearances.reshape(-1, chunk)
         with ThreadPoolExecutor(threads) as pool:
-            work = lambda c: jax.block_until_ready(chunk_of(numbers, start.coordinates, start.speeds, c))  # noqa: E731
+            work = lambda c: jax.block_until_ready(
+                chunk_of(numbers, start.coordinates, start.speeds, c)
+            )  # noqa: E731
             return list(pool.map(work, pieces))
 
     programs = {}
     for chunk in chunks:
         for threads in sorted({1, os.cpu_count() or 1}):
             if chunk * threads <= samples:
-                programs[f"batch, chunks of {chunk}, {threads} threads"] = lambda c=chunk, t=threads: go(c, t)
+                programs[f"batch, chunks of {chunk}, {threads} threads"] = (
+                    lambda c=chunk, t=threads: go(c, t)
+                )
     setting = case(samples)
     plain = by_hand.Parameters(*map(float, setting.parameters))
     tables = [np.zeros(np.shape(t)) for t in setting.tables]
     # Numba's hand version has no direction at zero offset: its journals start 1 um off centre.
     first = np.array(start_of(mechanism)) + np.r_[1e-6, np.zeros(18)]
-    for threads, loop in ((1, by_hand.numba_runge_kutta()), (os.cpu_count(), by_hand.numba_runge_kutta(True))):
+    for threads, loop in (
+        (1, by_hand.numba_runge_kutta()),
+        (os.cpu_count(), by_hand.numba_runge_kutta(True)),
+    ):
 
         def numba_run(loop=loop):
             states = np.tile(first, (samples, 1))
@@ -97,7 +109,9 @@ def main() -> None:
         for name, (wall, _) in side_by_side(programs).items()
     ]
     samples, steps = (64, 500) if options.quick else (256, 500)
-    found = side_by_side(batches(samples, steps, (16, 64) if options.quick else (16, 64, 128, 256)), 3)
+    found = side_by_side(
+        batches(samples, steps, (16, 64) if options.quick else (16, 64, 128, 256)), 3
+    )
     rows += [
         {"program": name, "steps": samples * steps, "wall [ns/step]": wall / samples / steps * 1e9}
         for name, (wall, _) in found.items()

@@ -1,14 +1,16 @@
-"""What the engine traces and what it costs to compile: equations, instructions, seconds, for every scene
-of the shelf and every variant of the four-bar.
+"""What the engine traces and what it costs to compile: equations, instructions, seconds, for every
+scene of the shelf and every variant of the four-bar.
 
-Equations are counted in one evaluation of the rate after dead code is gone, nested programs included. Compile times are also
-given as a ratio to a fixed reference function compiled in the same process; `trace_budget.json` bounds both.
+Equations are counted in one evaluation of the rate after dead code is gone, nested programs
+included. Compile times are also given as a ratio to a fixed reference function compiled in the same
+process; `trace_budget.json` bounds both.
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 
@@ -21,7 +23,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxlie
-from benchmarks.four_bar_variants import VARIANTS, build, constraint_rows, field_of, parts, start_of, without
+from benchmarks.four_bar_variants import (
+    VARIANTS,
+    build,
+    constraint_rows,
+    field_of,
+    parts,
+    start_of,
+    without,
+)
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.interpreters import partial_eval
 from benchmarks.measure import arguments, report, seconds_to_compile
@@ -29,7 +39,7 @@ from benchmarks.measure import arguments, report, seconds_to_compile
 import jaxclear as jc
 from jaxclear.ground.pose import Pose, rotation_z
 from jaxclear.scenes.four_bar import KINDS, four_bar
-from jaxclear.time.simulate import run
+from jaxclear.simulation.simulate import run
 
 BUDGET = Path(__file__).with_name("trace_budget.json")
 # Equations of the reference function; its compile time is the unit in which the budget is written.
@@ -40,11 +50,17 @@ SAVES = 26
 def traced(mechanism: jc.Mechanism) -> tuple[Any, tuple]:
     """The rate as a function of (numbers, time, state), and its arguments."""
     numbers, rest = eqx.partition(field_of(mechanism), eqx.is_array)
-    return (lambda n, time, state: eqx.combine(n, rest)(time, state)), (numbers, 0.0, start_of(mechanism))
+    return (lambda n, time, state: eqx.combine(n, rest)(time, state)), (
+        numbers,
+        0.0,
+        start_of(mechanism),
+    )
 
 
 def primitives(function: Any, args: tuple) -> Counter:
-    """How often each primitive stands in the traced program without dead code; wrappers count as what they wrap."""
+    """How often each primitive stands in the traced program without dead code; wrappers count as
+    what they wrap.
+    """
     jaxpr = jax.make_jaxpr(function)(*args).jaxpr
     return _count(partial_eval.dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))[0])
 
@@ -52,8 +68,16 @@ def primitives(function: Any, args: tuple) -> Counter:
 def _count(jaxpr: Jaxpr) -> Counter:
     counts: Counter = Counter()
     for equation in jaxpr.eqns:
-        inner = [x for value in equation.params.values() for x in (value if isinstance(value, tuple) else (value,))]
-        inner = [x.jaxpr if isinstance(x, ClosedJaxpr) else x for x in inner if isinstance(x, (Jaxpr, ClosedJaxpr))]
+        inner = [
+            x
+            for value in equation.params.values()
+            for x in (value if isinstance(value, tuple) else (value,))
+        ]
+        inner = [
+            x.jaxpr if isinstance(x, ClosedJaxpr) else x
+            for x in inner
+            if isinstance(x, (Jaxpr, ClosedJaxpr))
+        ]
         for program in inner:
             counts += _count(program)
         if not inner:
@@ -126,7 +150,10 @@ def variant_rows(whole: bool) -> list[dict[str, Any]]:
     measure(build(VARIANTS[0]), 1.0, False)  # what is compiled first pays for starting the compiler
     unit = reference_seconds()
     rows = [{"variant": v.name} | measure(build(v), unit, whole) for v in VARIANTS]
-    return rows + [{"variant": f"scenes.four_bar {kind}"} | measure(four_bar(kind), unit, whole) for kind in KINDS]
+    return rows + [
+        {"variant": f"scenes.four_bar {kind}"} | measure(four_bar(kind), unit, whole)
+        for kind in KINDS
+    ]
 
 
 def absence_rows() -> list[dict[str, Any]]:
@@ -142,14 +169,18 @@ def absence_rows() -> list[dict[str, Any]]:
                         "without": feature,
                         "with it": sum(rate_primitives(build(variant)).values()),
                         "never given": sum(rate_primitives(build(poorer)).values()),
-                        "taken out": sum(rate_primitives(without(build(variant), variant.kind, feature)).values()),
+                        "taken out": sum(
+                            rate_primitives(without(build(variant), variant.kind, feature)).values()
+                        ),
                     }
                 )
     return rows
 
 
 def pose_rows() -> list[dict[str, Any]]:
-    """Why poses are not jaxlie's in the hot path: equations to place a point of a coupler on a crank, both turning about z."""
+    """Why poses are not jaxlie's in the hot path: equations to place a point of a coupler on a
+    crank, both turning about z.
+    """
 
     def with_sparse(a, b, x):
         outer = Pose(rotation_z(a), (0, 0, 0))
@@ -164,7 +195,10 @@ def pose_rows() -> list[dict[str, Any]]:
 
     args = (0.3, 0.4, 0.1)
     functions = {"sparse scalars (ours)": with_sparse, "jaxlie SE3": with_jaxlie}
-    return [{"poses by": name, "equations": sum(primitives(f, args).values())} for name, f in functions.items()]
+    return [
+        {"poses by": name, "equations": sum(primitives(f, args).values())}
+        for name, f in functions.items()
+    ]
 
 
 def main() -> None:

@@ -1,14 +1,17 @@
-"""Error against cost of every rung, as `jaxclear.advise` measures it: slider-crank and four-bar, a table and a picture of each.
+"""Error against cost of every rung, as `jaxclear.advise` measures it: slider-crank and four-bar, a
+table and a picture of each.
 
-Errors are those of means over a few nearly equal runs, against a tight adaptive reference. Rungs of another formulation (rigid
-contact, joints that always touch) come no nearer than their model: where their points stop falling is what the model is
-off. Pictures go to `benchmarks/figures` (or `--figures`).
+Errors are those of means over a few nearly equal runs, against a tight adaptive reference. Rungs of
+another formulation (rigid contact, joints that always touch) come no nearer than their model: where
+their points stop falling is what the model is off. Pictures go to `benchmarks/figures` (or
+`--figures`).
 """
 
 import sys
 from pathlib import Path
 
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of that name.
+# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
+# that name.
 sys.path[0] = str(Path(__file__).parents[1])
 
 import argparse
@@ -19,7 +22,7 @@ matplotlib.use("Agg")
 from benchmarks.measure import report
 
 import jaxclear as jc
-from jaxclear.face import plot
+from jaxclear import plot
 from jaxclear.scenes import four_bar
 
 STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)
@@ -27,7 +30,8 @@ COPIES = 8
 
 
 def ladder(shortest: float, touching: bool) -> dict[str, list]:
-    """Every kind of integrator, coarse to fine; `touching`: also the one whose joints always touch."""
+    """Every kind of integrator, coarse to fine; `touching`: also the one whose joints always
+    touch."""
     kinds = jc.integrator
     steps = [step for step in STEPS if step >= shortest]
     rungs = {
@@ -44,7 +48,9 @@ def ladder(shortest: float, touching: bool) -> dict[str, list]:
 
 
 def slider_crank() -> jc.Mechanism:
-    """A slider-crank at 50 rad/s, the joint of rod and slider planar with 0.1 mm clearance and friction."""
+    """A slider-crank at 50 rad/s, the joint of rod and slider planar with 0.1 mm clearance and
+    friction.
+    """
     steel = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
     bearing = jc.clearance.PlanarJournalBearing(
         jc.contact.CarvalhoMartins(jc.stiffness.HertzStiffness(steel, steel), restitution=0.9),
@@ -59,10 +65,14 @@ def slider_crank() -> jc.Mechanism:
             "slider": jc.Body(0.14, 1e-4),
         },
         {
-            "O": jc.Connection(jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"),
+            "O": jc.Connection(
+                jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"
+            ),
             "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0)),
             "B": jc.Connection(bearing, "rod", "slider", at=(0.12, 0.0)),
-            "G": jc.Connection(jc.joint.Prismatic(), jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")),
+            "G": jc.Connection(
+                jc.joint.Prismatic(), jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")
+            ),
         },
         {"gravity": jc.load.Gravity((0.0, -9.81))},
         start={"G": 0.17},
@@ -75,10 +85,14 @@ def questions(quick: bool) -> dict[str, tuple[jc.Problem, bool]]:
     clearance = jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=1e-6)
     force = {"mean force": jc.response.MeanContactForce("B")}
     place = {"slider's end": jc.response.FinalCoordinate("G", unit="m")}
-    crank = jc.Problem(slider_crank(), force | place, {"clearance": clearance}, duration=duration, save=501)
+    crank = jc.Problem(
+        slider_crank(), force | place, {"clearance": clearance}, duration=duration, save=501
+    )
     duration = 0.2 if quick else 0.628
     worn = {"worn volume": jc.response.WornVolume("B")}
-    bars = jc.Problem(four_bar("spatial"), force | worn, {"clearance": clearance}, duration=duration, save=251)
+    bars = jc.Problem(
+        four_bar("spatial"), force | worn, {"clearance": clearance}, duration=duration, save=251
+    )
     return {"slider-crank": (crank, True), "four-bar": (bars, False)}
 
 
@@ -91,12 +105,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="short runs, long steps only")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
-    parser.add_argument("--figures", type=Path, default=Path(__file__).parent / "figures", metavar="DIR")
+    parser.add_argument(
+        "--figures", type=Path, default=Path(__file__).parent / "figures", metavar="DIR"
+    )
     options = parser.parse_args()
     options.figures.mkdir(parents=True, exist_ok=True)
     for name, (problem, touching) in questions(options.quick).items():
         rungs = ladder(5e-5 if options.quick else 2e-6, touching)
-        advice = jc.advise(problem, 0.01, copies=COPIES, pilot=float(problem.duration), means=True, ladder=rungs)
+        advice = jc.advise(
+            problem, 0.01, copies=COPIES, pilot=float(problem.duration), means=True, ladder=rungs
+        )
         print(advice.sentence())
         report(f"{name}: error and cost, rung by rung", rows_of(advice), options)
         figure = plot.work_precision(advice)

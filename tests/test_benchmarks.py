@@ -1,4 +1,6 @@
-"""The benchmarks' own claims that a test can hold: size of the traced programs, nothing left of what is absent, agreement."""
+"""The benchmarks' own claims that a test can hold: size of the traced programs, nothing left of
+what is absent, agreement.
+"""
 
 import sys
 from pathlib import Path
@@ -14,7 +16,9 @@ from benchmarks import trace as trace_programs  # noqa: E402
 
 
 def test_programs_stay_within_their_budget():
-    """Sizes are exact. Compile times are measured beside a reference, but a busy machine can spoil one: three in a row count."""
+    """Sizes are exact. Compile times are measured beside a reference, but a busy machine can spoil
+    one: three in a row count.
+    """
     over = trace_programs.over_budget(trace_programs.variant_rows(whole=False))
     assert not [sentence for sentence in over if "equations" in sentence]
     stubborn = {sentence.split(" is ")[0] for sentence in over}
@@ -31,7 +35,9 @@ def test_an_absent_feature_leaves_no_equation():
 
 
 def test_friction_and_wear_leave_none_of_their_operations():
-    """Three-zone friction has one sine and one cosine at each of two ends; only a worn surface asks for an angle."""
+    """Three-zone friction has one sine and one cosine at each of two ends; only a worn surface asks
+    for an angle.
+    """
     bare, rough, worn = (
         trace_programs.rate_primitives(scenes.build(scenes.Variant("spatial", friction, wear)))
         for friction, wear in ((False, False), (True, False), (False, True))
@@ -42,6 +48,7 @@ def test_friction_and_wear_leave_none_of_their_operations():
 
 @pytest.mark.slow
 def test_engine_agrees_with_both_hand_written_programs():
-    # Offsets of 1e-5 m are differences of coordinates near 1 m: 1e-16 / 1e-5, over the smallest offsets, and a margin.
+    # Offsets of 1e-5 m are differences of coordinates near 1 m: 1e-16 / 1e-5, over the smallest
+    # offsets, and a margin.
     differences = evaluation.disagreement(evaluation.case(256))
     assert max(differences.values()) < 1e-9, differences

@@ -3,12 +3,25 @@
 import pandas
 import pytest
 
-from jaxclear.face.cli import main
+from jaxclear.commands.cli import main
 
 
 @pytest.mark.slow
 def test_four_bar_study_writes_figures_and_tables(tmp_path, capsys):
-    main(["four-bar", "--out", str(tmp_path), "--samples", "16", "--duration", "0.7", "--turns", "0.2", "--quiet"])
+    main(
+        [
+            "four-bar",
+            "--out",
+            str(tmp_path),
+            "--samples",
+            "16",
+            "--duration",
+            "0.7",
+            "--turns",
+            "0.2",
+            "--quiet",
+        ]
+    )
     names = {path.name for path in tmp_path.iterdir()}
     assert {"runs.csv", "monte_carlo.csv", "monte_carlo_summary.csv", "sensitivity.csv"} <= names
     assert sum(name.endswith(".png") for name in names) == 7
@@ -20,7 +33,13 @@ def test_four_bar_study_writes_figures_and_tables(tmp_path, capsys):
 def test_antenna_study_writes_figures_and_tables(tmp_path, capsys):
     main(["antenna", "--out", str(tmp_path), "--duration", "0.5"])
     names = {path.name for path in tmp_path.iterdir()}
-    assert {"motion.csv", "stick_slip.csv", "switchings_step.csv", "pointing_step.csv", "pointing_periodic.csv"} <= names
+    assert {
+        "motion.csv",
+        "stick_slip.csv",
+        "switchings_step.csv",
+        "pointing_step.csv",
+        "pointing_periodic.csv",
+    } <= names
     assert sum(name.endswith(".png") for name in names) == 6
     assert str(tmp_path) in capsys.readouterr().out
 

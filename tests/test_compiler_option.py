@@ -1,5 +1,6 @@
-"""The compiler option that jaxclear sets, and its own kernels, change speed, not results: the same run with and without them, in
-processes of their own, because the option is read when JAX starts. A user's own flags survive."""
+"""The compiler option that jaxclear sets, and its own kernels, change speed, not results: the same
+run with and without them, in processes of their own, because the option is read when JAX starts. A
+user's own flags survive."""
 
 import json
 import os
@@ -21,8 +22,16 @@ print(json.dumps({"states": run.states.tolist(), "flags": os.environ.get("XLA_FL
 
 
 def in_a_process(*words, **environment):
-    environment = {key: value for key, value in os.environ.items() if key != "XLA_FLAGS"} | environment
-    done = subprocess.run([sys.executable, "-c", RUN, *words], env=environment, capture_output=True, text=True, check=True)
+    environment = {
+        key: value for key, value in os.environ.items() if key != "XLA_FLAGS"
+    } | environment
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, *words],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return json.loads(done.stdout.splitlines()[-1])
 
 
@@ -36,7 +45,8 @@ def plain():
 def test_results_are_the_same_with_and_without(plain, kernels):
     fast = in_a_process(JAXCLEAR_PLAIN_LOOPS="0" if kernels else "1")
     assert "small_while_loop" in fast["flags"] and plain["flags"] == ""
-    # Rounding differs where operations are fused, and every bounce multiplies it: 1e-9 was seen after these thousand steps.
+    # Rounding differs where operations are fused, and every bounce multiplies it: 1e-9 was seen
+    # after these thousand steps.
     np.testing.assert_allclose(fast["states"], plain["states"], rtol=1e-6, atol=1e-8)
 
 

@@ -1,4 +1,6 @@
-"""Members defined here, outside the package, are full members: laws, a clearance joint and an ideal joint."""
+"""Members defined here, outside the package, are full members: laws, a clearance joint and an ideal
+joint.
+"""
 
 import sys
 from pathlib import Path
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.components.clearance import AbstractClearance, Pairing, Touch
+from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground.numerics import positive_part, smooth_sign
 from jaxclear.ground.pose import Pose, Twist, rotation_z
@@ -68,15 +70,18 @@ class FloorAndCeiling(AbstractClearance):
     def axes(self):
         return ()
 
-    def pairings(self):
+    def contact_laws(self):
         shape = Shape(1e-2, 1.0, None)
-        return (Pairing(self.contact, self.friction, shape, False),) * 2
+        return (ContactLaws(self.contact, self.friction, shape, False),) * 2
 
     def indentations(self, offset, axes, worn):
         return tuple(side * offset[1] - self.clearance for side in (-1, 1))
 
-    def touches(self, offset, axes, indentations):
-        return tuple(Touch((offset[0], side * self.clearance, 0), (0, side, 0), ((1, 0, 0),)) for side in (-1, 1))
+    def contact_candidates(self, offset, axes, indentations):
+        return tuple(
+            ContactCandidate((offset[0], side * self.clearance, 0), (0, side, 0), ((1, 0, 0),))
+            for side in (-1, 1)
+        )
 
     def maps(self):
         return {}
@@ -117,7 +122,9 @@ def test_law_passes_its_contract(contract, law):
 
 
 def test_outsiders_run_in_a_bearing():
-    joint = jc.clearance.PlanarJournalBearing(Cushion(1e7), Saturating(), wear=jc.Wearing(Erosion(), cells=(12, 1)))
+    joint = jc.clearance.PlanarJournalBearing(
+        Cushion(1e7), Saturating(), wear=jc.Wearing(Erosion(), cells=(12, 1))
+    )
     ring = jc.Mechanism(
         {"ring": jc.Body(1.0, 1e-3)},
         {"B": jc.Connection(joint, "ground", "ring")},
@@ -134,13 +141,20 @@ def test_outsiders_run_in_a_bearing():
 
 def test_clearance_joint_from_outside_bounces_as_a_parabola():
     joint = FloorAndCeiling(Cushion(1e7))
-    drop = jc.Mechanism({"ball": jc.Body(1.0, 1e-3)}, {"gap": jc.Connection(joint, "ground", "ball")}, {"g": jc.load.Gravity()})
+    drop = jc.Mechanism(
+        {"ball": jc.Body(1.0, 1e-3)},
+        {"gap": jc.Connection(joint, "ground", "ball")},
+        {"g": jc.load.Gravity()},
+    )
     fall = np.sqrt(2 * 1e-2 / 9.81)
     end = jc.simulate(drop, 2 * fall, save=201)
     assert float(end.contact("gap").normal_force.max()) > 0
-    # an elastic bounce delays the top of the parabola by T < pi sqrt(m/K) = 1e-3 s, which is g T^2 / 2 below it
+    # an elastic bounce delays the top of the parabola by T < pi sqrt(m/K) = 1e-3 s, which is g T^2
+    # / 2 below it
     np.testing.assert_allclose(end.body("ball").com[-1, 1], 0.0, atol=1e-5)
-    np.testing.assert_allclose(end.time[np.argmin(end.body("ball").com[:, 1])], fall, atol=2 * fall / 200)
+    np.testing.assert_allclose(
+        end.time[np.argmin(end.body("ball").com[:, 1])], fall, atol=2 * fall / 200
+    )
 
 
 @pytest.mark.parametrize("turned_round", [False, True], ids=["from parent", "from child"])

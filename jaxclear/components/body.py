@@ -1,7 +1,8 @@
 """Rigid bodies, frames fixed on them, and the connections between them.
 
-Coordinates and inertias are given in the body's own frame, whose place on the body the user chooses. What is given with two
-components is planar: its third component is known to be zero before tracing.
+Coordinates and inertias are given in the body's own frame, whose place on the body the user
+chooses. What is given with two components is planar: its third component is known to be zero before
+tracing.
 """
 
 from typing import Any
@@ -16,28 +17,37 @@ GROUND = "ground"
 
 
 def _inertia(value: Any) -> Any:
-    value = tuple(value) if isinstance(value, (tuple, list)) or getattr(value, "ndim", 0) == 1 else (value,)
+    value = (
+        tuple(value)
+        if isinstance(value, (tuple, list)) or getattr(value, "ndim", 0) == 1
+        else (value,)
+    )
     if len(value) not in (1, 3, 6):
         raise ValueError(
-            f"an inertia has 1 number (about z, planar), 3 (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, yz), not {len(value)}."
+            f"an inertia has 1 number (about z, planar), 3 (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, "
+            f"yz), not {len(value)}."
         )
     return as_vector(value)
 
 
 class Body(eqx.Module):
-    """A rigid body: mass [kg], centre of mass [m] in the body frame (2 or 3 numbers, absent: the origin), and inertia
-    [kg m2] about the centre of mass in body axes: 1 number (about z, for planar motion), 3 (xx, yy, zz) or 6
-    (xx, yy, zz, xy, xz, yz; products as elements of the matrix, so xy = -integral of x y dm).
+    """A rigid body: mass [kg], centre of mass [m] in the body frame (2 or 3 numbers, absent: the
+    origin), and inertia [kg m2] about the centre of mass in body axes: 1 number (about z, for
+    planar motion), 3 (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, yz; products as elements of the matrix,
+    so xy = -integral of x y dm).
     """
 
     mass: Scalar = quantity(unit="kg", meaning="mass", above=0)
     inertia: tuple = eqx.field(
-        converter=_inertia, metadata={"unit": "kg m^2", "meaning": "inertia about the centre of mass, body axes"}
+        converter=_inertia,
+        metadata={"unit": "kg m^2", "meaning": "inertia about the centre of mass, body axes"},
     )
     com: tuple | None = vector(None, "m", "centre of mass in the body frame")
 
     def inertia_matrix(self) -> sp.Mat:
-        """Inertia about the centre of mass as a sparse matrix; what is not given is structurally zero."""
+        """Inertia about the centre of mass as a sparse matrix; what is not given is structurally
+        zero.
+        """
         if len(self.inertia) == 1:
             return (sp.ZERO, sp.ZERO, (0, 0, self.inertia[0]))
         xx, yy, zz = self.inertia[:3]
@@ -48,8 +58,8 @@ class Body(eqx.Module):
 class Marker(eqx.Module):
     """A frame fixed on a body: origin `at` [m] in the body frame, z axis along `axis`.
 
-    `axis` is "x", "y", "z", "-x", "-y" or "-z" (known before tracing, costs nothing) or three numbers; `quaternion`
-    (w, x, y, z) instead gives the whole orientation.
+    `axis` is "x", "y", "z", "-x", "-y" or "-z" (known before tracing, costs nothing) or three
+    numbers; `quaternion` (w, x, y, z) instead gives the whole orientation.
     """
 
     body: str = eqx.field(static=True)
@@ -62,22 +72,41 @@ class Marker(eqx.Module):
         self.body = body
         self.at = as_vector(at)
         self.quaternion = as_vector(quaternion)
-        self.named_axis, self.axis = (axis, None) if isinstance(axis, str) else ("z", as_vector(axis))
+        self.named_axis, self.axis = (
+            (axis, None) if isinstance(axis, str) else ("z", as_vector(axis))
+        )
         if self.named_axis not in AXES:
-            raise ValueError(f'the axis of a marker on "{body}" is {axis!r}; it may be one of {", ".join(AXES)} or 3 numbers.')
+            raise ValueError(
+                f'the axis of a marker on "{body}" is {axis!r}; it may be one of {", ".join(AXES)} '
+                "or 3 numbers."
+            )
         if self.at is not None and len(self.at) not in (2, 3):
-            raise ValueError(f'a marker on "{body}" has {len(self.at)} coordinates; give 2 (planar) or 3.')
-        if self.quaternion is not None and (len(self.quaternion) != 4 or self.axis is not None or self.named_axis != "z"):
-            raise ValueError(f'a marker on "{body}" takes a quaternion (w, x, y, z) or an axis, not both.')
+            raise ValueError(
+                f'a marker on "{body}" has {len(self.at)} coordinates; give 2 (planar) or 3.'
+            )
+        if self.quaternion is not None and (
+            len(self.quaternion) != 4 or self.axis is not None or self.named_axis != "z"
+        ):
+            raise ValueError(
+                f'a marker on "{body}" takes a quaternion (w, x, y, z) or an axis, not both.'
+            )
         if self.axis is not None and len(self.axis) != 3:
             raise ValueError(
-                f'the axis of a marker on "{body}" has {len(self.axis)} numbers; give 3, or one of {", ".join(AXES)}.'
+                f'the axis of a marker on "{body}" has {len(self.axis)} numbers; give 3, or one of '
+                f"{', '.join(AXES)}."
             )
         for what, direction in (("axis", self.axis), ("quaternion", self.quaternion)):
             if direction is not None and all(concrete(x) == 0 for x in direction):
                 raise ValueError(f'the {what} of a marker on "{body}" is zero and points nowhere.')
-        if self.axis is not None and concrete(self.axis[0]) == 0 == concrete(self.axis[1]) and not self.axis[2] > 0:
-            raise ValueError(f'the axis of a marker on "{body}" points along -z, where no frame is near: write axis="-z".')
+        if (
+            self.axis is not None
+            and concrete(self.axis[0]) == 0 == concrete(self.axis[1])
+            and not self.axis[2] > 0
+        ):
+            raise ValueError(
+                f'the axis of a marker on "{body}" points along -z, where no frame is near: write '
+                'axis="-z".'
+            )
 
     def pose(self) -> Pose:
         """The marker in the body frame."""
@@ -93,17 +122,23 @@ class Marker(eqx.Module):
 class Connection(eqx.Module):
     """A joint between a marker on the parent and a marker on the child.
 
-    A body's name stands for a marker: on the parent at `at` [m, parent's frame], on the child at the child's origin, both
-    with the same `axis`. Coordinates measure the child relative to the parent.
+    A body's name stands for a marker: on the parent at `at` [m, parent's frame], on the child at
+    the child's origin, both with the same `axis`. Coordinates measure the child relative to the
+    parent.
     """
 
     joint: eqx.Module
     parent: Marker
     child: Marker
 
-    def __init__(self, joint: eqx.Module, parent: str | Marker, child: str | Marker, at=None, axis="z"):
+    def __init__(
+        self, joint: eqx.Module, parent: str | Marker, child: str | Marker, at=None, axis="z"
+    ):
         if at is not None and isinstance(parent, Marker):
-            raise ValueError(f'a connection on "{parent.body}" gives `at` beside a marker; put the place into the marker.')
+            raise ValueError(
+                f'a connection on "{parent.body}" gives `at` beside a marker; put the place into '
+                "the marker."
+            )
         self.joint = joint
         self.parent = parent if isinstance(parent, Marker) else Marker(parent, at, axis)
         self.child = child if isinstance(child, Marker) else Marker(child, None, axis)

@@ -1,10 +1,12 @@
-"""Joints with clearance: where the parts touch. Gaps, directions and arms only; forces are the laws' business.
+"""Joints with clearance: where the parts touch. Gaps, directions and arms only; forces are the
+laws' business.
 
-Everything is written in the frame of the bearing (socket, guide), whose marker is the connection's parent; the child carries
-the journal (ball, slider). `offset` goes from the bearing's centre to the journal's, `axes` are those axes of the journal's
-marker on which the gap depends. Indentations are positive in contact. Normals, rates and moments follow from the
-indentations by differentiation, so contact forces do exactly the work that the indentation tells.
-A class defined elsewhere is a full member: it needs `axes`, `ideal_rows`, `shape`, `points` and `indentations`.
+Everything is written in the frame of the bearing (socket, guide), whose marker is the connection's
+parent; the child carries the journal (ball, slider). `offset` goes from the bearing's centre to the
+journal's, `axes` are those axes of the journal's marker on which the gap depends. Indentations are
+positive in contact. Normals, rates and moments follow from the indentations by differentiation, so
+contact forces do exactly the work that the indentation tells. A class defined elsewhere is a full
+member: it needs `axes`, `ideal_rows`, `shape`, `points` and `indentations`.
 """
 
 from abc import abstractmethod
@@ -27,15 +29,17 @@ def norm(vector) -> Any:
     return 0 if sp.is_zero(squares) else safe_sqrt(squares)
 
 
-class Touch(NamedTuple):
-    """One possible contact: its place in the bearing's frame [m] and the directions in which it may slide."""
+class ContactCandidate(NamedTuple):
+    """One possible contact: its place in the bearing's frame [m] and the directions in which it may
+    slide.
+    """
 
     place: sp.Vec
     normal: sp.Vec
     tangents: tuple[sp.Vec, ...]
 
 
-class Pairing(NamedTuple):
+class ContactLaws(NamedTuple):
     """The laws at one possible contact, and whether its wear is mapped."""
 
     contact: AbstractNormalLaw
@@ -45,21 +49,28 @@ class Pairing(NamedTuple):
 
 
 class AbstractClearance(eqx.Module):
-    """A joint with clearance. `ideal_rows` close the joint it turns into as the clearance vanishes."""
+    """A joint with clearance. `ideal_rows` close the joint it turns into as the clearance
+    vanishes."""
 
     ideal_rows: eqx.AbstractClassVar[tuple[str, ...]]
     axes: eqx.AbstractVar[tuple[int, ...]]
 
     @abstractmethod
-    def pairings(self) -> tuple[Pairing, ...]:
+    def contact_laws(self) -> tuple[ContactLaws, ...]:
         """Laws of each possible contact."""
 
     @abstractmethod
-    def indentations(self, offset: sp.Vec, axes: tuple[sp.Vec, ...], worn: dict[str, Any]) -> tuple[Scalar, ...]:
-        """Overlap at each possible contact [m]. `worn` holds readings of depth maps by surface; empty where nothing wears."""
+    def indentations(
+        self, offset: sp.Vec, axes: tuple[sp.Vec, ...], worn: dict[str, Any]
+    ) -> tuple[Scalar, ...]:
+        """Overlap at each possible contact [m]. `worn` holds readings of depth maps by surface;
+        empty where nothing wears.
+        """
 
     @abstractmethod
-    def touches(self, offset: sp.Vec, axes: tuple[sp.Vec, ...], indentations: tuple) -> tuple[Touch, ...]:
+    def contact_candidates(
+        self, offset: sp.Vec, axes: tuple[sp.Vec, ...], indentations: tuple
+    ) -> tuple[ContactCandidate, ...]:
         """Place and sliding directions of each possible contact."""
 
     @abstractmethod
@@ -67,21 +78,26 @@ class AbstractClearance(eqx.Module):
         """Wear map and law of each surface that wears, by the surface's name."""
 
     @abstractmethod
-    def features(self, surface: str, offset: sp.Vec, axes: tuple, indentations: tuple, index: int) -> tuple:
+    def features(
+        self, surface: str, offset: sp.Vec, axes: tuple, indentations: tuple, index: int
+    ) -> tuple:
         """Location of contact `index` on a surface that wears, as its map reads it."""
 
 
 class PlanarJournalBearing(AbstractClearance):
     """Journal in a bearing, both axes parallel: one contact, in the plane of the bearing.
 
-    delta = |e| - c. Prefer `JournalBearing` where the journal's axis can tilt or slide along the bearing.
+    delta = |e| - c. Prefer `JournalBearing` where the journal's axis can tilt or slide along the
+    bearing.
     """
 
     ideal_rows: ClassVar = ("x", "y")
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     bearing_radius: Scalar = quantity(10e-3, "m", "radius of the bearing's hole", above=0)
-    clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0)
+    clearance: Scalar = quantity(
+        0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0
+    )
     length: Scalar = quantity(20e-3, "m", "length of the bearing", above=0)
     wear: Wearing | None = None
 
@@ -89,61 +105,77 @@ class PlanarJournalBearing(AbstractClearance):
     def axes(self) -> tuple[int, ...]:
         return ()
 
-    def pairings(self):
+    def contact_laws(self):
         shape = Shape(self.bearing_radius - self.clearance, self.bearing_radius, self.length)
-        return (Pairing(self.contact, self.friction, shape, True),)
+        return (ContactLaws(self.contact, self.friction, shape, True),)
 
     def indentations(self, offset, axes, worn):
         depth = 0
         if "bearing" in worn:
-            depth = self.maps()["bearing"][0].depth_at_end(worn["bearing"], offset[0], offset[1], -1)
+            depth = self.maps()["bearing"][0].depth_at_end(
+                worn["bearing"], offset[0], offset[1], -1
+            )
         return (sp.sub(norm(offset[:2]) - self.clearance, depth),)
 
-    def touches(self, offset, axes, indentations):
+    def contact_candidates(self, offset, axes, indentations):
         x, y = _direction(offset)
         reach = self.bearing_radius + 0.5 * indentations[0]
-        return (Touch((reach * x, reach * y, 0), (x, y, 0), ((-y, x, 0),)),)
+        return (ContactCandidate((reach * x, reach * y, 0), (x, y, 0), ((-y, x, 0),)),)
 
     def maps(self):
         if self.wear is None:
             return {}
         # The whole length carries alike: one row of cells, whatever the number along.
-        return {"bearing": (CylinderMap((self.wear.cells[0], 1), self.bearing_radius, self.length), self.wear)}
+        return {
+            "bearing": (
+                CylinderMap((self.wear.cells[0], 1), self.bearing_radius, self.length),
+                self.wear,
+            )
+        }
 
     def features(self, surface, offset, axes, indentations, index):
         return (*_direction(offset), 1.0, -1.0)
 
 
 class Flange(eqx.Module):
-    """Collars on the journal that stop it along the bearing: the rim point nearest the bearing's face may touch it.
+    """Collars on the journal that stop it along the bearing: the rim point nearest the bearing's
+    face may touch it.
 
-    A stiffness fitted from materials takes the radii of journal and bore, for want of better; give a number where the
-    axial stiffness matters.
+    A stiffness fitted from materials takes the radii of journal and bore, for want of better; give
+    a number where the axial stiffness matters.
     """
 
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     radius: Scalar = quantity(14e-3, "m", "outer radius of the collar", above=0)
-    clearance: Scalar = quantity(0.2e-3, "m", "axial clearance at each collar, journal centred", above=0)
+    clearance: Scalar = quantity(
+        0.2e-3, "m", "axial clearance at each collar, journal centred", above=0
+    )
 
 
 class JournalBearing(AbstractClearance):
-    """Journal in a bearing, the axis free to tilt: contact at both end planes of the bearing, axial stop at the collars.
+    """Journal in a bearing, the axis free to tilt: contact at both end planes of the bearing, axial
+    stop at the collars.
 
-    At z_k = -L/2, L/2 the journal's axis pierces the plane at c_k, and
-    delta_k = |c_k| - c + r_J (t . n_k)^2 / 2, n_k = c_k / |c_k|, t the slope of the journal's axis; the last term is the ellipse
-    of a tilted cylinder to second order. No contact, one point, two opposite points and line contact (both ends on one
-    side, sharing the load) all follow. The contact law acts at each end: a law for a line contact needs half of the length.
-    The journal must reach through the bearing; without `flange` nothing holds it along the axis.
+    At z_k = -L/2, L/2 the journal's axis pierces the plane at c_k, and delta_k = |c_k| - c + r_J (t
+    . n_k)^2 / 2, n_k = c_k / |c_k|, t the slope of the journal's axis; the last term is the ellipse
+    of a tilted cylinder to second order. No contact, one point, two opposite points and line
+    contact (both ends on one side, sharing the load) all follow. The contact law acts at each end:
+    a law for a line contact needs half of the length. The journal must reach through the bearing;
+    without `flange` nothing holds it along the axis.
     """
 
     ideal_rows: ClassVar = ("x", "y", "z", "x.z", "y.z")
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     bearing_radius: Scalar = quantity(10e-3, "m", "radius of the bearing's hole", above=0)
-    clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0)
+    clearance: Scalar = quantity(
+        0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0
+    )
     length: Scalar = quantity(20e-3, "m", "length of the bearing", above=0)
-    journal_length: Scalar | None = quantity(None, "m", "length of the journal, at least that of the bearing; checked only")
+    journal_length: Scalar | None = quantity(
+        None, "m", "length of the journal, at least that of the bearing; checked only"
+    )
     flange: Flange | None = None
     bearing_wear: Wearing | None = None
     journal_wear: Wearing | None = None
@@ -156,12 +188,15 @@ class JournalBearing(AbstractClearance):
     def journal_radius(self) -> Scalar:
         return self.bearing_radius - self.clearance
 
-    def pairings(self):
+    def contact_laws(self):
         half = Shape(self.journal_radius, self.bearing_radius, 0.5 * self.length)
-        pairings = (Pairing(self.contact, self.friction, half, True),) * 2
+        contact_laws = (ContactLaws(self.contact, self.friction, half, True),) * 2
         if self.flange is None:
-            return pairings
-        return pairings + (Pairing(self.flange.contact, self.flange.friction, half, False),) * 2
+            return contact_laws
+        return (
+            contact_laws
+            + (ContactLaws(self.flange.contact, self.flange.friction, half, False),) * 2
+        )
 
     def end_centres(self, offset, axes) -> tuple[sp.Vec, sp.Vec]:
         """Points where the journal's axis pierces the bearing's lower and upper end plane."""
@@ -169,7 +204,13 @@ class JournalBearing(AbstractClearance):
         centres = []
         for height in (-0.5 * self.length, 0.5 * self.length):
             rise = sp.sub(height, offset[2])
-            centres.append((sp.add(offset[0], sp.mul(rise, slope[0])), sp.add(offset[1], sp.mul(rise, slope[1])), height))
+            centres.append(
+                (
+                    sp.add(offset[0], sp.mul(rise, slope[0])),
+                    sp.add(offset[1], sp.mul(rise, slope[1])),
+                    height,
+                )
+            )
         return tuple(centres)
 
     def indentations(self, offset, axes, worn):
@@ -196,21 +237,32 @@ class JournalBearing(AbstractClearance):
         reach = 0.5 * self.length + self.flange.clearance
         for end in (-1, 1):
             centre = sp.plus(offset, sp.scale(end * reach, axis))
-            # The rim's direction of steepest descent to the face; straight down the slope of the tilted collar.
+            # The rim's direction of steepest descent to the face; straight down the slope of the
+            # tilted collar.
             along = [safe_divide(end * axis[2] * axis[i], sideways) for i in (0, 1)]
-            place = sp.plus(centre, sp.scale(self.flange.radius, (along[0], along[1], -end * sideways)))
+            place = sp.plus(
+                centre, sp.scale(self.flange.radius, (along[0], along[1], -end * sideways))
+            )
             yield 0.5 * self.length - end * place[2], place
 
-    def touches(self, offset, axes, indentations):
-        touches = []
-        for centre, indentation in zip(self.end_centres(offset, axes), indentations[:2], strict=True):
+    def contact_candidates(self, offset, axes, indentations):
+        contact_candidates = []
+        for centre, indentation in zip(
+            self.end_centres(offset, axes), indentations[:2], strict=True
+        ):
             x, y = _direction(centre)
             reach = self.bearing_radius + 0.5 * indentation
-            touches.append(Touch((reach * x, reach * y, centre[2]), (x, y, 0), ((-y, x, 0), (0, 0, 1))))
+            contact_candidates.append(
+                ContactCandidate(
+                    (reach * x, reach * y, centre[2]), (x, y, 0), ((-y, x, 0), (0, 0, 1))
+                )
+            )
         if self.flange is not None:
             for end, (_, place) in zip((-1, 1), self._flange_contacts(offset, axes), strict=True):
-                touches.append(Touch(place, (0, 0, -end), ((1, 0, 0), (0, 1, 0))))
-        return tuple(touches)
+                contact_candidates.append(
+                    ContactCandidate(place, (0, 0, -end), ((1, 0, 0), (0, 1, 0)))
+                )
+        return tuple(contact_candidates)
 
     def maps(self):
         surfaces = {}
@@ -225,7 +277,8 @@ class JournalBearing(AbstractClearance):
     def features(self, surface, offset, axes, indentations, index):
         centres = self.end_centres(offset, axes)
         x, y = _direction(centres[index])
-        # Overlap of the other end on this side of the wall: the line through both tells over what length they touch.
+        # Overlap of the other end on this side of the wall: the line through both tells over what
+        # length they touch.
         other = centres[1 - index]
         opposite = sp.add(sp.mul(other[0], x), sp.mul(other[1], y)) - self.clearance
         here = indentations[index]
@@ -241,16 +294,18 @@ class BallSocket(AbstractClearance):
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     socket_radius: Scalar = quantity(10e-3, "m", "radius of the socket", above=0)
-    clearance: Scalar = quantity(0.1e-3, "m", "radial clearance, socket radius - ball radius", above=0)
+    clearance: Scalar = quantity(
+        0.1e-3, "m", "radial clearance, socket radius - ball radius", above=0
+    )
     socket_wear: Wearing | None = None
 
     @property
     def axes(self) -> tuple[int, ...]:
         return ()
 
-    def pairings(self):
+    def contact_laws(self):
         shape = Shape(self.socket_radius - self.clearance, self.socket_radius, None)
-        return (Pairing(self.contact, self.friction, shape, True),)
+        return (ContactLaws(self.contact, self.friction, shape, True),)
 
     def indentations(self, offset, axes, worn):
         overlap = norm(offset) - self.clearance
@@ -258,10 +313,15 @@ class BallSocket(AbstractClearance):
             overlap = overlap - self.maps()["socket"][0].depth_towards(worn["socket"], *offset)
         return (overlap,)
 
-    def touches(self, offset, axes, indentations):
+    def contact_candidates(self, offset, axes, indentations):
         normal = _direction(offset, 3)
-        # Cartesian directions: the engine removes the normal part, and no pole disturbs a bristle's memory.
-        return (Touch(sp.scale(self.socket_radius + 0.5 * indentations[0], normal), normal, sp.IDENTITY),)
+        # Cartesian directions: the engine removes the normal part, and no pole disturbs a bristle's
+        # memory.
+        return (
+            ContactCandidate(
+                sp.scale(self.socket_radius + 0.5 * indentations[0], normal), normal, sp.IDENTITY
+            ),
+        )
 
     def maps(self):
         if self.socket_wear is None:
@@ -273,9 +333,11 @@ class BallSocket(AbstractClearance):
 
 
 class SliderGuide(AbstractClearance):
-    """Slider in a straight guide along z, gaps along x: each of the slider's four corners may touch a wall.
+    """Slider in a straight guide along z, gaps along x: each of the slider's four corners may touch
+    a wall.
 
-    delta = +-(x of the corner) - (w/2 + c) with w the slider's width; corners (+, -) x (front, back).
+    delta = +-(x of the corner) - (w/2 + c) with w the slider's width; corners (+, -) x (front,
+    back).
     """
 
     ideal_rows: ClassVar = ("x", "x.z")
@@ -284,30 +346,39 @@ class SliderGuide(AbstractClearance):
     width: Scalar = quantity(20e-3, "m", "width of the slider, across the guide", above=0)
     length: Scalar = quantity(40e-3, "m", "length of the slider, along the guide", above=0)
     clearance: Scalar = quantity(0.1e-3, "m", "gap on each side of a centred slider", above=0)
-    corner_radius: Scalar = quantity(5e-3, "m", "rounding of a corner, for the stiffness only", above=0)
+    corner_radius: Scalar = quantity(
+        5e-3, "m", "rounding of a corner, for the stiffness only", above=0
+    )
 
     @property
     def axes(self) -> tuple[int, ...]:
         return (0, 2)
 
-    def pairings(self):
-        # A rounded corner on a flat wall: the wall's radius is infinite, written as a very large hole.
+    def contact_laws(self):
+        # A rounded corner on a flat wall: the wall's radius is infinite, written as a very large
+        # hole.
         shape = Shape(self.corner_radius, 1e6 * self.corner_radius, None)
-        return (Pairing(self.contact, self.friction, shape, False),) * 4
+        return (ContactLaws(self.contact, self.friction, shape, False),) * 4
 
     def _corners(self, offset, axes):
         across, along = axes
         for side in (-1, 1):
             for front in (-1, 1):
-                arm = sp.plus(sp.scale(side * 0.5 * self.width, across), sp.scale(front * 0.5 * self.length, along))
+                arm = sp.plus(
+                    sp.scale(side * 0.5 * self.width, across),
+                    sp.scale(front * 0.5 * self.length, along),
+                )
                 yield side, sp.plus(offset, arm)
 
     def indentations(self, offset, axes, worn):
         half = 0.5 * self.width + self.clearance
         return tuple(side * corner[0] - half for side, corner in self._corners(offset, axes))
 
-    def touches(self, offset, axes, indentations):
-        return tuple(Touch(corner, (side, 0, 0), ((0, 0, 1),)) for side, corner in self._corners(offset, axes))
+    def contact_candidates(self, offset, axes, indentations):
+        return tuple(
+            ContactCandidate(corner, (side, 0, 0), ((0, 0, 1),))
+            for side, corner in self._corners(offset, axes)
+        )
 
     def maps(self):
         return {}

@@ -1,6 +1,8 @@
-"""Prescribed motions of one coordinate. A driven coordinate is a function of time and leaves the equations of motion.
+"""Prescribed motions of one coordinate. A driven coordinate is a function of time and leaves the
+equations of motion.
 
-A drive returns position, speed and acceleration at a time: `motion(time) -> (q, dq/dt, d2q/dt2)`, in rad or m.
+A drive returns position, speed and acceleration at a time: `motion(time) -> (q, dq/dt, d2q/dt2)`,
+in rad or m.
 """
 
 from abc import abstractmethod
@@ -49,7 +51,9 @@ class Harmonic(AbstractDrive):
 
 
 class RampUp(AbstractDrive):
-    """Starts at rest and reaches a constant speed after `duration`, the speed following a cubic step."""
+    """Starts at rest and reaches a constant speed after `duration`, the speed following a cubic
+    step.
+    """
 
     speed: Scalar = quantity(unit="rad/s", meaning="final speed (m/s for a sliding joint)")
     duration: Scalar = quantity(unit="s", meaning="time until the final speed is reached")
@@ -58,7 +62,10 @@ class RampUp(AbstractDrive):
     def __check_init__(self):
         duration = concrete(self.duration)
         if duration is not None and not duration > 0:
-            raise ValueError(f"a RampUp takes {duration} s; its duration must be positive (ConstantSpeed has no ramp).")
+            raise ValueError(
+                f"a RampUp takes {duration} s; its duration must be positive (ConstantSpeed has no "
+                "ramp)."
+            )
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         s = jnp.clip(time / self.duration, 0.0, 1.0)
@@ -71,7 +78,9 @@ class RampUp(AbstractDrive):
 
 
 class Position(AbstractDrive):
-    """Any twice differentiable function of time, a JAX function or a module with numbers of its own: q = function(t)."""
+    """Any twice differentiable function of time, a JAX function or a module with numbers of its
+    own: q = function(t).
+    """
 
     function: Callable
 
@@ -87,8 +96,9 @@ class Position(AbstractDrive):
 class Speed(AbstractDrive):
     """A speed given as a function of time; the position is its integral from time zero.
 
-    The integral is taken by Gauss-Legendre quadrature over [0, t] in `pieces` pieces, so that the drive stays a pure
-    function of time; error below 1e-12 relative where the speed is smooth on the scale t / pieces.
+    The integral is taken by Gauss-Legendre quadrature over [0, t] in `pieces` pieces, so that the
+    drive stays a pure function of time; error below 1e-12 relative where the speed is smooth on the
+    scale t / pieces.
     """
 
     function: Callable
@@ -103,6 +113,8 @@ class Speed(AbstractDrive):
         shares = ((edges + 0.5 * (nodes + 1.0)) / self.pieces).ravel()
         weights = np.tile(0.5 * weights / self.pieces, self.pieces)
         time = jnp.asarray(time, float)
-        travelled = time * jnp.sum(jnp.asarray(weights) * jax.vmap(self.function)(time * jnp.asarray(shares)))
+        travelled = time * jnp.sum(
+            jnp.asarray(weights) * jax.vmap(self.function)(time * jnp.asarray(shares))
+        )
         speed, acceleration = jax.jvp(self.function, (time,), (jnp.ones_like(time),))
         return self.start + travelled, speed, acceleration

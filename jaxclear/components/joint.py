@@ -1,8 +1,10 @@
-"""Ideal joints as data: how the child's marker moves in the parent's, and which rows close a loop through the joint.
+"""Ideal joints as data: how the child's marker moves in the parent's, and which rows close a loop
+through the joint.
 
-A joint of a spanning tree contributes coordinates q and speeds v; a joint that closes a loop contributes constraint rows.
-Twists are in the child's axes, linear then angular. Row "x" says that the child's origin stays at x = 0 of the parent's
-marker, row "x.z" that the parent's x axis stays perpendicular to the child's z axis.
+A joint of a spanning tree contributes coordinates q and speeds v; a joint that closes a loop
+contributes constraint rows. Twists are in the child's axes, linear then angular. Row "x" says that
+the child's origin stays at x = 0 of the parent's marker, row "x.z" that the parent's x axis stays
+perpendicular to the child's z axis.
 """
 
 from abc import abstractmethod
@@ -30,7 +32,9 @@ ANGULAR = tuple(Twist(sp.ZERO, axis) for axis in sp.IDENTITY)
 
 
 class AbstractJoint(eqx.Module):
-    """An ideal joint: `home` are its coordinates in the drawing, `columns` the twist of each speed, `rows` its rows."""
+    """An ideal joint: `home` are its coordinates in the drawing, `columns` the twist of each speed,
+    `rows` its rows.
+    """
 
     home: eqx.AbstractClassVar[tuple[float, ...]]
     units: eqx.AbstractClassVar[tuple[str, ...]]
@@ -51,7 +55,9 @@ class AbstractJoint(eqx.Module):
 
     @abstractmethod
     def bias(self, q: tuple, v: tuple) -> Twist | None:
-        """Derivative of the columns along the motion, times the speeds; `None` where the columns are constant."""
+        """Derivative of the columns along the motion, times the speeds; `None` where the columns
+        are constant.
+        """
 
 
 class AbstractDrivenJoint(AbstractJoint):
@@ -61,19 +67,23 @@ class AbstractDrivenJoint(AbstractJoint):
 
 
 class AbstractGroupJoint(AbstractJoint):
-    """A joint whose coordinates are no vector but a group: a quaternion, a position with a quaternion.
+    """A joint whose coordinates are no vector but a group: a quaternion, a position with a
+    quaternion.
 
-    Integrators on groups (`jaxclear.integrator.MuntheKaas`) move it by increments, the speeds held for a time; the coordinates
-    of every other joint they add up.
+    Integrators on groups (`jaxclear.integrator.MuntheKaas`) move it by increments, the speeds held
+    for a time; the coordinates of every other joint they add up.
     """
 
     @abstractmethod
     def moved(self, q: tuple, increment: tuple) -> tuple:
-        """Coordinates after the speeds `increment` have been held for unit time: the group's exponential map, from q."""
+        """Coordinates after the speeds `increment` have been held for unit time: the group's
+        exponential map, from q.
+        """
 
     @abstractmethod
     def bracket(self, a: tuple, b: tuple) -> tuple:
-        """Lie bracket of two increments: what a then b moves more than b then a, to second order."""
+        """Lie bracket of two increments: what a then b moves more than b then a, to second
+        order."""
 
 
 class Revolute(AbstractDrivenJoint):
@@ -164,7 +174,9 @@ class Universal(AbstractJoint):
 
 
 class Spherical(AbstractGroupJoint):
-    """Turns freely about a point: q unit quaternion (w, x, y, z), v angular velocity [rad/s] in the child's axes."""
+    """Turns freely about a point: q unit quaternion (w, x, y, z), v angular velocity [rad/s] in the
+    child's axes.
+    """
 
     home: ClassVar = (1.0, 0.0, 0.0, 0.0)
     units: ClassVar = ("1", "1", "1", "1")
@@ -191,7 +203,9 @@ class Spherical(AbstractGroupJoint):
 
 
 class Planar(AbstractGroupJoint):
-    """Moves in the x-y plane and turns about z: q (x [m], y [m], angle [rad]), v in the child's axes."""
+    """Moves in the x-y plane and turns about z: q (x [m], y [m], angle [rad]), v in the child's
+    axes.
+    """
 
     home: ClassVar = (0.0, 0.0, 0.0)
     units: ClassVar = ("m", "m", "rad")
@@ -219,7 +233,9 @@ class Planar(AbstractGroupJoint):
 
 
 class Free(AbstractGroupJoint):
-    """No constraint: q (x, y, z [m], quaternion w, x, y, z), v twist in the child's axes, linear then angular."""
+    """No constraint: q (x, y, z [m], quaternion w, x, y, z), v twist in the child's axes, linear
+    then angular.
+    """
 
     home: ClassVar = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     units: ClassVar = ("m", "m", "m", "1", "1", "1", "1")
@@ -233,7 +249,10 @@ class Free(AbstractGroupJoint):
         return LINEAR + ANGULAR
 
     def rate(self, q, v):
-        return (*sp.apply(rotation_from_quaternion(q[3:]), tuple(v[:3])), *quaternion_rate(q[3:], v[3:]))
+        return (
+            *sp.apply(rotation_from_quaternion(q[3:]), tuple(v[:3])),
+            *quaternion_rate(q[3:], v[3:]),
+        )
 
     def bias(self, q, v):
         return None

@@ -1,8 +1,8 @@
 """What acts on bodies besides joints: gravity, forces, torques, springs and dampers.
 
-A load sees a `Sight` of the marker it acts on (place and velocity in the ground frame) and returns forces and torques in the
-ground frame. Springs tell their stored energy, dampers their dissipated power, so that the energy balance can be closed;
-every other force counts as input.
+A load sees a `Sight` of the marker it acts on (place and velocity in the ground frame) and returns
+forces and torques in the ground frame. Springs tell their stored energy, dampers their dissipated
+power, so that the energy balance can be closed; every other force counts as input.
 """
 
 from abc import abstractmethod
@@ -19,8 +19,10 @@ from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import Scalar, as_number, as_vector, quantity, vector
 
 
-class Sight(NamedTuple):
-    """A marker as a load sees it: pose in the ground frame, velocity and angular velocity in ground axes."""
+class MarkerMotion(NamedTuple):
+    """A marker as a load sees it: pose in the ground frame, velocity and angular velocity in ground
+    axes.
+    """
 
     pose: Pose
     velocity: sp.Vec
@@ -36,7 +38,9 @@ class Action(NamedTuple):
 
 
 class Effect(NamedTuple):
-    """What a load does at one instant; energies in J, power in W. `external` power enters the mechanism."""
+    """What a load does at one instant; energies in J, power in W. `external` power enters the
+    mechanism.
+    """
 
     actions: tuple[Action, ...]
     stored: Any
@@ -56,7 +60,7 @@ class AbstractBodyLoad(AbstractLoad):
         """The markers it needs to see."""
 
     @abstractmethod
-    def effect(self, time: Scalar, sights: tuple[Sight, ...]) -> Effect:
+    def effect(self, time: Scalar, sights: tuple[MarkerMotion, ...]) -> Effect:
         """Forces and energies at an instant."""
 
 
@@ -86,7 +90,10 @@ def _torque(value: Any) -> Any:
 
 def _check_count(what: str, value: Any, allowed: tuple[int, int]) -> None:
     if not callable(value) and len(value) not in allowed:
-        raise ValueError(f"a {what} has {allowed[0]} or {allowed[1]} numbers, or is a function of time; not {len(value)}.")
+        raise ValueError(
+            f"a {what} has {allowed[0]} or {allowed[1]} numbers, or is a function of time; not "
+            f"{len(value)}."
+        )
 
 
 def _number_or_function(value: Any) -> Any:
@@ -98,11 +105,14 @@ def _at(value: Any, time: Scalar) -> Any:
 
 
 class Force(AbstractBodyLoad):
-    """A force at a marker: 2 or 3 numbers [N] or a function of time, in ground axes, or in the marker's if `follows`."""
+    """A force at a marker: 2 or 3 numbers [N] or a function of time, in ground axes, or in the
+    marker's if `follows`.
+    """
 
     marker: Marker
     value: tuple | Callable = eqx.field(
-        converter=_vector_or_function, metadata={"unit": "N", "meaning": "force, or a function of time"}
+        converter=_vector_or_function,
+        metadata={"unit": "N", "meaning": "force, or a function of time"},
     )
     follows: bool = eqx.field(static=True, default=False)
 
@@ -116,14 +126,20 @@ class Force(AbstractBodyLoad):
         force = sp.vec3(tuple(_at(self.value, time)))
         if self.follows:
             force = sp.apply(sights[0].pose.rotation, force)
-        return Effect((Action(self.marker, force, sp.ZERO),), 0, 0, sp.dot(force, sights[0].velocity))
+        return Effect(
+            (Action(self.marker, force, sp.ZERO),), 0, 0, sp.dot(force, sights[0].velocity)
+        )
 
 
 class Torque(AbstractBodyLoad):
-    """A torque on a body: 1 number (about z), 3 numbers [N m] or a function of time; axes as in `Force`."""
+    """A torque on a body: 1 number (about z), 3 numbers [N m] or a function of time; axes as in
+    `Force`.
+    """
 
     marker: Marker
-    value: tuple | Callable = eqx.field(converter=_torque, metadata={"unit": "N m", "meaning": "torque, or a function of time"})
+    value: tuple | Callable = eqx.field(
+        converter=_torque, metadata={"unit": "N m", "meaning": "torque, or a function of time"}
+    )
     follows: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
@@ -141,15 +157,17 @@ class Torque(AbstractBodyLoad):
 
 
 class MotorTorque(AbstractBodyLoad):
-    """A torque [N m] on the body of `journal` about the z axis of `bearing`, and its reaction on the body of `bearing`: a motor
-    in a joint with clearance, which carries no coordinate. A number or function of time. Equal and opposite however the
-    journal leans; for an ideal joint of the tree prefer JointTorque.
+    """A torque [N m] on the body of `journal` about the z axis of `bearing`, and its reaction on
+    the body of `bearing`: a motor in a joint with clearance, which carries no coordinate. A number
+    or function of time. Equal and opposite however the journal leans; for an ideal joint of the
+    tree prefer JointTorque.
     """
 
     bearing: Marker
     journal: Marker
     value: Scalar | Callable = eqx.field(
-        converter=_number_or_function, metadata={"unit": "N m", "meaning": "torque, or a function of time"}
+        converter=_number_or_function,
+        metadata={"unit": "N m", "meaning": "torque, or a function of time"},
     )
 
     def markers(self):
@@ -163,7 +181,9 @@ class MotorTorque(AbstractBodyLoad):
 
 
 class Spring(AbstractBodyLoad):
-    """Spring and damper between two markers, along the line between them: F = k (l - l0) + d dl/dt, positive in tension."""
+    """Spring and damper between two markers, along the line between them: F = k (l - l0) + d dl/dt,
+    positive in tension.
+    """
 
     start: Marker
     end: Marker
@@ -184,19 +204,31 @@ class Spring(AbstractBodyLoad):
         if self.stiffness is not None:
             tension, stored = self.stiffness * stretch, 0.5 * self.stiffness * stretch * stretch
         if self.damping is not None:
-            tension, dissipated = sp.add(tension, sp.mul(self.damping, rate)), sp.mul(self.damping, sp.mul(rate, rate))
+            tension, dissipated = (
+                sp.add(tension, sp.mul(self.damping, rate)),
+                sp.mul(self.damping, sp.mul(rate, rate)),
+            )
         pull = sp.scale(tension, direction)
         reaction = tuple(sp.neg(x) for x in pull)
-        return Effect((Action(self.start, pull, sp.ZERO), Action(self.end, reaction, sp.ZERO)), stored, dissipated, 0)
+        return Effect(
+            (Action(self.start, pull, sp.ZERO), Action(self.end, reaction, sp.ZERO)),
+            stored,
+            dissipated,
+            0,
+        )
 
 
 class JointSpring(AbstractCoordinateLoad):
-    """Spring and damper on the coordinate of a revolute or prismatic connection (N m/rad, N m s/rad; N/m, N s/m if sliding)."""
+    """Spring and damper on the coordinate of a revolute or prismatic connection (N m/rad, N m
+    s/rad; N/m, N s/m if sliding).
+    """
 
     connection: str = eqx.field(static=True)
     stiffness: Scalar | None = quantity(None, "N m/rad", "stiffness (N/m for a sliding joint)")
     rest: Scalar = quantity(0.0, "rad", "coordinate without force (m for a sliding joint)")
-    damping: Scalar | None = quantity(None, "N m s/rad", "viscous damping (N s/m for a sliding joint)")
+    damping: Scalar | None = quantity(
+        None, "N m s/rad", "viscous damping (N s/m for a sliding joint)"
+    )
 
     def force(self, time, position, speed):
         force, stored, dissipated = 0, 0, 0
@@ -209,11 +241,14 @@ class JointSpring(AbstractCoordinateLoad):
 
 
 class JointTorque(AbstractCoordinateLoad):
-    """A torque [N m] (force [N] if sliding) on a connection's coordinate, child against parent: a number or function of time."""
+    """A torque [N m] (force [N] if sliding) on a connection's coordinate, child against parent: a
+    number or function of time.
+    """
 
     connection: str = eqx.field(static=True)
     value: Scalar | Callable = eqx.field(
-        converter=_number_or_function, metadata={"unit": "N m", "meaning": "torque, or a function of time"}
+        converter=_number_or_function,
+        metadata={"unit": "N m", "meaning": "torque, or a function of time"},
     )
 
     def force(self, time, position, speed):

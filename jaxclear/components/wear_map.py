@@ -1,8 +1,9 @@
 """Where material is lost: worn depth on a cylinder (theta x z) or a sphere (azimuth x elevation).
 
-A volume is spread with quadratic B-splines around the contact's direction and, on a cylinder, over the length on which the
-tilted journal overlaps the wall, so depth is a smooth function of where and how much; weights add up to one, so volume is
-conserved to rounding. The same splines read the depth back when the worn surface enters the gap.
+A volume is spread with quadratic B-splines around the contact's direction and, on a cylinder, over
+the length on which the tilted journal overlaps the wall, so depth is a smooth function of where and
+how much; weights add up to one, so volume is conserved to rounding. The same splines read the depth
+back when the worn surface enters the gap.
 """
 
 from abc import abstractmethod
@@ -17,11 +18,11 @@ from jaxclear.laws.wear import AbstractWearLaw
 
 
 class Wearing(eqx.Module):
-    """A surface that wears: its law (of this surface alone), and the number of cells around and along (azimuth and
-    elevation on a sphere).
+    """A surface that wears: its law (of this surface alone), and the number of cells around and
+    along (azimuth and elevation on a sphere).
 
-    `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear extrapolation, as in cycle-jump
-    schemes).
+    `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear
+    extrapolation, as in cycle-jump schemes).
     """
 
     law: AbstractWearLaw
@@ -33,7 +34,10 @@ class Wearing(eqx.Module):
             raise ValueError(f"a surface wears by a wear law (jaxclear.wear), not by {self.law!r}.")
         whole = all(isinstance(count, int) for count in self.cells)
         if len(self.cells) != 2 or not whole or self.cells[0] < 4 or self.cells[1] < 1:
-            raise ValueError(f"a wear map needs at least 4 cells around and 1 along, in whole numbers, not {self.cells}.")
+            raise ValueError(
+                f"a wear map needs at least 4 cells around and 1 along, in whole numbers, not "
+                f"{self.cells}."
+            )
 
 
 class AbstractWearMap(eqx.Module):
@@ -47,15 +51,20 @@ class AbstractWearMap(eqx.Module):
 
     @abstractmethod
     def reading(self, depth):
-        """The depth in the form in which the gap reads it; made once for as long as the depth stays as it is."""
+        """The depth in the form in which the gap reads it; made once for as long as the depth stays
+        as it is.
+        """
 
     @abstractmethod
     def deposit(self, depth, volume, features):
-        """Depth after losing `volume` (events,) [m3] at `features` (events, n), each event's location."""
+        """Depth after losing `volume` (events,) [m3] at `features` (events, n), each event's
+        location.
+        """
 
 
 def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "... 3"]]:
-    """Index of the nearest cell and the weights of it and its neighbours, for a position in units of cells.
+    """Index of the nearest cell and the weights of it and its neighbours, for a position in units
+    of cells.
 
     Quadratic B-spline: continuous slope, weights add up to one.
     """
@@ -68,11 +77,14 @@ def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "
 def direction_angle(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
     """atan2(y, x), and 0 with zero derivative at the origin, where a direction does not exist."""
     somewhere = x * x + y * y > TINY_SQUARE
-    return jnp.where(somewhere, jnp.arctan2(jnp.where(somewhere, y, 0.0), jnp.where(somewhere, x, 1.0)), 0.0)
+    return jnp.where(
+        somewhere, jnp.arctan2(jnp.where(somewhere, y, 0.0), jnp.where(somewhere, x, 1.0)), 0.0
+    )
 
 
 class CylinderMap(AbstractWearMap):
-    """Wall of a bearing or journal: theta from x towards y in [0, 2 pi), z from -length/2 to length/2.
+    """Wall of a bearing or journal: theta from x towards y in [0, 2 pi), z from -length/2 to
+    length/2.
 
     Location features: direction (x, y), overlap length [m] and the end it starts from (-1 or 1).
     """
@@ -83,7 +95,9 @@ class CylinderMap(AbstractWearMap):
 
     def areas(self) -> Float[Array, "around along"]:
         around, along = self.cells
-        return jnp.full(self.cells, 1.0) * (2 * jnp.pi * self.radius / around) * (self.length / along)
+        return (
+            jnp.full(self.cells, 1.0) * (2 * jnp.pi * self.radius / around) * (self.length / along)
+        )
 
     def angles(self) -> Float[Array, " around"]:
         """Direction of the centre of each cell [rad]."""
@@ -99,8 +113,11 @@ class CylinderMap(AbstractWearMap):
         nearest, weights = spline_weights(direction_angle(x, y) * (around / (2 * jnp.pi)) - 0.5)
         columns = (nearest[:, None] + jnp.arange(-1, 2)) % around
         edges = jnp.arange(along + 1) * (self.length / along)
-        # A triangular pressure over the overlap, largest at the end: share beyond distance s is (1 - s/overlap)^2.
-        remaining = jnp.clip(1.0 - edges / jnp.maximum(overlap, 1e-9 * self.length)[:, None], 0.0, 1.0) ** 2
+        # A triangular pressure over the overlap, largest at the end: share beyond distance s is (1
+        # - s/overlap)^2.
+        remaining = (
+            jnp.clip(1.0 - edges / jnp.maximum(overlap, 1e-9 * self.length)[:, None], 0.0, 1.0) ** 2
+        )
         remaining = remaining.at[:, -1].set(0.0)
         rows = remaining[:, :-1] - remaining[:, 1:]
         rows = jnp.where(end[:, None] < 0, rows, rows[:, ::-1])
@@ -108,16 +125,27 @@ class CylinderMap(AbstractWearMap):
         return depth.at[columns].add(lost / self.areas()[0, 0])
 
     def reading(self, depth):
-        """For the lower and upper end: coefficients (around, 3) of the spline 1, f, f^2 around each cell, contiguous so
-        that one lookup costs one small slice."""
+        """For the lower and upper end: coefficients (around, 3) of the spline 1, f, f^2 around each
+        cell, contiguous so that one lookup costs one small slice."""
         rows = []
         for edge in (depth[:, 0], depth[:, -1]):
             left, right = jnp.roll(edge, 1), jnp.roll(edge, -1)
-            rows.append(jnp.stack([0.125 * (left + 6.0 * edge + right), 0.5 * (right - left), 0.5 * (left + right) - edge], -1))
+            rows.append(
+                jnp.stack(
+                    [
+                        0.125 * (left + 6.0 * edge + right),
+                        0.5 * (right - left),
+                        0.5 * (left + right) - edge,
+                    ],
+                    -1,
+                )
+            )
         return tuple(rows)
 
     def depth_at_end(self, reading: tuple, x: Scalar, y: Scalar, end: int) -> Scalar:
-        """Worn depth at the direction (x, y) of the row at the lower (-1) or upper (1) end, in metres."""
+        """Worn depth at the direction (x, y) of the row at the lower (-1) or upper (1) end, in
+        metres.
+        """
         around = self.cells[0]
         position = direction_angle(x, y) * (around / (2 * jnp.pi)) - 0.5
         nearest = jnp.round(position)
@@ -129,7 +157,8 @@ class CylinderMap(AbstractWearMap):
 class SphereMap(AbstractWearMap):
     """Wall of a socket: azimuth from x towards y in [0, 2 pi), elevation from -pi/2 to pi/2.
 
-    Location features: direction (x, y, z). At a pole the azimuth is undefined and the smallest cells share the loss.
+    Location features: direction (x, y, z). At a pole the azimuth is undefined and the smallest
+    cells share the loss.
     """
 
     cells: tuple[int, int] = eqx.field(static=True)
@@ -154,7 +183,11 @@ class SphereMap(AbstractWearMap):
         columns = (column[..., None] + offsets) % around
         # What falls beyond a pole is kept in the last band, so that no volume is lost.
         rows = jnp.clip(row[..., None] + offsets, 0, along - 1)
-        return columns[..., :, None], rows[..., None, :], across[..., :, None] * upwards[..., None, :]
+        return (
+            columns[..., :, None],
+            rows[..., None, :],
+            across[..., :, None] * upwards[..., None, :],
+        )
 
     def deposit(self, depth, volume, features):
         columns, rows, weights = self._stencil(*jnp.moveaxis(features, -1, 0))
@@ -164,7 +197,9 @@ class SphereMap(AbstractWearMap):
     def reading(self, depth):
         return depth
 
-    def depth_towards(self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar) -> Scalar:
+    def depth_towards(
+        self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar
+    ) -> Scalar:
         """Worn depth in the direction (x, y, z) [m]."""
         columns, rows, weights = self._stencil(x, y, z)
         return jnp.sum(weights * depth[columns, rows], axis=(-2, -1))

@@ -1,7 +1,8 @@
 """Like pieces are traced once and mapped over, however they are named.
 
-Two calls are alike when the trees of their arguments have the same shape, static fields and structural zeros. A group of
-alike calls becomes one `vmap`; small groups are unrolled, because a few fused scalars are cheaper than a short axis.
+Two calls are alike when the trees of their arguments have the same shape, static fields and
+structural zeros. A group of alike calls becomes one `vmap`; small groups are unrolled, because a
+few fused scalars are cheaper than a short axis.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,16 +16,22 @@ SMALLEST_GROUP = 4
 
 
 def signature(tree: Any) -> tuple:
-    """Hashable description of a tree: structure, structural integers, and shapes and types of arrays."""
+    """Hashable description of a tree: structure, structural integers, and shapes and types of
+    arrays.
+    """
     leaves, structure = jax.tree.flatten(tree)
-    kinds = tuple(leaf if isinstance(leaf, int) else (jnp.shape(leaf), str(jnp.result_type(leaf))) for leaf in leaves)
+    kinds = tuple(
+        leaf if isinstance(leaf, int) else (jnp.shape(leaf), str(jnp.result_type(leaf)))
+        for leaf in leaves
+    )
     return structure, kinds
 
 
 def map_alike(function: Callable, calls: Sequence[tuple], smallest: int = SMALLEST_GROUP) -> list:
     """[function(*arguments) for arguments in calls], with alike calls mapped together.
 
-    The function must be pure; its result may contain structural integers, which must not depend on array values.
+    The function must be pure; its result may contain structural integers, which must not depend on
+    array values.
     """
     groups: dict[tuple, list[int]] = {}
     for index, arguments in enumerate(calls):
@@ -35,7 +42,9 @@ def map_alike(function: Callable, calls: Sequence[tuple], smallest: int = SMALLE
             for index in members:
                 results[index] = function(*calls[index])
         else:
-            for index, result in zip(members, _mapped(function, [calls[index] for index in members]), strict=True):
+            for index, result in zip(
+                members, _mapped(function, [calls[index] for index in members]), strict=True
+            ):
                 results[index] = result
     return results
 
@@ -51,7 +60,9 @@ def _mapped(function, calls):
         filled = list(leaves)
         for position, array in zip(varying, arrays, strict=True):
             filled[position] = array
-        out_leaves, template["structure"] = jax.tree.flatten(function(*jax.tree.unflatten(structure, filled)))
+        out_leaves, template["structure"] = jax.tree.flatten(
+            function(*jax.tree.unflatten(structure, filled))
+        )
         template["leaves"] = [leaf if isinstance(leaf, int) else None for leaf in out_leaves]
         return [leaf for leaf in out_leaves if not isinstance(leaf, int)]
 

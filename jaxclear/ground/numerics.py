@@ -1,17 +1,19 @@
 """Elementary functions whose value and derivatives stay finite everywhere.
 
-Each guards one singularity of the textbook formula by evaluating the formula at a harmless point wherever the guard
-holds ("double where"), because a plain `where` still multiplies the untaken branch's infinite derivative by zero.
-All take and return arrays of one shape, are smooth under `vmap`, and define their derivative at the guarded point.
+Each guards one singularity of the textbook formula by evaluating the formula at a harmless point
+wherever the guard holds ("double where"), because a plain `where` still multiplies the untaken
+branch's infinite derivative by zero. All take and return arrays of one shape, are smooth under
+`vmap`, and define their derivative at the guarded point.
 """
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-# Sums of squares below this count as zero. Far below the square of any length, speed or force of a mechanism, and far
-# enough from the smallest float64 that second derivatives (x^-3/2, and squares of x in denominators) neither overflow
-# nor underflow: a contact's normal is a first derivative already, and is differentiated once more by whoever varies it.
+# Sums of squares below this count as zero. Far below the square of any length, speed or force of a
+# mechanism, and far enough from the smallest float64 that second derivatives (x^-3/2, and squares
+# of x in denominators) neither overflow nor underflow: a contact's normal is a first derivative
+# already, and is differentiated once more by whoever varies it.
 TINY_SQUARE = 1e-100
 
 
@@ -28,9 +30,11 @@ def safe_divide(numerator, denominator):
 
 
 def power(base: Float[Array, "..."], exponent: Float[Array, "..."] | None) -> Float[Array, "..."]:
-    """max(base, 0) ** exponent for an exponent above 1; value and first derivative are 0 at and below zero.
+    """max(base, 0) ** exponent for an exponent above 1; value and first derivative are 0 at and
+    below zero.
 
-    `exponent=None` is Hertz's 3/2, evaluated as x sqrt(x): several times cheaper than a general power.
+    `exponent=None` is Hertz's 3/2, evaluated as x sqrt(x): several times cheaper than a general
+    power.
     """
     positive = base > 0
     inside = jnp.where(positive, base, 1.0)
@@ -44,9 +48,11 @@ def positive_part(x: Float[Array, "..."]) -> Float[Array, "..."]:
 
 
 def smooth_step(x: Float[Array, "..."], start, stop, low=0.0, high=1.0) -> Float[Array, "..."]:
-    """Cubic step from `low` at `start` to `high` at `stop`, constant outside (the STEP function of Adams).
+    """Cubic step from `low` at `start` to `high` at `stop`, constant outside (the STEP function of
+    Adams).
 
-    Continuous with its first derivative; low + (high - low) s^2 (3 - 2 s), s = (x - start) / (stop - start).
+    Continuous with its first derivative; low + (high - low) s^2 (3 - 2 s), s = (x - start) / (stop
+    - start).
     """
     share = jnp.clip((x - start) / (stop - start), 0.0, 1.0)
     return low + (high - low) * share * share * (3.0 - 2.0 * share)
@@ -62,18 +68,21 @@ def rounded_norm(*components, width) -> Float[Array, "..."]:
     return jnp.sqrt(sum(component * component for component in components) + width * width)
 
 
-# Newton steps that bring the function below from its asymptotic start to rounding for x <= 0.3 (measured against scipy's
-# Lambert function); towards the double root at x = 1/e they fall short, 3e-12 at 0.35.
+# Newton steps that bring the function below from its asymptotic start to rounding for x <= 0.3
+# (measured against scipy's Lambert function); towards the double root at x = 1/e they fall short,
+# 3e-12 at 0.35.
 LOGARITHM_STEPS = 5
 SMALLEST_LOAD = 1e-300
 
 
 @jax.custom_jvp
 def inverse_entropy(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The w < 1/e that solves -w ln w = x for 0 < x < 1/e (minus the lower branch of Lambert's function), 0 for x <= 0.
+    """The w < 1/e that solves -w ln w = x for 0 < x < 1/e (minus the lower branch of Lambert's
+    function), 0 for x <= 0.
 
-    Newton's method on p - ln p = -ln x with p = -ln w, which is convex and keeps its relative accuracy down to the
-    smallest x. Differentiated by the implicit function theorem, dw/dx = 1 / (p - 1), with 0 at and below x = 0.
+    Newton's method on p - ln p = -ln x with p = -ln w, which is convex and keeps its relative
+    accuracy down to the smallest x. Differentiated by the implicit function theorem, dw/dx = 1 / (p
+    - 1), with 0 at and below x = 0.
     """
     positive = x > SMALLEST_LOAD
     inside = jnp.where(positive, x, SMALLEST_LOAD)

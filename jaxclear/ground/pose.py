@@ -1,8 +1,9 @@
 """Rotations and rigid displacements on sparse scalars.
 
-The hot path needs rotations whose zeros are known before tracing (see `sparse`); jaxlie's SO3 and SE3 carry dense 3x3
-products and are used where speed does not matter (conversions of results, increments during assembly).
-Quaternions are scalar first. A `Pose` maps child coordinates to parent coordinates: x_parent = p + R x_child.
+The hot path needs rotations whose zeros are known before tracing (see `sparse`); jaxlie's SO3 and
+SE3 carry dense 3x3 products and are used where speed does not matter (conversions of results,
+increments during assembly). Quaternions are scalar first. A `Pose` maps child coordinates to parent
+coordinates: x_parent = p + R x_child.
 """
 
 from typing import Any, NamedTuple
@@ -14,7 +15,9 @@ from jaxclear.ground import sparse as sp
 
 
 class Pose(NamedTuple):
-    """Rotation R (axes of the child in the parent) and translation p (origin of the child in the parent)."""
+    """Rotation R (axes of the child in the parent) and translation p (origin of the child in the
+    parent).
+    """
 
     rotation: sp.Mat
     translation: sp.Vec
@@ -44,7 +47,8 @@ class Twist(NamedTuple):
 REST = Pose(sp.IDENTITY, sp.ZERO)
 STILL = Twist(sp.ZERO, sp.ZERO)
 FLIP: sp.Mat = ((1, 0, 0), (0, -1, 0), (0, 0, -1))
-# Frames whose z axis lies along the named axis of the parent: cyclic permutations, so that zeros stay structural.
+# Frames whose z axis lies along the named axis of the parent: cyclic permutations, so that zeros
+# stay structural.
 AXES: dict[str, sp.Mat] = {
     "z": sp.IDENTITY,
     "x": ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
@@ -72,7 +76,9 @@ def rotation_y(angle: Any) -> sp.Mat:
 
 
 def rotation_from_quaternion(quaternion: tuple) -> sp.Mat:
-    """Rotation of a quaternion (w, x, y, z) of any nonzero length: the length drops out, so drift cannot scale it."""
+    """Rotation of a quaternion (w, x, y, z) of any nonzero length: the length drops out, so drift
+    cannot scale it.
+    """
     w, x, y, z = quaternion
     s = 2.0 / (w * w + x * x + y * y + z * z)
     sx, sy, sz = s * x, s * y, s * z
@@ -107,9 +113,11 @@ def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
 
 
 def frame_with_axis(axis: tuple) -> sp.Mat:
-    """A rotation whose third column is the given axis [any length]; its first column is as near to x as it can be.
+    """A rotation whose third column is the given axis [any length]; its first column is as near to
+    x as it can be.
 
-    Smooth in the axis except where it points along -z (Frisvad 2012, J. Graphics Tools 16, 151, eq. 3).
+    Smooth in the axis except where it points along -z (Frisvad 2012, J. Graphics Tools 16, 151, eq.
+    3).
     """
     x, y, z = axis
     length = jnp.sqrt(x * x + y * y + z * z)

@@ -1,8 +1,10 @@
-"""Fields that know their unit and meaning, so that a mechanism can print its own table of parameters.
+"""Fields that know their unit and meaning, so that a mechanism can print its own table of
+parameters.
 
-A quantity is a float64 leaf of a pytree: it can be varied, differentiated and batched. `None` means absent and leaves no
-operation in the compiled program. A vector quantity is a tuple of scalar leaves, because each component can then be
-varied by itself and a component that is not given is known to be zero before tracing.
+A quantity is a float64 leaf of a pytree: it can be varied, differentiated and batched. `None` means
+absent and leaves no operation in the compiled program. A vector quantity is a tuple of scalar
+leaves, because each component can then be varied by itself and a component that is not given is
+known to be zero before tracing.
 """
 
 import dataclasses
@@ -19,9 +21,11 @@ Scalar = Float[Array, ""]
 
 
 def as_number(value: Any) -> Any:
-    """A float64 scalar (shape ()); `None` and modules pass through, anything else that is no number is refused.
+    """A float64 scalar (shape ()); `None` and modules pass through, anything else that is no number
+    is refused.
 
-    Raises `ValueError` for arrays with axes or text, `RuntimeError` where float64 has been switched off.
+    Raises `ValueError` for arrays with axes or text, `RuntimeError` where float64 has been switched
+    off.
     """
     if value is None or isinstance(value, eqx.Module):
         return value
@@ -30,7 +34,10 @@ def as_number(value: Any) -> Any:
     number = value if isinstance(value, jax.Array) else jnp.asarray(np.asarray(value, dtype=float))
     if number.dtype != jnp.float64:
         if not jax.config.jax_enable_x64:
-            raise RuntimeError("jaxclear needs float64: leave jax_enable_x64 on (importing jaxclear switches it on).")
+            raise RuntimeError(
+                "jaxclear needs float64: leave jax_enable_x64 on (importing jaxclear switches it "
+                "on)."
+            )
         number = number.astype(jnp.float64)
     if jnp.ndim(number) != 0:
         raise ValueError(f"expected one number, got an array of shape {jnp.shape(number)}.")
@@ -38,7 +45,9 @@ def as_number(value: Any) -> Any:
 
 
 def as_vector(value: Any) -> Any:
-    """A tuple of float64 scalars; `None` passes through (absent: structurally zero). Raises `ValueError` for one number."""
+    """A tuple of float64 scalars; `None` passes through (absent: structurally zero). Raises
+    `ValueError` for one number.
+    """
     if value is None:
         return None
     if not isinstance(value, (tuple, list)) and np.ndim(value) != 1:
@@ -61,15 +70,26 @@ def quantity(
     at_most: float | None = None,
     **kwargs: Any,
 ) -> Any:
-    """A scalar field with a unit (SI, "1" if none), a sentence of meaning and the range of its values.
+    """A scalar field with a unit (SI, "1" if none), a sentence of meaning and the range of its
+    values.
 
-    `default` may be a number or `None`. The range is checked where a mechanism is built, and for every sample of a study.
+    `default` may be a number or `None`. The range is checked where a mechanism is built, and for
+    every sample of a study.
     """
     bounds = {"above": above, "at_least": at_least, "at_most": at_most}
-    return _field(default, unit, meaning, as_number, kwargs, {k: v for k, v in bounds.items() if v is not None})
+    return _field(
+        default,
+        unit,
+        meaning,
+        as_number,
+        kwargs,
+        {k: v for k, v in bounds.items() if v is not None},
+    )
 
 
-def vector(default: Any = dataclasses.MISSING, unit: str = "1", meaning: str = "", **kwargs: Any) -> Any:
+def vector(
+    default: Any = dataclasses.MISSING, unit: str = "1", meaning: str = "", **kwargs: Any
+) -> Any:
     """A field of two or more scalars, each its own leaf, sharing one unit."""
     return _field(default, unit, meaning, as_vector, kwargs, {})
 
@@ -81,21 +101,21 @@ def _field(default, unit, meaning, converter, kwargs, bounds):
     return eqx.field(converter=converter, metadata=metadata, **kwargs)
 
 
-def unit_of(module: eqx.Module, name: str) -> str:
-    """Unit of a module's field, with exponents that are themselves fields (as in N/m^exponent) left by name."""
-    return _metadata(module)[name].get("unit", "1")
-
-
 def numbers(tree: Any, name: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
-    """(name, leaf, metadata of its field) of every number in a mechanism or any part of it, in definition order; `name` is
-    what the tree itself is called."""
+    """(name, leaf, metadata of its field) of every number in a mechanism or any part of it, in
+    definition order; `name` is what the tree itself is called."""
     return _numbers(tree, name, {})
 
 
 def parameters(tree: Any, name: str = "") -> list[dict[str, Any]]:
     """Rows (name, value, unit, meaning) of every number."""
     return [
-        {"name": path, "value": np.asarray(leaf).tolist(), "unit": m.get("unit", "1"), "meaning": m.get("meaning", "")}
+        {
+            "name": path,
+            "value": np.asarray(leaf).tolist(),
+            "unit": m.get("unit", "1"),
+            "meaning": m.get("meaning", ""),
+        }
         for path, leaf, m in numbers(tree, name)
     ]
 
@@ -116,7 +136,9 @@ def inside(leaf: Any, metadata: Mapping[str, Any]) -> Any:
 def range_in_words(metadata: Mapping[str, Any]) -> str:
     """The range of a field: "above 0 and at most 1"."""
     words = {"above": "above", "at_least": "at least", "at_most": "at most"}
-    return " and ".join(f"{word} {metadata[key]:g}" for key, word in words.items() if key in metadata)
+    return " and ".join(
+        f"{word} {metadata[key]:g}" for key, word in words.items() if key in metadata
+    )
 
 
 def _numbers(tree, path, metadata):

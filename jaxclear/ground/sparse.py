@@ -1,9 +1,11 @@
-"""Vectors and matrices of three, written as tuples of scalars in which 0, 1 and -1 are known before tracing.
+"""Vectors and matrices of three, written as tuples of scalars in which 0, 1 and -1 are known before
+tracing.
 
-A component that the scene leaves out (the third coordinate of a planar part, the off-diagonal terms of a rotation about z)
-is the Python integer 0, and products with it vanish while JAX traces. One spatial formulation therefore compiles to
-the planar equations for a planar mechanism, and to mixed ones where only some parts move in space.
-A `Vec` is a tuple of 3 scalars, a `Mat` a tuple of 3 rows; a scalar is the integer 0, 1 or -1 or a float64 array.
+A component that the scene leaves out (the third coordinate of a planar part, the off-diagonal terms
+of a rotation about z) is the Python integer 0, and products with it vanish while JAX traces. One
+spatial formulation therefore compiles to the planar equations for a planar mechanism, and to mixed
+ones where only some parts move in space. A `Vec` is a tuple of 3 scalars, a `Mat` a tuple of 3
+rows; a scalar is the integer 0, 1 or -1 or a float64 array.
 """
 
 from typing import Any
@@ -124,29 +126,45 @@ def congruence(r: Mat, symmetric: Mat) -> Mat:
 def shift_inertia(inertia: Mat, mass: Any, moment: Vec, offset: Vec) -> Mat:
     """Inertia about a point O' of a body whose inertia about O is given, both axes parallel.
 
-    `moment` is mass times the vector from O to the centre of mass, `offset` the vector from O' to O:
-    I' = I + (m p.p + 2 p.h) 1 - m p p^T - p h^T - h p^T.
+    `moment` is mass times the vector from O to the centre of mass, `offset` the vector from O' to
+    O: I' = I + (m p.p + 2 p.h) 1 - m p p^T - p h^T - h p^T.
     """
     diagonal = add(mul(mass, dot(offset, offset)), mul(2, dot(offset, moment)))
-    cross_terms = plus_matrix(outer(offset, scale(mass, offset)), outer(offset, moment), outer(moment, offset))
+    cross_terms = plus_matrix(
+        outer(offset, scale(mass, offset)), outer(offset, moment), outer(moment, offset)
+    )
     return tuple(
-        tuple(add(inertia[i][j], sub(diagonal, cross_terms[i][j]) if i == j else neg(cross_terms[i][j])) for j in range(3))
+        tuple(
+            add(
+                inertia[i][j],
+                sub(diagonal, cross_terms[i][j]) if i == j else neg(cross_terms[i][j]),
+            )
+            for j in range(3)
+        )
         for i in range(3)
     )
 
 
 def vec3(values: Any) -> Vec:
-    """Three components from a tuple of 2 or 3 scalars or `None`; what is not given is structurally 0."""
+    """Three components from a tuple of 2 or 3 scalars or `None`; what is not given is structurally
+    0.
+    """
     if values is None:
         return ZERO
     return (*values, *(0,) * (3 - len(values)))
 
 
 def dense(tree: Any) -> Any:
-    """The same tree with structural integers turned into float64 arrays (for results that leave the traced core)."""
+    """The same tree with structural integers turned into float64 arrays (for results that leave the
+    traced core).
+    """
     return jax.tree.map(lambda x: jnp.asarray(x, float) if isinstance(x, int) else x, tree)
 
 
 def stack(scalars: Any) -> jax.Array:
     """Scalars, structural ones included, stacked to one float64 array on a new first axis."""
-    return jnp.stack(jnp.broadcast_arrays(*[jnp.asarray(x, float) for x in scalars])) if scalars else jnp.zeros((0,))
+    return (
+        jnp.stack(jnp.broadcast_arrays(*[jnp.asarray(x, float) for x in scalars]))
+        if scalars
+        else jnp.zeros((0,))
+    )

@@ -1,6 +1,7 @@
 """What a body is made of, as far as a contact law asks.
 
-One question: which elastic modulus does a pair of surfaces press with? Sources of the numbers beside each factory.
+One question: which elastic modulus does a pair of surfaces press with? Sources of the numbers
+beside each factory.
 """
 
 import equinox as eqx
@@ -23,7 +24,8 @@ class Material(eqx.Module):
 def combined_modulus(a: Material, b: Material) -> Scalar:
     """E* [Pa] of two bodies pressed together: 1/E* = (1 - nu_a^2)/E_a + (1 - nu_b^2)/E_b.
 
-    Symmetric in the two; below either body's plane-strain modulus. Source: Johnson 1985, Contact Mechanics, ch. 4.
+    Symmetric in the two; below either body's plane-strain modulus. Source: Johnson 1985, Contact
+    Mechanics, ch. 4.
     """
     return 1 / (1 / a.plane_strain_modulus + 1 / b.plane_strain_modulus)
 

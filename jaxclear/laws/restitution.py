@@ -1,4 +1,6 @@
-"""The coefficient of restitution that a contact law is built around: what rigid contact takes from a compliant law."""
+"""The coefficient of restitution that a contact law is built around: what rigid contact takes from
+a compliant law.
+"""
 
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws import conformal, contact
@@ -13,11 +15,19 @@ PRESCRIBED = (
     contact.ModifiedFlores,
     conformal.BaiZhao,
 )
-OPTIONAL = (conformal.Johnson, conformal.TwoSidedJohnson, conformal.Radzimovsky, conformal.Goldsmith, conformal.Liu)
+OPTIONAL = (
+    conformal.Johnson,
+    conformal.TwoSidedJohnson,
+    conformal.Radzimovsky,
+    conformal.Goldsmith,
+    conformal.Liu,
+)
 
 
 def restitution(law: contact.AbstractNormalLaw) -> Scalar | None:
-    """Coefficient of restitution of a law; 1 for one without loss, None where it depends on mass and speed."""
+    """Coefficient of restitution of a law; 1 for one without loss, None where it depends on mass
+    and speed.
+    """
     if isinstance(law, PRESCRIBED):
         return law.restitution
     if isinstance(law, OPTIONAL):

@@ -1,8 +1,9 @@
 """What a law's parameter is when the joint's own geometry decides it.
 
-A law sees numbers only. Where a number follows from the radii (a Hertz stiffness, a clearance), its field holds a fit
-instead, and `fitted(law, shape)` replaces every fit by its value, once, outside the time loop; derivatives with respect
-to the radii pass through. Clearance c = outer radius - inner radius > 0.
+A law sees numbers only. Where a number follows from the radii (a Hertz stiffness, a clearance), its
+field holds a fit instead, and `fitted(law, shape)` replaces every fit by its value, once, outside
+the time loop; derivatives with respect to the radii pass through. Clearance c = outer radius -
+inner radius > 0.
 """
 
 from abc import abstractmethod
@@ -20,11 +21,17 @@ HERTZ_SPHERE = 4 / 3
 
 
 class Shape(eqx.Module):
-    """Geometry of a journal in a bearing or a ball in a socket. Refuses (before tracing) an inner body that does not fit."""
+    """Geometry of a journal in a bearing or a ball in a socket. Refuses (before tracing) an inner
+    body that does not fit.
+    """
 
     inner_radius: Scalar = quantity(unit="m", meaning="radius of the journal or ball")
-    outer_radius: Scalar = quantity(unit="m", meaning="radius of the bearing's hole or of the socket")
-    length: Scalar | None = quantity(None, "m", "length of the contact along the axis (None: a spherical pair)")
+    outer_radius: Scalar = quantity(
+        unit="m", meaning="radius of the bearing's hole or of the socket"
+    )
+    length: Scalar | None = quantity(
+        None, "m", "length of the contact along the axis (None: a spherical pair)"
+    )
 
     def __check_init__(self):
         radii = (self.inner_radius, self.outer_radius)
@@ -32,8 +39,10 @@ class Shape(eqx.Module):
             return
         if not float(self.outer_radius) > float(self.inner_radius) > 0:
             raise ValueError(
-                f"a journal of radius {float(self.inner_radius):g} m does not fit a bearing of radius "
-                f"{float(self.outer_radius):g} m: the outer radius must be the larger one, and both positive."
+                f"a journal of radius {float(self.inner_radius):g} m does not fit a bearing of "
+                "radius "
+                f"{float(self.outer_radius):g} m: the outer radius must be the larger one, and "
+                "both positive."
             )
 
     @property
@@ -51,13 +60,15 @@ class AbstractFit(eqx.Module):
 
 
 class HertzStiffness(AbstractFit):
-    """Stiffness of a ball in a socket [N/m^1.5], K = 4 / (3 pi (h_i + h_j)) sqrt(R_i R_j / (R_j - R_i)).
+    """Stiffness of a ball in a socket [N/m^1.5], K = 4 / (3 pi (h_i + h_j)) sqrt(R_i R_j / (R_j -
+    R_i)).
 
-    h = (1 - nu^2) / (pi E), so pi (h_i + h_j) = 1/E*. Range: contact area small beside the radii, which an overlap near
-    the clearance violates; for a cylinder it is customary but not Hertz (prefer the laws in `conformal`).
+    h = (1 - nu^2) / (pi E), so pi (h_i + h_j) = 1/E*. Range: contact area small beside the radii,
+    which an overlap near the clearance violates; for a cylinder it is customary but not Hertz
+    (prefer the laws in `conformal`).
 
-    Source: Hertz 1882; Lankarani & Nikravesh 1990; four-bar paper (001), eq. 2. The flap paper (002), eq. 7,
-    prints 1 - nu for 1 - nu^2.
+    Source: Hertz 1882; Lankarani & Nikravesh 1990; four-bar paper (001), eq. 2. The flap paper
+    (002), eq. 7, prints 1 - nu for 1 - nu^2.
     """
 
     inner: Material
@@ -105,14 +116,17 @@ class LengthOf(AbstractFit):
     def value(self, shape: Shape) -> Scalar:
         if shape.length is None:
             raise ValueError(
-                "this contact law presses along a line and needs Shape.length, but the pair has none; "
+                "this contact law presses along a line and needs Shape.length, but the pair has "
+                "none; "
                 "give the length, or take a law for a ball in a socket."
             )
         return shape.length
 
 
 def fitted(law, shape: Shape):
-    """The law with every fit, at any depth, replaced by its number for this shape; differentiable in the shape."""
+    """The law with every fit, at any depth, replaced by its number for this shape; differentiable
+    in the shape.
+    """
 
     def settle(node):
         return jnp.asarray(as_number(node.value(shape))) if isinstance(node, AbstractFit) else node

@@ -1,7 +1,8 @@
 """What is lost: the rate at which a sliding contact wears material away.
 
-Rates in m^3/s of the surface that the law is given to; zero at rest and without load. Where both surfaces of a joint wear,
-each has a law with a coefficient of its own. Where the volume goes is the wear map's business.
+Rates in m^3/s of the surface that the law is given to; zero at rest and without load. Where both
+surfaces of a joint wear, each has a law with a coefficient of its own. Where the volume goes is the
+wear map's business.
 """
 
 from abc import abstractmethod
@@ -16,18 +17,24 @@ class AbstractWearLaw(eqx.Module):
 
     @abstractmethod
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
-        """m^3/s >= 0 from load [N] >= 0, sliding speed [m/s] >= 0 and friction force [N] >= 0 (0 if frictionless)."""
+        """m^3/s >= 0 from load [N] >= 0, sliding speed [m/s] >= 0 and friction force [N] >= 0 (0 if
+        frictionless).
+        """
 
 
 class Archard(AbstractWearLaw):
     """Worn volume in proportion to load and sliding distance.
 
-    dV/ds = k F_n / H. Use for mild dry wear at steady load; for impact-dominated or fretting joints prefer Fouvry.
+    dV/ds = k F_n / H. Use for mild dry wear at steady load; for impact-dominated or fretting joints
+    prefer Fouvry.
 
-    Source: Archard 1953, J. Appl. Phys. 24, 981, eq. 4; four-bar paper (001), eq. 5; 3RSR paper (003), eq. 25.
+    Source: Archard 1953, J. Appl. Phys. 24, 981, eq. 4; four-bar paper (001), eq. 5; 3RSR paper
+    (003), eq. 25.
     """
 
-    wear_coefficient: Scalar = quantity(1e-5, "1", "share k of contact events that shed a particle", at_least=0)
+    wear_coefficient: Scalar = quantity(
+        1e-5, "1", "share k of contact events that shed a particle", at_least=0
+    )
     hardness: Scalar = quantity(2e9, "Pa", "indentation hardness H of the softer body", above=0)
 
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
@@ -37,13 +44,17 @@ class Archard(AbstractWearLaw):
 class Fouvry(AbstractWearLaw):
     """Worn volume in proportion to the energy that friction dissipates.
 
-    dV/dt = alpha F_t v. Use for fretting and for reciprocating joints whose friction varies; without friction it gives
-    no wear at all, there prefer Archard. Equal to Archard with k / H = alpha mu at constant mu.
+    dV/dt = alpha F_t v. Use for fretting and for reciprocating joints whose friction varies;
+    without friction it gives no wear at all, there prefer Archard. Equal to Archard with k / H =
+    alpha mu at constant mu.
 
-    Source: Fouvry, Liskiewicz, Kapsa, Hannel & Sauger 2003, Wear 255, 287; the default is of the order reported for steels.
+    Source: Fouvry, Liskiewicz, Kapsa, Hannel & Sauger 2003, Wear 255, 287; the default is of the
+    order reported for steels.
     """
 
-    energy_wear_coefficient: Scalar = quantity(2e-14, "m^3/J", "worn volume alpha per dissipated energy", at_least=0)
+    energy_wear_coefficient: Scalar = quantity(
+        2e-14, "m^3/J", "worn volume alpha per dissipated energy", at_least=0
+    )
 
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
         return self.energy_wear_coefficient * traction * slip_speed

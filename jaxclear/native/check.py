@@ -1,6 +1,7 @@
 """Is a kernel right? One turn of its loop on random numbers against NumPy, operation by operation.
 
-Operations that NumPy does not have under a plain name are left to JAX. Independent of the rules that wrote the kernel.
+Operations that NumPy does not have under a plain name are left to JAX. Independent of the rules
+that wrote the kernel.
 """
 
 from collections.abc import Callable
@@ -13,8 +14,9 @@ from jax.extend.core import ClosedJaxpr, Literal
 from jaxclear.native.control import CALLS
 from jaxclear.native.writer import Unsupported
 
-# Two evaluations of the same turn differ by rounding, which the turn may enlarge: a second evaluation, its numbers changed
-# by a rounding or two, tells by how much; what it changes by more than this share is no evidence.
+# Two evaluations of the same turn differ by rounding, which the turn may enlarge: a second
+# evaluation, its numbers changed by a rounding or two, tells by how much; what it changes by more
+# than this share is no evidence.
 AGREEMENT, NUDGE, MARGIN, VAGUE = 1e-9, 4e-16, 1e3, 1e-3
 SAMPLES = 3
 ABSURD = 1e60
@@ -26,17 +28,24 @@ def _select(which, *cases):
 
 
 def _rounded(p):
-    return np.rint if int(p["rounding_method"]) == 1 else lambda a: np.trunc(a + np.copysign(0.5, a))
+    return (
+        np.rint if int(p["rounding_method"]) == 1 else lambda a: np.trunc(a + np.copysign(0.5, a))
+    )
 
 
 def _sliced(p):
     strides = p["strides"] or (None,) * len(p["start_indices"])
-    return lambda a: np.asarray(a)[tuple(map(slice, p["start_indices"], p["limit_indices"], strides))]
+    return lambda a: np.asarray(a)[
+        tuple(map(slice, p["start_indices"], p["limit_indices"], strides))
+    ]
 
 
 def _dynamic_slice(p):
     def cut(a, *starts):
-        firsts = [min(max(int(s), 0), n - m) for s, n, m in zip(starts, a.shape, p["slice_sizes"], strict=True)]
+        firsts = [
+            min(max(int(s), 0), n - m)
+            for s, n, m in zip(starts, a.shape, p["slice_sizes"], strict=True)
+        ]
         return a[tuple(slice(f, f + m) for f, m in zip(firsts, p["slice_sizes"], strict=True))]
 
     return cut
@@ -96,7 +105,11 @@ PLAIN: dict[str, Callable] = {
 
 def _least(a: Any) -> Any:
     """What a maximum over nothing is."""
-    return -np.inf if np.issubdtype(np.result_type(a), np.floating) else np.iinfo(np.result_type(a)).min
+    return (
+        -np.inf
+        if np.issubdtype(np.result_type(a), np.floating)
+        else np.iinfo(np.result_type(a)).min
+    )
 
 
 WITH_PARAMETERS: dict[str, Callable] = {
@@ -118,9 +131,13 @@ WITH_PARAMETERS: dict[str, Callable] = {
 
 
 def evaluator(program: Any, known: dict | None = None) -> Callable[..., list]:
-    """A function that gives a program's outputs, one NumPy operation after the other. `known`: inner programs met before."""
+    """A function that gives a program's outputs, one NumPy operation after the other. `known`:
+    inner programs met before.
+    """
     known = {} if known is None else known
-    jaxpr, constants = (program.jaxpr, program.consts) if isinstance(program, ClosedJaxpr) else (program, [])
+    jaxpr, constants = (
+        (program.jaxpr, program.consts) if isinstance(program, ClosedJaxpr) else (program, [])
+    )
     if id(jaxpr) in known:
         return known[id(jaxpr)]
     slots: dict[Any, int] = {}
@@ -141,7 +158,14 @@ def evaluator(program: Any, known: dict | None = None) -> Callable[..., list]:
     steps = []
     for equation in jaxpr.eqns:
         function, several = _operation(equation, known)
-        steps.append((function, [slot(a) for a in equation.invars], [slot(a) for a in equation.outvars], several))
+        steps.append(
+            (
+                function,
+                [slot(a) for a in equation.invars],
+                [slot(a) for a in equation.outvars],
+                several,
+            )
+        )
     exits = [slot(atom) for atom in jaxpr.outvars]
 
     def run(*arguments):
@@ -179,7 +203,9 @@ def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
     if name == "maybe_set" and p["i_static"] is None:
         return _set, False
     if name in CALLS:
-        return evaluator(next(p[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in p), known), True
+        return evaluator(
+            next(p[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in p), known
+        ), True
     return lambda *inputs: _by_jax(equation, inputs), True
 
 
@@ -243,7 +269,8 @@ def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def agree(found: np.ndarray, wanted: np.ndarray, changed: np.ndarray, first: np.ndarray) -> bool:
-    """Whether a kernel gave what is wanted, as far as `changed` (for nudged numbers) lets one tell; half must tell.
+    """Whether a kernel gave what is wanted, as far as `changed` (for nudged numbers) lets one tell;
+    half must tell.
 
     `first` is what the turn began with: a sum that cancels it rounds like it.
     """

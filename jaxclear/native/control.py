@@ -1,4 +1,6 @@
-"""Rules for programs within programs: calls, choices and loops. Every sample takes its own number of turns."""
+"""Rules for programs within programs: calls, choices and loops. Every sample takes its own number
+of turns.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,17 +11,29 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from jaxclear.native.rules import array_of, compare, each, refuse_memory, rule, write_closed
 from jaxclear.native.writer import TRUTH, WHOLE, Unsupported, Writer, kind_of
 
-# Loops of known length are written out up to this many turns, and while they have at most so many equations.
+# Loops of known length are written out up to this many turns, and while they have at most so many
+# equations.
 LONGEST_WRITTEN_OUT = 16
 LARGEST_WRITTEN_OUT = 2000
 
 
-CALLS = ("jit", "pjit", "closed_call", "core_call", "remat", "checkpoint", "custom_jvp_call", "custom_vjp_call")
+CALLS = (
+    "jit",
+    "pjit",
+    "closed_call",
+    "core_call",
+    "remat",
+    "checkpoint",
+    "custom_jvp_call",
+    "custom_vjp_call",
+)
 
 
 @rule(*CALLS, reads_memory=True)
 def _call(writer, equation, *arguments):
-    inner = next(equation.params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in equation.params)
+    inner = next(
+        equation.params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in equation.params
+    )
     return write_closed(writer, inner, arguments)
 
 
@@ -47,15 +61,25 @@ def _scan(writer, equation, *arguments):
     if p["length"] > LONGEST_WRITTEN_OUT:
         raise Unsupported("a long scan inside the loop")
     constants, carried = p["num_consts"], p["num_carry"]
-    fixed, carry, rows = arguments[:constants], list(arguments[constants:][:carried]), arguments[constants + carried :]
+    fixed, carry, rows = (
+        arguments[:constants],
+        list(arguments[constants:][:carried]),
+        arguments[constants + carried :],
+    )
     refuse_memory(*carry, *rows)
-    if p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT and len(equation.outvars) == carried and not p["reverse"]:
+    if (
+        p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT
+        and len(equation.outvars) == carried
+        and not p["reverse"]
+    ):
         kinds = [kind_of(a.dtype) for a in p["jaxpr"].in_avals]
         return _counted_loop(writer, p["jaxpr"], fixed, carry, rows, p["length"], kinds)
     collected: list[list] = []
     turns = range(p["length"])
     for turn in reversed(turns) if p["reverse"] else turns:
-        found = write_closed(writer, p["jaxpr"], [*fixed, *carry, *[array_of(r[turn], r.shape[1:]) for r in rows]])
+        found = write_closed(
+            writer, p["jaxpr"], [*fixed, *carry, *[array_of(r[turn], r.shape[1:]) for r in rows]]
+        )
         carry = found[:carried]
         collected.append(found[carried:])
     if p["reverse"]:
@@ -88,7 +112,10 @@ def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
             found = options[0]
             for number, option in enumerate(options[1:], 1):
                 if option != found or number > 1:
-                    here = writer.once(("turn", turn, number), lambda n=number: writer.put(f"icmp eq i64 {turn}, {n}"))
+                    here = writer.once(
+                        ("turn", turn, number),
+                        lambda n=number: writer.put(f"icmp eq i64 {turn}, {n}"),
+                    )
                     wide = writer.wide(kind)
                     yes, no = writer.text(option, kind), writer.text(found, kind)
                     found = writer.put(f"select i1 {here}, {wide} {yes}, {wide} {no}")
@@ -96,7 +123,9 @@ def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
 
         return each(one, *[array_of(row[k], row.shape[1:]) for k in range(length)])
 
-    picked = [pick(row, kind) for row, kind in zip(rows, kinds[len(fixed) + len(carry) :], strict=True)]
+    picked = [
+        pick(row, kind) for row, kind in zip(rows, kinds[len(fixed) + len(carry) :], strict=True)
+    ]
     found = write_closed(writer, body, [*fixed, *state, *picked])
     writer.leave(region)
     last = writer.block
@@ -118,7 +147,11 @@ def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
 def _while(writer, equation, *arguments):
     p = equation.params
     first, second = p["cond_nconsts"], p["body_nconsts"]
-    fixed_cond, fixed_body, carry = arguments[:first], arguments[first : first + second], arguments[first + second :]
+    fixed_cond, fixed_body, carry = (
+        arguments[:first],
+        arguments[first : first + second],
+        arguments[first + second :],
+    )
     kinds = [kind_of(atom.aval.dtype) for atom in equation.outvars]
     return loop(
         writer,
@@ -129,10 +162,19 @@ def _while(writer, equation, *arguments):
     )
 
 
-def loop(writer: Writer, condition: Callable, body: Callable, carry: Any, kinds: list[str], most: str | None = None) -> list:
-    """A while loop over arrays of registers: every sample stops by itself, the loop ends with the last one.
+def loop(
+    writer: Writer,
+    condition: Callable,
+    body: Callable,
+    carry: Any,
+    kinds: list[str],
+    most: str | None = None,
+) -> list:
+    """A while loop over arrays of registers: every sample stops by itself, the loop ends with the
+    last one.
 
-    `most`: a register (i64) with the largest number of turns; where it is given, the first turn is taken in any case.
+    `most`: a register (i64) with the largest number of turns; where it is given, the first turn is
+    taken in any case.
     """
     head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
     refuse_memory(*carry)
@@ -166,20 +208,29 @@ def loop(writer: Writer, condition: Callable, body: Callable, carry: Any, kinds:
         go = writer.put(f"and i1 {go}, {allowed}")
         go = writer.put(f"or i1 {go}, {first}")
         wide = writer.wide(TRUTH)
-        truth = writer.put(f"select i1 {forced}, {wide} {writer.text(True, TRUTH)}, {wide} {writer.text(truth, TRUTH)}")
+        truth = writer.put(
+            f"select i1 {forced}, {wide} {writer.text(True, TRUTH)}, {wide} "
+            f"{writer.text(truth, TRUTH)}"
+        )
     writer.say(f"br i1 {go}, label %{inside}, label %{behind}")
     writer.start(inside)
     writer.active = truth if writer.lanes > 1 else None
     found = [value for array in body(shaped(registers)) for value in array.flat]
     if writer.lanes > 1:
-        found = [writer.choose(truth, new, old, k) for new, old, (_, k) in zip(found, registers, flat, strict=True)]
+        found = [
+            writer.choose(truth, new, old, k)
+            for new, old, (_, k) in zip(found, registers, flat, strict=True)
+        ]
     writer.active = outer
     writer.leave(region)
     last = writer.block
     phis = []
     for name, new, (old, kind) in zip(registers, found, flat, strict=True):
         wide = writer.wide(kind)
-        phis.append(f"  {name} = phi {wide} [ {writer.text(old, kind)}, %{before} ], [ {writer.text(new, kind)}, %{last} ]")
+        phis.append(
+            f"  {name} = phi {wide} [ {writer.text(old, kind)}, %{before} ], [ "
+            f"{writer.text(new, kind)}, %{last} ]"
+        )
     if most:
         following = writer.put(f"add i64 {turn}, 1")
         phis.append(f"  {turn} = phi i64 [ 0, %{before} ], [ {following}, %{last} ]")

@@ -1,8 +1,8 @@
 """Sine, cosine and angle for several samples at once, as LLVM functions.
 
-Polynomials of Moshier's Cephes library (sin.c, atan.c), the argument reduced by pi/2 in three parts with fused
-multiply-adds; sine and cosine beyond 1e8 rad are left to the C library. Within 2 units in the last place of NumPy's
-(tests/native/test_native_loops.py).
+Polynomials of Moshier's Cephes library (sin.c, atan.c), the argument reduced by pi/2 in three parts
+with fused multiply-adds; sine and cosine beyond 1e8 rad are left to the C library. Within 2 units
+in the last place of NumPy's (tests/native/test_native_loops.py).
 """
 
 from jaxclear.native.writer import FLOAT, WHOLE, Writer
@@ -78,10 +78,18 @@ def sincos(lanes: int) -> tuple[list[str], set[str]]:
     cosine = w.call("fma", fourth, _polynomial(w, square, COSINE), flat)
     quadrant = w.put(f"fptosi {wide} {count} to {w.wide('i64')}")
     odd, half = [
-        w.operate("icmp ne {type} {0}, {1}", WHOLE, w.operate("and {type} {0}, {1}", WHOLE, quadrant, bit), 0) for bit in (1, 2)
+        w.operate(
+            "icmp ne {type} {0}, {1}",
+            WHOLE,
+            w.operate("and {type} {0}, {1}", WHOLE, quadrant, bit),
+            0,
+        )
+        for bit in (1, 2)
     ]
     above = w.operate("add {type} {0}, {1}", WHOLE, quadrant, 1)
-    turned = w.operate("icmp ne {type} {0}, {1}", WHOLE, w.operate("and {type} {0}, {1}", WHOLE, above, 2), 0)
+    turned = w.operate(
+        "icmp ne {type} {0}, {1}", WHOLE, w.operate("and {type} {0}, {1}", WHOLE, above, 2), 0
+    )
     s, c = w.choose(odd, cosine, sine, FLOAT), w.choose(odd, sine, cosine, FLOAT)
     s = w.choose(half, _float(w, "fneg {type} {0}", s), s, FLOAT)
     c = w.choose(turned, _float(w, "fneg {type} {0}", c), c, FLOAT)
@@ -109,13 +117,20 @@ def atan2(lanes: int) -> tuple[list[str], set[str]]:
     nowhere = w.operate("fcmp oeq {type} {0}, {1}", FLOAT, large, 0.0)
     ratio = _float(w, "fdiv {type} {0}, {1}", small, w.choose(nowhere, 1.0, large, FLOAT))
     wide_angle = w.operate("fcmp ogt {type} {0}, {1}", FLOAT, ratio, TURN_RATIO)
-    less, more = _float(w, "fsub {type} {0}, {1}", ratio, 1.0), _float(w, "fadd {type} {0}, {1}", ratio, 1.0)
+    less, more = (
+        _float(w, "fsub {type} {0}, {1}", ratio, 1.0),
+        _float(w, "fadd {type} {0}, {1}", ratio, 1.0),
+    )
     t = w.choose(wide_angle, _float(w, "fdiv {type} {0}, {1}", less, more), ratio, FLOAT)
     z = _float(w, "fmul {type} {0}, {0}", t)
-    share = _float(w, "fdiv {type} {0}, {1}", _polynomial(w, z, ANGLE_TOP), _polynomial(w, z, ANGLE_BOTTOM))
+    share = _float(
+        w, "fdiv {type} {0}, {1}", _polynomial(w, z, ANGLE_TOP), _polynomial(w, z, ANGLE_BOTTOM)
+    )
     arc = w.call("fma", _float(w, "fmul {type} {0}, {1}", z, share), t, t)
     lifted = _float(w, "fadd {type} {0}, {1}", arc, 0.5 * HALF_PI[1])
-    arc = w.choose(wide_angle, _float(w, "fadd {type} {0}, {1}", lifted, 0.5 * HALF_PI[0]), arc, FLOAT)
+    arc = w.choose(
+        wide_angle, _float(w, "fadd {type} {0}, {1}", lifted, 0.5 * HALF_PI[0]), arc, FLOAT
+    )
     rest = _float(w, "fsub {type} {0}, {1}", HALF_PI[1], arc)
     arc = w.choose(steep, _float(w, "fadd {type} {0}, {1}", HALF_PI[0], rest), arc, FLOAT)
     behind = w.put(f"bitcast {wide} %x to {w.wide('i64')}")

@@ -1,8 +1,10 @@
-"""Machine code of a whole while loop, called from compiled JAX programs through XLA's foreign function interface.
+"""Machine code of a whole while loop, called from compiled JAX programs through XLA's foreign
+function interface.
 
-A kernel takes one packed row of floats per sample (constants and first state; whole numbers and truth values as floats, which
-is exact to 2^53) and arrays read by index, and gives one packed row, the last state. Samples run `lanes` at a time.
-Each kernel is checked against JAX's own evaluation of one turn before it is used.
+A kernel takes one packed row of floats per sample (constants and first state; whole numbers and
+truth values as floats, which is exact to 2^53) and arrays read by index, and gives one packed row,
+the last state. Samples run `lanes` at a time. Each kernel is checked against JAX's own evaluation
+of one turn before it is used.
 """
 
 import ctypes
@@ -21,9 +23,19 @@ from jaxclear.native import check as checking
 from jaxclear.native import control, functions, shapes  # noqa: F401  (rules register themselves)
 from jaxclear.native.control import loop
 from jaxclear.native.rules import array_of, write_closed
-from jaxclear.native.writer import FLOAT, LONGEST_IN_REGISTERS, TRUTH, WHOLE, InMemory, Unsupported, Writer, kind_of
+from jaxclear.native.writer import (
+    FLOAT,
+    LONGEST_IN_REGISTERS,
+    TRUTH,
+    WHOLE,
+    InMemory,
+    Unsupported,
+    Writer,
+    kind_of,
+)
 
-# Fields of XLA's call frame as this module reads them (offsets in bytes); `interface_version` checks that they still hold.
+# Fields of XLA's call frame as this module reads them (offsets in bytes); `interface_version`
+# checks that they still hold.
 HANDLER = """
 define ptr @{name}(ptr %frame) {{
 entry:
@@ -152,7 +164,9 @@ done:
 
 
 class Program(NamedTuple):
-    """A while loop as two programs: condition over (its constants, state), body over (its constants, state)."""
+    """A while loop as two programs: condition over (its constants, state), body over (its
+    constants, state).
+    """
 
     condition: ClosedJaxpr
     body: ClosedJaxpr
@@ -174,9 +188,13 @@ def avals_of(program: Program) -> tuple[list, list]:
 
 
 def in_memory(program: Program) -> list[bool]:
-    """For each constant and then each part of the state, whether it is read by index instead of being packed."""
+    """For each constant and then each part of the state, whether it is read by index instead of
+    being packed.
+    """
     constants, state = avals_of(program)
-    long = [int(np.prod(a.shape)) > LONGEST_IN_REGISTERS and a.dtype == np.float64 for a in constants]
+    long = [
+        int(np.prod(a.shape)) > LONGEST_IN_REGISTERS and a.dtype == np.float64 for a in constants
+    ]
     return [*long, *[False] * len(state)]
 
 
@@ -192,8 +210,15 @@ def text_of(program: Program, lanes: int) -> str:
     for aval, long in zip([*constants, *state], in_memory(program), strict=True):
         kind = kind_of(aval.dtype)
         if long:
-            places = [writer.put(f"getelementptr ptr, ptr %big, i64 {slot * lanes + lane}") for lane in range(lanes)]
-            values.append(InMemory([writer.put(f"load ptr, ptr {place}") for place in places], tuple(aval.shape)))
+            places = [
+                writer.put(f"getelementptr ptr, ptr %big, i64 {slot * lanes + lane}")
+                for lane in range(lanes)
+            ]
+            values.append(
+                InMemory(
+                    [writer.put(f"load ptr, ptr {place}") for place in places], tuple(aval.shape)
+                )
+            )
             slot += 1
             continue
         array = array_of(None, tuple(aval.shape))
@@ -219,7 +244,10 @@ def text_of(program: Program, lanes: int) -> str:
         for value in array.flat:
             _store(writer, position, value, kind)
             position += 1
-    head = "define internal void @NAME.loop(ptr noalias %in, ptr noalias %out, ptr noalias %big, i64 %most) {\nentry:"
+    head = (
+        "define internal void @NAME.loop(ptr noalias %in, ptr noalias %out, ptr noalias %big, "
+        "i64 %most) {\nentry:"
+    )
     parts = [head, *writer.lines, "  ret void\n}"]
     needs = set(writer.needs)
     for name, make in functions.OWN.items():
@@ -241,7 +269,10 @@ def _store(writer: Writer, position: int, value: Any, kind: str) -> None:
     place = writer.put(f"getelementptr double, ptr %out, i64 {position * writer.lanes}")
     word = writer.text(value, kind)
     if kind != FLOAT:
-        word = writer.put(f"{'sitofp' if kind == WHOLE else 'uitofp'} {writer.wide(kind)} {word} to {writer.wide(FLOAT)}")
+        word = writer.put(
+            f"{'sitofp' if kind == WHOLE else 'uitofp'} {writer.wide(kind)} {word} to "
+            f"{writer.wide(FLOAT)}"
+        )
     writer.say(f"store {writer.wide(FLOAT)} {word}, ptr {place}")
 
 
@@ -253,11 +284,15 @@ def _machine() -> Any:
     llvm.initialize_native_asmprinter()
     features = llvm.get_host_cpu_features().flatten()
     target = llvm.Target.from_default_triple()
-    return target.create_target_machine(opt=3, cpu=llvm.get_host_cpu_name(), features=features, jit=True)
+    return target.create_target_machine(
+        opt=3, cpu=llvm.get_host_cpu_name(), features=features, jit=True
+    )
 
 
 def widest() -> int:
-    """Samples that one vector register of this processor holds, twice over where registers are short."""
+    """Samples that one vector register of this processor holds, twice over where registers are
+    short.
+    """
     import llvmlite.binding as llvm
 
     return 8 if llvm.get_host_cpu_features().get("avx512f") else 4
@@ -265,40 +300,59 @@ def widest() -> int:
 
 @functools.cache
 def interface_version() -> tuple[int, int]:
-    """Version of XLA's foreign function interface; `Unsupported` where its structures are not those read above."""
+    """Version of XLA's foreign function interface; `Unsupported` where its structures are not those
+    read above.
+    """
     header = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text()
     plain = re.sub(r"\s+", " ", re.sub(r"//[^\n]*", "", header))
     wanted = (
-        "struct XLA_FFI_Buffer { size_t struct_size; XLA_FFI_Extension_Base* extension_start; XLA_FFI_DataType dtype; "
+        "struct XLA_FFI_Buffer { size_t struct_size; XLA_FFI_Extension_Base* extension_start; "
+        "XLA_FFI_DataType dtype; "
         "void* data; int64_t rank; int64_t* dims; };",
-        "struct XLA_FFI_Args { size_t struct_size; XLA_FFI_Extension_Base* extension_start; int64_t size; "
+        "struct XLA_FFI_Args { size_t struct_size; XLA_FFI_Extension_Base* extension_start; "
+        "int64_t size; "
         "XLA_FFI_ArgType* types; void** args; };",
-        "struct XLA_FFI_Rets { size_t struct_size; XLA_FFI_Extension_Base* extension_start; int64_t size; "
+        "struct XLA_FFI_Rets { size_t struct_size; XLA_FFI_Extension_Base* extension_start; "
+        "int64_t size; "
         "XLA_FFI_RetType* types; void** rets; };",
-        "struct XLA_FFI_CallFrame { size_t struct_size; XLA_FFI_Extension_Base* extension_start; const XLA_FFI_Api* api; "
-        "XLA_FFI_ExecutionContext* ctx; XLA_FFI_ExecutionStage stage; XLA_FFI_Args args; XLA_FFI_Rets rets; ",
-        "struct XLA_FFI_Metadata { size_t struct_size; XLA_FFI_Api_Version api_version; XLA_FFI_Handler_Traits traits; "
+        "struct XLA_FFI_CallFrame { size_t struct_size; XLA_FFI_Extension_Base* extension_start; "
+        "const XLA_FFI_Api* api; "
+        "XLA_FFI_ExecutionContext* ctx; XLA_FFI_ExecutionStage stage; XLA_FFI_Args args; "
+        "XLA_FFI_Rets rets; ",
+        "struct XLA_FFI_Metadata { size_t struct_size; XLA_FFI_Api_Version api_version; "
+        "XLA_FFI_Handler_Traits traits; "
         "XLA_FFI_TypeId state_type_id; };",
-        "struct XLA_FFI_Metadata_Extension { XLA_FFI_Extension_Base extension_base; XLA_FFI_Metadata* metadata; };",
+        "struct XLA_FFI_Metadata_Extension { XLA_FFI_Extension_Base extension_base; "
+        "XLA_FFI_Metadata* metadata; };",
     )
     if not all(part in plain for part in wanted):
         raise Unsupported("XLA's foreign function interface of this jaxlib")
-    major, minor = (int(re.search(rf"#define XLA_FFI_API_{part} (\d+)", header).group(1)) for part in ("MAJOR", "MINOR"))
+    major, minor = (
+        int(re.search(rf"#define XLA_FFI_API_{part} (\d+)", header).group(1))
+        for part in ("MAJOR", "MINOR")
+    )
     return major, minor
 
 
 def check(program: Program, kernel: Kernel) -> None:
-    """One turn of the kernel on random numbers against NumPy. Raises `Unsupported` where they differ."""
+    """One turn of the kernel on random numbers against NumPy. Raises `Unsupported` where they
+    differ.
+    """
     constants, state = avals_of(program)
     avals = [*constants, *state]
     samples = checking.random_values(avals)
     kept = in_memory(program)
-    rows = [np.concatenate([v.ravel().astype(float) for v, k in zip(s, kept, strict=True) if not k]) for s in samples]
+    rows = [
+        np.concatenate([v.ravel().astype(float) for v, k in zip(s, kept, strict=True) if not k])
+        for s in samples
+    ]
     packed = np.ascontiguousarray(rows)
     big = [np.ascontiguousarray([s[i] for s in samples]) for i, k in enumerate(kept) if k]
     out = np.zeros((len(samples), floats_in(state)))
     data = (ctypes.c_void_p * (1 + len(big)))(packed.ctypes.data, *[b.ctypes.data for b in big])
-    call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(kernel.address)
+    call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(
+        kernel.address
+    )
     call(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples), 1)
 
     turn_of = checking.evaluator(program.body)
@@ -308,8 +362,12 @@ def check(program: Program, kernel: Kernel) -> None:
         return np.concatenate([np.ravel(v).astype(float) for v in turn])
 
     with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
-        wanted, changed = (np.array([by_numpy(f(s)) for s in samples]) for f in (lambda s: s, checking.nudged))
-    first = np.array([np.concatenate([np.ravel(v).astype(float) for v in s[len(constants) :]]) for s in samples])
+        wanted, changed = (
+            np.array([by_numpy(f(s)) for s in samples]) for f in (lambda s: s, checking.nudged)
+        )
+    first = np.array(
+        [np.concatenate([np.ravel(v).astype(float) for v in s[len(constants) :]]) for s in samples]
+    )
     if not checking.agree(out, wanted, changed, first):
         raise Unsupported("a loop whose kernel does not agree with NumPy")
 
@@ -326,7 +384,10 @@ def build(program: Program, lanes: int) -> Kernel:
     constants, state = avals_of(program)
     avals = list(zip([*constants, *state], in_memory(program), strict=True))
     big = [a for a, long in avals if long]
-    name = "jaxclear_" + hashlib.sha256(f"{text}{lanes}{[a.shape for a in big]}".encode()).hexdigest()[:24]
+    name = (
+        "jaxclear_"
+        + hashlib.sha256(f"{text}{lanes}{[a.shape for a in big]}".encode()).hexdigest()[:24]
+    )
     if name in _ENGINES:
         return _ENGINES[name][1]
     width, height = floats_in([a for a, long in avals if not long]), floats_in(state)
@@ -350,7 +411,9 @@ def build(program: Program, lanes: int) -> Kernel:
             f"  %k{i} = getelementptr ptr, ptr %big, i64 %j{i}",
             f"  store ptr %i{i}, ptr %k{i}",
         ]
-    handler = HANDLER.format(name=name, major=major, minor=minor, arrays=1 + len(big), loads="\n".join(loads))
+    handler = HANDLER.format(
+        name=name, major=major, minor=minor, arrays=1 + len(big), loads="\n".join(loads)
+    )
     samples = SAMPLES.format(
         name=name,
         inputs=max(width * lanes, 1),
@@ -377,5 +440,8 @@ def build(program: Program, lanes: int) -> Kernel:
 
 def _register(name: str, address: int) -> None:
     capsule = ctypes.pythonapi.PyCapsule_New
-    capsule.restype, capsule.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+    capsule.restype, capsule.argtypes = (
+        ctypes.py_object,
+        [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p],
+    )
     jax.ffi.register_ffi_target(name, capsule(address, None, None), platform="cpu", api_version=1)

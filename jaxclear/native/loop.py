@@ -1,8 +1,9 @@
-"""A while loop over a few numbers that runs at the speed of compiled C: `while_loop`, in the place of `jax.lax.while_loop`.
+"""A while loop over a few numbers that runs at the speed of compiled C: `while_loop`, in the place
+of `jax.lax.while_loop`.
 
-On a CPU the loop becomes one kernel of machine code (`kernel`), several samples of a batch side by side, each ending by
-itself. Elsewhere, where a part of the program has no rule, and for derivatives, it is JAX's own loop.
-JAXCLEAR_PLAIN_LOOPS=1 switches the kernel off.
+On a CPU the loop becomes one kernel of machine code (`kernel`), several samples of a batch side by
+side, each ending by itself. Elsewhere, where a part of the program has no rule, and for
+derivatives, it is JAX's own loop. JAXCLEAR_PLAIN_LOOPS=1 switches the kernel off.
 """
 
 import functools
@@ -29,7 +30,9 @@ loop_p.multiple_results = True
 
 
 def while_loop(condition: Callable[[Any], Any], body: Callable[[Any], Any], first: Any) -> Any:
-    """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over batches."""
+    """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over
+    batches.
+    """
     leaves, structure = jax.tree.flatten(jax.tree.map(jnp.asarray, first))
 
     def flat(function):
@@ -40,25 +43,34 @@ def while_loop(condition: Callable[[Any], Any], body: Callable[[Any], Any], firs
 
     (tests, fixed_tests), (turns, fixed_turns) = flat(condition), flat(body)
     if [(a.shape, a.dtype) for a in turns.out_avals] != [(v.shape, v.dtype) for v in leaves]:
-        raise TypeError(f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}.")
+        raise TypeError(
+            f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
+        )
     program = Program(tests, turns, len(fixed_tests), len(fixed_turns))
     out = loop_p.bind(*fixed_tests, *fixed_turns, *leaves, program=program, rank=0)
     return jax.tree.unflatten(structure, out)
 
 
 def with_fast_loops(function: Callable) -> Callable:
-    """The function, its outermost `jax.lax.while_loop`s run as by `while_loop`: for the loops that a library writes."""
+    """The function, its outermost `jax.lax.while_loop`s run as by `while_loop`: for the loops that
+    a library writes.
+    """
 
     def wrapped(*arguments):
         leaves, structure = jax.tree.flatten(arguments)
         kept: dict[str, Any] = {}
 
         def flat(*values):
-            out, kept["structure"] = jax.tree.flatten(function(*jax.tree.unflatten(structure, values)))
+            out, kept["structure"] = jax.tree.flatten(
+                function(*jax.tree.unflatten(structure, values))
+            )
             return out
 
         found = jax.make_jaxpr(flat)(*leaves)
-        program = ClosedJaxpr(found.jaxpr.replace(constvars=[], invars=[*found.jaxpr.constvars, *found.jaxpr.invars]), [])
+        program = ClosedJaxpr(
+            found.jaxpr.replace(constvars=[], invars=[*found.jaxpr.constvars, *found.jaxpr.invars]),
+            [],
+        )
         fast = jax.custom_jvp(lambda *values: _replay(program, values))
         fast.defjvp(lambda values, tangents: jax.jvp(jaxpr_as_fun(program), values, tangents))
         return jax.tree.unflatten(kept["structure"], fast(*found.consts, *leaves))
@@ -68,7 +80,9 @@ def with_fast_loops(function: Callable) -> Callable:
 
 def _replay(program: ClosedJaxpr, arguments: list) -> list:
     jaxpr = program.jaxpr
-    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
+    values = dict(
+        zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True)
+    )
 
     def get(atom):
         return jnp.asarray(atom.val, atom.aval.dtype) if isinstance(atom, Literal) else values[atom]
@@ -77,10 +91,14 @@ def _replay(program: ClosedJaxpr, arguments: list) -> list:
         inputs, p = [get(atom) for atom in equation.invars], equation.params
         if equation.primitive.name == "while":
             counts = p["cond_nconsts"], p["body_nconsts"]
-            out = loop_p.bind(*inputs, program=Program(p["cond_jaxpr"], p["body_jaxpr"], *counts), rank=0)
+            out = loop_p.bind(
+                *inputs, program=Program(p["cond_jaxpr"], p["body_jaxpr"], *counts), rank=0
+            )
         elif equation.primitive.name in CALLS:
             inner = next(p[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in p)
-            out = _replay(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, []), inputs)
+            out = _replay(
+                inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, []), inputs
+            )
         else:
             out = equation.primitive.bind(*inputs, **p)
             out = out if equation.primitive.multiple_results else [out]
@@ -89,11 +107,18 @@ def _replay(program: ClosedJaxpr, arguments: list) -> list:
 
 
 def _open(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:
-    """Constants that are not yet known as leading arguments, and these; known numbers stay inside."""
+    """Constants that are not yet known as leading arguments, and these; known numbers stay
+    inside."""
     pairs = list(zip(program.jaxpr.constvars, program.consts, strict=True))
-    known = [p for p in pairs if not isinstance(p[1], jax.core.Tracer) and np.size(p[1]) <= LONGEST_IN_REGISTERS]
+    known = [
+        p
+        for p in pairs
+        if not isinstance(p[1], jax.core.Tracer) and np.size(p[1]) <= LONGEST_IN_REGISTERS
+    ]
     others = [p for p in pairs if not any(p[0] is k[0] for k in known)]
-    jaxpr = program.jaxpr.replace(constvars=[k[0] for k in known], invars=[*[o[0] for o in others], *program.jaxpr.invars])
+    jaxpr = program.jaxpr.replace(
+        constvars=[k[0] for k in known], invars=[*[o[0] for o in others], *program.jaxpr.invars]
+    )
     return ClosedJaxpr(jaxpr, [k[1] for k in known]), [o[1] for o in others]
 
 
@@ -102,7 +127,11 @@ def reference(*values: Any, program: Program) -> list:
     c, b = program.condition_constants, program.body_constants
     tests, turns = jaxpr_as_fun(program.condition), jaxpr_as_fun(program.body)
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], list(values[c + b :])
-    return list(jax.lax.while_loop(lambda s: tests(*fixed_condition, *s)[0], lambda s: list(turns(*fixed_body, *s)), first))
+    return list(
+        jax.lax.while_loop(
+            lambda s: tests(*fixed_condition, *s)[0], lambda s: list(turns(*fixed_body, *s)), first
+        )
+    )
 
 
 def _batched_reference(*values, program, rank):
@@ -126,7 +155,8 @@ def _shapes(*avals, program, rank):
 def _batch(values, dims, *, program, rank):
     size = next(v.shape[d] for v, d in zip(values, dims, strict=True) if d is not None)
     moved = [
-        jnp.broadcast_to(v, (size, *v.shape)) if d is None else jnp.moveaxis(v, d, 0) for v, d in zip(values, dims, strict=True)
+        jnp.broadcast_to(v, (size, *v.shape)) if d is None else jnp.moveaxis(v, d, 0)
+        for v, d in zip(values, dims, strict=True)
     ]
     out = loop_p.bind(*moved, program=program, rank=rank + 1)
     return out, [0] * len(out)
@@ -155,7 +185,11 @@ def _native(*values, program, rank):
     lanes = kernels.widest() if int(np.prod(batch)) > 1 else 1
     kernel = kernels.build(program, lanes)
     kept = kernels.in_memory(program)
-    rows = [jnp.reshape(v.astype(float), (*batch, -1)) for v, k in zip(values, kept, strict=True) if not k]
+    rows = [
+        jnp.reshape(v.astype(float), (*batch, -1))
+        for v, k in zip(values, kept, strict=True)
+        if not k
+    ]
     big = [v for v, k in zip(values, kept, strict=True) if k]
     height = kernels.floats_in(state)
     shape = jax.ShapeDtypeStruct((*batch, height), jnp.float64)
@@ -175,11 +209,19 @@ _FALLBACK = mlir.lower_fun(_batched_reference, multiple_results=True)
 def _lower_on_cpu(ctx, *values, program, rank):
     if os.environ.get("JAXCLEAR_PLAIN_LOOPS", "0") in ("", "0"):
         try:
-            return mlir.lower_fun(_native, multiple_results=True)(ctx, *values, program=program, rank=rank)
+            return mlir.lower_fun(_native, multiple_results=True)(
+                ctx, *values, program=program, rank=rank
+            )
         except (Unsupported, ImportError) as reason:
             LOG.info("A loop is left to XLA: there is no machine code for %s.", reason)
-        except Exception as reason:  # The fast path must not cost a run: say so, and let XLA compile the loop.
-            warnings.warn(f"jaxclear could not write a loop as machine code and runs it slowly: {reason!r}.", RuntimeWarning, 2)
+        except (
+            Exception
+        ) as reason:  # The fast path must not cost a run: say so, and let XLA compile the loop.
+            warnings.warn(
+                f"jaxclear could not write a loop as machine code and runs it slowly: {reason!r}.",
+                RuntimeWarning,
+                2,
+            )
     return _FALLBACK(ctx, *values, program=program, rank=rank)
 
 

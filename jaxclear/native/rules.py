@@ -1,7 +1,8 @@
-"""What each JAX primitive becomes as LLVM code: one rule each, on NumPy object arrays of registers and known numbers.
+"""What each JAX primitive becomes as LLVM code: one rule each, on NumPy object arrays of registers
+and known numbers.
 
-Shapes are NumPy's business (reshape, broadcast, transpose move names about and cost nothing); arithmetic writes one
-instruction per number. `write` is the only entry.
+Shapes are NumPy's business (reshape, broadcast, transpose move names about and cost nothing);
+arithmetic writes one instruction per number. `write` is the only entry.
 """
 
 from collections.abc import Callable
@@ -40,14 +41,20 @@ def _scalar(value: Any) -> Any:
 
 
 def write(writer: Writer, jaxpr: Jaxpr, constants: Any, arguments: Any) -> list:
-    """The outputs of a program for given constants and arguments, all as object arrays (or `InMemory`)."""
+    """The outputs of a program for given constants and arguments, all as object arrays (or
+    `InMemory`).
+    """
     values: dict[Any, Any] = dict(zip(jaxpr.constvars, constants, strict=True))
     values |= dict(zip(jaxpr.invars, arguments, strict=True))
 
     def get(atom):
         if isinstance(atom, Literal):
             kind_of(atom.aval.dtype)
-            return array_of(_scalar(atom.val), ()) if np.ndim(atom.val) == 0 else np.asarray(atom.val).astype(object)
+            return (
+                array_of(_scalar(atom.val), ())
+                if np.ndim(atom.val) == 0
+                else np.asarray(atom.val).astype(object)
+            )
         return values[atom]
 
     for equation in jaxpr.eqns:
@@ -58,7 +65,9 @@ def write(writer: Writer, jaxpr: Jaxpr, constants: Any, arguments: Any) -> list:
         if name not in READ_MEMORY and any(isinstance(value, InMemory) for value in inputs):
             raise Unsupported(f"{name} of a long array")
         found = RULES[name](writer, equation, *inputs)
-        values |= dict(zip(equation.outvars, found if isinstance(found, list) else [found], strict=True))
+        values |= dict(
+            zip(equation.outvars, found if isinstance(found, list) else [found], strict=True)
+        )
     return [get(atom) for atom in jaxpr.outvars]
 
 
@@ -101,7 +110,14 @@ def known(*values: Any) -> bool:
 
 # ---- arithmetic: {name: (text for floats, text for whole numbers, the same on known numbers)}
 _FLOAT_OPS = {"add": "fadd", "add_any": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
-_WHOLE_OPS = {"add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "div": "sdiv", "rem": "srem"}
+_WHOLE_OPS = {
+    "add": "add",
+    "add_any": "add",
+    "sub": "sub",
+    "mul": "mul",
+    "div": "sdiv",
+    "rem": "srem",
+}
 _ON_NUMBERS: dict[str, Callable] = {
     "add": np.add,
     "add_any": np.add,
@@ -138,7 +154,9 @@ def _negate(writer, equation, a):
     def one(x):
         if known(x):
             return -x
-        return writer.operate("fneg {type} {0}" if kind == FLOAT else "sub {type} zeroinitializer, {0}", kind, x)
+        return writer.operate(
+            "fneg {type} {0}" if kind == FLOAT else "sub {type} zeroinitializer, {0}", kind, x
+        )
 
     if kind == WHOLE and writer.lanes == 1:
         return each(lambda x: -x if known(x) else writer.operate("sub {type} 0, {0}", kind, x), a)
@@ -155,10 +173,15 @@ def _extremum(writer, equation, a, b):
         if kind == TRUTH:
             return writer.operate(("or" if largest else "and") + " {type} {0}, {1}", kind, x, y)
         if kind == WHOLE:
-            first = writer.operate(f"icmp {'sgt' if largest else 'slt'} {{type}} {{0}}, {{1}}", kind, x, y)
+            first = writer.operate(
+                f"icmp {'sgt' if largest else 'slt'} {{type}} {{0}}, {{1}}", kind, x, y
+            )
             return writer.choose(first, x, y, kind)
-        # A first operand that is not a number is passed on; a second one is too, because then neither comparison holds.
-        first = writer.operate(f"fcmp {'ogt' if largest else 'olt'} {{type}} {{0}}, {{1}}", kind, x, y)
+        # A first operand that is not a number is passed on; a second one is too, because then
+        # neither comparison holds.
+        first = writer.operate(
+            f"fcmp {'ogt' if largest else 'olt'} {{type}} {{0}}, {{1}}", kind, x, y
+        )
         if isinstance(x, str):
             lost = writer.operate("fcmp uno {type} {0}, {0}", kind, x)
             first = writer.operate("or {type} {0}, {1}", TRUTH, first, lost)
@@ -195,7 +218,11 @@ def compare(writer, name, kind, x, y):
     floats, wholes, numbers = _COMPARISONS[name]
     if known(x, y):
         return bool(numbers(x, y))
-    form = f"fcmp {floats}" if kind == FLOAT else f"icmp {wholes if kind == WHOLE else wholes.replace('s', 'u', 1)}"
+    form = (
+        f"fcmp {floats}"
+        if kind == FLOAT
+        else f"icmp {wholes if kind == WHOLE else wholes.replace('s', 'u', 1)}"
+    )
     return writer.operate(form + " {type} {0}, {1}", kind, x, y)
 
 
@@ -224,7 +251,9 @@ def _not(writer, equation, a):
     kind = _kinds(equation)[0]
     if kind != TRUTH:
         raise Unsupported("the complement of whole numbers")
-    return each(lambda x: (not x) if known(x) else writer.operate("xor {type} {0}, {1}", kind, x, True), a)
+    return each(
+        lambda x: (not x) if known(x) else writer.operate("xor {type} {0}, {1}", kind, x, True), a
+    )
 
 
 @rule("select_n")
@@ -248,7 +277,11 @@ def _convert(writer, equation, a):
         if new == TRUTH:
             return compare(writer, "ne", old, x, 0.0 if old == FLOAT else 0)
         if old == FLOAT:
-            suffix = ("i64", "f64") if writer.lanes == 1 else (f"v{writer.lanes}i64", f"v{writer.lanes}f64")
+            suffix = (
+                ("i64", "f64")
+                if writer.lanes == 1
+                else (f"v{writer.lanes}i64", f"v{writer.lanes}f64")
+            )
             name = f"@llvm.fptosi.sat.{suffix[0]}.{suffix[1]}"
             writer.needs.add(f"declare {wide_new} {name}({wide_old})")
             return writer.put(f"call {wide_new} {name}({wide_old} {x})")
@@ -273,7 +306,12 @@ def _intrinsic(writer, equation, a):
 
 
 def _absolute(writer, x):
-    return writer.choose(compare(writer, "lt", WHOLE, x, 0), writer.operate("sub {type} {1}, {0}", WHOLE, x, 0), x, WHOLE)
+    return writer.choose(
+        compare(writer, "lt", WHOLE, x, 0),
+        writer.operate("sub {type} {1}, {0}", WHOLE, x, 0),
+        x,
+        WHOLE,
+    )
 
 
 @rule(*"exp exp2 expm1 log log1p tan tanh sinh cosh asin acos asinh acosh atanh erf cbrt".split())
@@ -293,7 +331,9 @@ def _sine(writer, equation, a):
     def one(x):
         pair = writer.once(("sincos", x), lambda: writer.own("sincos", x))
         wide = writer.wide(FLOAT)
-        return writer.put(f"extractvalue {{{wide}, {wide}}} {pair}, {int(equation.primitive.name == 'cos')}")
+        return writer.put(
+            f"extractvalue {{{wide}, {wide}}} {pair}, {int(equation.primitive.name == 'cos')}"
+        )
 
     return each(one, a)
 
@@ -310,7 +350,9 @@ def _arctangent(writer, equation, a):
 
 @rule("rsqrt")
 def _inverse_root(writer, equation, a):
-    return each(lambda x: writer.operate("fdiv {type} {0}, {1}", FLOAT, 1.0, writer.call("sqrt", x)), a)
+    return each(
+        lambda x: writer.operate("fdiv {type} {0}, {1}", FLOAT, 1.0, writer.call("sqrt", x)), a
+    )
 
 
 @rule("round")
@@ -348,7 +390,9 @@ def _product(writer, x, y):
 def _square(writer, equation, a):
     kind = _kinds(equation)[0]
     word = "fmul contract" if kind == FLOAT else "mul"
-    return each(lambda x: x * x if known(x) else writer.operate(word + " {type} {0}, {0}", kind, x), a)
+    return each(
+        lambda x: x * x if known(x) else writer.operate(word + " {type} {0}, {0}", kind, x), a
+    )
 
 
 @rule("integer_pow")

@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 
 from jaxclear.native.rules import array_of, compare, known, rule
-from jaxclear.native.writer import FLOAT, LONGEST_IN_REGISTERS, TRUTH, WHOLE, InMemory, Unsupported, kind_of
+from jaxclear.native.writer import (
+    FLOAT,
+    LONGEST_IN_REGISTERS,
+    TRUTH,
+    WHOLE,
+    InMemory,
+    Unsupported,
+    kind_of,
+)
 
 
 @rule("copy", "copy_p", "stop_gradient", "optimization_barrier", "reduce_precision")
@@ -55,12 +63,16 @@ def _reverse(writer, equation, a):
 def _slice(writer, equation, a):
     p = equation.params
     strides = p["strides"] or (1,) * len(p["start_indices"])
-    spans = tuple(slice(*s) for s in zip(p["start_indices"], p["limit_indices"], strides, strict=True))
+    spans = tuple(
+        slice(*s) for s in zip(p["start_indices"], p["limit_indices"], strides, strict=True)
+    )
     if isinstance(a, InMemory):
         wanted = np.arange(math.prod(a.shape)).reshape(a.shape)[spans]
         if wanted.size > LONGEST_IN_REGISTERS:
             raise Unsupported("a long slice of an array in memory")
-        return array_of([writer.read(a, int(i)) for i in wanted.flat], (wanted.size,)).reshape(wanted.shape)
+        return array_of([writer.read(a, int(i)) for i in wanted.flat], (wanted.size,)).reshape(
+            wanted.shape
+        )
     return a[spans]
 
 
@@ -95,11 +107,15 @@ def _pair(writer, name, kind, x, y):
     if kind == FLOAT and name in ("sum", "prod"):
         if known(x, y):
             return x + y if name == "sum" else x * y
-        return writer.operate(("fadd" if name == "sum" else "fmul") + " contract {type} {0}, {1}", kind, x, y)
+        return writer.operate(
+            ("fadd" if name == "sum" else "fmul") + " contract {type} {0}, {1}", kind, x, y
+        )
     if kind == TRUTH:
         if known(x, y):
             return (x or y) if name in ("or", "max") else (x and y)
-        return writer.operate(("or" if name in ("or", "max") else "and") + " {type} {0}, {1}", kind, x, y)
+        return writer.operate(
+            ("or" if name in ("or", "max") else "and") + " {type} {0}, {1}", kind, x, y
+        )
     if name in ("max", "min"):
         first = compare(writer, "gt" if name == "max" else "lt", kind, x, y)
         if kind == FLOAT and isinstance(x, str):
@@ -116,7 +132,10 @@ _NEUTRAL = {"sum": 0, "prod": 1, "and": True, "or": False, "max": -math.inf, "mi
 
 @rule("reduce_sum", "reduce_prod", "reduce_max", "reduce_min", "reduce_and", "reduce_or")
 def _reduce(writer, equation, a):
-    name, kind = equation.primitive.name.removeprefix("reduce_"), kind_of(equation.invars[0].aval.dtype)
+    name, kind = (
+        equation.primitive.name.removeprefix("reduce_"),
+        kind_of(equation.invars[0].aval.dtype),
+    )
     a, axes = a, equation.params["axes"]
     rest = [i for i in range(a.ndim) if i not in axes]
     rows = a.transpose([*rest, *axes]).reshape([a.shape[i] for i in rest] + [-1])
@@ -145,7 +164,10 @@ def _dot(writer, equation, a, b):
     a = a.transpose([*batch_left, *free_a, *left])
     b = b.transpose([*batch_right, *free_b, *right])
     batch = a.shape[: len(batch_left)]
-    shape_a, shape_b = a.shape[len(batch) : len(batch) + len(free_a)], b.shape[len(batch) : len(batch) + len(free_b)]
+    shape_a, shape_b = (
+        a.shape[len(batch) : len(batch) + len(free_a)],
+        b.shape[len(batch) : len(batch) + len(free_b)],
+    )
     out = np.empty(batch + shape_a + shape_b, object)
     for index in np.ndindex(*batch):
         for i in np.ndindex(*shape_a):
@@ -175,14 +197,20 @@ def _entry(writer, array, index, kind):
         for i, stride in zip(index, strides, strict=True):
             if not known(i):
                 part = i if stride == 1 else writer.operate("mul {type} {0}, {1}", WHOLE, i, stride)
-                flat = part if flat == 0 else writer.operate("add {type} {0}, {1}", WHOLE, flat, part)
+                flat = (
+                    part if flat == 0 else writer.operate("add {type} {0}, {1}", WHOLE, flat, part)
+                )
         return writer.read(array, flat)
     for axis, i in enumerate(index):
         if not known(i):
             found = None
             for choice in range(shape[axis]):
                 value = _entry(writer, array, (*index[:axis], choice, *index[axis + 1 :]), kind)
-                found = value if found is None else writer.choose(compare(writer, "eq", WHOLE, i, choice), value, found, kind)
+                found = (
+                    value
+                    if found is None
+                    else writer.choose(compare(writer, "eq", WHOLE, i, choice), value, found, kind)
+                )
             return found
     return array[tuple(index)]
 
@@ -196,18 +224,26 @@ def _plus(writer, x, y):
 @rule("dynamic_slice", reads_memory=True)
 def _dynamic_slice(writer, equation, a, *starts):
     sizes, kind = equation.params["slice_sizes"], kind_of(equation.invars[0].aval.dtype)
-    starts = [_within(writer, s.item(), full - size) for s, full, size in zip(starts, a.shape, sizes, strict=True)]
+    starts = [
+        _within(writer, s.item(), full - size)
+        for s, full, size in zip(starts, a.shape, sizes, strict=True)
+    ]
     if math.prod(sizes) > LONGEST_IN_REGISTERS:
         raise Unsupported("a long slice")
     out = np.empty(sizes, object)
     for index in np.ndindex(*sizes):
-        out[index] = _entry(writer, a, tuple(_plus(writer, s, i) for s, i in zip(starts, index, strict=True)), kind)
+        out[index] = _entry(
+            writer, a, tuple(_plus(writer, s, i) for s, i in zip(starts, index, strict=True)), kind
+        )
     return out
 
 
 @rule("dynamic_update_slice")
 def _dynamic_update(writer, equation, a, update, *starts):
-    starts = [_within(writer, s.item(), full - n) for s, full, n in zip(starts, a.shape, update.shape, strict=True)]
+    starts = [
+        _within(writer, s.item(), full - n)
+        for s, full, n in zip(starts, a.shape, update.shape, strict=True)
+    ]
     out = a.copy()
     for index in np.ndindex(*update.shape):
         place = tuple(_plus(writer, s, i) for s, i in zip(starts, index, strict=True))
@@ -217,20 +253,29 @@ def _dynamic_update(writer, equation, a, update, *starts):
 
 def _put_entry(writer, out, place, value, kind):
     """out[place] = value, where within the array; some indices may be known only at run time."""
-    choices = [range(n) if not known(i) else ([i] if 0 <= i < n else []) for i, n in zip(place, out.shape, strict=True)]
+    choices = [
+        range(n) if not known(i) else ([i] if 0 <= i < n else [])
+        for i, n in zip(place, out.shape, strict=True)
+    ]
     for target in itertools.product(*choices):
         here: Any = True
         for i, at in zip(place, target, strict=True):
             if not known(i):
                 key = ("at", i, at)
                 test = writer.once(key, lambda i=i, at=at: compare(writer, "eq", WHOLE, i, at))
-                here = test if here is True else writer.operate("and {type} {0}, {1}", TRUTH, here, test)
+                here = (
+                    test
+                    if here is True
+                    else writer.operate("and {type} {0}, {1}", TRUTH, here, test)
+                )
         out[target] = writer.choose(here, value, out[target], kind)
 
 
 @rule("maybe_set")
 def _maybe_set(writer, equation, allowed, a, update, *indices):
-    """Equinox: a.at[i].set(update); `allowed` only guards samples of a batch that have ended, which the loop does here."""
+    """Equinox: a.at[i].set(update); `allowed` only guards samples of a batch that have ended, which
+    the loop does here.
+    """
     p = equation.params
     if len(indices) != 1 or p["i_static"] is not None or indices[0].shape != () or p["kwargs"]:
         raise Unsupported("this kind of update")
@@ -242,7 +287,9 @@ def _maybe_set(writer, equation, allowed, a, update, *indices):
 
 @rule("unvmap_any", "unvmap_all", "nonbatchable")
 def _own_sample(writer, equation, a):
-    """Equinox: whether one sample of a batch (all of them) wants it; in a kernel every sample goes its own way."""
+    """Equinox: whether one sample of a batch (all of them) wants it; in a kernel every sample goes
+    its own way.
+    """
     return a
 
 

@@ -1,8 +1,9 @@
-"""A small JAX program written as LLVM code: every number of every (small) array becomes one virtual register.
+"""A small JAX program written as LLVM code: every number of every (small) array becomes one virtual
+register.
 
-`Writer` keeps the text; `rules` says what each JAX primitive becomes. Registers hold one sample, or a vector of
-`lanes` samples side by side. Numbers known while writing stay Python numbers. What has no rule raises `Unsupported`: the
-caller then leaves the program to XLA.
+`Writer` keeps the text; `rules` says what each JAX primitive becomes. Registers hold one sample, or
+a vector of `lanes` samples side by side. Numbers known while writing stay Python numbers. What has
+no rule raises `Unsupported`: the caller then leaves the program to XLA.
 """
 
 import struct
@@ -35,14 +36,18 @@ def kind_of(dtype: Any) -> str:
 
 
 class InMemory:
-    """An array that is read by index: registers with its place in memory for each sample, and its shape for one sample."""
+    """An array that is read by index: registers with its place in memory for each sample, and its
+    shape for one sample.
+    """
 
     def __init__(self, places: list[str], shape: tuple[int, ...]):
         self.places, self.shape = places, shape
 
 
 class Writer:
-    """LLVM text under construction. A value is a register's name or a Python number; arrays are NumPy object arrays of them."""
+    """LLVM text under construction. A value is a register's name or a Python number; arrays are
+    NumPy object arrays of them.
+    """
 
     def __init__(self, lanes: int):
         self.lanes = lanes
@@ -104,7 +109,8 @@ class Writer:
         return self.put(form.format(*[self.text(v, kind) for v in values], type=self.wide(kind)))
 
     def call(self, name: str, *values: Any) -> str:
-        """A function of floats from LLVM's intrinsics ("sqrt") or this package's own ("jc.sincos")."""
+        """A function of floats from LLVM's intrinsics ("sqrt") or this package's own
+        ("jc.sincos")."""
         suffix = "f64" if self.lanes == 1 else f"v{self.lanes}f64"
         full = f"@llvm.{name}.{suffix}"
         wide = self.wide(FLOAT)
@@ -151,7 +157,10 @@ class Writer:
         """The entry of an array in memory at a row-major index."""
         parts = []
         for lane in range(self.lanes):
-            place = self.put(f"getelementptr double, ptr {array.places[lane]}, i64 {self.lane(flat_index, WHOLE, lane)}")
+            place = self.put(
+                f"getelementptr double, ptr {array.places[lane]}, i64 "
+                f"{self.lane(flat_index, WHOLE, lane)}"
+            )
             parts.append(self.put(f"load double, ptr {place}, !invariant.load !0"))
         return self.gather_lanes(parts, FLOAT)
 
@@ -171,4 +180,7 @@ class Writer:
         if isinstance(yes, str) and yes == no:
             return yes
         wide = self.wide(kind)
-        return self.put(f"select {self.wide(TRUTH)} {truth}, {wide} {self.text(yes, kind)}, {wide} {self.text(no, kind)}")
+        return self.put(
+            f"select {self.wide(TRUTH)} {truth}, {wide} {self.text(yes, kind)}, {wide} "
+            f"{self.text(no, kind)}"
+        )

@@ -1,19 +1,23 @@
-"""Dual-axis antenna pointing mechanism on a free-floating satellite, with clearance and dry friction in both revolute joints.
+"""Dual-axis antenna pointing mechanism on a free-floating satellite, with clearance and dry
+friction in both revolute joints.
 
-Source: Li, Lyu & Ding 2022, Chin. J. Aeronaut., no. 8, "Dynamics modeling and error analysis for antenna pointing mechanisms with
-frictional spatial revolute joints on SE(3)" (antenna paper 000); its tables of geometry, inertia and simulation parameters are
-lost. Taken from a near relative, Bai & Zhao 2020, Int. J. Aerospace Eng., 8846177, table 2: shafts of 0.5 m, bearing 50 mm long
-with radius 10 mm, journal 54 mm, flange radius 14 mm, radial and axial clearance 0.2 mm, mu_s 0.15, mu_d 0.1, v_s 0.1 m/s, v_d
-1 m/s, restitution 0.9, driving torques of 10 and 4 N m.
+Source: Li, Lyu & Ding 2022, Chin. J. Aeronaut., no. 8, "Dynamics modeling and error analysis for
+antenna pointing mechanisms with frictional spatial revolute joints on SE(3)" (antenna paper 000);
+its tables of geometry, inertia and simulation parameters are lost. Taken from a near relative, Bai
+& Zhao 2020, Int. J. Aerospace Eng., 8846177, table 2: shafts of 0.5 m, bearing 50 mm long with
+radius 10 mm, journal 54 mm, flange radius 14 mm, radial and axial clearance 0.2 mm, mu_s 0.15, mu_d
+0.1, v_s 0.1 m/s, v_d 1 m/s, restitution 0.9, driving torques of 10 and 4 N m.
 
-Assumed, because no source says: the satellite is a cylinder of 100 kg, radius 0.5 m, height 1 m (a small satellite), joint 1 in
-the middle of its top, turning about its axis; link 1 is a tube of 4 kg and 30 mm radius of gyration rising along that axis; link
-2 is a tube of 2 kg across it, with a dish of 6 kg (a disk of 0.25 m radius) at its end, so that the torques turn it by some
-tenths of a radian to a radian in a second; joint 2 turns about an axis across both links, and link 2 lies beside link 1, 20 mm
-along that axis (two links cannot share a plane at a pin), which is what loads joint 1 about its own axis when joint 2 moves. The
-drives' argument is printed damaged: 2 pi t is assumed. The step drive is assumed too: joint 1 is pushed, braked and released
-while joint 2 is driven by a constant torque, so that joint 1 has to hold against what joint 2 does to it.
-Collars rub without a torque (the paper's assumption), so they have no friction here.
+Assumed, because no source says: the satellite is a cylinder of 100 kg, radius 0.5 m, height 1 m (a
+small satellite), joint 1 in the middle of its top, turning about its axis; link 1 is a tube of 4 kg
+and 30 mm radius of gyration rising along that axis; link 2 is a tube of 2 kg across it, with a dish
+of 6 kg (a disk of 0.25 m radius) at its end, so that the torques turn it by some tenths of a radian
+to a radian in a second; joint 2 turns about an axis across both links, and link 2 lies beside link
+1, 20 mm along that axis (two links cannot share a plane at a pin), which is what loads joint 1
+about its own axis when joint 2 moves. The drives' argument is printed damaged: 2 pi t is assumed.
+The step drive is assumed too: joint 1 is pushed, braked and released while joint 2 is driven by a
+constant torque, so that joint 1 has to hold against what joint 2 does to it. Collars rub without a
+torque (the paper's assumption), so they have no friction here.
 """
 
 from typing import Any
@@ -30,7 +34,7 @@ from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, ThreeZone
 from jaxclear.laws.material import steel
 from jaxclear.laws.stiffness import HertzStiffness
-from jaxclear.scene.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism
 
 LINK_1, LINK_2 = 0.5, 0.5
 BEARING_RADIUS, BEARING_LENGTH, JOURNAL_LENGTH, FLANGE_RADIUS = 10e-3, 50e-3, 54e-3, 14e-3
@@ -62,7 +66,9 @@ class PeriodicTorque(eqx.Module):
 
 
 class StepTorque(eqx.Module):
-    """`amplitude` up to `push`, its opposite up to `brake`, then none; switched at once. Steps should end at these instants."""
+    """`amplitude` up to `push`, its opposite up to `brake`, then none; switched at once. Steps
+    should end at these instants.
+    """
 
     amplitude: Scalar = quantity(unit="N m", meaning="driving torque")
     push: Scalar = quantity(unit="s", meaning="end of the push", at_least=0)
@@ -76,22 +82,33 @@ class StepTorque(eqx.Module):
 
 
 def driving_torques(drive: str | tuple) -> tuple[Any, Any]:
-    """Torque of each joint's motor: "periodic", "step", or two of one's own, numbers or functions of time."""
+    """Torque of each joint's motor: "periodic", "step", or two of one's own, numbers or functions
+    of time.
+    """
     if isinstance(drive, tuple) and len(drive) == 2:
         return drive
     if drive == "periodic":
         return tuple(PeriodicTorque(amplitude) for amplitude in TORQUES)
     if drive == "step":
         return StepTorque(TORQUES[0], PUSH, BRAKE), StepTorque(TORQUES[1], HOLD)
-    raise ValueError(f"the drive of the antenna is {', '.join(map(repr, DRIVES))} or two torques, not {drive!r}.")
+    raise ValueError(
+        f"the drive of the antenna is {', '.join(map(repr, DRIVES))} or two torques, not {drive!r}."
+    )
 
 
-def friction_law(friction: Any, mu_kinetic: Any = 0.1, mu_static: Any = 0.15) -> AbstractFrictionLaw | None:
-    """Coulomb's law ("set_valued"), the three-zone law of Bai & Zhao ("regularised"), a law of one's own, or None."""
+def friction_law(
+    friction: Any, mu_kinetic: Any = 0.1, mu_static: Any = 0.15
+) -> AbstractFrictionLaw | None:
+    """Coulomb's law ("set_valued"), the three-zone law of Bai & Zhao ("regularised"), a law of
+    one's own, or None.
+    """
     if friction is None or isinstance(friction, AbstractFrictionLaw):
         return friction
     if friction not in FRICTIONS:
-        raise ValueError(f"the friction of the antenna is {', '.join(map(repr, FRICTIONS))} or a law, not {friction!r}.")
+        raise ValueError(
+            f"the friction of the antenna is {', '.join(map(repr, FRICTIONS))} or a law, not "
+            f"{friction!r}."
+        )
     if friction == "set_valued":
         return Coulomb(mu_kinetic, mu_static)
     return ThreeZone(mu_static, mu_kinetic, STATIC_SPEED, KINETIC_SPEED)
@@ -105,9 +122,13 @@ def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
         return Revolute()
     contact = CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=RESTITUTION)
     if kind == "planar":
-        return clearances.PlanarJournalBearing(contact, rub, BEARING_RADIUS, clearance, BEARING_LENGTH)
+        return clearances.PlanarJournalBearing(
+            contact, rub, BEARING_RADIUS, clearance, BEARING_LENGTH
+        )
     flange = clearances.Flange(contact, None, FLANGE_RADIUS, AXIAL_CLEARANCE)
-    return clearances.JournalBearing(contact, rub, BEARING_RADIUS, clearance, BEARING_LENGTH, JOURNAL_LENGTH, flange)
+    return clearances.JournalBearing(
+        contact, rub, BEARING_RADIUS, clearance, BEARING_LENGTH, JOURNAL_LENGTH, flange
+    )
 
 
 def _bodies(offset: float) -> dict[str, Body]:
@@ -117,9 +138,15 @@ def _bodies(offset: float) -> dict[str, Body]:
     centre = (0.5 * TUBE_2 + DISH) * LINK_2 / mass
     swing = TUBE_2 * LINK_2**2 / 3 + DISH * (LINK_2**2 + DISH_RADIUS**2 / 4) - mass * centre**2
     return {
-        "satellite": Body(SATELLITE_MASS, (across, across, SATELLITE_MASS * SATELLITE_RADIUS**2 / 2)),
+        "satellite": Body(
+            SATELLITE_MASS, (across, across, SATELLITE_MASS * SATELLITE_RADIUS**2 / 2)
+        ),
         "link1": Body(TUBE_1, (rod, rod, TUBE_1 * GYRATION**2), (0.0, 0.0, 0.5 * LINK_1)),
-        "link2": Body(mass, (swing, DISH * DISH_RADIUS**2 / 2 + TUBE_2 * GYRATION**2, swing), (offset, centre, 0.0)),
+        "link2": Body(
+            mass,
+            (swing, DISH * DISH_RADIUS**2 / 2 + TUBE_2 * GYRATION**2, swing),
+            (offset, centre, 0.0),
+        ),
     }
 
 
@@ -133,12 +160,14 @@ def antenna(
     friction: Any = "set_valued",
     offset: float = OFFSET,
 ) -> Mechanism:
-    """The satellite with links 1 and 2, both joints ("J1", "J2") being `kind`: "spatial", "planar" or "ideal".
+    """The satellite with links 1 and 2, both joints ("J1", "J2") being `kind`: "spatial", "planar"
+    or "ideal".
 
-    `clearance`: radial [m]. `drive`: "periodic", "step" or two torques. `friction`: "set_valued" (Coulomb, for
-    integrator.NonColliding and MoreauJean), "regularised" (three zones, for compliant integrators too), a law, or None. `offset`
-    [m]: how far link 2 lies beside link 1. The planar kind leaves a journal free to tilt and slide unless its joint always
-    touches: take it with integrator.NonColliding only. Everything starts at rest, link 2 level.
+    `clearance`: radial [m]. `drive`: "periodic", "step" or two torques. `friction`: "set_valued"
+    (Coulomb, for integrator.NonColliding and MoreauJean), "regularised" (three zones, for compliant
+    integrators too), a law, or None. `offset` [m]: how far link 2 lies beside link 1. The planar
+    kind leaves a journal free to tilt and slide unless its joint always touches: take it with
+    integrator.NonColliding only. Everything starts at rest, link 2 level.
     """
     joint = bearing(kind, clearance, friction_law(friction, mu_kinetic, mu_static))
     places = {

@@ -1,20 +1,25 @@
-"""Four-bar mechanism with three-dimensional clearance and wear in the joint between coupler and follower.
+"""Four-bar mechanism with three-dimensional clearance and wear in the joint between coupler and
+follower.
 
-Source: "Dynamic Behavior of Four-bar Mechanism with Three-dimensional Clearance and Wear", tables I and II. From the paper:
-lengths, masses, crank speed, Young's modulus, Poisson ratio, bearing radius and length, journal length, restitution, the
-wear coefficient 2e-2 (there chosen to accelerate wear), Lankarani-Nikravesh contact, three-zone friction, Archard wear,
-ball joint at the follower's foot.
+Source: "Dynamic Behavior of Four-bar Mechanism with Three-dimensional Clearance and Wear", tables I
+and II. From the paper: lengths, masses, crank speed, Young's modulus, Poisson ratio, bearing radius
+and length, journal length, restitution, the wear coefficient 2e-2 (there chosen to accelerate
+wear), Lankarani-Nikravesh contact, three-zone friction, Archard wear, ball joint at the follower's
+foot.
 
-The paper lists journal radii 10 ... 9.6 mm in a bearing of 10 mm, calls them clearances of 0 ... 0.2 mm and draws the journal's
-centre in a circle of 0.2 mm radius. That fits if the listed radii are diameters halved wrongly; `clearance` here is the
-RADIAL clearance, that is the radius of the drawn circle, and the bearing radius stays 10 mm.
+The paper lists journal radii 10 ... 9.6 mm in a bearing of 10 mm, calls them clearances of 0 ...
+0.2 mm and draws the journal's centre in a circle of 0.2 mm radius. That fits if the listed radii
+are diameters halved wrongly; `clearance` here is the RADIAL clearance, that is the radius of the
+drawn circle, and the bearing radius stays 10 mm.
 
-Assumed, because the paper does not say: slender links (inertia m l^2/12, radius of gyration 8 mm about their own
-axis) with the centre of mass half-way; friction 0.15 / 0.1 with transition speeds 0.1 and 1 m/s (values of Bai & Zhao
-2020, table 2, for a steel joint of the same size); hardness 2.17 GPa (the steel of the 3RSR paper); gravity in the plane; and
-the follower lying beside the coupler, 20 mm along the bearing's axis (two links cannot share a plane at a pin), which is
-what loads the two ends of the bearing differently; collars of 14 mm radius that leave the journal of 32 mm its 1 mm of
-axial play at each side of the bearing of 30 mm (without them a journal tilting within 0.2 mm would walk out of it).
+Assumed, because the paper does not say: slender links (inertia m l^2/12, radius of gyration 8 mm
+about their own axis) with the centre of mass half-way; friction 0.15 / 0.1 with transition speeds
+0.1 and 1 m/s (values of Bai & Zhao 2020, table 2, for a steel joint of the same size); hardness
+2.17 GPa (the steel of the 3RSR paper); gravity in the plane; and the follower lying beside the
+coupler, 20 mm along the bearing's axis (two links cannot share a plane at a pin), which is what
+loads the two ends of the bearing differently; collars of 14 mm radius that leave the journal of 32
+mm its 1 mm of axial play at each side of the bearing of 30 mm (without them a journal tilting
+within 0.2 mm would walk out of it).
 """
 
 from typing import Any
@@ -30,7 +35,7 @@ from jaxclear.laws.friction import ThreeZone
 from jaxclear.laws.material import steel
 from jaxclear.laws.stiffness import HertzStiffness
 from jaxclear.laws.wear import Archard
-from jaxclear.scene.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism
 
 # Radial clearances of the paper [m]; the first is the ideal joint.
 CLEARANCES = (0.0, 0.05e-3, 0.1e-3, 0.15e-3, 0.2e-3)
@@ -41,12 +46,18 @@ AXIAL_CLEARANCE = 1e-3
 KINDS = ("spatial", "planar", "ideal")
 
 
-def bearing(kind: str, clearance: Any, *, friction: bool = True, wear: bool = True, cells: tuple = (72, 20)) -> Any:
+def bearing(
+    kind: str, clearance: Any, *, friction: bool = True, wear: bool = True, cells: tuple = (72, 20)
+) -> Any:
     """The joint between coupler and follower: "spatial" or "planar" clearance, or "ideal"."""
     if kind == "ideal":
         return Revolute()
     contact = LankaraniNikravesh(stiffness=HertzStiffness(steel(), steel()), restitution=0.9)
-    rub = ThreeZone(mu_static=0.15, mu_kinetic=0.1, static_speed=0.1, kinetic_speed=1.0) if friction else None
+    rub = (
+        ThreeZone(mu_static=0.15, mu_kinetic=0.1, static_speed=0.1, kinetic_speed=1.0)
+        if friction
+        else None
+    )
     law = Wearing(Archard(wear_coefficient=2e-2, hardness=2.17e9), cells) if wear else None
     if kind == "planar":
         return clearances.PlanarJournalBearing(contact, rub, 10e-3, clearance, 30e-3, law)
@@ -80,10 +91,12 @@ def four_bar(
     cells: tuple[int, int] = (72, 20),
     follower_offset: float = FOLLOWER_OFFSET,
 ) -> Mechanism:
-    """The mechanism of the paper, joint "B" between coupler and follower being `kind`: "spatial", "planar" or "ideal".
+    """The mechanism of the paper, joint "B" between coupler and follower being `kind`: "spatial",
+    "planar" or "ideal".
 
-    `clearance`: radial [m]. `crank_speed` [rad/s]. `friction`, `wear`: False leaves them out. `cells` of the wear map around and
-    along the bearing. `follower_offset` [m]: distance between the planes of coupler and follower (spatial only).
+    `clearance`: radial [m]. `crank_speed` [rad/s]. `friction`, `wear`: False leaves them out.
+    `cells` of the wear map around and along the bearing. `follower_offset` [m]: distance between
+    the planes of coupler and follower (spatial only).
     """
     if kind not in KINDS:
         raise ValueError(f"the joint of the four-bar is {', '.join(KINDS)}, not {kind!r}.")

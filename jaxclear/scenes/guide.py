@@ -1,23 +1,28 @@
-"""Crank, slider and rotating guide (quick-return mechanism) with clearance and dry friction between slider and guide.
+"""Crank, slider and rotating guide (quick-return mechanism) with clearance and dry friction between
+slider and guide.
 
-Source: Luo, Qi & Kong, "Non-colliding contact analysis with friction in the planar prismatic joint" (paper 004), tables 1
-and 2. From the paper: lengths, masses and moments of inertia of crank, slider and guide, v_s = 0.0001 m/s of the regularised
-friction.
+Source: Luo, Qi & Kong, "Non-colliding contact analysis with friction in the planar prismatic joint"
+(paper 004), tables 1 and 2. From the paper: lengths, masses and moments of inertia of crank, slider
+and guide, v_s = 0.0001 m/s of the regularised friction.
 
-The frame's origin is the crank's pivot O; the guide turns about C at (-ground_distance, 0); the crank's end carries the slider
-(joint A), which slides in the guide (joint P). Its coordinate is its place along the guide from where it starts.
+The frame's origin is the crank's pivot O; the guide turns about C at (-ground_distance, 0); the
+crank's end carries the slider (joint A), which slides in the guide (joint P). Its coordinate is its
+place along the guide from where it starts.
 
-Read off the paper's moments of inertia: 3.28292083 = m (l^2/3 + w^2/12) for a crank of width w = 0.1 m, so it is about the
-crank's pivot, at its end; 0.06500833 = m (l^2 + w^2)/12 for a slider of width 0.1 m, so it is about the slider's centre, and its
-width is 0.1 m. The guide's 32.5078317 is possible neither about its middle (no body of 1.6 m has a radius of gyration of
-0.88 m) nor about its end (at least m l^2/3 = 35.7); about a point 0.75 m from the middle, that is 0.05 m from the end, it
-leaves m (l^2 + (0.106 m)^2)/12 about the middle. So it is taken about the guide's pivot, 0.05 m from its end.
+Read off the paper's moments of inertia: 3.28292083 = m (l^2/3 + w^2/12) for a crank of width w =
+0.1 m, so it is about the crank's pivot, at its end; 0.06500833 = m (l^2 + w^2)/12 for a slider of
+width 0.1 m, so it is about the slider's centre, and its width is 0.1 m. The guide's 32.5078317 is
+possible neither about its middle (no body of 1.6 m has a radius of gyration of 0.88 m) nor about
+its end (at least m l^2/3 = 35.7); about a point 0.75 m from the middle, that is 0.05 m from the
+end, it leaves m (l^2 + (0.106 m)^2)/12 about the middle. So it is taken about the guide's pivot,
+0.05 m from its end.
 
-Assumed, because the paper's text does not say: centres of mass half-way along each body; the pin in the slider's centre;
-pivots 0.8 m apart (the slider stays 0.2 to 1.4 m from C and so within the guide); crank speed 5 rad/s (inertia forces about as
-large as weights, so that the slider changes sides within a turn); gravity in the plane, along -y (the default of Adams, with
-which the paper compares); friction 0.1 (dry steel on steel); gap 0.1 mm on each side (a loose sliding fit of this size);
-corners rounded with 5 mm and a restitution of 0.8, which only runs with impacts feel.
+Assumed, because the paper's text does not say: centres of mass half-way along each body; the pin in
+the slider's centre; pivots 0.8 m apart (the slider stays 0.2 to 1.4 m from C and so within the
+guide); crank speed 5 rad/s (inertia forces about as large as weights, so that the slider changes
+sides within a turn); gravity in the plane, along -y (the default of Adams, with which the paper
+compares); friction 0.1 (dry steel on steel); gap 0.1 mm on each side (a loose sliding fit of this
+size); corners rounded with 5 mm and a restitution of 0.8, which only runs with impacts feel.
 """
 
 from typing import Any
@@ -34,7 +39,7 @@ from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, AdamsStep, Coulomb, CoulombTanh
 from jaxclear.laws.material import steel
 from jaxclear.laws.stiffness import HertzStiffness
-from jaxclear.scene.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism
 
 CRANK, SLIDER, WIDTH, GUIDE_LENGTH = 0.5, 0.2, 0.1, 1.6
 CRANK_MASS, SLIDER_MASS, GUIDE_MASS = 39.005, 15.602, 41.850
@@ -51,10 +56,16 @@ KINDS = ("guide", "ideal")
 FRICTIONS = ("set_valued", "regularised", None)
 
 
-def friction_law(kind: str | None, mu_kinetic: Any = 0.1, mu_static: Any | None = None) -> AbstractFrictionLaw | None:
-    """Friction between slider and guide: "set_valued" for rigid contact, "regularised" with v_s for all others, or None."""
+def friction_law(
+    kind: str | None, mu_kinetic: Any = 0.1, mu_static: Any | None = None
+) -> AbstractFrictionLaw | None:
+    """Friction between slider and guide: "set_valued" for rigid contact, "regularised" with v_s for
+    all others, or None.
+    """
     if kind not in FRICTIONS:
-        raise ValueError(f"the friction of the guide is {', '.join(map(repr, FRICTIONS))}, not {kind!r}.")
+        raise ValueError(
+            f"the friction of the guide is {', '.join(map(repr, FRICTIONS))}, not {kind!r}."
+        )
     if kind is None:
         return None
     if kind == "set_valued":
@@ -78,19 +89,26 @@ def guide(
     gravity: float | None = GRAVITY,
     ground_distance: float = GROUND_DISTANCE,
 ) -> Mechanism:
-    """The mechanism of the paper, joint "P" between guide and slider being `kind`: "guide" with clearance, or "ideal".
+    """The mechanism of the paper, joint "P" between guide and slider being `kind`: "guide" with
+    clearance, or "ideal".
 
-    `clearance`: gap on each side of the centred slider [m]. `friction`: "set_valued" (NonColliding, MoreauJean), "regularised"
-    (compliant runs; NonColliding takes its coefficients) or None. `drive` of the crank: "constant" from `crank_angle` [rad] with
-    `crank_speed` [rad/s], or your own drive (starting at `crank_angle`), or None: a free crank that starts so, under `torque`
-    [N m] (a number or a function of time). `gravity` [m/s2] along -y, None: absent. `ground_distance` [m] from C to O, more
-    than the crank's 0.5.
+    `clearance`: gap on each side of the centred slider [m]. `friction`: "set_valued" (NonColliding,
+    MoreauJean), "regularised" (compliant runs; NonColliding takes its coefficients) or None.
+    `drive` of the crank: "constant" from `crank_angle` [rad] with `crank_speed` [rad/s], or your
+    own drive (starting at `crank_angle`), or None: a free crank that starts so, under `torque` [N
+    m] (a number or a function of time). `gravity` [m/s2] along -y, None: absent. `ground_distance`
+    [m] from C to O, more than the crank's 0.5.
     """
     if kind not in KINDS:
-        raise ValueError(f"the joint of slider and guide is {' or '.join(map(repr, KINDS))}, not {kind!r}.")
+        raise ValueError(
+            f"the joint of slider and guide is {' or '.join(map(repr, KINDS))}, not {kind!r}."
+        )
     distance = concrete(ground_distance)
     if distance is not None and not distance > CRANK:
-        raise ValueError(f"ground_distance of the guide is {distance} m; it must be more than the crank's {CRANK} m.")
+        raise ValueError(
+            f"ground_distance of the guide is {distance} m; it must be more than the crank's "
+            f"{CRANK} m."
+        )
     joint = Prismatic()
     if kind == "guide":
         contact = CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=0.8)
@@ -99,7 +117,10 @@ def guide(
     if isinstance(drive, str):
         drive = ConstantSpeed(crank_speed, crank_angle)
     if drive is not None and torque is not None:
-        raise ValueError("the crank of the guide is driven and under a torque; give drive=None for the torque to move it.")
+        raise ValueError(
+            "the crank of the guide is driven and under a torque; give drive=None for the torque "
+            "to move it."
+        )
     half = 0.5 * CRANK
     # From C to the crank's end.
     along, across = ground_distance + CRANK * jnp.cos(crank_angle), CRANK * jnp.sin(crank_angle)

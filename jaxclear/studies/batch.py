@@ -1,6 +1,8 @@
-"""Runs a problem for many sets of values: compiled once, in chunks that fit memory, one thread a core.
+"""Runs a problem for many sets of values: compiled once, in chunks that fit memory, one thread a
+core.
 
-Compiled programs leave Python free while they run, so two chunks run side by side on two cores without splitting a device.
+Compiled programs leave Python free while they run, so two chunks run side by side on two cores
+without splitting a device.
 """
 
 import os
@@ -13,16 +15,17 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from jaxclear.scene.state import lay_out
-from jaxclear.scene.system import prepare
+from jaxclear.multibody.state import lay_out
+from jaxclear.multibody.system import prepare
 from jaxclear.studies.problem import Outcome, Problem
 
-# Memory for one chunk [bytes] on machines with a few GiB a core; states are saved for every sample of a chunk.
+# Memory for one chunk [bytes] on machines with a few GiB a core; states are saved for every sample
+# of a chunk.
 CHUNK_MEMORY = 1 << 30
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12
-# On a CPU the time per sample falls up to chunks of about this length and rises again beyond (benchmarks/monte_carlo.py).
-# An accelerator wants many samples at once.
+# On a CPU the time per sample falls up to chunks of about this length and rises again beyond
+# (benchmarks/monte_carlo.py). An accelerator wants many samples at once.
 LARGEST_CHUNK = {"cpu": 64}
 LARGEST_ELSEWHERE = 4096
 
@@ -42,7 +45,9 @@ def chunk_size(problem: Problem, samples: int, threads: int) -> int:
     """Samples a chunk: all threads busy, no chunk above the memory set aside for it."""
     system = prepare(problem.mechanism)
     layout = lay_out(system)
-    cells = sum(np.prod(m.cells) for b in system.bearings.values() for m, _ in b.joint.maps().values())
+    cells = sum(
+        np.prod(m.cells) for b in system.bearings.values() for m, _ in b.joint.maps().values()
+    )
     each = 8 * (len(problem.shares) * (HISTORY_FACTOR * layout.size) + 8 * cells)
     largest = LARGEST_CHUNK.get(jax.default_backend(), LARGEST_ELSEWHERE)
     return int(max(1, min(largest, CHUNK_MEMORY // each, -(-samples // threads))))
@@ -66,9 +71,12 @@ def evaluate_all(
     padded = jnp.concatenate([values, jnp.repeat(values[-1:], count * chunk - samples, axis=0)])
     pieces = padded.reshape(count, chunk, -1)
 
-    # Compile before the threads start, or each of them would: the same program, on a run of no length.
+    # Compile before the threads start, or each of them would: the same program, on a run of no
+    # length.
     if count > 1:
-        jax.block_until_ready(function(eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(())), pieces[0]))
+        jax.block_until_ready(
+            function(eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(())), pieces[0])
+        )
 
     def one(piece):
         return jax.tree.map(np.asarray, jax.block_until_ready(function(problem, piece)))

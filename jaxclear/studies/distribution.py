@@ -1,6 +1,7 @@
 """How a dimension varies about its nominal value, as the inverse of its cumulative distribution.
 
-`quantile(u)` maps u in (0, 1) to the deviation from nominal, so any sampling of the unit cube serves every distribution.
+`quantile(u)` maps u in (0, 1) to the deviation from nominal, so any sampling of the unit cube
+serves every distribution.
 """
 
 from abc import abstractmethod
@@ -50,9 +51,13 @@ class Uniform(AbstractDistribution):
 
 
 class TruncatedNormal(AbstractDistribution):
-    """Normal distribution of which only what lies within +- bound of nominal is accepted (inspected parts)."""
+    """Normal distribution of which only what lies within +- bound of nominal is accepted (inspected
+    parts).
+    """
 
-    standard_deviation: Scalar = quantity(unit="as varied", meaning="standard deviation before inspection", above=0)
+    standard_deviation: Scalar = quantity(
+        unit="as varied", meaning="standard deviation before inspection", above=0
+    )
     bound: Scalar = quantity(unit="as varied", meaning="largest accepted deviation", above=0)
 
     def quantile(self, share):

@@ -1,7 +1,8 @@
-"""A question about a mechanism: which numbers vary and how, how it is run, and which responses are wanted.
+"""A question about a mechanism: which numbers vary and how, how it is run, and which responses are
+wanted.
 
-Studies see a `Problem`, never a joint. The whole path from varied numbers to responses is one pure function, `evaluate`, that
-maps over samples and differentiates.
+Studies see a `Problem`, never a joint. The whole path from varied numbers to responses is one pure
+function, `evaluate`, that maps over samples and differentiates.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,33 +14,44 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import inside, numbers
-from jaxclear.scene.initial import CLOSED, assemble_arrays
-from jaxclear.scene.mechanism import Mechanism
+from jaxclear.integrators import AbstractIntegrator, FixedStep
+from jaxclear.multibody.assembly import CLOSED, assemble_arrays
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.results.response import unit_of
+from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times, seen_by
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
-from jaxclear.time.integrator import AbstractIntegrator, FixedStep
-from jaxclear.time.response import unit_of
-from jaxclear.time.simulate import check_duration, check_run, run, saving_times, seen_by
 
 
 class Variable(eqx.Module):
-    """A number of the mechanism that varies: `where(mechanism)` returns its leaf, or several leaves that vary together.
+    """A number of the mechanism that varies: `where(mechanism)` returns its leaf, or several leaves
+    that vary together.
 
-    `distribution` is centred on the leaf's own value; `tolerance=t` stands for a normal distribution with three standard
-    deviations in t, cut off at +-t.
+    `distribution` is centred on the leaf's own value; `tolerance=t` stands for a normal
+    distribution with three standard deviations in t, cut off at +-t.
     """
 
     where: Callable[[Mechanism], Any] = eqx.field(static=True)
     distribution: AbstractDistribution
 
-    def __init__(self, where: Callable, distribution: AbstractDistribution | None = None, *, tolerance: float | None = None):
+    def __init__(
+        self,
+        where: Callable,
+        distribution: AbstractDistribution | None = None,
+        *,
+        tolerance: float | None = None,
+    ):
         if (distribution is None) == (tolerance is None):
             raise ValueError("a variable takes a distribution or a tolerance, one of the two.")
         self.where = where
-        self.distribution = TruncatedNormal(tolerance / 3, tolerance) if distribution is None else distribution
+        self.distribution = (
+            TruncatedNormal(tolerance / 3, tolerance) if distribution is None else distribution
+        )
 
 
 class Outcome(eqx.Module):
-    """Responses of one sample by name, and how its run ended (index into `integrator.OUTCOMES`, and time [s])."""
+    """Responses of one sample by name, and how its run ended (index into `integrator.OUTCOMES`, and
+    time [s]).
+    """
 
     responses: dict[str, Array]
     outcome: Array
@@ -49,9 +61,10 @@ class Outcome(eqx.Module):
 class Problem(eqx.Module):
     """A mechanism, the numbers in it that vary, how it is run, and the responses wanted of a run.
 
-    `response`: a function of a trajectory returning a number, or several by name. `duration` [s]. `integrator`: `FixedStep()` by
-    default, because equal work for every sample is what batches and derivatives want. `save`: saving times, as in
-    `simulate`. Raises `ValueError` with a sentence for what cannot be asked.
+    `response`: a function of a trajectory returning a number, or several by name. `duration` [s].
+    `integrator`: `FixedStep()` by default, because equal work for every sample is what batches and
+    derivatives want. `save`: saving times, as in `simulate`. Raises `ValueError` with a sentence
+    for what cannot be asked.
     """
 
     mechanism: Mechanism
@@ -85,14 +98,20 @@ class Problem(eqx.Module):
         check_run(mechanism, self.integrator, times)
         for name, wanted in self.response.items():
             if not callable(wanted):
-                raise ValueError(f'response "{name}" is {wanted!r}; it must be a function of a trajectory.')
+                raise ValueError(
+                    f'response "{name}" is {wanted!r}; it must be a function of a trajectory.'
+                )
             if name in self.variables:
-                raise ValueError(f'"{name}" names a variable and a response; give them different names.')
+                raise ValueError(
+                    f'"{name}" names a variable and a response; give them different names.'
+                )
         known = [(leaf, metadata.get("unit", "1")) for _, leaf, metadata in numbers(mechanism)]
         for name, variable in self.variables.items():
             _check_variable(name, variable, mechanism)
         firsts = [self._leaves(variable)[0] for variable in self.variables.values()]
-        self.variable_units = tuple(next((u for leaf, u in known if leaf is first), "1") for first in firsts)
+        self.variable_units = tuple(
+            next((u for leaf, u in known if leaf is first), "1") for first in firsts
+        )
 
     def _leaves(self, variable):
         return jax.tree.leaves(variable.where(self.mechanism))
@@ -106,29 +125,38 @@ class Problem(eqx.Module):
         return {name: unit_of(self.response[name]) for name in self.response_names}
 
     def with_values(self, values: Float[Array, " variables"]) -> Mechanism:
-        """The mechanism with its variables set. Leaves that vary together move by the same amount."""
+        """The mechanism with its variables set. Leaves that vary together move by the same
+        amount."""
         mechanism = self.mechanism
         for name, value in zip(self.names, values, strict=True):
             variable = self.variables[name]
             old = self._leaves(variable)
             new = [leaf + (value - old[0]) for leaf in old]
-            mechanism = eqx.tree_at(lambda m, v=variable: jax.tree.leaves(v.where(m)), mechanism, new)
+            mechanism = eqx.tree_at(
+                lambda m, v=variable: jax.tree.leaves(v.where(m)), mechanism, new
+            )
         return mechanism
 
     def evaluate(self, values: Float[Array, " variables"]) -> Outcome:
         """Assemble, run and take the responses for one set of values; pure."""
         mechanism = seen_by(self.with_values(values), self.integrator)
         start = assemble_arrays(mechanism)
-        trajectory = run(mechanism, start.coordinates, start.speeds, self.shares * self.duration, self.integrator)
+        trajectory = run(
+            mechanism, start.coordinates, start.speeds, self.shares * self.duration, self.integrator
+        )
         responses = {name: response(trajectory) for name, response in self.response.items()}
-        possible = jnp.all(jnp.stack([inside(leaf, metadata) for _, leaf, metadata in numbers(mechanism)]))
-        left = jnp.stack([jnp.max(jnp.abs(r), initial=0.0) for r in start.residuals.values()] or [jnp.zeros(())])
+        possible = jnp.all(
+            jnp.stack([inside(leaf, metadata) for _, leaf, metadata in numbers(mechanism)])
+        )
+        left = jnp.stack(
+            [jnp.max(jnp.abs(r), initial=0.0) for r in start.residuals.values()] or [jnp.zeros(())]
+        )
         outcome = jnp.where(jnp.max(left) <= CLOSED, trajectory.outcome, UNASSEMBLED)
         return Outcome(responses, jnp.where(possible, outcome, IMPOSSIBLE), trajectory.ended)
 
 
-# Outcomes of samples whose dimensions do not let the mechanism close, or lie outside what their fields allow; beside those
-# of an integrator.
+# Outcomes of samples whose dimensions do not let the mechanism close, or lie outside what their
+# fields allow; beside those of an integrator.
 UNASSEMBLED, IMPOSSIBLE = -1, -2
 
 
@@ -139,8 +167,12 @@ def _check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:
         target = variable.where(mechanism)
     except (KeyError, AttributeError, TypeError, IndexError) as error:
         raise ValueError(
-            f'variable "{name}" points at nothing in this mechanism: its `where` fails with {type(error).__name__}: {error}.'
+            f'variable "{name}" points at nothing in this mechanism: its `where` fails with '
+            f"{type(error).__name__}: {error}."
         ) from error
     leaves = target if isinstance(target, (tuple, list)) else [target]
     if not leaves or not all(eqx.is_array(leaf) and jnp.ndim(leaf) == 0 for leaf in leaves):
-        raise ValueError(f'variable "{name}" must point at numbers of the mechanism; where(mechanism) gives {target!r}.')
+        raise ValueError(
+            f'variable "{name}" must point at numbers of the mechanism; where(mechanism) gives '
+            f"{target!r}."
+        )

@@ -1,4 +1,6 @@
-"""Where parts touch, against brute force: real cylinders, rims and corners, discretised and compared point by point."""
+"""Where parts touch, against brute force: real cylinders, rims and corners, discretised and
+compared point by point.
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,8 +19,12 @@ AROUND = np.linspace(0, 2 * np.pi, 20001)
 
 
 def tilted(tilt, direction):
-    """Axis (third column) and a perpendicular pair of a journal tilted by an angle towards a direction."""
-    axis = np.array([np.sin(tilt) * np.cos(direction), np.sin(tilt) * np.sin(direction), np.cos(tilt)])
+    """Axis (third column) and a perpendicular pair of a journal tilted by an angle towards a
+    direction.
+    """
+    axis = np.array(
+        [np.sin(tilt) * np.cos(direction), np.sin(tilt) * np.sin(direction), np.cos(tilt)]
+    )
     first = np.cross([0.3, 0.8, 0.1], axis)
     first /= np.linalg.norm(first)
     return axis, first, np.cross(axis, first)
@@ -46,16 +52,24 @@ def test_end_planes_of_a_tilted_journal(seed):
     for indentation, centre, height in zip(found, centres, (-LENGTH / 2, LENGTH / 2), strict=True):
         brute = deepest_in_plane(offset, axis, first, second, height)
         eccentricity = float(jnp.hypot(centre[0], centre[1]))
-        # the ellipse of the section is deepest beside the direction of the eccentricity, by r t_n t_p / |c|
+        # the ellipse of the section is deepest beside the direction of the eccentricity, by r t_n
+        # t_p / |c|
         turned = (JOURNAL * np.tan(tilt) ** 2 / 2) ** 2 / (2 * eccentricity)
         spacing = JOURNAL * (AROUND[1] / 2) ** 2
-        assert -spacing - JOURNAL * tilt**4 <= brute - indentation <= 1.2 * turned + JOURNAL * tilt**4 + 1e-15
+        assert (
+            -spacing - JOURNAL * tilt**4
+            <= brute - indentation
+            <= 1.2 * turned + JOURNAL * tilt**4 + 1e-15
+        )
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_journal_is_deepest_at_an_end_of_the_bearing(seed):
     rng = np.random.default_rng(seed)
-    offset, tilt = np.append(rng.uniform(-1, 1, 2) * CLEARANCE, 0.0), rng.uniform(0, 2) * CLEARANCE / (LENGTH / 2)
+    offset, tilt = (
+        np.append(rng.uniform(-1, 1, 2) * CLEARANCE, 0.0),
+        rng.uniform(0, 2) * CLEARANCE / (LENGTH / 2),
+    )
     frame = tilted(tilt, rng.uniform(0, 2 * np.pi))
     along = [deepest_in_plane(offset, *frame, z) for z in np.linspace(-LENGTH / 2, LENGTH / 2, 21)]
     assert np.argmax(along) in (0, 20)
@@ -80,7 +94,10 @@ def test_the_four_situations_of_a_journal(situation, eccentricity, tilt, touchin
     place = vectors((eccentricity * CLEARANCE, 0.0, 0.0), axis)
     indentations = BEARING.indentations(*place, {})
     assert tuple(bool(x > 0) for x in indentations[:2]) == touching
-    normals = [np.array(sp.dense(touch.normal)) for touch in BEARING.touches(*place, indentations)[:2]]
+    normals = [
+        np.array(sp.dense(touch.normal))
+        for touch in BEARING.contact_candidates(*place, indentations)[:2]
+    ]
     if situation == "two opposite points":
         np.testing.assert_allclose(normals[0], -normals[1], atol=1e-12)
     if situation.startswith("line"):
@@ -95,8 +112,10 @@ def test_collar_touches_with_its_lowest_point(seed):
     offset = np.append(rng.uniform(-1, 1, 2) * CLEARANCE, rng.uniform(-2, 2) * 2e-4)
     axis, first, second = tilted(rng.uniform(0.1, 2) * STEEP, rng.uniform(0, 2 * np.pi))
     found = BEARING.indentations(*vectors(offset, axis), {})[2:]
-    touches = BEARING.touches(*vectors(offset, axis), BEARING.indentations(*vectors(offset, axis), {}))[2:]
-    for end, indentation, touch in zip((-1, 1), found, touches, strict=True):
+    contact_candidates = BEARING.contact_candidates(
+        *vectors(offset, axis), BEARING.indentations(*vectors(offset, axis), {})
+    )[2:]
+    for end, indentation, touch in zip((-1, 1), found, contact_candidates, strict=True):
         centre = offset + end * (LENGTH / 2 + 2e-4) * axis
         rim = centre + 14e-3 * (np.cos(AROUND)[:, None] * first + np.sin(AROUND)[:, None] * second)
         nearest = rim[np.argmin(end * rim[:, 2])]
@@ -113,17 +132,30 @@ def test_collars_of_a_centred_journal_leave_their_clearance():
 @pytest.mark.parametrize("seed", range(10))
 def test_guide_stops_the_corners_of_its_slider(seed):
     rng = np.random.default_rng(seed)
-    guide = jc.clearance.SliderGuide(jc.contact.Hertz(), width=20e-3, length=40e-3, clearance=CLEARANCE)
+    guide = jc.clearance.SliderGuide(
+        jc.contact.Hertz(), width=20e-3, length=40e-3, clearance=CLEARANCE
+    )
     angle, offset = rng.normal() * 5e-3, np.append(rng.normal(size=2) * 1e-4, rng.normal())
     across, along = (np.cos(angle), 0.0, -np.sin(angle)), (np.sin(angle), 0.0, np.cos(angle))
-    corners = {(i, j): offset + i * 10e-3 * np.array(across) + j * 20e-3 * np.array(along) for i in (-1, 1) for j in (-1, 1)}
+    corners = {
+        (i, j): offset + i * 10e-3 * np.array(across) + j * 20e-3 * np.array(along)
+        for i in (-1, 1)
+        for j in (-1, 1)
+    }
     axes = tuple(tuple(jnp.asarray(x) for x in axis) for axis in (across, along))
     place = tuple(jnp.asarray(x) for x in offset)
     indentations = guide.indentations(place, axes, {})
-    touches = guide.touches(place, axes, indentations)
-    for (side, _), corner, indentation, touch in zip(corners, corners.values(), indentations, touches, strict=True):
+    contact_candidates = guide.contact_candidates(place, axes, indentations)
+    for (side, _), corner, indentation, touch in zip(
+        corners, corners.values(), indentations, contact_candidates, strict=True
+    ):
         np.testing.assert_allclose(indentation, side * corner[0] - (10e-3 + CLEARANCE), atol=1e-17)
         np.testing.assert_allclose(np.array(sp.dense(touch.place)), corner, rtol=1e-13, atol=1e-17)
     # the slider as a whole reaches as far as its corners
-    edge = np.concatenate([np.linspace(a, b, 101) for a, b in zip(corners.values(), list(corners.values())[1:], strict=False)])
+    edge = np.concatenate(
+        [
+            np.linspace(a, b, 101)
+            for a, b in zip(corners.values(), list(corners.values())[1:], strict=False)
+        ]
+    )
     assert max(indentations) >= np.abs(edge[:, 0]).max() - (10e-3 + CLEARANCE) - 1e-15

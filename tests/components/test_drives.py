@@ -18,13 +18,22 @@ EXAMPLES = {
 }
 
 
-@pytest.mark.parametrize("kind", sorted(members(AbstractDrive), key=lambda kind: kind.__name__), ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "kind",
+    sorted(members(AbstractDrive), key=lambda kind: kind.__name__),
+    ids=lambda kind: kind.__name__,
+)
 def test_speed_and_acceleration_are_derivatives(kind):
-    motion = jax.jit(lambda time: jnp.stack([jnp.asarray(x, float) for x in EXAMPLES[kind.__name__].motion(time)]))
+    motion = jax.jit(
+        lambda time: jnp.stack(
+            [jnp.asarray(x, float) for x in EXAMPLES[kind.__name__].motion(time)]
+        )
+    )
     step = 1e-5
     for time in (0.03, 0.21, 0.39, 0.41, 1.7):
         change = (motion(time + step) - motion(time - step)) / (2 * step)
-        # central differences: step^2/6 times third derivatives of order 100, and rounding over the step
+        # central differences: step^2/6 times third derivatives of order 100, and rounding over the
+        # step
         np.testing.assert_allclose(change[:2], motion(time)[1:], rtol=1e-7, atol=3e-9)
         exact = jax.jvp(motion, (time,), (1.0,))[1]
         np.testing.assert_allclose(exact[:2], motion(time)[1:], rtol=1e-12, atol=1e-12)
@@ -33,7 +42,9 @@ def test_speed_and_acceleration_are_derivatives(kind):
 def test_ramp_joins_smoothly():
     ramp = EXAMPLES["RampUp"]
     for time in (0.0, 0.4):
-        before, after = (np.array(ramp.motion(jnp.asarray(time + shift))) for shift in (-1e-9, 1e-9))
+        before, after = (
+            np.array(ramp.motion(jnp.asarray(time + shift))) for shift in (-1e-9, 1e-9)
+        )
         # position and speed are continuous, the acceleration of a cubic step is zero at either end
         np.testing.assert_allclose(before, after, atol=1e-6)
     np.testing.assert_allclose(ramp.motion(0.4)[0], 0.1 + 5.0 * 0.2, rtol=1e-14)

@@ -1,4 +1,6 @@
-"""Every ideal joint: columns, rates, bias and rows follow from `motion` by differentiation, whichever end the tree starts at."""
+"""Every ideal joint: columns, rates, bias and rows follow from `motion` by differentiation,
+whichever end the tree starts at.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -6,12 +8,12 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.components.fitted import FittedPrismatic, FittedRevolute
 from jaxclear.components.joint import AbstractJoint
+from jaxclear.components.permanent import PermanentPrismatic, PermanentRevolute
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST
-from jaxclear.scene import dynamics, loops
-from jaxclear.scene.system import prepare
+from jaxclear.multibody import dynamics, loops
+from jaxclear.multibody.system import prepare
 
 ALL_ROWS = ("x", "y", "z") + tuple(f"{a}.{b}" for a in "xyz" for b in "xyz")
 
@@ -27,8 +29,8 @@ def members(abstract):
 
 # A joint that always touches has the gap of a clearance joint; its motion does not depend on it.
 GAPS = {
-    FittedRevolute: jc.clearance.JournalBearing(jc.contact.Rigid()),
-    FittedPrismatic: jc.clearance.SliderGuide(jc.contact.Rigid()),
+    PermanentRevolute: jc.clearance.JournalBearing(jc.contact.Rigid()),
+    PermanentPrismatic: jc.clearance.SliderGuide(jc.contact.Rigid()),
 }
 JOINTS = sorted(members(AbstractJoint), key=lambda kind: kind.__name__)
 
@@ -79,7 +81,9 @@ def test_columns_are_the_twist_of_the_motion(kind):
     spin = rotation.T @ turning
     # derivatives are exact: rounding only
     np.testing.assert_allclose(spin, -spin.T, atol=1e-14)
-    expected = jnp.concatenate([rotation.T @ moving, jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])])
+    expected = jnp.concatenate(
+        [rotation.T @ moving, jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])]
+    )
     np.testing.assert_allclose(slide(joint, q, v), expected, atol=1e-14)
 
 
@@ -106,7 +110,9 @@ def test_home_is_the_drawing_and_counts_agree(kind):
 @pytest.mark.parametrize("turned_round", [False, True], ids=["from parent", "from child"])
 @pytest.mark.parametrize("kind", JOINTS, ids=by_name)
 def test_rows_vanish_on_the_joints_own_motion(kind, turned_round):
-    """The same constraint whether the connection is a branch of the tree, started at either end, or closes a loop."""
+    """The same constraint whether the connection is a branch of the tree, started at either end, or
+    closes a loop.
+    """
     rng = np.random.default_rng(3)
     fixed = jc.Marker("ground", (0.1, 0.2, 0.3), quaternion=tuple(rng.normal(size=4)))
     moving = jc.Marker("body", (0.3, 0.1, -0.2), quaternion=tuple(rng.normal(size=4)))
@@ -126,16 +132,27 @@ def test_rows_vanish_on_the_joints_own_motion(kind, turned_round):
 
 
 def test_rows_rates_and_accelerations_are_derivatives():
-    """All rows between two moving bodies, against nested derivatives of the residual along the motion."""
+    """All rows between two moving bodies, against nested derivatives of the residual along the
+    motion.
+    """
     rng = np.random.default_rng(4)
     body = jc.Body(1.0, (1.0, 1.2, 1.3), (0.1, -0.2, 0.05))
-    ends = [jc.Marker(name, tuple(rng.normal(size=3)), quaternion=tuple(rng.normal(size=4))) for name in ("first", "second")]
+    ends = [
+        jc.Marker(name, tuple(rng.normal(size=3)), quaternion=tuple(rng.normal(size=4)))
+        for name in ("first", "second")
+    ]
     rig = jc.Mechanism(
         {"first": body, "second": body},
-        {"A": jc.Connection(jc.joint.Free(), "ground", "first"), "B": jc.Connection(jc.joint.Universal(), "first", "second")},
+        {
+            "A": jc.Connection(jc.joint.Free(), "ground", "first"),
+            "B": jc.Connection(jc.joint.Universal(), "first", "second"),
+        },
     )
     system = prepare(rig)
-    frames = {branch.body: link.frame for branch, link in zip(system.topology.branches, system.links, strict=True)}
+    frames = {
+        branch.body: link.frame
+        for branch, link in zip(system.topology.branches, system.links, strict=True)
+    }
     poses = [frames[end.body].after(end.pose()) for end in ends]
     closure = loops.Closure(*poses, *[system.topology.index(end.body) for end in ends], ALL_ROWS)
     q = jnp.concatenate([coordinates(jc.joint.Free, rng), jnp.asarray(rng.normal(size=2))])
@@ -149,10 +166,14 @@ def test_rows_rates_and_accelerations_are_derivatives():
 
     def rate_of_q(q, v):
         pairs = zip(system.links, split(q, 7), split(v, 6), strict=True)
-        return jnp.concatenate([sp.stack(link.joint.rate(own_q, own_v)) for link, own_q, own_v in pairs])
+        return jnp.concatenate(
+            [sp.stack(link.joint.rate(own_q, own_v)) for link, own_q, own_v in pairs]
+        )
 
     def residual(q):
-        return sp.stack(loops.residuals(ALL_ROWS, dynamics.relative_motion(closure, motions(q, v))[1]))
+        return sp.stack(
+            loops.residuals(ALL_ROWS, dynamics.relative_motion(closure, motions(q, v))[1])
+        )
 
     def residual_rate(q, v):
         return jax.jvp(residual, (q,), (rate_of_q(q, v),))[1]
@@ -168,6 +189,11 @@ def test_rows_rates_and_accelerations_are_derivatives():
     view, pose, _ = dynamics.relative_motion(closure, moved)
     ends = [
         loops.marker_twist(accelerations[link], marker)
-        for link, marker in ((closure.parent_link, closure.parent), (closure.child_link, closure.child))
+        for link, marker in (
+            (closure.parent_link, closure.parent),
+            (closure.child_link, closure.child),
+        )
     ]
-    np.testing.assert_allclose(sp.stack(loops.row_accelerations(ALL_ROWS, pose, view, *ends)), second, atol=1e-12)
+    np.testing.assert_allclose(
+        sp.stack(loops.row_accelerations(ALL_ROWS, pose, view, *ends)), second, atol=1e-12
+    )

@@ -1,4 +1,6 @@
-"""A clearance joint's wrench does exactly the work that its indentations tell, for every joint, worn or not."""
+"""A clearance joint's wrench does exactly the work that its indentations tell, for every joint,
+worn or not.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -7,11 +9,11 @@ import pytest
 from test_ideal_joints import members
 
 import jaxclear as jc
-from jaxclear.components.clearance import AbstractClearance, Pairing
+from jaxclear.components.clearance import AbstractClearance, ContactLaws
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.stiffness import fitted
-from jaxclear.scene.contact_point import PointState, Relative, evaluate
+from jaxclear.multibody.contact_point import PointState, Relative, evaluate
 
 LAW = jc.contact.CarvalhoMartins(1e9, restitution=0.7)
 SLIP = jc.friction.CoulombTanh(0.2, 1e-3)
@@ -22,7 +24,9 @@ def joints(friction):
     collar = jc.clearance.Flange(LAW, friction, clearance=1e-5)
     return {
         "PlanarJournalBearing": jc.clearance.PlanarJournalBearing(LAW, friction, wear=WEAR),
-        "JournalBearing": jc.clearance.JournalBearing(LAW, friction, flange=collar, bearing_wear=WEAR, journal_wear=WEAR),
+        "JournalBearing": jc.clearance.JournalBearing(
+            LAW, friction, flange=collar, bearing_wear=WEAR, journal_wear=WEAR
+        ),
         "BallSocket": jc.clearance.BallSocket(LAW, friction, socket_wear=WEAR),
         "SliderGuide": jc.clearance.SliderGuide(LAW, friction, clearance=1e-6),
     }
@@ -30,15 +34,24 @@ def joints(friction):
 
 def rotation_of(vector):
     angle = jnp.sqrt(vector @ vector + 1e-300)
-    k = jnp.array([[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]]) / angle
+    k = (
+        jnp.array(
+            [[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]]
+        )
+        / angle
+    )
     return jnp.eye(3) + jnp.sin(angle) * k + (1 - jnp.cos(angle)) * k @ k
 
 
 def situation(name, rng):
-    """Place, orientation, velocity and spin of a journal pressed into its bearing, tilted where it may."""
+    """Place, orientation, velocity and spin of a journal pressed into its bearing, tilted where it
+    may.
+    """
     flat = name == "PlanarJournalBearing"
     direction = rng.uniform(0, 2 * np.pi)
-    offset = 1.3e-4 * np.array([np.cos(direction), np.sin(direction), 0.0 if flat else rng.normal()])
+    offset = 1.3e-4 * np.array(
+        [np.cos(direction), np.sin(direction), 0.0 if flat else rng.normal()]
+    )
     lean = np.zeros(3) if flat else np.append(rng.normal(size=2) * 8e-3, rng.normal())
     if name == "SliderGuide":
         lean[[0, 2]] = 0.0
@@ -50,13 +63,29 @@ def situation(name, rng):
 
 def report_of(joint, place, rotation, velocity, spin):
     pose = Pose(tuple(tuple(row) for row in rotation), tuple(place))
-    pairings = tuple(Pairing(fitted(p.contact, p.shape), p.friction, p.shape, p.wears) for p in joint.pairings())
-    memory = tuple(PointState(jnp.asarray(0.05), ()) for _ in pairings)
+    contact_laws = tuple(
+        ContactLaws(fitted(p.contact, p.shape), p.friction, p.shape, p.wears)
+        for p in joint.contact_laws()
+    )
+    memory = tuple(PointState(jnp.asarray(0.05), ()) for _ in contact_laws)
     rng = np.random.default_rng(5)
-    worn = {s: wear_map.reading(jnp.asarray(rng.uniform(0, 2e-6, wear_map.cells))) for s, (wear_map, _) in joint.maps().items()}
-    report = evaluate(joint, pairings, Relative(pose, tuple(velocity), tuple(spin)), memory, worn)
-    points = [(p.indentation, p.rate, p.normal_force, p.slip_speed, p.traction) for p in report.points]
-    return sp.stack(report.force), sp.stack(report.torque), jnp.array(points), report.contact_power, report.friction_loss
+    worn = {
+        s: wear_map.reading(jnp.asarray(rng.uniform(0, 2e-6, wear_map.cells)))
+        for s, (wear_map, _) in joint.maps().items()
+    }
+    report = evaluate(
+        joint, contact_laws, Relative(pose, tuple(velocity), tuple(spin)), memory, worn
+    )
+    points = [
+        (p.indentation, p.rate, p.normal_force, p.slip_speed, p.traction) for p in report.points
+    ]
+    return (
+        sp.stack(report.force),
+        sp.stack(report.torque),
+        jnp.array(points),
+        report.contact_power,
+        report.friction_loss,
+    )
 
 
 def test_every_clearance_joint_is_tested():
@@ -71,7 +100,9 @@ def test_power_of_the_wrench_is_the_power_of_the_contacts(name, friction):
     touched = 0
     for seed in range(12):
         offset, rotation, velocity, spin = situation(name, np.random.default_rng(seed))
-        force, torque, points, contact_power, friction_loss = evaluate_at(offset, rotation, velocity, spin)
+        force, torque, points, contact_power, friction_loss = evaluate_at(
+            offset, rotation, velocity, spin
+        )
         power = force @ velocity + torque @ spin
         size = np.abs(force) @ np.abs(velocity) + np.abs(torque) @ np.abs(spin) + 1e-300
         # rounding of sums of forces whose moments nearly cancel
@@ -80,12 +111,18 @@ def test_power_of_the_wrench_is_the_power_of_the_contacts(name, friction):
         step = 1e-8
 
         def indentations(time):
-            return evaluate_at(offset + time * velocity, rotation_of(time * spin) @ rotation, velocity, spin)[2][:, 0]
+            return evaluate_at(
+                offset + time * velocity, rotation_of(time * spin) @ rotation, velocity, spin
+            )[2][:, 0]
 
         change = (indentations(step) - indentations(-step)) / (2 * step)
         # central difference: rounding of 1e-2 m over the step, 1e-18 / 1e-8, and curvature
         np.testing.assert_allclose(points[:, 1], change, rtol=1e-5, atol=1e-8)
-        np.testing.assert_allclose(contact_power, points[:, 2] @ change, atol=1e-5 * (points[:, 2] @ np.abs(change)) + 1e-12)
+        np.testing.assert_allclose(
+            contact_power,
+            points[:, 2] @ change,
+            atol=1e-5 * (points[:, 2] @ np.abs(change)) + 1e-12,
+        )
         assert np.all((points[:, 2] > 0) <= (points[:, 0] > 0))
         if friction:
             assert np.all(points[:, 4] <= 0.2 * points[:, 2] * (1 + 1e-9))

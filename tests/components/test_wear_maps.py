@@ -1,4 +1,6 @@
-"""Wear maps: volume is conserved, reading is smooth and periodic, and both agree with splines made elsewhere."""
+"""Wear maps: volume is conserved, reading is smooth and periodic, and both agree with splines made
+elsewhere.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -26,12 +28,24 @@ def cylinder_events():
 
 def sphere_events():
     rng = np.random.default_rng(0)
-    corners = [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (-1, 0, 0), (-1, -1e-12, 0), (1e-9, 0, 1), (0, 0, 0), (1e-60, 0, -1)]
+    corners = [
+        (0, 0, 1),
+        (0, 0, -1),
+        (1, 0, 0),
+        (0, -1, 0),
+        (-1, 0, 0),
+        (-1, -1e-12, 0),
+        (1e-9, 0, 1),
+        (0, 0, 0),
+        (1e-60, 0, -1),
+    ]
     return np.array([*corners, *rng.normal(size=(40, 3))], float)
 
 
 @pytest.mark.parametrize(
-    "wear_map, events", [(CYLINDER, cylinder_events()), (SPHERE, sphere_events())], ids=["cylinder", "sphere"]
+    "wear_map, events",
+    [(CYLINDER, cylinder_events()), (SPHERE, sphere_events())],
+    ids=["cylinder", "sphere"],
 )
 def test_volume_is_conserved(wear_map, events):
     for event in events:
@@ -40,7 +54,9 @@ def test_volume_is_conserved(wear_map, events):
         # rounding of a sum over a few cells
         np.testing.assert_allclose(jnp.sum(depth * wear_map.areas()), 1e-12, rtol=1e-13)
     together = wear_map.deposit(jnp.zeros(wear_map.cells), jnp.full(len(events), 1e-12), events)
-    np.testing.assert_allclose(jnp.sum(together * wear_map.areas()), 1e-12 * len(events), rtol=1e-13)
+    np.testing.assert_allclose(
+        jnp.sum(together * wear_map.areas()), 1e-12 * len(events), rtol=1e-13
+    )
 
 
 def test_areas_add_up():
@@ -49,7 +65,9 @@ def test_areas_add_up():
 
 
 @pytest.mark.parametrize(
-    "wear_map, events", [(CYLINDER, cylinder_events()), (SPHERE, sphere_events())], ids=["cylinder", "sphere"]
+    "wear_map, events",
+    [(CYLINDER, cylinder_events()), (SPHERE, sphere_events())],
+    ids=["cylinder", "sphere"],
 )
 def test_deposit_has_finite_derivatives(wear_map, events):
     def lost(volume, event):
@@ -76,7 +94,9 @@ def test_deposit_derivative_is_the_change():
 
 def test_line_contact_wears_towards_the_loaded_end():
     for end, row in ((-1.0, 0), (1.0, -1)):
-        depth = CYLINDER.deposit(jnp.zeros(CYLINDER.cells), jnp.array([1e-12]), jnp.array([[1.0, 0.0, 10e-3, end]]))
+        depth = CYLINDER.deposit(
+            jnp.zeros(CYLINDER.cells), jnp.array([1e-12]), jnp.array([[1.0, 0.0, 10e-3, end]])
+        )
         assert np.argmax(depth.sum(0)) == row % 5
 
 
@@ -111,14 +131,22 @@ def test_reading_is_smooth_and_periodic():
 def test_sphere_reads_what_it_holds():
     even = jnp.full(SPHERE.cells, 3e-7)
     for event in sphere_events():
-        np.testing.assert_allclose(SPHERE.depth_towards(even, *map(jnp.asarray, event)), 3e-7, rtol=1e-13)
+        np.testing.assert_allclose(
+            SPHERE.depth_towards(even, *map(jnp.asarray, event)), 3e-7, rtol=1e-13
+        )
     depth = jnp.asarray(np.random.default_rng(3).uniform(0, 1e-6, SPHERE.cells))
     azimuth, elevation = 1.234, 0.2
-    x, y, z = np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
+    x, y, z = (
+        np.cos(azimuth) * np.cos(elevation),
+        np.sin(azimuth) * np.cos(elevation),
+        np.sin(elevation),
+    )
     around = np.nan_to_num(HUMP((azimuth / (2 * np.pi) * 12 - 0.5 - np.arange(12) + 6) % 12 - 6))
     along = np.nan_to_num(HUMP((elevation / np.pi + 0.5) * 6 - 0.5 - np.arange(6)))
     np.testing.assert_allclose(
-        SPHERE.depth_towards(depth, *map(jnp.asarray, (x, y, z))), around @ np.asarray(depth) @ along, rtol=1e-12
+        SPHERE.depth_towards(depth, *map(jnp.asarray, (x, y, z))),
+        around @ np.asarray(depth) @ along,
+        rtol=1e-12,
     )
 
 

@@ -1,6 +1,8 @@
-"""One small rig for every clearance joint: a heavy body that only the joint holds, and a light one hinged to it.
+"""One small rig for every clearance joint: a heavy body that only the joint holds, and a light one
+hinged to it.
 
-The heavy body floats, so its coordinates are the pose of the journal in the bearing: any situation can be posed exactly.
+The heavy body floats, so its coordinates are the pose of the journal in the bearing: any situation
+can be posed exactly.
 """
 
 from functools import cache
@@ -11,9 +13,9 @@ import numpy as np
 
 import jaxclear as jc
 from jaxclear.laws import conformal
-from jaxclear.scene.state import lay_out
-from jaxclear.scene.system import prepare, readings
-from jaxclear.time.simulate import Field, unworn
+from jaxclear.multibody.state import lay_out
+from jaxclear.multibody.system import prepare, readings
+from jaxclear.simulation.simulate import Field, unworn
 
 RADIUS, LENGTH = 20e-3, 30e-3
 # Parameters of a rig, with a value that nobody would call extreme.
@@ -33,8 +35,12 @@ def _wearing():
 
 def planar(p):
     law = jc.contact.CarvalhoMartins(p["stiffness"], restitution=0.8)
-    friction = jc.friction.ThreeZone(1.5 * p["mu"], p["mu"], p["transition_speed"], 10 * p["transition_speed"])
-    return jc.clearance.PlanarJournalBearing(law, friction, RADIUS, p["clearance"], LENGTH, wear=_wearing())
+    friction = jc.friction.ThreeZone(
+        1.5 * p["mu"], p["mu"], p["transition_speed"], 10 * p["transition_speed"]
+    )
+    return jc.clearance.PlanarJournalBearing(
+        law, friction, RADIUS, p["clearance"], LENGTH, wear=_wearing()
+    )
 
 
 def planar_conformal(p):
@@ -46,7 +52,9 @@ def planar_conformal(p):
 
 def journal(p):
     law = conformal.Johnson(modulus=p["stiffness"], restitution=0.8)
-    friction = jc.friction.Stribeck(1.5 * p["mu"], p["mu"], 10 * p["transition_speed"], p["transition_speed"])
+    friction = jc.friction.Stribeck(
+        1.5 * p["mu"], p["mu"], 10 * p["transition_speed"], p["transition_speed"]
+    )
     return jc.clearance.JournalBearing(law, friction, RADIUS, p["clearance"], LENGTH)
 
 
@@ -54,38 +62,63 @@ def journal_that_wears(p):
     law = jc.contact.Gonthier(p["stiffness"], restitution=0.8)
     friction = jc.friction.Threlfall(p["mu"], p["transition_speed"])
     return jc.clearance.JournalBearing(
-        law, friction, RADIUS, p["clearance"], LENGTH, bearing_wear=_wearing(), journal_wear=_wearing()
+        law,
+        friction,
+        RADIUS,
+        p["clearance"],
+        LENGTH,
+        bearing_wear=_wearing(),
+        journal_wear=_wearing(),
     )
 
 
 def journal_with_collars(p):
     law = jc.contact.Flores(p["stiffness"], restitution=0.8)
-    friction = jc.friction.LuGre(1.5 * p["mu"], p["mu"], 10 * p["transition_speed"], 1e-3 * p["transition_speed"])
-    collar = jc.clearance.Flange(law, jc.friction.CoulombTanh(p["mu"], p["transition_speed"]), 1.4 * RADIUS, p["clearance"])
+    friction = jc.friction.LuGre(
+        1.5 * p["mu"], p["mu"], 10 * p["transition_speed"], 1e-3 * p["transition_speed"]
+    )
+    collar = jc.clearance.Flange(
+        law, jc.friction.CoulombTanh(p["mu"], p["transition_speed"]), 1.4 * RADIUS, p["clearance"]
+    )
     return jc.clearance.JournalBearing(law, friction, RADIUS, p["clearance"], LENGTH, flange=collar)
 
 
 def ball(p):
     law = jc.contact.ModifiedFlores(modulus=p["stiffness"], restitution=0.8)
-    friction = jc.friction.BengisuAkay(1.5 * p["mu"], p["mu"], p["transition_speed"], 1 / p["transition_speed"])
+    friction = jc.friction.BengisuAkay(
+        1.5 * p["mu"], p["mu"], p["transition_speed"], 1 / p["transition_speed"]
+    )
     return jc.clearance.BallSocket(law, friction, RADIUS, p["clearance"], socket_wear=_wearing())
 
 
 def ball_with_bristles(p):
     law = jc.contact.HuntCrossley(p["stiffness"], restitution=0.8)
-    friction = jc.friction.LuGre(1.5 * p["mu"], p["mu"], 10 * p["transition_speed"], 1e-3 * p["transition_speed"])
+    friction = jc.friction.LuGre(
+        1.5 * p["mu"], p["mu"], 10 * p["transition_speed"], 1e-3 * p["transition_speed"]
+    )
     return jc.clearance.BallSocket(law, friction, RADIUS, p["clearance"])
 
 
 def guide(p):
     law = jc.contact.AdamsImpact(p["stiffness"], damping=1e3, full_damping_depth=1e-6)
-    friction = jc.friction.AdamsStep(1.5 * p["mu"], p["mu"], p["transition_speed"], 10 * p["transition_speed"])
+    friction = jc.friction.AdamsStep(
+        1.5 * p["mu"], p["mu"], p["transition_speed"], 10 * p["transition_speed"]
+    )
     return jc.clearance.SliderGuide(law, friction, RADIUS, LENGTH, p["clearance"])
 
 
 JOINTS = {
     joint.__name__: joint
-    for joint in (planar, planar_conformal, journal, journal_that_wears, journal_with_collars, ball, ball_with_bristles, guide)
+    for joint in (
+        planar,
+        planar_conformal,
+        journal,
+        journal_that_wears,
+        journal_with_collars,
+        ball,
+        ball_with_bristles,
+        guide,
+    )
 }
 
 
@@ -95,20 +128,32 @@ def build(kind, p):
     light = p["light_mass"]
     bodies = {
         "heavy": jc.Body(1.0, 1e-3 if flat else (1e-3, 2e-3, 1.5e-3)),
-        "light": jc.Body(light, light * 1e-3 if flat else tuple(light * x for x in (1e-3, 2e-3, 1.5e-3)), com=(0.1, 0.02)),
+        "light": jc.Body(
+            light,
+            light * 1e-3 if flat else tuple(light * x for x in (1e-3, 2e-3, 1.5e-3)),
+            com=(0.1, 0.02),
+        ),
     }
     place = (0.05, 0.0) if flat else (0.05, 0.0, 0.01)
     connections = {
         "B": jc.Connection(JOINTS[kind](p), "ground", "heavy"),
         "hinge": jc.Connection(jc.joint.Revolute(), "heavy", "light", at=place),
     }
-    return jc.Mechanism(bodies, connections, {"gravity": jc.load.Gravity((0.0, -9.81) if flat else (1.0, -9.81, 0.3))})
+    return jc.Mechanism(
+        bodies,
+        connections,
+        {"gravity": jc.load.Gravity((0.0, -9.81) if flat else (1.0, -9.81, 0.3))},
+    )
 
 
 def pattern(shape):
     """A worn surface with no symmetry, between 0 and 1."""
     i, j = np.indices(shape)
-    return 0.5 + 0.3 * np.sin(1.0 + 2 * np.pi * i / shape[0]) + 0.2 * np.cos(2.0 + 3.0 * j + 4 * np.pi * i / shape[0])
+    return (
+        0.5
+        + 0.3 * np.sin(1.0 + 2 * np.pi * i / shape[0])
+        + 0.2 * np.cos(2.0 + 3.0 * j + 4 * np.pi * i / shape[0])
+    )
 
 
 @cache
@@ -125,11 +170,21 @@ def rate(kind, p, state):
 
 
 def pose(kind, *, eccentricity, direction, height, tilt, tilt_direction, turn):
-    """Coordinates of the heavy body: offset of length `eccentricity` in the bearing's plane, axis tilted by `tilt`."""
+    """Coordinates of the heavy body: offset of length `eccentricity` in the bearing's plane, axis
+    tilted by `tilt`.
+    """
     x, y = eccentricity * np.cos(direction), eccentricity * np.sin(direction)
     if kind.startswith("planar"):
         return [x, y, turn]
     half = np.array([np.cos(tilt_direction), np.sin(tilt_direction), 0.0]) * np.sin(tilt / 2)
     a, b = np.cos(turn / 2), np.sin(turn / 2)
     w, v = np.cos(tilt / 2), half
-    return [x, y, height, w * a - v[2] * b, v[0] * a + v[1] * b, v[1] * a - v[0] * b, v[2] * a + w * b]
+    return [
+        x,
+        y,
+        height,
+        w * a - v[2] * b,
+        v[0] * a + v[1] * b,
+        v[1] * a - v[0] * b,
+        v[2] * a + w * b,
+    ]

@@ -1,4 +1,6 @@
-"""Value and derivatives of the state's rate are finite wherever a mechanism can get, for every clearance joint."""
+"""Value and derivatives of the state's rate are finite wherever a mechanism can get, for every
+clearance joint.
+"""
 
 from functools import cache
 
@@ -11,7 +13,8 @@ from extreme_rigs import JOINTS, USUAL, layout, pose, rate
 from hypothesis import example, given, settings
 from jax.flatten_util import ravel_pytree
 
-# The older emitters of XLA for CPUs compile a reverse derivative of scalar code up to seven times faster (measured).
+# The older emitters of XLA for CPUs compile a reverse derivative of scalar code up to seven times
+# faster (measured).
 QUICK_COMPILATION = {"xla_cpu_use_fusion_emitters": False}
 
 
@@ -31,9 +34,13 @@ PARAMETERS = st.fixed_dictionaries(
 )
 ANGLES = st.one_of(st.sampled_from([0.0, np.pi / 2, np.pi, -np.pi / 2]), st.floats(-np.pi, np.pi))
 SPEEDS = st.one_of(st.just(0.0), decades(-6, 3), decades(-6, 3).map(lambda x: -x))
-# Share of the clearance: concentric, all but concentric, open, exact touch and its neighbours, pressed.
+# Share of the clearance: concentric, all but concentric, open, exact touch and its neighbours,
+# pressed.
 SHARES = st.one_of(
-    st.sampled_from([0.0, 1e-300, 1e-160, 1e-100, 1e-12, 0.5, 1.0 - 1e-15, 1.0, 1.0 + 1e-15, 1.0 + 1e-6, 1.5]), st.floats(0, 2)
+    st.sampled_from(
+        [0.0, 1e-300, 1e-160, 1e-100, 1e-12, 0.5, 1.0 - 1e-15, 1.0, 1.0 + 1e-15, 1.0 + 1e-6, 1.5]
+    ),
+    st.floats(0, 2),
 )
 SITUATIONS = st.fixed_dictionaries(
     {
@@ -63,14 +70,21 @@ AT_REST = {
 
 def state_of(kind, p, situation):
     where = {name: situation[name] for name in ("direction", "tilt", "tilt_direction", "turn")}
-    heavy = pose(kind, eccentricity=situation["share"] * p["clearance"], height=situation["height"] * p["clearance"], **where)
+    heavy = pose(
+        kind,
+        eccentricity=situation["share"] * p["clearance"],
+        height=situation["height"] * p["clearance"],
+        **where,
+    )
     plan = layout(kind)
     speeds = np.array(situation["speeds"])[: plan.speeds]
     # metres a second beside radians a second: at the journal's surface both mean about the same
     linear = plan.speeds - 1 - (1 if kind.startswith("planar") else 3)
     speeds[:linear] *= 1e-2
     rest = np.zeros(plan.size - plan.memory_start)
-    memories = sum(remembers + bristles for _, kinds in plan.memories for remembers, bristles in kinds)
+    memories = sum(
+        remembers + bristles for _, kinds in plan.memories for remembers, bristles in kinds
+    )
     rest[:memories] = situation["memory"]
     return np.concatenate([heavy, [situation["hinge"]], speeds, rest])
 
@@ -85,7 +99,10 @@ def compiled(kind):
 
         inputs, restore = ravel_pytree((p, state))
         # one direction at a time: a batch of directions takes twenty times as long to compile
-        forward = jax.lax.map(lambda e: jax.jvp(lambda x: function(*restore(x)), (inputs,), (e,))[1], jnp.eye(inputs.size))
+        forward = jax.lax.map(
+            lambda e: jax.jvp(lambda x: function(*restore(x)), (inputs,), (e,))[1],
+            jnp.eye(inputs.size),
+        )
         value, pull = jax.vjp(function, p, state)
         # unequal weights: what is not a number in one row cannot cancel in the sum over rows
         return value, forward, pull(1.0 + jnp.arange(value.shape[0]))
@@ -98,11 +115,14 @@ def assert_finite(tree, words):
         assert np.all(np.isfinite(leaf)), f"{words}{jax.tree_util.keystr(path)}: {leaf}"
 
 
-# Second derivatives take long to compile: joints whose parts others have as well go with the long tests.
+# Second derivatives take long to compile: joints whose parts others have as well go with the long
+# tests.
 LONG = {"journal", "journal_that_wears", "journal_with_collars", "ball", "ball_with_bristles"}
 
 
-@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) if k in LONG else k for k in JOINTS])
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=pytest.mark.slow) if k in LONG else k for k in JOINTS]
+)
 def test_rate_and_derivatives_are_finite(kind):
     evaluate = compiled(kind)
 
@@ -112,7 +132,10 @@ def test_rate_and_derivatives_are_finite(kind):
     @example(USUAL, AT_REST | {"share": 1.0})
     @example(USUAL, AT_REST | {"share": 1.1})
     @example(USUAL, AT_REST | {"share": 1.1, "tilt": 1e-2})
-    @example(USUAL | {"clearance": 1e-9, "stiffness": 1e13}, AT_REST | {"share": 2.0, "speeds": [1e3] * 7})
+    @example(
+        USUAL | {"clearance": 1e-9, "stiffness": 1e13},
+        AT_REST | {"share": 2.0, "speeds": [1e3] * 7},
+    )
     @given(PARAMETERS, SITUATIONS)
     def check(p, situation):
         value, forward, backward = evaluate(p, state_of(kind, p, situation))

@@ -1,4 +1,6 @@
-"""A run either reaches its end with a finite state or says in a sentence why not; it never hands back what is no number."""
+"""A run either reaches its end with a finite state or says in a sentence why not; it never hands
+back what is no number.
+"""
 
 import os
 
@@ -11,9 +13,9 @@ from extreme_rigs import JOINTS, USUAL, build
 from hypothesis import example, given, settings
 
 import jaxclear as jc
-from jaxclear.scene.initial import assemble_arrays
-from jaxclear.time.integrator import OUTCOMES, TOO_MANY
-from jaxclear.time.simulate import run
+from jaxclear.integrators import OUTCOMES, TOO_MANY
+from jaxclear.multibody.assembly import assemble_arrays
+from jaxclear.simulation.simulate import run
 
 CORNERS = st.fixed_dictionaries(
     {
@@ -26,10 +28,14 @@ CORNERS = st.fixed_dictionaries(
     }
 )
 SPEEDS = st.sampled_from([0.0, 1e-6, 1.0, 1e3])
-# XLA of jaxlib 0.10.2 aborts the process (symbolic_map.cc:196) when it compiles the derivative of this run with the
-# multi-output fusion that jaxclear/__init__.py switches on; JAXCLEAR_PLAIN_XLA=1 compiles it, and it is finite.
+# XLA of jaxlib 0.10.2 aborts the process (symbolic_map.cc:196) when it compiles the derivative of
+# this run with the multi-output fusion that jaxclear/__init__.py switches on; JAXCLEAR_PLAIN_XLA=1
+# compiles it, and it is finite.
 ABORTS = "xla_cpu_use_multi_output_fusion" in os.environ.get("XLA_FLAGS", "")
-INTEGRATORS = {"adaptive": jc.integrator.Adaptive(most_steps=300), "fixed": jc.integrator.FixedStep(step=1e-6)}
+INTEGRATORS = {
+    "adaptive": jc.integrator.Adaptive(most_steps=300),
+    "fixed": jc.integrator.FixedStep(step=1e-6),
+}
 
 
 def compiled(kind, integrator):
@@ -44,14 +50,17 @@ def compiled(kind, integrator):
 
 
 @pytest.mark.parametrize(
-    ("kind", "integrator"), [*((kind, "adaptive") for kind in JOINTS), ("planar", "fixed"), ("ball", "fixed")]
+    ("kind", "integrator"),
+    [*((kind, "adaptive") for kind in JOINTS), ("planar", "fixed"), ("ball", "fixed")],
 )
 def test_run_ends_or_says_why(kind, integrator):
     evaluate = compiled(kind, INTEGRATORS[integrator])
 
     @settings(max_examples=25, deadline=None, derandomize=True)
     @example(USUAL, 0.0)
-    @example(USUAL | {"clearance": 1e-9, "stiffness": 1e13, "mu": 2.0, "transition_speed": 1e-9}, 1e3)
+    @example(
+        USUAL | {"clearance": 1e-9, "stiffness": 1e13, "mu": 2.0, "transition_speed": 1e-9}, 1e3
+    )
     @given(CORNERS, SPEEDS)
     def check(p, speed):
         states, worn, outcome, ended = evaluate(p, speed)
@@ -63,14 +72,18 @@ def test_run_ends_or_says_why(kind, integrator):
     check()
 
 
-@pytest.mark.skipif(ABORTS, reason="XLA's multi-output fusion aborts the process on this derivative")
+@pytest.mark.skipif(
+    ABORTS, reason="XLA's multi-output fusion aborts the process on this derivative"
+)
 @pytest.mark.parametrize("kind", ["planar", pytest.param("ball", marks=pytest.mark.slow)])
 def test_derivative_of_a_run_from_concentric_rest_is_finite(kind):
     def final(p):
         mechanism = build(kind, p)
         start = assemble_arrays(mechanism)
         times = jnp.linspace(0.0, 1e-4, 3)
-        return run(mechanism, start.coordinates, start.speeds, times, jc.integrator.FixedStep(step=1e-5)).states[-1]
+        return run(
+            mechanism, start.coordinates, start.speeds, times, jc.integrator.FixedStep(step=1e-5)
+        ).states[-1]
 
     slope = jax.jit(lambda p: jax.jvp(final, (p,), (jax.tree.map(jnp.ones_like, p),))[1])
     assert np.all(np.isfinite(slope(jax.tree.map(jnp.asarray, USUAL))))
@@ -95,14 +108,18 @@ def test_force_that_is_no_number_ends_the_run():
 
 
 class Unsound(jc.wear.AbstractWearLaw):
-    """A wear law that loses its number: worn volumes are not held to a tolerance, so no step is refused."""
+    """A wear law that loses its number: worn volumes are not held to a tolerance, so no step is
+    refused.
+    """
 
     def volume_rate(self, normal_force, slip_speed, traction):
         return jnp.nan * slip_speed
 
 
 def test_quantity_without_tolerance_that_is_no_number_ends_the_run():
-    joint = jc.clearance.PlanarJournalBearing(jc.contact.Hertz(1e9), wear=jc.Wearing(Unsound(), cells=(8, 1)))
+    joint = jc.clearance.PlanarJournalBearing(
+        jc.contact.Hertz(1e9), wear=jc.Wearing(Unsound(), cells=(8, 1))
+    )
     rig = jc.Mechanism({"ring": jc.Body(1.0, 1e-3)}, {"B": jc.Connection(joint, "ground", "ring")})
     end = jc.simulate(rig, 1e-3, save=3, throw=False)
     assert end.result.endswith("The state became infinite or not a number.")
@@ -110,13 +127,17 @@ def test_quantity_without_tolerance_that_is_no_number_ends_the_run():
 
 def test_too_few_steps_end_the_run():
     few = jc.integrator.Adaptive(most_steps=3)
-    end = jc.simulate(pendulum(lambda time: jnp.sin(1e3 * time)), 1.0, integrator=few, save=3, throw=False)
+    end = jc.simulate(
+        pendulum(lambda time: jnp.sin(1e3 * time)), 1.0, integrator=few, save=3, throw=False
+    )
     assert int(end.outcome) == TOO_MANY and OUTCOMES[TOO_MANY] in end.result
 
 
 def test_mechanism_without_freedom_runs():
     driven = jc.joint.Revolute(drive=jc.drive.ConstantSpeed(3.0))
-    rig = jc.Mechanism({"arm": jc.Body(1.0, 0.1)}, {"pin": jc.Connection(driven, "ground", "arm", at=(0.1, 0.0))})
+    rig = jc.Mechanism(
+        {"arm": jc.Body(1.0, 0.1)}, {"pin": jc.Connection(driven, "ground", "arm", at=(0.1, 0.0))}
+    )
     end = jc.simulate(rig, 0.1, save=3)
     assert end.states.shape == (3, 0) and end.succeeded
     # rounding of one rotation

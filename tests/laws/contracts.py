@@ -1,7 +1,8 @@
-"""What every law must satisfy, as functions that raise AssertionError: hand them an instance of your own law.
+"""What every law must satisfy, as functions that raise AssertionError: hand them an instance of
+your own law.
 
-`contact_contract(law)`, `friction_contract(law)`, `wear_contract(law)`; the checks one by one are in CONTACT_CHECKS,
-SLIP_CHECKS, BRISTLE_CHECKS and WEAR_CHECKS.
+`contact_contract(law)`, `friction_contract(law)`, `wear_contract(law)`; the checks one by one are
+in CONTACT_CHECKS, SLIP_CHECKS, BRISTLE_CHECKS and WEAR_CHECKS.
 """
 
 import dataclasses
@@ -16,7 +17,8 @@ from scipy.integrate import solve_ivp
 from jaxclear.laws.friction import AbstractBristleFriction, AbstractSetValuedFriction
 from jaxclear.laws.stiffness import fitted
 
-# Published dampings are first-order in 1 - e; the coarsest member (Lankarani-Nikravesh) is 0.013 off at e = 0.9.
+# Published dampings are first-order in 1 - e; the coarsest member (Lankarani-Nikravesh) is 0.013
+# off at e = 0.9.
 RESTITUTION_SLACK = 4e-3
 
 # ---- contact ----
@@ -27,11 +29,17 @@ def normal_force(law, indentation, rate, impact_speed):
 
 
 def contact_is_zero_when_open(law):
-    assert np.all(evaluate(law.normal_force, grid([0, -1e-300, -1e-9, -1e-3, -1], [-10, 0, 10], [0, 0.1])) == 0)
+    assert np.all(
+        evaluate(law.normal_force, grid([0, -1e-300, -1e-9, -1e-3, -1], [-10, 0, 10], [0, 0.1]))
+        == 0
+    )
 
 
 def contact_never_pulls(law):
-    force = evaluate(law.normal_force, grid(np.logspace(-14, -3, 23), [-1e2, -1, -1e-3, 0, 1e-3, 1, 1e2], [0, 1e-3, 1]))
+    force = evaluate(
+        law.normal_force,
+        grid(np.logspace(-14, -3, 23), [-1e2, -1, -1e-3, 0, 1e-3, 1, 1e2], [0, 1e-3, 1]),
+    )
     assert np.all(np.isfinite(force)) and np.all(force >= 0)
     assert np.all(evaluate(law.normal_force, grid([1e-9, 1e-6, 1e-4], [0, 1e-3], [0.1])) > 0)
 
@@ -50,7 +58,9 @@ def contact_stiffness_is_the_slope(law):
     depths = jnp.asarray([1e-8, 1e-6, 3e-5])
     step = 1e-5 * depths
     slope = evaluate(jax.grad(law.elastic_force), depths[:, None])
-    above, below = (evaluate(law.elastic_force, (depths + sign * step)[:, None]) for sign in (1, -1))
+    above, below = (
+        evaluate(law.elastic_force, (depths + sign * step)[:, None]) for sign in (1, -1)
+    )
     difference = (above - below) / (2 * step)
     # second differences of step 1e-5 on forces rounded to 1e-16
     np.testing.assert_allclose(slope, difference, rtol=1e-8)
@@ -59,27 +69,41 @@ def contact_stiffness_is_the_slope(law):
 
 def contact_elastic_part_is_the_force_at_rest(law):
     for depth in (-1e-6, 0.0, 1e-9, 1e-5, 1e-3):
-        np.testing.assert_allclose(law.elastic_force(depth), law.normal_force(depth, 0.0, 0.1), rtol=1e-14)
+        np.testing.assert_allclose(
+            law.elastic_force(depth), law.normal_force(depth, 0.0, 0.1), rtol=1e-14
+        )
 
 
 def contact_dissipates_over_a_cycle(law):
-    """Closed paths in the indentation, some leaving contact: the work done on the contact is never negative."""
+    """Closed paths in the indentation, some leaving contact: the work done on the contact is never
+    negative.
+    """
     phase = np.linspace(0, 2 * np.pi, 4001)
     for deepest in (1e-7, 1e-5, 2e-4):
         for speed in (1e-3, 0.1, 1.0):
             for depth, slope in (
                 (0.5 - 0.5 * np.cos(phase), 0.5 * np.sin(phase)),
-                (0.4 + 0.3 * np.sin(phase) + 0.5 * np.sin(3 * phase + 1), 0.3 * np.cos(phase) + 1.5 * np.cos(3 * phase + 1)),
+                (
+                    0.4 + 0.3 * np.sin(phase) + 0.5 * np.sin(3 * phase + 1),
+                    0.3 * np.cos(phase) + 1.5 * np.cos(3 * phase + 1),
+                ),
             ):
                 rows = np.stack([deepest * depth, speed * slope, np.full_like(phase, speed)], 1)
                 force = evaluate(law.normal_force, rows)
                 work = np.trapezoid(force * slope, phase)
-                # trapezoidal sum of a function with corners at touch: relative error of the order of the step squared
-                assert work >= -1e-4 * np.trapezoid(force * np.abs(slope), phase), (deepest, speed, work)
+                # trapezoidal sum of a function with corners at touch: relative error of the order
+                # of the step squared
+                assert work >= -1e-4 * np.trapezoid(force * np.abs(slope), phase), (
+                    deepest,
+                    speed,
+                    work,
+                )
 
 
 def rebound(law, speed=0.1, mass=1.0):
-    """Speed ratio after one impact of a free mass, integrated by scipy's DOP853, independently of JAX's solvers."""
+    """Speed ratio after one impact of a free mass, integrated by scipy's DOP853, independently of
+    JAX's solvers.
+    """
     force = jax.jit(lambda depth, rate: law.normal_force(depth, rate, jnp.asarray(speed)))
 
     def right_hand_side(_, state):
@@ -89,7 +113,16 @@ def rebound(law, speed=0.1, mass=1.0):
         return state[0]
 
     leaves.terminal, leaves.direction = True, -1
-    path = solve_ivp(right_hand_side, (0, 10.0), [0.0, speed], "DOP853", first_step=1e-9, rtol=1e-8, atol=1e-15, events=leaves)
+    path = solve_ivp(
+        right_hand_side,
+        (0, 10.0),
+        [0.0, speed],
+        "DOP853",
+        first_step=1e-9,
+        rtol=1e-8,
+        atol=1e-15,
+        events=leaves,
+    )
     return -path.y_events[0][0][1] / speed
 
 
@@ -97,10 +130,14 @@ def contact_recovers_restitution(law):
     if getattr(law, "restitution", None) is None:
         return
     nominal = 0.9
-    error = abs(rebound(eqx.tree_at(lambda law: law.restitution, law, jnp.asarray(nominal))) - nominal)
+    error = abs(
+        rebound(eqx.tree_at(lambda law: law.restitution, law, jnp.asarray(nominal))) - nominal
+    )
     assert error <= (1 - nominal) ** 2 + RESTITUTION_SLACK, error
     elastic = eqx.tree_at(lambda law: law.restitution, law, jnp.asarray(1.0))
-    np.testing.assert_allclose(elastic.normal_force(1e-6, 0.1, 0.1), elastic.elastic_force(1e-6), rtol=1e-12)
+    np.testing.assert_allclose(
+        elastic.normal_force(1e-6, 0.1, 0.1), elastic.elastic_force(1e-6), rtol=1e-12
+    )
 
 
 def contact_is_unit_free(law):
@@ -122,7 +159,9 @@ CONTACT_CHECKS = (
 
 
 def contact_contract(law):
-    """Zero when open, never pulls, continuous, differentiable, dissipative, restitution recovered, free of units."""
+    """Zero when open, never pulls, continuous, differentiable, dissipative, restitution recovered,
+    free of units.
+    """
     for check in CONTACT_CHECKS:
         check(fitted(law, shape()))
 
@@ -131,7 +170,11 @@ def contact_contract(law):
 
 
 def largest_coefficient(law):
-    return max(float(getattr(law, name)) for name in ("mu_static", "mu_kinetic") if getattr(law, name, None) is not None)
+    return max(
+        float(getattr(law, name))
+        for name in ("mu_static", "mu_kinetic")
+        if getattr(law, name, None) is not None
+    )
 
 
 def speeds_of(law):
@@ -161,7 +204,9 @@ def slip_is_continuous(law):
     for speed in (*speeds_of(law), 0.0, 1.0):
         near = np.array([speed * (1 - 1e-9), speed, speed * (1 + 1e-9) + 1e-16])
         # twice the largest slope that a piece over its own transition speed can have
-        assert np.ptp(evaluate(law.coefficient, near[:, None])) <= 1e-7 * largest_coefficient(law), speed
+        assert np.ptp(evaluate(law.coefficient, near[:, None])) <= 1e-7 * largest_coefficient(
+            law
+        ), speed
 
 
 def slip_has_finite_derivatives(law):
@@ -171,7 +216,9 @@ def slip_has_finite_derivatives(law):
 
 def slip_slope_at_rest_is_finite(law):
     step = 1e-6 * min(speeds_of(law))
-    np.testing.assert_allclose(float(law.coefficient(jnp.asarray(step))) / step, jax.grad(law.coefficient)(0.0), rtol=1e-4)
+    np.testing.assert_allclose(
+        float(law.coefficient(jnp.asarray(step))) / step, jax.grad(law.coefficient)(0.0), rtol=1e-4
+    )
 
 
 def slip_is_unit_free(law):
@@ -194,7 +241,9 @@ def bristle_force(law, deflection, slip):
 
 
 def slide(law, slip, step):
-    """Coefficient at the start of each Runge-Kutta step under a prescribed slip (sampled at half steps), from rest."""
+    """Coefficient at the start of each Runge-Kutta step under a prescribed slip (sampled at half
+    steps), from rest.
+    """
 
     def rate(deflection, slip):
         return law.deflection_rate(deflection, slip, jnp.abs(slip))
@@ -218,14 +267,19 @@ def bristle_never_gives_energy_and_is_bounded(law):
     rng = np.random.default_rng(0)
     for amplitude in (1e-4, 1e-2, 1.0):
         time = np.arange(8001) / 2
-        waves = [rng.normal() * np.sin(rng.uniform(1e-3, 3e-2) * time + rng.uniform(0, 6)) for _ in range(4)]
+        waves = [
+            rng.normal() * np.sin(rng.uniform(1e-3, 3e-2) * time + rng.uniform(0, 6))
+            for _ in range(4)
+        ]
         slip, step = amplitude * sum(waves), 1e-7 / amplitude
         coefficient = slide(law, jnp.asarray(slip), step)
         work = np.cumsum(coefficient * slip[:-2:2])
         # quadrature and Runge-Kutta error of steps of a tenth of the yield deflection
         assert np.all(work >= -1e-3 * np.abs(coefficient * slip[:-2:2]).sum())
         viscous = getattr(law, "viscous", None)
-        bound = 10 * largest_coefficient(law) + (0 if viscous is None else float(viscous) * np.abs(slip).max())
+        bound = 10 * largest_coefficient(law) + (
+            0 if viscous is None else float(viscous) * np.abs(slip).max()
+        )
         assert np.all(np.abs(coefficient) <= bound)
 
 
@@ -234,7 +288,9 @@ def bristle_opposes_steady_sliding(law):
         final = slide(law, jnp.full(4001, speed), 1e-7 / abs(speed))[-1]
         viscous = getattr(law, "viscous", None)
         assert final * speed > 0
-        assert abs(final) <= largest_coefficient(law) * (1 + 1e-6) + (0 if viscous is None else float(viscous) * abs(speed))
+        assert abs(final) <= largest_coefficient(law) * (1 + 1e-6) + (
+            0 if viscous is None else float(viscous) * abs(speed)
+        )
 
 
 def bristle_has_finite_derivatives(law):
@@ -245,7 +301,9 @@ def bristle_has_finite_derivatives(law):
         return law.coefficient(deflection, deflection_rate, slip)
 
     assert_finite_derivatives(rate, law, grid([0, 1e-6, -1e-9], [-1, 0, 1e-9, 1], [0, 1, 10]))
-    assert_finite_derivatives(coefficient, law, grid([0, 1e-6, -1e-9], [-1, 0, 1], [-10, 0, 1e-9, 1]))
+    assert_finite_derivatives(
+        coefficient, law, grid([0, 1e-6, -1e-9], [-1, 0, 1], [-10, 0, 1e-9, 1])
+    )
 
 
 def bristle_is_unit_free(law):
@@ -263,7 +321,9 @@ BRISTLE_CHECKS = (
 
 
 def friction_contract(law):
-    """Zero at rest, opposing, bounded, continuous, differentiable, free of units; a set-valued law only declares itself."""
+    """Zero at rest, opposing, bounded, continuous, differentiable, free of units; a set-valued law
+    only declares itself.
+    """
     if isinstance(law, AbstractSetValuedFriction):
         assert largest_coefficient(law) >= 0
         return
@@ -279,7 +339,9 @@ def volume_rate(law, normal_force, slip_speed, traction):
 
 
 def wear_needs_load_and_sliding(law):
-    assert np.all(evaluate(law.volume_rate, [[0.0, 1.0, 0.0], [100.0, 0.0, 10.0], [0.0, 0.0, 0.0]]) == 0)
+    assert np.all(
+        evaluate(law.volume_rate, [[0.0, 1.0, 0.0], [100.0, 0.0, 10.0], [0.0, 0.0, 0.0]]) == 0
+    )
     assert float(law.volume_rate(100.0, 0.1, 10.0)) > 0
 
 
@@ -307,6 +369,8 @@ WEAR_CHECKS = (
 
 
 def wear_contract(law):
-    """No load or no sliding, no wear; never negative, growing with load and speed, differentiable, free of units."""
+    """No load or no sliding, no wear; never negative, growing with load and speed, differentiable,
+    free of units.
+    """
     for check in WEAR_CHECKS:
         check(law)

@@ -1,4 +1,6 @@
-"""Finding every law of a family, building it, and the two checks that all families share: derivatives and units."""
+"""Finding every law of a family, building it, and the two checks that all families share:
+derivatives and units.
+"""
 
 import dataclasses
 import re
@@ -22,7 +24,9 @@ def shape():
 
 
 def members(abstract):
-    """Every concrete class of the package below `abstract`, in order of name; other tests' own laws are theirs to check."""
+    """Every concrete class of the package below `abstract`, in order of name; other tests' own laws
+    are theirs to check.
+    """
     found = set()
     for child in abstract.__subclasses__():
         found |= set(members(child))
@@ -41,23 +45,35 @@ def variants(law):
 
 def family(abstract):
     """(identifier, law) of every variant of every member, as pytest likes them."""
-    return [(f"{cls.__name__}-{index}", law) for cls in members(abstract) for index, law in enumerate(variants(cls))]
+    return [
+        (f"{cls.__name__}-{index}", law)
+        for cls in members(abstract)
+        for index, law in enumerate(variants(cls))
+    ]
 
 
 def assert_finite(tree, what):
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
-        assert np.all(np.isfinite(leaf)), f"{what}: not finite at {jax.tree_util.keystr(path)}: {leaf}"
+        assert np.all(np.isfinite(leaf)), (
+            f"{what}: not finite at {jax.tree_util.keystr(path)}: {leaf}"
+        )
 
 
 def assert_finite_derivatives(function, law, arguments):
-    """Value, grad, jvp and vmap of grad, by the arguments and by every parameter of the law, at rows of arguments."""
+    """Value, grad, jvp and vmap of grad, by the arguments and by every parameter of the law, at
+    rows of arguments.
+    """
 
     def value(law, row):
         return function(law, *row)
 
     def everything(row):
         tangent = (jax.tree.map(jnp.ones_like, law), jnp.ones_like(row))
-        return value(law, row), jax.grad(value, argnums=(0, 1))(law, row), jax.jvp(value, (law, row), tangent)[1]
+        return (
+            value(law, row),
+            jax.grad(value, argnums=(0, 1))(law, row),
+            jax.jvp(value, (law, row), tangent)[1],
+        )
 
     rows = jnp.asarray(np.array(arguments, dtype=float))
     results = jax.jit(jax.vmap(everything))(rows)
@@ -65,14 +81,22 @@ def assert_finite_derivatives(function, law, arguments):
     single = jax.jit(everything)(rows[0])
     for one, all_ in zip(jax.tree.leaves(single), jax.tree.leaves(results), strict=False):
         np.testing.assert_allclose(one, all_[0], rtol=1e-12, atol=1e-300)
-    pulled = sum(jnp.sum(leaf, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(results[1]))
-    # forward and reverse mode are the same sum in another order; terms of either sign cancel to rounding
-    size = sum(jnp.sum(jnp.abs(leaf), axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(results[1]))
+    pulled = sum(
+        jnp.sum(leaf, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(results[1])
+    )
+    # forward and reverse mode are the same sum in another order; terms of either sign cancel to
+    # rounding
+    size = sum(
+        jnp.sum(jnp.abs(leaf), axis=tuple(range(1, leaf.ndim)))
+        for leaf in jax.tree.leaves(results[1])
+    )
     assert np.all(np.abs(pulled - results[2]) <= 1e-12 * size + 1e-300)
 
 
 def unit_factor(unit, exponents):
-    """By how much a number of this unit grows in the new base units; field names stand for exponents."""
+    """By how much a number of this unit grows in the new base units; field names stand for
+    exponents.
+    """
     for name, exponent in exponents.items():
         unit = re.sub(rf"\b{name}\b", str(exponent), unit)
     dimensions = UNITS.Quantity(1.0, "" if unit == "1" else unit).dimensionality
@@ -81,7 +105,11 @@ def unit_factor(unit, exponents):
 
 def in_new_units(law):
     """The same law with every number converted by the unit of its field."""
-    fields = {field.name: field for field in dataclasses.fields(law) if not field.metadata.get("static", False)}
+    fields = {
+        field.name: field
+        for field in dataclasses.fields(law)
+        if not field.metadata.get("static", False)
+    }
     exponents = {"exponent": 1.5 if getattr(law, "exponent", None) is None else float(law.exponent)}
     values = {
         name: getattr(law, name) * unit_factor(field.metadata["unit"], exponents)
@@ -94,18 +122,24 @@ def in_new_units(law):
 def assert_unit_free(law, function, arguments, units, result_unit):
     converted = in_new_units(law)
     for row in arguments:
-        scaled = [jnp.asarray(x * unit_factor(unit, {})) for x, unit in zip(row, units, strict=False)]
+        scaled = [
+            jnp.asarray(x * unit_factor(unit, {})) for x, unit in zip(row, units, strict=False)
+        ]
         expected = function(law, *map(jnp.asarray, row)) * unit_factor(result_unit, {})
         # rounding of the unit factors, amplified by logarithms and powers
         np.testing.assert_allclose(function(converted, *scaled), expected, rtol=1e-11)
 
 
 def grid(*axes):
-    return np.stack([axis.ravel() for axis in np.meshgrid(*map(np.asarray, axes), indexing="ij")], axis=-1).astype(float)
+    return np.stack(
+        [axis.ravel() for axis in np.meshgrid(*map(np.asarray, axes), indexing="ij")], axis=-1
+    ).astype(float)
 
 
 def evaluate(function, rows):
-    """The function at every row of arguments; a method of a law is compiled once per class, not once per call."""
+    """The function at every row of arguments; a method of a law is compiled once per class, not
+    once per call.
+    """
     return np.asarray(_mapped(function, jnp.asarray(rows)))
 
 

@@ -1,4 +1,6 @@
-"""The cylinder laws against DyS's table, against their own published equations, and in their derivatives."""
+"""The cylinder laws against DyS's table, against their own published equations, and in their
+derivatives.
+"""
 
 import json
 from pathlib import Path
@@ -63,16 +65,23 @@ def test_dys_table_is_reproduced():
 
 @implicit
 def test_force_solves_the_published_equation(law):
-    """From 1e-14 m to the end of the theory, the published formula gives back the indentation to rounding."""
+    """From 1e-14 m to the end of the theory, the published formula gives back the indentation to
+    rounding.
+    """
     force = jax.vmap(build(law).elastic_force)
     depths = np.logspace(-14, np.log10(0.19 * CLEARANCE), 60)
-    # a clearance rounded as a difference of radii, and the cancellation of the logarithm at the deep end
-    np.testing.assert_allclose(PUBLISHED[law](np.asarray(force(depths)) / LENGTH), depths, rtol=1e-12)
+    # a clearance rounded as a difference of radii, and the cancellation of the logarithm at the
+    # deep end
+    np.testing.assert_allclose(
+        PUBLISHED[law](np.asarray(force(depths)) / LENGTH), depths, rtol=1e-12
+    )
 
 
 @implicit
 def test_derivatives_follow_the_implicit_function_theorem(law):
-    """By indentation, modulus, length and both radii, against central differences of a solution by scipy's brentq."""
+    """By indentation, modulus, length and both radii, against central differences of a solution by
+    scipy's brentq.
+    """
 
     def force(indentation, modulus, inner, outer, length):
         return fitted(law(modulus=modulus), Shape(inner, outer, length)).elastic_force(indentation)
@@ -81,10 +90,15 @@ def test_derivatives_follow_the_implicit_function_theorem(law):
     slopes = jax.jit(jax.grad(force, argnums=range(5)))(*point)
     np.testing.assert_allclose(jax.jacfwd(force, argnums=range(5))(*point), slopes, rtol=1e-12)
     batch = jax.vmap(jax.grad(force, argnums=range(5)), in_axes=(0, None, None, None, None))
-    np.testing.assert_allclose([slope[0] for slope in batch(jnp.asarray([2e-6, 3e-6]), *point[1:])], slopes, rtol=1e-12)
+    np.testing.assert_allclose(
+        [slope[0] for slope in batch(jnp.asarray([2e-6, 3e-6]), *point[1:])], slopes, rtol=1e-12
+    )
     for index, slope in enumerate(slopes):
         step = 1e-6 * point[index] * (1e-2 if index in (2, 3) else 1)
-        solved = [_solved(law, [x + sign * step * (i == index) for i, x in enumerate(point)]) for sign in (1, -1)]
+        solved = [
+            _solved(law, [x + sign * step * (i == index) for i, x in enumerate(point)])
+            for sign in (1, -1)
+        ]
         np.testing.assert_allclose(slope, (solved[0] - solved[1]) / (2 * step), rtol=1e-5)
 
 
@@ -96,7 +110,10 @@ def _solved(law, point):
         conformal.Johnson: (1, np.log(4 * np.pi * modulus * clearance) - 1),
         conformal.TwoSidedJohnson: (2, np.log(np.pi * modulus * clearance) - 1),
         conformal.Radzimovsky: (1, np.log(16 * modulus * clearance / (2 * 1.60**2)) + 2 / 3),
-        conformal.Goldsmith: (1, np.log(length**2 * clearance * np.pi * modulus / (inner * outer)) + 1),
+        conformal.Goldsmith: (
+            1,
+            np.log(length**2 * clearance * np.pi * modulus / (inner * outer)) + 1,
+        ),
     }[law]
 
     def residual(t):
@@ -110,7 +127,8 @@ def test_force_stays_stiff_and_smooth_beyond_the_theory(law):
     force = build(law).elastic_force
     slope = jax.vmap(jax.grad(force))(np.linspace(1e-7, 1e-3, 2000))
     assert np.all(np.diff(slope) >= -1e-12 * slope[1:]) and np.isfinite(slope).all()
-    # linear at the end: Goldsmith's limit is 6.6e-4 m here, the others' below the clearance of 1e-4 m
+    # linear at the end: Goldsmith's limit is 6.6e-4 m here, the others' below the clearance of 1e-4
+    # m
     np.testing.assert_allclose(slope[-1], slope[-500], rtol=1e-12)
 
 
@@ -130,13 +148,20 @@ def test_liu_meets_its_formula_and_bai_zhao_is_its_slope():
     for depth in (1e-9, 1e-6, 1e-4, 1e-3):
         expected = np.pi / 2 * MODULUS * LENGTH * depth * np.sqrt(depth / (2 * (CLEARANCE + depth)))
         np.testing.assert_allclose(liu.elastic_force(depth), expected, rtol=1e-12)
-        np.testing.assert_allclose(bai_zhao.elastic_force(depth), depth * jax.grad(liu.elastic_force)(depth), rtol=1e-12)
+        np.testing.assert_allclose(
+            bai_zhao.elastic_force(depth), depth * jax.grad(liu.elastic_force)(depth), rtol=1e-12
+        )
 
 
 def test_theories_of_line_contact_agree_among_themselves():
-    """Johnson and Radzimovsky within ten per cent where both hold; the scatter that the overview of Pereira et al. reports."""
+    """Johnson and Radzimovsky within ten per cent where both hold; the scatter that the overview of
+    Pereira et al. reports.
+    """
     depths = np.logspace(-8, -5, 7)
-    first, second = (jax.vmap(build(law).elastic_force)(depths) for law in (conformal.Johnson, conformal.Radzimovsky))
+    first, second = (
+        jax.vmap(build(law).elastic_force)(depths)
+        for law in (conformal.Johnson, conformal.Radzimovsky)
+    )
     np.testing.assert_allclose(first, second, rtol=0.1)
 
 

@@ -1,4 +1,6 @@
-"""Every contact law, conformal ones included, keeps the contract; Hertz, Kelvin-Voigt and the exact rebound are oracles."""
+"""Every contact law, conformal ones included, keeps the contract; Hertz, Kelvin-Voigt and the exact
+rebound are oracles.
+"""
 
 import equinox as eqx
 import jax
@@ -52,7 +54,9 @@ def test_hertz_stiffness_differentiates_in_the_clearance():
     radius, clearance = 10e-3, 1e-4
 
     def stiffness(clearance):
-        return fitted(contact.Hertz(HertzStiffness(steel(), steel())), Shape(radius - clearance, radius)).stiffness
+        return fitted(
+            contact.Hertz(HertzStiffness(steel(), steel())), Shape(radius - clearance, radius)
+        ).stiffness
 
     expected = -stiffness(clearance) * radius / (2 * clearance * (radius - clearance))
     for slope in (jax.grad(stiffness)(clearance), jax.jit(jax.jacfwd(stiffness))(clearance)):
@@ -76,7 +80,9 @@ def test_line_contact_without_length_is_refused():
 
 
 def test_fits_are_found_at_any_depth():
-    nested = fitted((contact.Hertz(HertzStiffness(steel(), steel())), {"line": conformal.Johnson()}), shape())
+    nested = fitted(
+        (contact.Hertz(HertzStiffness(steel(), steel())), {"line": conformal.Johnson()}), shape()
+    )
     assert all(eqx.is_array(leaf) and leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(nested))
     np.testing.assert_allclose(nested[1]["line"].clearance, 1e-4, rtol=1e-9)
 
@@ -92,16 +98,23 @@ def test_deepest_indentation_of_an_elastic_impact():
 
 
 def test_kelvin_voigt_rebounds_as_the_damped_oscillator():
-    """Without pulling the mass leaves when K x + D v = 0: e = exp(-zeta phi / sqrt(1 - zeta^2)), Schwager & Poschel 2007."""
+    """Without pulling the mass leaves when K x + D v = 0: e = exp(-zeta phi / sqrt(1 - zeta^2)),
+    Schwager & Poschel 2007.
+    """
     stiffness, mass, zeta = 1e8, 1.0, 0.1
     law = contact.KelvinVoigt(stiffness, 2 * zeta * np.sqrt(stiffness * mass), onset_depth=1e-9)
     omega, damped = np.sqrt(stiffness / mass), np.sqrt(stiffness / mass) * np.sqrt(1 - zeta**2)
     time = brentq(
-        lambda t: 2 * zeta * np.cos(damped * t) + (1 - 2 * zeta**2) / np.sqrt(1 - zeta**2) * np.sin(damped * t),
+        lambda t: (
+            2 * zeta * np.cos(damped * t)
+            + (1 - 2 * zeta**2) / np.sqrt(1 - zeta**2) * np.sin(damped * t)
+        ),
         1 / damped,
         np.pi / damped,
     )
-    speed = np.exp(-zeta * omega * time) * (np.cos(damped * time) - zeta / np.sqrt(1 - zeta**2) * np.sin(damped * time))
+    speed = np.exp(-zeta * omega * time) * (
+        np.cos(damped * time) - zeta / np.sqrt(1 - zeta**2) * np.sin(damped * time)
+    )
     # the smooth onset of the damper over 1e-9 m of an indentation of 1e-5 m
     np.testing.assert_allclose(rebound(law), -speed, atol=2e-4)
 
@@ -110,7 +123,9 @@ def test_adams_impact_meets_its_formula():
     law = contact.AdamsImpact(1e10, None, 1e3, 1e-5)
     half = 1e10 * (5e-6) ** 1.5
     np.testing.assert_allclose(law.normal_force(5e-6, 0.1, 0.0), half + 0.5 * 1e3 * 0.1, rtol=1e-13)
-    np.testing.assert_allclose(law.normal_force(5e-5, 0.1, 0.0), 1e10 * (5e-5) ** 1.5 + 1e3 * 0.1, rtol=1e-13)
+    np.testing.assert_allclose(
+        law.normal_force(5e-5, 0.1, 0.0), 1e10 * (5e-5) ** 1.5 + 1e3 * 0.1, rtol=1e-13
+    )
     assert law.normal_force(1e-6, -100.0, 0.0) == 0
 
 
@@ -121,9 +136,13 @@ def test_modified_flores_is_hertz_for_small_indentation():
     np.testing.assert_allclose(law.elastic_force(1e-8), hertz.elastic_force(1e-8), rtol=6e-3)
 
 
-@pytest.mark.parametrize("restitution", [0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.99985, 0.99995, 1.0])
+@pytest.mark.parametrize(
+    "restitution", [0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.99985, 0.99995, 1.0]
+)
 def test_gonthier_solves_the_rebound_relation(restitution):
-    """(1 + d) = (1 - d e) exp(d (1 + e)), solved independently for y = -ln(1 - d e) by scipy's brentq."""
+    """(1 + d) = (1 - d e) exp(d (1 + e)), solved independently for y = -ln(1 - d e) by scipy's
+    brentq.
+    """
 
     def residual(y):
         factor = -np.expm1(-y) / restitution
@@ -174,12 +193,26 @@ def _value_and_slopes(law, indentation, rate):
 
 
 @settings(max_examples=100, deadline=None)
-@given(exponents, st.floats(-16, -3), st.floats(-10, 10), st.floats(0.02, 1), st.floats(1, 3), st.booleans())
+@given(
+    exponents,
+    st.floats(-16, -3),
+    st.floats(-10, 10),
+    st.floats(0.02, 1),
+    st.floats(1, 3),
+    st.booleans(),
+)
 def test_extreme_parameters_stay_finite(stiffness, depth, rate, restitution, exponent, closed):
     indentation = jnp.asarray(10.0**depth if closed else -(10.0**depth))
     power = 1.01 * exponent
-    laws = [law(10.0**stiffness, power, restitution) for law in (contact.Gonthier, contact.CarvalhoMartins, contact.Flores)]
-    laws += [contact.Hertz(10.0**stiffness), contact.AdamsImpact(10.0**stiffness, power), contact.KelvinVoigt(10.0**stiffness)]
+    laws = [
+        law(10.0**stiffness, power, restitution)
+        for law in (contact.Gonthier, contact.CarvalhoMartins, contact.Flores)
+    ]
+    laws += [
+        contact.Hertz(10.0**stiffness),
+        contact.AdamsImpact(10.0**stiffness, power),
+        contact.KelvinVoigt(10.0**stiffness),
+    ]
     for law in laws:
         value, slopes = _value_and_slopes(law, indentation, jnp.asarray(rate))
         assert np.isfinite(value) and value >= 0

@@ -115,22 +115,32 @@ def test_adams_step_meets_the_published_curve():
 
 def test_ambrosio_and_threlfall_and_bengisu_akay_at_chosen_speeds():
     ambrosio = friction.Ambrosio(0.1, 1e-3, 3e-3)
-    np.testing.assert_allclose(jax.vmap(ambrosio.coefficient)(np.array([5e-4, 2e-3, 5e-3])), [0, 0.05, 0.1], atol=1e-15)
+    np.testing.assert_allclose(
+        jax.vmap(ambrosio.coefficient)(np.array([5e-4, 2e-3, 5e-3])), [0, 0.05, 0.1], atol=1e-15
+    )
     threlfall = friction.Threlfall(0.1, 1e-3)
     # Threlfall's own 0.95 differs from 1 - exp(-3) by 2.2e-4
-    np.testing.assert_allclose(threlfall.coefficient(5e-4), 0.1 * (1 - np.exp(-1.5)) / 0.95, rtol=3e-4)
+    np.testing.assert_allclose(
+        threlfall.coefficient(5e-4), 0.1 * (1 - np.exp(-1.5)) / 0.95, rtol=3e-4
+    )
     bengisu = friction.BengisuAkay(0.2, 0.1, 1e-3, 1e3)
     expected = [0.2 * 0.75, 0.2, 0.1 + 0.1 * np.exp(-2)]
-    np.testing.assert_allclose(jax.vmap(bengisu.coefficient)(np.array([5e-4, 1e-3, 3e-3])), expected, rtol=1e-13)
+    np.testing.assert_allclose(
+        jax.vmap(bengisu.coefficient)(np.array([5e-4, 1e-3, 3e-3])), expected, rtol=1e-13
+    )
 
 
 def test_dahl_follows_its_closed_solution():
-    """At constant slip z = z_0 (1 - exp(-v t / z_0)), so the coefficient depends on the distance alone."""
+    """At constant slip z = z_0 (1 - exp(-v t / z_0)), so the coefficient depends on the distance
+    alone.
+    """
     law = friction.Dahl(0.3, 1e-6)
     step, speed = 1e-5, 1e-3
     distance = speed * step * np.arange(1000)
     # fourth-order Runge-Kutta at a hundredth of the yield deflection
-    np.testing.assert_allclose(slide(law, jnp.full(2001, speed), step), 0.3 * -np.expm1(-distance / 1e-6), atol=1e-9)
+    np.testing.assert_allclose(
+        slide(law, jnp.full(2001, speed), step), 0.3 * -np.expm1(-distance / 1e-6), atol=1e-9
+    )
 
 
 def test_lugre_slides_on_the_stribeck_curve():
@@ -141,5 +151,7 @@ def test_lugre_slides_on_the_stribeck_curve():
 
 
 def test_lugre_stays_passive_however_slow_its_bristles_settle():
-    """The fading damping keeps t |v| / (z_0 s) below 4, the limit of passivity, even at a settling time of a second."""
+    """The fading damping keeps t |v| / (z_0 s) below 4, the limit of passivity, even at a settling
+    time of a second.
+    """
     bristle_never_gives_energy_and_is_bounded(friction.LuGre(settling_time=1.0))

@@ -1,4 +1,6 @@
-"""What rigid contact takes from laws that are functions: their restitution, their coefficients of friction."""
+"""What rigid contact takes from laws that are functions: their restitution, their coefficients of
+friction.
+"""
 
 import dataclasses
 
@@ -10,9 +12,11 @@ import jaxclear as jc
 from jaxclear.laws import conformal, contact, friction  # noqa: F401 (conformal: its laws join the family)
 from jaxclear.laws.restitution import restitution
 
-FRICTION = [law for base in (friction.AbstractSlipFriction, friction.AbstractBristleFriction) for law in members(base)] + members(
-    friction.AbstractSetValuedFriction
-)
+FRICTION = [
+    law
+    for base in (friction.AbstractSlipFriction, friction.AbstractBristleFriction)
+    for law in members(base)
+] + members(friction.AbstractSetValuedFriction)
 CONTACT = members(contact.AbstractContactLaw)
 
 
@@ -45,7 +49,10 @@ def test_a_law_of_a_stranger_says_nothing():
 
 
 def test_rigid_contact_stores_nothing():
-    assert contact.Rigid(0.5).elastic_force(1e-3) == 0 and float(restitution(contact.Rigid(0.5))) == 0.5
+    assert (
+        contact.Rigid(0.5).elastic_force(1e-3) == 0
+        and float(restitution(contact.Rigid(0.5))) == 0.5
+    )
 
 
 def test_a_restitution_above_one_is_refused_by_the_joint_s_name():

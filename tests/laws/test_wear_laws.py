@@ -18,7 +18,9 @@ def test_wear_law_keeps_the_contract(law, check):
 
 def test_archard_wears_in_proportion_to_load_and_distance():
     """1e-5 * 1000 N * 2 m / 2 GPa = 1e-11 m^3, by hand."""
-    np.testing.assert_allclose(wear.Archard(1e-5, 2e9).volume_rate(1000.0, 2.0, 0.0), 1e-11, rtol=1e-15)
+    np.testing.assert_allclose(
+        wear.Archard(1e-5, 2e9).volume_rate(1000.0, 2.0, 0.0), 1e-11, rtol=1e-15
+    )
 
 
 def test_fouvry_is_archard_at_constant_friction():
@@ -26,5 +28,7 @@ def test_fouvry_is_archard_at_constant_friction():
     archard = wear.Archard(1e-5, 2e9)
     fouvry = wear.Fouvry(1e-5 / (2e9 * mu))
     np.testing.assert_allclose(
-        fouvry.volume_rate(load, speed, mu * load), archard.volume_rate(load, speed, mu * load), rtol=1e-14
+        fouvry.volume_rate(load, speed, mu * load),
+        archard.volume_rate(load, speed, mu * load),
+        rtol=1e-14,
     )

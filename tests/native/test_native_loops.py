@@ -1,4 +1,6 @@
-"""Loops as machine code give what JAX's own loops give: every rule, alone and in a batch, or they step aside."""
+"""Loops as machine code give what JAX's own loops give: every rule, alone and in a batch, or they
+step aside.
+"""
 
 import logging
 
@@ -35,25 +37,54 @@ STEPS = {
     "arithmetic": lambda x: (x * 1.5 - x / 3.0 + 0.25) % 2.0,
     "powers": lambda x: x**3 / (1 + x**2) + (jnp.abs(x) + 0.1) ** 1.7 + (1 + jnp.square(x)) ** -2,
     "roots": lambda x: jnp.sqrt(jnp.abs(x) + 0.1) + jax.lax.rsqrt(2.0 + x * x) + jnp.cbrt(x),
-    "angles": lambda x: jnp.sin(3 * x) + jnp.cos(5 * x) * jnp.arctan2(x, x - 0.4) + jnp.arctan(x) + jnp.tan(0.3 * x),
-    "inverse functions": lambda x: jnp.arcsin(x / (1 + jnp.abs(x))) + jnp.arccos(x / (2 + jnp.abs(x))) + jnp.arcsinh(x),
-    "exponentials": lambda x: jnp.exp(-x * x) + jnp.log1p(x * x) + jnp.expm1(0.1 * x) + jnp.log(2 + x * x) + jnp.tanh(x),
-    "rounding": lambda x: x + 0.1 * jnp.round(7 * x) + 0.1 * jnp.floor(3 * x) - 0.1 * jnp.ceil(x) + 0.01 * jnp.sign(x),
-    "comparisons": lambda x: jnp.where((x > 0.2) & ~(x >= 0.7) | (x == 0.0), 0.3 - x, jnp.where(x != 1.0, x * 0.9 + 0.1, 2.0)),
-    "extrema": lambda x: jnp.maximum(x, 0.3) - jnp.minimum(x, 0.5) + jnp.clip(x, -0.1, 0.4) + jnp.max(x) - jnp.min(x),
+    "angles": lambda x: (
+        jnp.sin(3 * x) + jnp.cos(5 * x) * jnp.arctan2(x, x - 0.4) + jnp.arctan(x) + jnp.tan(0.3 * x)
+    ),
+    "inverse functions": lambda x: (
+        jnp.arcsin(x / (1 + jnp.abs(x))) + jnp.arccos(x / (2 + jnp.abs(x))) + jnp.arcsinh(x)
+    ),
+    "exponentials": lambda x: (
+        jnp.exp(-x * x) + jnp.log1p(x * x) + jnp.expm1(0.1 * x) + jnp.log(2 + x * x) + jnp.tanh(x)
+    ),
+    "rounding": lambda x: (
+        x + 0.1 * jnp.round(7 * x) + 0.1 * jnp.floor(3 * x) - 0.1 * jnp.ceil(x) + 0.01 * jnp.sign(x)
+    ),
+    "comparisons": lambda x: jnp.where(
+        (x > 0.2) & ~(x >= 0.7) | (x == 0.0), 0.3 - x, jnp.where(x != 1.0, x * 0.9 + 0.1, 2.0)
+    ),
+    "extrema": lambda x: (
+        jnp.maximum(x, 0.3) - jnp.minimum(x, 0.5) + jnp.clip(x, -0.1, 0.4) + jnp.max(x) - jnp.min(x)
+    ),
     "sums": lambda x: x / (1 + jnp.sum(x * x)) + jnp.prod(1 + 0.1 * x) + jnp.mean(x),
     "products of matrices": lambda x: jnp.tanh(jnp.outer(x, x + 1) @ x + x @ (jnp.eye(3) * 0.5)),
-    "shapes": lambda x: jnp.concatenate([x[1:], x[:1]]) + jnp.stack([x, 2 * x]).T.reshape(2, 3)[1] + x[::-1] - x[None].squeeze(),
+    "shapes": lambda x: (
+        jnp.concatenate([x[1:], x[:1]])
+        + jnp.stack([x, 2 * x]).T.reshape(2, 3)[1]
+        + x[::-1]
+        - x[None].squeeze()
+    ),
     "updates": lambda x: x.at[1].set(0.3 * x[0]).at[2].add(0.2),
-    "updates at run time": lambda x: jax.lax.dynamic_update_slice(x, x[:1] * 0.5, (index(x[2], 3),)) + 0.1,
+    "updates at run time": lambda x: (
+        jax.lax.dynamic_update_slice(x, x[:1] * 0.5, (index(x[2], 3),)) + 0.1
+    ),
     "reading small arrays": lambda x: 0.5 * x + x[index(x[0], 3)],
     "reading tables": lambda x: 0.5 * x + TABLE[index(x, 100), index(x[0], 2)],
-    "whole numbers": lambda x: x + 0.1 * ((index(x, 7) * 3 - 2) // 2 % 5 + jnp.abs(index(x, 3) - 2)),
-    "truth values": lambda x: x * jnp.where(jnp.any(x > 0.5) ^ jnp.all(x > 0.1), 0.5, 0.7) + jnp.isfinite(x),
+    "whole numbers": lambda x: (
+        x + 0.1 * ((index(x, 7) * 3 - 2) // 2 % 5 + jnp.abs(index(x, 3) - 2))
+    ),
+    "truth values": lambda x: (
+        x * jnp.where(jnp.any(x > 0.5) ^ jnp.all(x > 0.1), 0.5, 0.7) + jnp.isfinite(x)
+    ),
     "choices": lambda x: jax.lax.cond(x[0] > 0.4, lambda y: y * 0.5, lambda y: y + 0.3, x),
-    "short scans": lambda x: jax.lax.scan(lambda c, a: (c * 0.5 + a, c.sum()), x, np.array([0.1, 0.2]))[0],
-    "loops inside": lambda x: 0.1 * x + jax.lax.while_loop(lambda s: s[0] < 3.0, lambda s: jnp.abs(s) * 1.3 + 0.2, x),
-    "reductions of nothing": lambda x: 0.5 * x + jnp.sum(x[:0]) + jnp.exp(jnp.max(x[:0], initial=-jnp.inf)),
+    "short scans": lambda x: jax.lax.scan(
+        lambda c, a: (c * 0.5 + a, c.sum()), x, np.array([0.1, 0.2])
+    )[0],
+    "loops inside": lambda x: (
+        0.1 * x + jax.lax.while_loop(lambda s: s[0] < 3.0, lambda s: jnp.abs(s) * 1.3 + 0.2, x)
+    ),
+    "reductions of nothing": lambda x: (
+        0.5 * x + jnp.sum(x[:0]) + jnp.exp(jnp.max(x[:0], initial=-jnp.inf))
+    ),
     "called programs": lambda x: jax.jit(lambda y: jnp.sin(y) + jax.nn.relu(y))(x),
 }
 
@@ -82,12 +113,30 @@ def test_long_scans_are_loops():
     batch = jnp.asarray(np.random.default_rng(1).uniform(-1.0, 1.0, (9, 6)))
     limit, control.LARGEST_WRITTEN_OUT = control.LARGEST_WRITTEN_OUT, 1
     try:
-        np.testing.assert_allclose(jax.jit(jax.vmap(fast))(batch), jax.vmap(plain)(batch), rtol=ROUNDING, atol=ROUNDING)
+        np.testing.assert_allclose(
+            jax.jit(jax.vmap(fast))(batch), jax.vmap(plain)(batch), rtol=ROUNDING, atol=ROUNDING
+        )
     finally:
         control.LARGEST_WRITTEN_OUT = limit
 
 
-SPECIAL = [0.0, -0.0, 1e-300, 1.0, -1.0, np.pi / 4, np.pi / 2, 100.0, -1e5, 9.9e7, 1.1e8, 1e15, np.inf, -np.inf, np.nan]
+SPECIAL = [
+    0.0,
+    -0.0,
+    1e-300,
+    1.0,
+    -1.0,
+    np.pi / 4,
+    np.pi / 2,
+    100.0,
+    -1e5,
+    9.9e7,
+    1.1e8,
+    1e15,
+    np.inf,
+    -np.inf,
+    np.nan,
+]
 
 
 @pytest.mark.parametrize("lanes", [1, 8])
@@ -96,13 +145,19 @@ def test_sine_cosine_and_angle_are_good_to_two_units_in_the_last_place(lanes):
     x = np.concatenate([SPECIAL, rng.uniform(-10, 10, 2000), rng.uniform(-1e6, 1e6, 2000)])
     both = jax.jit(jax.vmap(turns(lambda p: jnp.stack([jnp.sin(p[0]), jnp.cos(p[0])]), 1)[0]))
     points = np.stack([x, x], 1)
-    found = np.concatenate([np.asarray(both(points[i : i + 1])) for i in range(60)] if lanes == 1 else [np.asarray(both(points))])
+    found = np.concatenate(
+        [np.asarray(both(points[i : i + 1])) for i in range(60)]
+        if lanes == 1
+        else [np.asarray(both(points))]
+    )
     x = x[: len(found)]
     with np.errstate(invalid="ignore"):
         for column, function in enumerate((np.sin, np.cos)):
             assert_units(found[:, column], function(x), 2, 1e-16)
     y, x = rng.normal(size=(2, 3000)) * 10.0 ** rng.uniform(-8, 8, (2, 3000))
-    corners = np.array([(a, b) for a in (0.0, -0.0, 1.0, -1.0) for b in (0.0, 1.0, -1.0, 0.66, -0.5)])
+    corners = np.array(
+        [(a, b) for a in (0.0, -0.0, 1.0, -1.0) for b in (0.0, 1.0, -1.0, 0.66, -0.5)]
+    )
     y, x = np.concatenate([y, corners[:, 0]]), np.concatenate([x, corners[:, 1]])
     angle = jax.jit(jax.vmap(turns(lambda p: jnp.stack([jnp.arctan2(p[0], p[1]), p[1]]), 1)[0]))
     assert_units(np.asarray(angle(np.stack([y, x], 1)))[:, 0], np.arctan2(y, x), 2, 0.0)
@@ -118,7 +173,9 @@ def assert_units(found, wanted, units, floor):
 
 def test_each_sample_ends_by_itself():
     def count(limit):
-        return while_loop(lambda s: s[1] < limit, lambda s: (s[0] + 1, s[1] * 2.0 + 0.1), (0, 1.0))[0]
+        return while_loop(lambda s: s[1] < limit, lambda s: (s[0] + 1, s[1] * 2.0 + 0.1), (0, 1.0))[
+            0
+        ]
 
     limits = jnp.array([0.5, 3.0, 1e6, 10.0, 1e3, 2.0, 2.5, 7.0, 1e9])
     assert jax.vmap(count)(limits).tolist() == [int(count(x)) for x in limits]
@@ -127,13 +184,17 @@ def test_each_sample_ends_by_itself():
 def test_batches_of_batches():
     fast, plain = turns(jnp.cos, 5)
     x = jnp.arange(6.0).reshape(2, 3)
-    np.testing.assert_allclose(jax.vmap(jax.vmap(fast))(x), jax.vmap(jax.vmap(plain))(x), rtol=ROUNDING)
+    np.testing.assert_allclose(
+        jax.vmap(jax.vmap(fast))(x), jax.vmap(jax.vmap(plain))(x), rtol=ROUNDING
+    )
 
 
 def test_derivatives_are_those_of_jax():
     fast, plain = turns(lambda x: jnp.sin(x) * 1.2, 4)
     x, along = jnp.array([0.3, 0.7]), jnp.array([1.0, -2.0])
-    for one, other in zip(jax.jvp(fast, (x,), (along,)), jax.jvp(plain, (x,), (along,)), strict=True):
+    for one, other in zip(
+        jax.jvp(fast, (x,), (along,)), jax.jvp(plain, (x,), (along,)), strict=True
+    ):
         np.testing.assert_allclose(one, other, rtol=ROUNDING)
     np.testing.assert_allclose(jax.jacfwd(jax.jit(fast))(x), jax.jacfwd(plain)(x), rtol=ROUNDING)
 
@@ -144,7 +205,11 @@ def test_numbers_from_outside_the_loop_can_vary_without_compiling_again():
     @jax.jit
     def f(x, factor, table):
         traces.append(1)
-        return while_loop(lambda s: s[0] < 3, lambda s: (s[0] + 1, s[1] * factor + table[index(s[1], 100)]), (0, x))[1]
+        return while_loop(
+            lambda s: s[0] < 3,
+            lambda s: (s[0] + 1, s[1] * factor + table[index(s[1], 100)]),
+            (0, x),
+        )[1]
 
     table = np.linspace(0.0, 1.0, 100)
     for factor in (0.5, 0.7):
@@ -163,13 +228,20 @@ def test_a_part_without_a_rule_is_left_to_jax(caplog):
     assert "left to XLA" in caplog.text
 
 
-@pytest.mark.parametrize("step", [lambda x, t: x + t.sum(), lambda x, t: jax.lax.scan(lambda c, r: (c + r, None), x, t)[0]])
+@pytest.mark.parametrize(
+    "step",
+    [lambda x, t: x + t.sum(), lambda x, t: jax.lax.scan(lambda c, r: (c + r, None), x, t)[0]],
+)
 def test_arithmetic_on_long_arrays_is_left_to_jax(step):
     def by(make):
-        return lambda x, table: make(lambda s: s[0] < 2, lambda s: (s[0] + 1, step(s[1], table)), (0, x))[1]
+        return lambda x, table: make(
+            lambda s: s[0] < 2, lambda s: (s[0] + 1, step(s[1], table)), (0, x)
+        )[1]
 
     table = jnp.linspace(0.0, 1.0, 90)
-    assert np.isclose(jax.jit(by(while_loop))(0.3, table), by(jax.lax.while_loop)(0.3, table), rtol=ROUNDING)
+    assert np.isclose(
+        jax.jit(by(while_loop))(0.3, table), by(jax.lax.while_loop)(0.3, table), rtol=ROUNDING
+    )
 
 
 def test_long_arrays_may_be_part_of_the_state():
@@ -248,7 +320,8 @@ def test_adaptive_loops_of_diffrax(caplog):
         fast, steps = jax.jit(jax.vmap(with_fast_loops(solve)))(rates)
     assert not caplog.records
     wanted, wanted_steps = jax.vmap(solve)(rates)
-    # Rounding of hundreds of steps; the number of steps may differ by one where an error is just at the tolerance.
+    # Rounding of hundreds of steps; the number of steps may differ by one where an error is just at
+    # the tolerance.
     np.testing.assert_allclose(fast, wanted, rtol=1e-9)
     assert np.abs(steps - wanted_steps).max() <= 1
     slope = jax.jvp(lambda r: with_fast_loops(solve)(r)[0], (2.0,), (1.0,))[1]

@@ -1,7 +1,9 @@
-"""Mechanisms with ideal loops against published benchmarks: Andrews' squeezer, and the N-window four-bar of IFToMM.
+"""Mechanisms with ideal loops against published benchmarks: Andrews' squeezer, and the N-window
+four-bar of IFToMM.
 
-The four-bar's windows are parallelograms, so the whole of it obeys ((N+1)/3 + N) phi'' = g ((N+1)/2 + N) sin phi with phi
-from the vertical (rods of 1 m and 1 kg): an oracle to rounding for any N, derivatives included.
+The four-bar's windows are parallelograms, so the whole of it obeys ((N+1)/3 + N) phi'' = g ((N+1)/2
++ N) sin phi with phi from the vertical (rods of 1 m and 1 kg): an oracle to rounding for any N,
+derivatives included.
 """
 
 import json
@@ -15,8 +17,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxclear as jc
-from jaxclear.scene.initial import assemble_arrays
-from jaxclear.time.simulate import run
+from jaxclear.multibody.assembly import assemble_arrays
+from jaxclear.simulation.simulate import run
 
 FOLDER = Path(__file__).parents[1] / "refdata"
 SQUEEZER = json.loads((FOLDER / "andrews_squeezer.json").read_text())
@@ -59,7 +61,12 @@ def squeezer(data):
         connections,
         {
             "drive": jc.load.Torque(jc.Marker("K1"), (data["torque"],)),
-            "spring": jc.load.Spring(jc.Marker("ground", c), jc.Marker("K3", (n["sd"], -n["sc"])), data["stiffness"], n["l0"]),
+            "spring": jc.load.Spring(
+                jc.Marker("ground", c),
+                jc.Marker("K3", (n["sd"], -n["sc"])),
+                data["stiffness"],
+                n["l0"],
+            ),
         },
         start=dict(zip(order, data["start"], strict=True)),
     ), order
@@ -95,30 +102,52 @@ def test_point_pendulum_of_iftomm():
         {"gravity": jc.load.Gravity((0.0, -GRAVITY))},
         start={"pin": np.pi},
     )
-    trajectory = jc.simulate(rig, data["time"][-1], save=data["time"], integrator=jc.integrator.Adaptive(rtol=1e-10))
+    trajectory = jc.simulate(
+        rig, data["time"][-1], save=data["time"], integrator=jc.integrator.Adaptive(rtol=1e-10)
+    )
     error = np.abs(trajectory.body("bob").com[1:, :2] - np.array(data["place"])).max()
     assert error < IFTOMM["tolerance"]["A01"]
 
 
 def windows(count, speed=1.0, gravity=GRAVITY):
-    """count + 1 rods on the ground, upright, their tops joined by count rods; the last pin of each window closes a loop."""
+    """count + 1 rods on the ground, upright, their tops joined by count rods; the last pin of each
+    window closes a loop.
+    """
     bodies, connections = {}, {}
     rod = jc.Body(1.0, 1.0 / 12.0, (0.5, 0.0))
     for i in range(count + 1):
         bodies[f"wall {i}"] = rod
-        connections[f"foot {i}"] = jc.Connection(jc.joint.Revolute(), "ground", f"wall {i}", at=(float(i), 0.0))
+        connections[f"foot {i}"] = jc.Connection(
+            jc.joint.Revolute(), "ground", f"wall {i}", at=(float(i), 0.0)
+        )
     for i in range(count):
         bodies[f"beam {i}"] = rod
-        connections[f"left {i}"] = jc.Connection(jc.joint.Revolute(), f"wall {i}", f"beam {i}", at=(1.0, 0.0))
+        connections[f"left {i}"] = jc.Connection(
+            jc.joint.Revolute(), f"wall {i}", f"beam {i}", at=(1.0, 0.0)
+        )
         end = jc.Marker(f"beam {i}", (1.0, 0.0))
-        connections[f"right {i}"] = jc.Connection(jc.joint.Revolute(), end, jc.Marker(f"wall {i + 1}", (1.0, 0.0)))
-    start = {f"foot {i}": np.pi / 2 for i in range(count + 1)} | {f"left {i}": -np.pi / 2 for i in range(count)}
-    speeds = {f"foot {i}": -speed for i in range(count + 1)} | {f"left {i}": speed for i in range(count)}
-    return jc.Mechanism(bodies, connections, {"gravity": jc.load.Gravity((0.0, -gravity))}, start=start, speeds=speeds)
+        connections[f"right {i}"] = jc.Connection(
+            jc.joint.Revolute(), end, jc.Marker(f"wall {i + 1}", (1.0, 0.0))
+        )
+    start = {f"foot {i}": np.pi / 2 for i in range(count + 1)} | {
+        f"left {i}": -np.pi / 2 for i in range(count)
+    }
+    speeds = {f"foot {i}": -speed for i in range(count + 1)} | {
+        f"left {i}": speed for i in range(count)
+    }
+    return jc.Mechanism(
+        bodies,
+        connections,
+        {"gravity": jc.load.Gravity((0.0, -gravity))},
+        start=start,
+        speeds=speeds,
+    )
 
 
 def angle_of_windows(count, times, speed=1.0, gravity=GRAVITY):
-    """phi, its rate and the derivatives of phi by speed and gravity at the times, from the one-freedom equation."""
+    """phi, its rate and the derivatives of phi by speed and gravity at the times, from the
+    one-freedom equation.
+    """
     rate = ((count + 1) / 2 + count) / ((count + 1) / 3 + count)
 
     def field(_, y):
@@ -146,7 +175,9 @@ def tip_error(count, times, integrator, place=None):
 
 
 def test_windows_pass_their_singular_position():
-    """All rods in one line every half turn, where the loops could fold the other way; 1e-6 m over 10 s at N = 2."""
+    """All rods in one line every half turn, where the loops could fold the other way; 1e-6 m over
+    10 s at N = 2.
+    """
     times = np.array(IFTOMM["A02"]["time"][:5])
     error, drift = tip_error(2, times, jc.integrator.Adaptive(rtol=1e-10, atol=1e-12))
     assert error < 1e-6
@@ -157,20 +188,27 @@ def test_windows_pass_their_singular_position():
 def test_forty_windows_of_iftomm():
     """Benchmark A02: 81 rods, 80 closure rows, 20 s."""
     data = IFTOMM["A02"]
-    error, _ = tip_error(40, np.array(data["time"]), jc.integrator.Adaptive(rtol=1e-9, atol=1e-11), data["place"])
+    error, _ = tip_error(
+        40, np.array(data["time"]), jc.integrator.Adaptive(rtol=1e-9, atol=1e-11), data["place"]
+    )
     assert error < IFTOMM["tolerance"]["A02"]
 
 
 @pytest.mark.slow
 def test_derivative_through_closed_loops_is_that_of_the_single_freedom():
-    """phi(1 s) by starting speed and by gravity, forward through 500 Runge-Kutta steps: 1e-8 relative."""
+    """phi(1 s) by starting speed and by gravity, forward through 500 Runge-Kutta steps: 1e-8
+    relative.
+    """
     times = jnp.array([0.0, 1.0])
 
     def turned(numbers):
         rig = windows(2, *numbers)
         start = assemble_arrays(rig)
         fixed = jc.integrator.FixedStep(step=2e-3)
-        return np.pi / 2 - run(rig, start.coordinates, start.speeds, times, fixed).coordinate("foot 0")[-1, 0]
+        return (
+            np.pi / 2
+            - run(rig, start.coordinates, start.speeds, times, fixed).coordinate("foot 0")[-1, 0]
+        )
 
     found = jax.jit(jax.jacfwd(turned))(jnp.array([1.0, GRAVITY]))
     wanted = angle_of_windows(2, np.array([1.0]))

@@ -1,7 +1,8 @@
 """What contact may and may not change: momentum, energy, and the speed of a rebound.
 
-Closed forms only. For every force f(delta) (1 + d rate / v0) the rebound e obeys (1 + d) = (1 - d e) exp(d (1 + e)), for
-any f (derivation in `jaxclear.laws.hysteresis`), so one bounce checks geometry, law, memory and losses at once.
+Closed forms only. For every force f(delta) (1 + d rate / v0) the rebound e obeys (1 + d) = (1 - d
+e) exp(d (1 + e)), for any f (derivation in `jaxclear.laws.hysteresis`), so one bounce checks
+geometry, law, memory and losses at once.
 """
 
 import jax.numpy as jnp
@@ -12,17 +13,25 @@ from scipy.optimize import brentq
 import jaxclear as jc
 from jaxclear.laws import hysteresis
 
-# The remembered speed follows within this time [s]; steps stay below its explicit stability limit of three times it.
+# The remembered speed follows within this time [s]; steps stay below its explicit stability limit
+# of three times it.
 MEMORY_TIME = 1e-5
 FINE = {"rtol": 1e-10, "atol": 1e-13, "largest_step": 2 * MEMORY_TIME}
 
 
 def colliding_pair():
-    """Two floating bodies, the journal of one tumbling in the bearing of the other, collars and friction included."""
+    """Two floating bodies, the journal of one tumbling in the bearing of the other, collars and
+    friction included.
+    """
     law = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.7, memory_time=MEMORY_TIME)
     friction = jc.friction.ThreeZone(0.3, 0.2)
     bearing = jc.clearance.JournalBearing(
-        law, friction, bearing_radius=10e-3, clearance=0.3e-3, length=20e-3, flange=jc.clearance.Flange(law, friction)
+        law,
+        friction,
+        bearing_radius=10e-3,
+        clearance=0.3e-3,
+        length=20e-3,
+        flange=jc.clearance.Flange(law, friction),
     )
     at_hole = jc.Marker("block", (0.05, 0.01, -0.02))
     return jc.Mechanism(
@@ -35,14 +44,19 @@ def colliding_pair():
             "pair": jc.Connection(bearing, at_hole, jc.Marker("pin", (0.0, 0.0, 0.03))),
         },
         start={"pin": (0.05, 0.01, -0.05)},
-        speeds={"hold": (0.1, -0.2, 0.05, 0.5, 1.0, -0.5), "pin": (-0.2, 0.3, 0.1, 1.0, -2.0, 15.0)},
+        speeds={
+            "hold": (0.1, -0.2, 0.05, 0.5, 1.0, -0.5),
+            "pin": (-0.2, 0.3, 0.1, 1.0, -2.0, 15.0),
+        },
     )
 
 
 @pytest.fixture(scope="module")
 def collision():
     fine = jc.integrator.Adaptive(**FINE)
-    return jc.simulate(colliding_pair(), 0.02, save=41, integrator=fine, start_concentric=False, balance=True)
+    return jc.simulate(
+        colliding_pair(), 0.02, save=41, integrator=fine, start_concentric=False, balance=True
+    )
 
 
 INERTIA = {
@@ -52,7 +66,9 @@ INERTIA = {
 
 
 def test_floating_pair_keeps_its_momentum_through_collisions(collision):
-    """Linear and angular momentum about the ground's origin, to rounding: contact forces come in pairs."""
+    """Linear and angular momentum about the ground's origin, to rounding: contact forces come in
+    pairs.
+    """
     linear, angular = np.zeros((41, 3)), np.zeros((41, 3))
     for name, (mass, inertia) in INERTIA.items():
         history = collision.body(name)
@@ -61,7 +77,9 @@ def test_floating_pair_keeps_its_momentum_through_collisions(collision):
         linear += mass * np.asarray(history.velocity)
         angular += own + mass * np.cross(history.com, history.velocity)
     contact = collision.contact("pair")
-    assert (np.asarray(contact.normal_force) > 0).any(axis=0).sum() >= 2, "the case must collide in more than one place"
+    assert (np.asarray(contact.normal_force) > 0).any(axis=0).sum() >= 2, (
+        "the case must collide in more than one place"
+    )
     np.testing.assert_allclose(linear, np.broadcast_to(linear[0], linear.shape), atol=1e-13)
     np.testing.assert_allclose(angular, np.broadcast_to(angular[0], angular.shape), atol=1e-14)
 
@@ -76,7 +94,9 @@ def test_energy_lost_in_collisions_is_the_losses_energy(collision):
 
 
 def bounce(law):
-    """A journal thrown from the middle of its bearing against the wall, without friction or gravity."""
+    """A journal thrown from the middle of its bearing against the wall, without friction or
+    gravity.
+    """
     bearing = jc.clearance.PlanarJournalBearing(law, clearance=0.1e-3)
     rig = jc.Mechanism(
         {"journal": jc.Body(0.3, 1e-4)},
@@ -89,7 +109,11 @@ def bounce(law):
 
 def rebound(damping):
     """e of d, by root finding apart from the package's formulas."""
-    return brentq(lambda e: np.log1p(damping) - np.log1p(-damping * e) - damping * (1 + e), 1e-6, min(1, 1 / damping) - 1e-9)
+    return brentq(
+        lambda e: np.log1p(damping) - np.log1p(-damping * e) - damping * (1 + e),
+        1e-6,
+        min(1, 1 / damping) - 1e-9,
+    )
 
 
 DAMPING = {
@@ -103,7 +127,9 @@ DAMPING = {
 @pytest.mark.parametrize("name", DAMPING)
 @pytest.mark.parametrize("restitution", [0.5, 0.9])
 def test_bouncing_journal_leaves_with_the_law_s_restitution(name, restitution):
-    """Rebound within 1e-8 (measured 1e-9): at constant speed the memory has caught up to rounding before the touch."""
+    """Rebound within 1e-8 (measured 1e-9): at constant speed the memory has caught up to rounding
+    before the touch.
+    """
     law = getattr(jc.contact, name)(stiffness=1e9, restitution=restitution, memory_time=MEMORY_TIME)
     trajectory = bounce(law)
     speed = np.asarray(trajectory.body("journal").velocity)[-1, :2]
@@ -128,9 +154,13 @@ def test_remembered_speed_survives_a_long_flight():
 
 
 def busy_slider_crank():
-    """Crank driven from rest, rod with clearance at the slider, friction, spring, dampers, gravity, a force in time."""
+    """Crank driven from rest, rod with clearance at the slider, friction, spring, dampers, gravity,
+    a force in time.
+    """
     law = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.8, memory_time=MEMORY_TIME)
-    bearing = jc.clearance.PlanarJournalBearing(law, jc.friction.ThreeZone(0.2, 0.1), clearance=0.2e-3)
+    bearing = jc.clearance.PlanarJournalBearing(
+        law, jc.friction.ThreeZone(0.2, 0.1), clearance=0.2e-3
+    )
     return jc.Mechanism(
         {
             "crank": jc.Body(0.2, 1e-4, (0.02, 0.0)),
@@ -138,7 +168,9 @@ def busy_slider_crank():
             "slider": jc.Body(0.14, 1e-4),
         },
         {
-            "O": jc.Connection(jc.joint.Revolute(drive=jc.drive.RampUp(50.0, 0.02)), "ground", "crank"),
+            "O": jc.Connection(
+                jc.joint.Revolute(drive=jc.drive.RampUp(50.0, 0.02)), "ground", "crank"
+            ),
             "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0)),
             "guide": jc.Connection(jc.joint.Prismatic(), "ground", "slider", axis="x"),
             "B": jc.Connection(bearing, jc.Marker("rod", (0.12, 0.0)), "slider"),
@@ -147,8 +179,12 @@ def busy_slider_crank():
             "gravity": jc.load.Gravity(),
             "elbow": jc.load.JointSpring("A", stiffness=0.5, damping=1e-3),
             "rail": jc.load.JointSpring("guide", damping=2.0),
-            "tie": jc.load.Spring(jc.Marker("ground", (0.3, 0.1)), jc.Marker("slider"), 200.0, 0.1, 1.0),
-            "push": jc.load.Force(jc.Marker("slider"), lambda time: (5.0 * jnp.sin(60.0 * time), 0.0)),
+            "tie": jc.load.Spring(
+                jc.Marker("ground", (0.3, 0.1)), jc.Marker("slider"), 200.0, 0.1, 1.0
+            ),
+            "push": jc.load.Force(
+                jc.Marker("slider"), lambda time: (5.0 * jnp.sin(60.0 * time), 0.0)
+            ),
             "twist": jc.load.JointTorque("A", lambda time: 0.1 * jnp.cos(40.0 * time)),
         },
         start={"guide": 0.17},
@@ -156,7 +192,9 @@ def busy_slider_crank():
 
 
 def test_energy_balance_closes_with_everything_switched_on():
-    """1e-9 of the energy put in; the energies are integrated beside the motion and do not choose the steps."""
+    """1e-9 of the energy put in; the energies are integrated beside the motion and do not choose
+    the steps.
+    """
     fine = jc.integrator.Adaptive(**FINE)
     trajectory = jc.simulate(busy_slider_crank(), 0.1, save=101, integrator=fine, balance=True)
     energy = trajectory.energy_balance()

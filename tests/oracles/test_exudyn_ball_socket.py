@@ -1,7 +1,8 @@
 """A rod thrown in a spherical joint with clearance, against Exudyn's hollow sphere.
 
-Exudyn takes the approach speed at the first instant of contact. Ours follows it within `memory_time`, so a memory of 2.5e-7 s
-and steps of at most twice that leave the positions to agree within 1e-7 m; or captures it, and then any memory will do.
+Exudyn takes the approach speed at the first instant of contact. Ours follows it within
+`memory_time`, so a memory of 2.5e-7 s and steps of at most twice that leave the positions to agree
+within 1e-7 m; or captures it, and then any memory will do.
 """
 
 import json
@@ -24,7 +25,9 @@ MEMORY_TIME = 2.5e-7
 
 
 class LinearRamp(jc.friction.AbstractSlipFriction):
-    """mu |v| / v_r up to v_r, mu above: Exudyn's regularised friction, as a law defined outside the package."""
+    """mu |v| / v_r up to v_r, mu above: Exudyn's regularised friction, as a law defined outside the
+    package.
+    """
 
     mu: float
     ramp_speed: float
@@ -51,7 +54,13 @@ def thrown_rod(contact, friction, memory_time=MEMORY_TIME):
 
 def thrown(contact, friction):
     fine = jc.integrator.Adaptive(rtol=1e-10, atol=1e-12, largest_step=2 * MEMORY_TIME)
-    return jc.simulate(thrown_rod(contact, friction), TIMES[-1], save=TIMES, integrator=fine, start_concentric=False)
+    return jc.simulate(
+        thrown_rod(contact, friction),
+        TIMES[-1],
+        save=TIMES,
+        integrator=fine,
+        start_concentric=False,
+    )
 
 
 def captured(contact, friction):
@@ -64,7 +73,9 @@ def captured(contact, friction):
 @pytest.mark.parametrize("simulate", [thrown, captured])
 def test_thrown_rod_bounces_as_in_exudyn(case, simulate):
     reference = REFERENCE["cases"][case]
-    trajectory = simulate(LAWS[case], LinearRamp(jnp.asarray(reference["friction"]), jnp.asarray(1e-2)))
+    trajectory = simulate(
+        LAWS[case], LinearRamp(jnp.asarray(reference["friction"]), jnp.asarray(1e-2))
+    )
     com, ball = trajectory.body("rod").com[1:], trajectory.marker("rod", (-0.15, 0.0, 0.0))[1:]
     for name, found in (("com", com), ("ball", ball)):
         error = np.abs(np.asarray(found) - np.array(reference[name])).max()

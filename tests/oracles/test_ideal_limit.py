@@ -1,7 +1,9 @@
-"""A joint with clearance becomes its ideal joint as the clearance vanishes: error in proportion to the clearance.
+"""A joint with clearance becomes its ideal joint as the clearance vanishes: error in proportion to
+the clearance.
 
-A journal cannot be further than c + indentation from the middle, so with a stiff, strongly damped contact (indentation below
-1e-6 m) the motion is that of the ideal mechanism up to O(c). The observed order is the slope of log error over log c.
+A journal cannot be further than c + indentation from the middle, so with a stiff, strongly damped
+contact (indentation below 1e-6 m) the motion is that of the ideal mechanism up to O(c). The
+observed order is the slope of log error over log c.
 """
 
 import numpy as np
@@ -10,7 +12,8 @@ import pytest
 import jaxclear as jc
 
 CLEARANCES = np.array([4e-4, 2e-4, 1e-4])
-# A constant damper needs no memory; 100 s/m makes every rebound below 1e-2 m/s die within one bounce.
+# A constant damper needs no memory; 100 s/m makes every rebound below 1e-2 m/s die within one
+# bounce.
 CONTACT = {"stiffness": 3e11, "dissipation": 100.0}
 
 
@@ -23,7 +26,9 @@ def slider_crank(pin):
             "slider": jc.Body(0.14, 1e-4),
         },
         {
-            "O": jc.Connection(jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"),
+            "O": jc.Connection(
+                jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"
+            ),
             "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0)),
             "guide": jc.Connection(jc.joint.Prismatic(), "ground", "slider", axis="x"),
             "B": jc.Connection(pin, jc.Marker("rod", (0.12, 0.0)), "slider"),
@@ -34,7 +39,9 @@ def slider_crank(pin):
 
 
 def swinging_bar(pin, inertia=(2e-3, 2e-3, 1e-4)):
-    """A bar hung in the joint to be tested, pulled along the joint's axis so that the journal tilts as far as it can."""
+    """A bar hung in the joint to be tested, pulled along the joint's axis so that the journal tilts
+    as far as it can.
+    """
     return jc.Mechanism(
         {"bar": jc.Body(0.5, inertia, (0.1, 0.0, 0.0))},
         {"B": jc.Connection(pin, "ground", "bar")},
@@ -55,14 +62,21 @@ def test_slider_crank_with_clearance_tends_to_the_ideal_one():
     law = jc.contact.MarhefkaOrin(**CONTACT)
     ideal = history(slider_crank(jc.joint.Revolute()), 0.25, "slider")
     errors = [
-        np.abs(history(slider_crank(jc.clearance.PlanarJournalBearing(law, clearance=c)), 0.25, "slider") - ideal).max()
+        np.abs(
+            history(
+                slider_crank(jc.clearance.PlanarJournalBearing(law, clearance=c)), 0.25, "slider"
+            )
+            - ideal
+        ).max()
         for c in CLEARANCES
     ]
     assert (np.array(errors) < 3 * CLEARANCES).all()
     assert abs(observed_order(errors) - 1) < 0.15
 
 
-@pytest.mark.parametrize("kind", ["JournalBearing", pytest.param("BallSocket", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "kind", ["JournalBearing", pytest.param("BallSocket", marks=pytest.mark.slow)]
+)
 def test_bar_in_a_spatial_joint_with_clearance_tends_to_the_ideal_one(kind):
     law = jc.contact.MarhefkaOrin(**CONTACT)
     if kind == "BallSocket":
@@ -70,7 +84,12 @@ def test_bar_in_a_spatial_joint_with_clearance_tends_to_the_ideal_one(kind):
         pins = [jc.clearance.BallSocket(law, clearance=c) for c in CLEARANCES]
     else:
         ideal = jc.joint.Revolute()
-        pins = [jc.clearance.JournalBearing(law, clearance=c, flange=jc.clearance.Flange(law, clearance=c)) for c in CLEARANCES]
+        pins = [
+            jc.clearance.JournalBearing(
+                law, clearance=c, flange=jc.clearance.Flange(law, clearance=c)
+            )
+            for c in CLEARANCES
+        ]
     wanted = history(swinging_bar(ideal), 0.15, "bar")
     errors = [np.abs(history(swinging_bar(pin), 0.15, "bar") - wanted).max() for pin in pins]
     assert abs(observed_order(errors) - 1) < 0.2

@@ -1,6 +1,7 @@
 """Moreau-Jean steps beside Siconos: balls that bounce, a column of beads, Glocker's woodpecker.
 
-Reference: siconos-tutorials b6c9bfd (2024-07-24); a few rows of each are in refdata/siconos_rigid.json.
+Reference: siconos-tutorials b6c9bfd (2024-07-24); a few rows of each are in
+refdata/siconos_rigid.json.
 """
 
 import json
@@ -13,10 +14,10 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.components.clearance import AbstractClearance, Pairing, Touch
+from jaxclear.complementarity import percussion
+from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.stiffness import Shape
-from jaxclear.scene import percussion
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "refdata" / "siconos_rigid.json").read_text())
 GRAVITY = 9.81
@@ -36,14 +37,14 @@ class Wall(AbstractClearance):
     def axes(self):
         return ()
 
-    def pairings(self):
-        return (Pairing(self.contact, self.friction, Shape(1e-2, 1.0, None), False),)
+    def contact_laws(self):
+        return (ContactLaws(self.contact, self.friction, Shape(1e-2, 1.0, None), False),)
 
     def indentations(self, offset, axes, worn):
         return (self.reach - offset[0],)
 
-    def touches(self, offset, axes, indentations):
-        return (Touch((offset[0] - self.reach, offset[1], 0), (-1, 0, 0), ((0, 1, 0),)),)
+    def contact_candidates(self, offset, axes, indentations):
+        return (ContactCandidate((offset[0] - self.reach, offset[1], 0), (-1, 0, 0), ((0, 1, 0),)),)
 
     def maps(self):
         return {}
@@ -58,7 +59,9 @@ def up(child):
 
 def run(case, mechanism, integrator):
     times = np.arange(case["steps"] + 1) * case["step"]
-    return jc.simulate(mechanism, times[-1], save=times, integrator=integrator, start_concentric=False)
+    return jc.simulate(
+        mechanism, times[-1], save=times, integrator=integrator, start_concentric=False
+    )
 
 
 def integrator(case, **more):
@@ -107,20 +110,27 @@ def test_ball_with_friction_and_spin():
         speeds={"spin": (2.0,)},
     )
     found = run(case, mechanism, integrator(case, gamma=1.0))
-    expected, own = rows(case, found.coordinate("up")[:, 0], found.speed("up")[:, 0], found.speed("spin")[:, 0])
+    expected, own = rows(
+        case, found.coordinate("up")[:, 0], found.speed("up")[:, 0], found.speed("spin")[:, 0]
+    )
     np.testing.assert_allclose(own, expected, atol=case["tolerance"])
 
 
 def beads(count, restitution, mass, place, floor):
-    """Balls of radius 0.1 above one another; the lowest one's centre stays `floor` above the ground."""
+    """Balls of radius 0.1 above one another; the lowest one's centre stays `floor` above the
+    ground.
+    """
     radius = 0.1
     names = [f"bead{i}" for i in range(count)]
     law = jc.contact.Rigid(restitution)
-    touches = {"floor": jc.Connection(Wall(law, reach=floor), "ground", names[0])}
-    touches |= {f"c{i}": jc.Connection(Wall(law, reach=2 * radius), names[i], names[i + 1]) for i in range(count - 1)}
+    contact_candidates = {"floor": jc.Connection(Wall(law, reach=floor), "ground", names[0])}
+    contact_candidates |= {
+        f"c{i}": jc.Connection(Wall(law, reach=2 * radius), names[i], names[i + 1])
+        for i in range(count - 1)
+    }
     return jc.Mechanism(
         {name: jc.Body(mass(i), 0.1) for i, name in enumerate(names)},
-        {f"up{i}": up(name) for i, name in enumerate(names)} | touches,
+        {f"up{i}": up(name) for i, name in enumerate(names)} | contact_candidates,
         {"gravity": jc.load.Gravity((-GRAVITY, 0.0))},
         start={f"up{i}": place(i) for i in range(count)},
     )
@@ -129,23 +139,30 @@ def beads(count, restitution, mass, place, floor):
 def agree_on_beads(case, mechanism, **more):
     found = run(case, mechanism, integrator(case, sweeps=5000.0, tolerance=1e-15, **more))
     count = len(mechanism.bodies)
-    columns = [part(f"up{i}")[:, 0] for i in range(count) for part in (found.coordinate, found.speed)]
+    columns = [
+        part(f"up{i}")[:, 0] for i in range(count) for part in (found.coordinate, found.speed)
+    ]
     expected, own = rows(case, *columns)
     np.testing.assert_allclose(own, expected, atol=case["tolerance"])
 
 
 def test_two_balls():
-    # Its contacts count as closed one step and a half before they are: read from the reference's own instants.
+    # Its contacts count as closed one step and a half before they are: read from the reference's
+    # own instants.
     mechanism = beads(2, 0.95, lambda i: 1.0 + i, lambda i: 0.1 + 0.201 * i, floor=0.0)
     agree_on_beads(REFERENCE["two_balls"], mechanism, gamma=1.5)
 
 
 def test_column_of_beads():
-    agree_on_beads(REFERENCE["column_of_beads"], beads(10, 0.9, lambda i: 1.0, lambda i: 1.0 + 0.25 * i, floor=0.1))
+    agree_on_beads(
+        REFERENCE["column_of_beads"],
+        beads(10, 0.9, lambda i: 1.0, lambda i: 1.0 + 0.25 * i, floor=0.1),
+    )
 
 
 def woodpecker(case):
-    """Linear equations, implicit in the spring (Glocker's toy): position and speed at every step."""
+    """Linear equations, implicit in the spring (Glocker's toy): position and speed at every
+    step."""
     d = case["data"]
     mass, moment, lm, lg = d["mS"], d["JS"], d["lM"], d["lG"]
     whole = mass + d["mM"]
@@ -173,7 +190,14 @@ def woodpecker(case):
         active = gaps + normal @ (q + 0.5 * h * v) <= 0
         restitution, mu = jnp.array([0.5, 0.0, 0.0]), jnp.full(3, 0.3)
         push = percussion.impact(
-            delassus, (across @ smooth).reshape(3, 2), before[:, 0], active, restitution, mu, most_sweeps=2000, tolerance=1e-15
+            delassus,
+            (across @ smooth).reshape(3, 2),
+            before[:, 0],
+            active,
+            restitution,
+            mu,
+            most_sweeps=2000,
+            tolerance=1e-15,
         )
         after = smooth + solve @ (across.T @ push.percussion)
         q = q + h * (theta * after + (1 - theta) * v)
@@ -198,12 +222,18 @@ def test_bounces_have_the_closed_form_s_times(restitution):
     step = 1e-3
     times = np.arange(0, 1.2, step)
     found = jc.simulate(
-        bouncing_ball(restitution), times[-1], save=times, integrator=jc.integrator.MoreauJean(step), start_concentric=False
+        bouncing_ball(restitution),
+        times[-1],
+        save=times,
+        integrator=jc.integrator.MoreauJean(step),
+        start_concentric=False,
     )
     speed, first = np.asarray(found.speed("up"))[:, 0], np.sqrt(2 / GRAVITY)
     impacts = times[1:][np.diff(speed) > 1.0]
     expected = [first, *(first + 2 * first * np.cumsum([restitution**k for k in range(1, 4)]))]
-    expected = [t for t, k in zip(expected, range(4), strict=True) if restitution**k > 0.3 and t < times[-1]]
+    expected = [
+        t for t, k in zip(expected, range(4), strict=True) if restitution**k > 0.3 and t < times[-1]
+    ]
     assert len(impacts) >= len(expected)
     for k, instant in enumerate(expected):
         assert abs(impacts[k] - instant) < (2 * k + 1) * 1.5 * step

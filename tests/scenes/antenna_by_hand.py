@@ -1,8 +1,10 @@
-"""Independent models for the antenna's tests, in numpy: nothing of jaxclear's equations, only its numbers.
+"""Independent models for the antenna's tests, in numpy: nothing of jaxclear's equations, only its
+numbers.
 
-`Antenna`: three free bodies by Newton and Euler, held together by multipliers (maximal coordinates, rotation matrices, RK4),
-joints rubbing with arm x sum over the bearing's ends of sin(atan mu) |R|. It slides only; it knows no sticking.
-`pendulum`: a link on a rubbing pin in the plane, stick and slip as phases between located events.
+`Antenna`: three free bodies by Newton and Euler, held together by multipliers (maximal coordinates,
+rotation matrices, RK4), joints rubbing with arm x sum over the bearing's ends of sin(atan mu) |R|.
+It slides only; it knows no sticking. `pendulum`: a link on a rubbing pin in the plane, stick and
+slip as phases between located events.
 """
 
 import numpy as np
@@ -14,7 +16,9 @@ def skew(a):
 
 
 class Antenna:
-    """The bodies of a jaxclear antenna. `ends`: 1 for a planar bearing, 2 for a spatial one. `mu(slip speed)`."""
+    """The bodies of a jaxclear antenna. `ends`: 1 for a planar bearing, 2 for a spatial one.
+    `mu(slip speed)`.
+    """
 
     names = ("satellite", "link1", "link2")
 
@@ -22,7 +26,9 @@ class Antenna:
         bodies = [rig.bodies[name] for name in self.names]
         self.mass = [float(b.mass) for b in bodies]
         self.inertia = [np.diag([float(x) for x in b.inertia]) for b in bodies]
-        com = [np.zeros(3) if b.com is None else np.array([float(x) for x in b.com]) for b in bodies]
+        com = [
+            np.zeros(3) if b.com is None else np.array([float(x) for x in b.com]) for b in bodies
+        ]
         self.torques, self.mu, self.ends = torques, mu, ends
         bearing = rig.connections["J1"].joint
         self.radius, self.length = float(bearing.bearing_radius), float(bearing.length)
@@ -36,7 +42,10 @@ class Antenna:
         for k, name in enumerate(("J1", "J2")):
             tops.append(tops[k] + [float(x) for x in rig.connections[name].parent.at])
         self.start = np.concatenate(
-            [np.concatenate([top + c, np.eye(3).ravel(), np.zeros(6)]) for top, c in zip(tops, com, strict=True)]
+            [
+                np.concatenate([top + c, np.eye(3).ravel(), np.zeros(6)])
+                for top, c in zip(tops, com, strict=True)
+            ]
         )
 
     def unpack(self, state):
@@ -76,7 +85,9 @@ class Antenna:
         for _ in range(50):
             before = friction
             found = base + sum(f * unit for f, unit in zip(friction, units, strict=True))
-            friction = np.array([self._friction(found[18 + 5 * k :], axes[k], slips[k]) for k in range(2)])
+            friction = np.array(
+                [self._friction(found[18 + 5 * k :], axes[k], slips[k]) for k in range(2)]
+            )
             if np.abs(friction - before).max() < 1e-14:
                 break
         self.friction = friction
@@ -90,13 +101,20 @@ class Antenna:
         force, torque = multipliers[:3], multipliers[3] * n1 + multipliers[4] * n2
         across = force - (force @ n) * n
         pair = np.cross(torque, n) / self.length
-        sizes = np.linalg.norm(across) if self.ends == 1 else sum(np.linalg.norm(across / 2 + s * pair) for s in (-1, 1))
+        sizes = (
+            np.linalg.norm(across)
+            if self.ends == 1
+            else sum(np.linalg.norm(across / 2 + s * pair) for s in (-1, 1))
+        )
         mu = self.mu(abs(slip))
         return -np.sign(slip) * self.radius * mu / np.sqrt(1 + mu * mu) * sizes
 
     def speeds(self, state):
         bodies = self.unpack(state)
-        return [(bodies[j][3] - bodies[i][3]) @ (bodies[i][1] @ frame[2]) for i, j, _, _, frame in self.joints]
+        return [
+            (bodies[j][3] - bodies[i][3]) @ (bodies[i][1] @ frame[2])
+            for i, j, _, _, frame in self.joints
+        ]
 
     def run(self, duration, step, every=1):
         """Speeds of both joints at every `every`-th step."""
@@ -114,8 +132,8 @@ class Antenna:
 
 
 def pendulum(mass, inertia, arm, radius, mu_kinetic, mu_static, weight, torque, times):
-    """(angle, speed) at `times` of a link whose centre of mass hangs `arm` below a rubbing pin, from rest at angle 0; and how
-    often it stuck."""
+    """(angle, speed) at `times` of a link whose centre of mass hangs `arm` below a rubbing pin,
+    from rest at angle 0; and how often it stuck."""
     grip = lambda mu: radius * mu / np.sqrt(1 + mu * mu)
     about = inertia + mass * arm**2
 
@@ -126,7 +144,11 @@ def pendulum(mass, inertia, arm, radius, mu_kinetic, mu_static, weight, torque, 
     def acceleration(time, angle, speed, sign):
         found = 0.0
         for _ in range(60):
-            found = (torque(time) - weight * arm * np.sin(angle) - sign * grip(mu_kinetic) * load(angle, speed, found)) / about
+            found = (
+                torque(time)
+                - weight * arm * np.sin(angle)
+                - sign * grip(mu_kinetic) * load(angle, speed, found)
+            ) / about
         return found
 
     def demand(time, angle):
@@ -142,13 +164,28 @@ def pendulum(mass, inertia, arm, radius, mu_kinetic, mu_static, weight, torque, 
             sticks += 1
             event = lambda t, y, angle=angle: breaks(t, angle)
             event.terminal, event.direction = True, 1
-            phase = solve_ivp(lambda t, y: [0.0, 0.0], (time, end), [angle, 0.0], events=event, dense_output=True, max_step=1e-2)
+            phase = solve_ivp(
+                lambda t, y: [0.0, 0.0],
+                (time, end),
+                [angle, 0.0],
+                events=event,
+                dense_output=True,
+                max_step=1e-2,
+            )
         else:
             sign = np.sign(demand(time, angle))
             event = lambda t, y: y[1]
             event.terminal, event.direction = True, -sign
             slide = lambda t, y, sign=sign: [y[1], acceleration(t, *y, sign)]
-            phase = solve_ivp(slide, (time, end), [angle, sign * 1e-12], events=event, dense_output=True, rtol=1e-10, atol=1e-12)
+            phase = solve_ivp(
+                slide,
+                (time, end),
+                [angle, sign * 1e-12],
+                events=event,
+                dense_output=True,
+                rtol=1e-10,
+                atol=1e-12,
+            )
         inside = (times >= time) & (times <= phase.t[-1])
         filled[inside] = phase.sol(times[inside]).T
         time, angle = phase.t[-1], phase.y[0, -1]

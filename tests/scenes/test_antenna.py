@@ -1,17 +1,28 @@
-"""The claims (a) to (e) about the antenna pointing mechanism (paper 000), its momentum, and its checks."""
+"""The claims (a) to (e) about the antenna pointing mechanism (paper 000), its momentum, and its
+checks.
+"""
 
 import numpy as np
 import pytest
 from antenna_by_hand import Antenna, pendulum
 
 import jaxclear as jc
-from jaxclear.scenes.antenna import BASE, BEARING_RADIUS, JOINTS, TIP, PeriodicTorque, antenna, driving_torques
+from jaxclear.scenes.antenna import (
+    BASE,
+    BEARING_RADIUS,
+    JOINTS,
+    TIP,
+    PeriodicTorque,
+    antenna,
+    driving_torques,
+)
 
 STEP = 1e-3
 PERIODIC, STEPPED = 2.0, 2.5
 # Slip slower than this is sticking [m/s].
 STUCK = 1e-12
-# A regularised law steep enough that it nearly holds: full friction at 1 mm/s (Bai & Zhao's own is 100 times wider).
+# A regularised law steep enough that it nearly holds: full friction at 1 mm/s (Bai & Zhao's own is
+# 100 times wider).
 STEEP = {"static_speed": 1e-3, "kinetic_speed": 1e-2}
 
 
@@ -41,7 +52,9 @@ def slips(run):
 
 
 def momentum(run):
-    """Momentum and angular momentum about the origin, and the largest angular momentum of a body's own spin."""
+    """Momentum and angular momentum about the origin, and the largest angular momentum of a body's
+    own spin.
+    """
     linear, angular, largest = 0.0, 0.0, 0.0
     for name, body in run.mechanism.bodies.items():
         history = run.body(name)
@@ -56,24 +69,32 @@ def momentum(run):
 
 @pytest.mark.parametrize(("kind", "ends"), [("planar", 1), ("spatial", 2)])
 def test_sliding_joints_equal_an_independent_solution(kind, ends, periodic):
-    """(a) Free bodies, multipliers, RK4 in numpy against joint coordinates and the midpoint rule."""
+    """(a) Free bodies, multipliers, RK4 in numpy against joint coordinates and the midpoint
+    rule."""
     torques = [lambda t: 10 * np.sin(2 * np.pi * t), lambda t: 4 * np.sin(2 * np.pi * t)]
     wanted = Antenna(antenna(kind), torques, lambda slip: 0.1, ends).run(0.3, 2e-3, 5)
     found = slips(periodic[kind])[:301:10] / BEARING_RADIUS
-    # The midpoint rule at 1 ms is below 8e-6 off and of order 2; friction in the planar joints changes joint 1 by 3e-3 rad/s.
+    # The midpoint rule at 1 ms is below 8e-6 off and of order 2; friction in the planar joints
+    # changes joint 1 by 3e-3 rad/s.
     np.testing.assert_allclose(found, wanted, atol=1e-5)
     assert np.abs(wanted - slips(periodic["ideal"])[:301:10] / BEARING_RADIUS).max() > 100e-5
 
 
 def test_sticking_planar_joint_equals_an_independent_solution():
-    """(a) A link on a rubbing pin that sticks at its turning points, against phases between located events."""
-    bearing = jc.clearance.PlanarJournalBearing(jc.contact.Rigid(0.5), jc.friction.Coulomb(0.4, 0.6), 30e-3, 0.1e-3)
+    """(a) A link on a rubbing pin that sticks at its turning points, against phases between located
+    events.
+    """
+    bearing = jc.clearance.PlanarJournalBearing(
+        jc.contact.Rigid(0.5), jc.friction.Coulomb(0.4, 0.6), 30e-3, 0.1e-3
+    )
     rig = jc.Mechanism(
         bodies={"link": jc.Body(mass=2.0, inertia=0.02, com=(0.2, 0.0))},
         connections={"P": jc.Connection(bearing, "ground", "link")},
         loads={
             "weight": jc.load.Gravity((9.81, 0.0)),
-            "motor": jc.load.MotorTorque(jc.Marker("ground"), jc.Marker("link"), PeriodicTorque(0.6, 0.5)),
+            "motor": jc.load.MotorTorque(
+                jc.Marker("ground"), jc.Marker("link"), PeriodicTorque(0.6, 0.5)
+            ),
         },
     )
     times = np.linspace(0, 6, 601)
@@ -93,20 +114,30 @@ def test_sticking_planar_joint_equals_an_independent_solution():
 
 def test_amplitude_falls_from_ideal_over_planar_to_spatial(periodic):
     """(b) The spatial joint's ends carry the moments too, so it rubs more."""
-    swings = np.array([np.ptp(angles(periodic[kind]), axis=0) for kind in ("ideal", "planar", "spatial")])
-    # The planar joints cost some parts in a thousand, far above the error of the steps (1e-5); the spatial ones over a tenth.
+    swings = np.array(
+        [np.ptp(angles(periodic[kind]), axis=0) for kind in ("ideal", "planar", "spatial")]
+    )
+    # The planar joints cost some parts in a thousand, far above the error of the steps (1e-5); the
+    # spatial ones over a tenth.
     assert np.all(swings[0] > 1.003 * swings[1]) and np.all(swings[1] > 1.1 * swings[2])
-    planar, spatial = (np.asarray(periodic[kind].contact("J1").traction).sum(1).mean() for kind in ("planar", "spatial"))
+    planar, spatial = (
+        np.asarray(periodic[kind].contact("J1").traction).sum(1).mean()
+        for kind in ("planar", "spatial")
+    )
     assert spatial > 10 * planar
 
 
 def test_momentum_of_the_floating_system_is_conserved(periodic, stepped):
-    linear, angular, scale = zip(*map(momentum, (stepped, run("spatial", "step", STEP / 2))), strict=True)
+    linear, angular, scale = zip(
+        *map(momentum, (stepped, run("spatial", "step", STEP / 2))), strict=True
+    )
     assert scale[0] > 1 and max(linear[0], angular[0]) < 1e-4 * scale[0]
     # Motors and joints act on both bodies, so what is left is the midpoint rule's error: order 2.
     np.testing.assert_allclose([linear[0] / linear[1], angular[0] / angular[1]], 4.0, rtol=0.05)
     rig = antenna("ideal")
-    reference = jc.simulate(rig, PERIODIC, save=101, integrator=jc.integrator.Adaptive(rtol=1e-11, atol=1e-13))
+    reference = jc.simulate(
+        rig, PERIODIC, save=101, integrator=jc.integrator.Adaptive(rtol=1e-11, atol=1e-13)
+    )
     linear, angular, scale = momentum(reference)
     assert max(linear, angular) < 1e-9 * scale
     # The same run checks the ideal antenna's steps: order 2, 1 ms.
@@ -137,7 +168,10 @@ def test_coulomb_sticks_and_slips_where_the_regularised_law_creeps(stepped):
     for first, last in held:
         inside = slice(first + 1, last)
         # It carries what motion asks, below the static bound.
-        assert np.all(friction[inside] <= 0.15 * load[inside] * (1 + 1e-9)) and np.ptp(friction[inside]) > 1.0
+        assert (
+            np.all(friction[inside] <= 0.15 * load[inside] * (1 + 1e-9))
+            and np.ptp(friction[inside]) > 1.0
+        )
     law = jc.friction.ThreeZone(0.15, 0.1, **STEEP)
     creeping = slips(run("spatial", "step", friction=law, regularised=True))[:, 0]
     for first, last in held:
@@ -166,7 +200,11 @@ def test_adjoint_model_agrees_to_second_order_in_the_clearance(drive, periodic, 
         sizes.append(error.position_error.max())
         lean = 2 * clearance / 50e-3
         # Joint 2 is 0.5 m above joint 1 and 0.5 m from the tip.
-        assert 0.2 * lean * 0.5 < error.position_error.max() < 2 * clearance + lean * (np.hypot(0.5, 0.52) + 0.52)
+        assert (
+            0.2 * lean * 0.5
+            < error.position_error.max()
+            < 2 * clearance + lean * (np.hypot(0.5, 0.52) + 0.52)
+        )
         assert error.pointing_angle.max() < 2 * lean
     np.testing.assert_allclose(differences[0] / differences[1], 4.0, rtol=0.02)
     np.testing.assert_allclose(sizes[0] / sizes[1], 2.0, rtol=0.02)
@@ -184,7 +222,10 @@ def test_compiled_steps_are_machine_code(caplog):
     ("ask", "sentence"),
     [
         (lambda: antenna("loose"), "joints of the antenna are spatial, planar, ideal"),
-        (lambda: antenna(drive="ramp"), "drive of the antenna is 'periodic', 'step' or two torques"),
+        (
+            lambda: antenna(drive="ramp"),
+            "drive of the antenna is 'periodic', 'step' or two torques",
+        ),
         (lambda: antenna(friction="dry"), "friction of the antenna is"),
         (lambda: run("spatial", "step", regularised=True), "no function of the sliding speed"),
     ],

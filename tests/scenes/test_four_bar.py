@@ -1,10 +1,12 @@
-"""The claims (a) to (e) about the four-bar with three-dimensional clearance and wear (paper 001), on two turns of the crank."""
+"""The claims (a) to (e) about the four-bar with three-dimensional clearance and wear (paper 001),
+on two turns of the crank.
+"""
 
 import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.face import plot
+from jaxclear import plot
 from jaxclear.scenes.four_bar import CLEARANCES, four_bar
 
 DURATION, SAVES = 1.26, 631
@@ -18,7 +20,10 @@ def ideal():
 
 @pytest.fixture(scope="module")
 def runs():
-    return {c: jc.simulate(four_bar("spatial", c), DURATION, save=SAVES, integrator=INTEGRATOR) for c in CLEARANCES[1:]}
+    return {
+        c: jc.simulate(four_bar("spatial", c), DURATION, save=SAVES, integrator=INTEGRATOR)
+        for c in CLEARANCES[1:]
+    }
 
 
 def in_plane(run):
@@ -26,9 +31,13 @@ def in_plane(run):
 
 
 def test_follower_strays_further_from_the_ideal_path_as_clearance_grows(runs, ideal):
-    errors = [np.sqrt(((in_plane(run) - in_plane(ideal)) ** 2).sum(axis=1).mean()) for run in runs.values()]
+    errors = [
+        np.sqrt(((in_plane(run) - in_plane(ideal)) ** 2).sum(axis=1).mean())
+        for run in runs.values()
+    ]
     assert np.all(np.diff(errors) > 0)
-    # A journal resting on the wall moves the follower's middle by about half the clearance, a geometric fact.
+    # A journal resting on the wall moves the follower's middle by about half the clearance, a
+    # geometric fact.
     np.testing.assert_allclose(errors, np.array(list(runs)), rtol=0.35)
 
 
@@ -66,7 +75,9 @@ def test_wear_concentrates_near_the_edges_and_its_two_ends_differ(runs):
 
 
 def test_without_the_follower_beside_the_coupler_both_ends_wear_alike():
-    run = jc.simulate(four_bar("spatial", follower_offset=0.0), 0.2, save=101, integrator=INTEGRATOR)
+    run = jc.simulate(
+        four_bar("spatial", follower_offset=0.0), 0.2, save=101, integrator=INTEGRATOR
+    )
     depth = np.asarray(run.worn["B"]["bearing"])
     np.testing.assert_allclose(depth[:, 0], depth[:, -1], rtol=1e-6, atol=1e-15)
 
@@ -91,7 +102,8 @@ def test_planar_and_spatial_bearings_agree_while_the_journal_stays_parallel():
     planar = jc.simulate(four_bar("planar", wear=False), 0.05, save=51)
     spatial = jc.simulate(four_bar("spatial", wear=False, follower_offset=0.0), 0.05, save=51)
     force = [np.asarray(run.contact("B").normal_force).sum(axis=1) for run in (planar, spatial)]
-    # Two ends of stiffness K are together twice as stiff as the planar joint's one: bounces part by a share of the clearance.
+    # Two ends of stiffness K are together twice as stiff as the planar joint's one: bounces part by
+    # a share of the clearance.
     np.testing.assert_allclose(in_plane(planar), in_plane(spatial), atol=20e-6)
     # Once the bounces have died out, both carry the same load.
     np.testing.assert_allclose(force[0][-8:], force[1][-8:], rtol=1e-3)

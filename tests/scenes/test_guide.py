@@ -1,8 +1,10 @@
-"""The claims about the slider in a guide (paper 004), beside equations of the mechanism written by hand.
+"""The claims about the slider in a guide (paper 004), beside equations of the mechanism written by
+hand.
 
-By hand: crank angle theta gives the slider's distance r from C, the guide's angle phi and their rates in closed form; Euler's
-equations of slider and guide give the resultant N across the guide and its moment M about the slider's centre, and with a
-ratio of friction to the corners' forces the forces n of the front and back corner.
+By hand: crank angle theta gives the slider's distance r from C, the guide's angle phi and their
+rates in closed form; Euler's equations of slider and guide give the resultant N across the guide
+and its moment M about the slider's centre, and with a ratio of friction to the corners' forces the
+forces n of the front and back corner.
 """
 
 import importlib
@@ -12,10 +14,10 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.face import guide_study
-from jaxclear.face.cli import main
-from jaxclear.scene.complementarity import HorizontalLCP
-from jaxclear.scene.pivoting import Lemke
+from jaxclear.commands import guide
+from jaxclear.commands.cli import main
+from jaxclear.complementarity import HorizontalLCP
+from jaxclear.complementarity.lemke import Lemke
 
 scene = importlib.import_module("jaxclear.scenes.guide")
 MU, SPEED = 0.1, scene.CRANK_SPEED
@@ -24,13 +26,16 @@ TURN, SAVES = 2 * np.pi / SPEED, 1257
 STEP = TURN / (SAVES - 1)
 # The free crank is let go here and comes to rest by friction.
 RELEASE, MU_FREE, FREE_STEP, FREE_SAVES = -2.2, 0.3, 2e-3, 501
-# Instants this close [s] to a switching, to the slider's turning points or to an impact are not compared.
+# Instants this close [s] to a switching, to the slider's turning points or to an impact are not
+# compared.
 AWAY = 5e-3
 lemke = jax.jit(Lemke().solve)
 
 
 def by_hand(angle, speed, acceleration, ratio):
-    """Reactions for a crank's motion and a ratio of friction to the sum of the corners' forces; `n` front and back corner."""
+    """Reactions for a crank's motion and a ratio of friction to the sum of the corners' forces; `n`
+    front and back corner.
+    """
     half = scene.GUIDE_ARM
     c, s, g = np.cos(angle), np.sin(angle), scene.GRAVITY
     tangent, inward = np.stack([-s, c]), np.stack([-c, -s])
@@ -43,7 +48,13 @@ def by_hand(angle, speed, acceleration, ratio):
     slip, turn = (along * velocity).sum(0), (across * velocity).sum(0) / r
     swing = ((across * pull).sum(0) - 2 * slip * turn) / r
     moment = scene.SLIDER_INERTIA * swing
-    force = -((scene.GUIDE_INERTIA + scene.SLIDER_INERTIA) * swing + scene.GUIDE_MASS * g * half * along[0]) / r
+    force = (
+        -(
+            (scene.GUIDE_INERTIA + scene.SLIDER_INERTIA) * swing
+            + scene.GUIDE_MASS * g * half * along[0]
+        )
+        / r
+    )
     pair = (moment - 0.5 * scene.WIDTH * ratio * force) / scene.SLIDER
     n = np.stack([0.5 * force + pair, 0.5 * force - pair])
     friction = ratio * np.abs(n).sum(0)
@@ -52,7 +63,17 @@ def by_hand(angle, speed, acceleration, ratio):
     ground = scene.CRANK_MASS * (0.5 * pull + up) + pin
     arm = scene.CRANK * (c * pin[1] - s * pin[0])
     torque = scene.CRANK_INERTIA * acceleration + 0.5 * scene.CRANK_MASS * g * scene.CRANK * c + arm
-    return {"slip": slip, "n": n, "friction": friction, "A": pin, "O": ground, "torque": torque, "r": r, "N": force, "M": moment}
+    return {
+        "slip": slip,
+        "n": n,
+        "friction": friction,
+        "A": pin,
+        "O": ground,
+        "torque": torque,
+        "r": r,
+        "N": force,
+        "M": moment,
+    }
 
 
 def regularised(angle, speed):
@@ -62,15 +83,25 @@ def regularised(angle, speed):
 
 
 def corners(run):
-    """Signed forces of front and back corner across the guide, and friction, means over the saving intervals."""
+    """Signed forces of front and back corner across the guide, and friction, means over the saving
+    intervals.
+    """
     contact = run.contact("P")
     normal = np.asarray(contact.normal_force)[1:]
-    return np.stack([normal[:, 1] - normal[:, 3], normal[:, 0] - normal[:, 2]]), np.asarray(contact.force)[1:, 2]
+    return np.stack([normal[:, 1] - normal[:, 3], normal[:, 0] - normal[:, 2]]), np.asarray(
+        contact.force
+    )[1:, 2]
 
 
 @pytest.fixture(scope="module")
 def driven():
-    return jc.simulate(jc.scenes.guide(), TURN, save=SAVES, integrator=jc.integrator.NonColliding(STEP), balance=True)
+    return jc.simulate(
+        jc.scenes.guide(),
+        TURN,
+        save=SAVES,
+        integrator=jc.integrator.NonColliding(STEP),
+        balance=True,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -103,9 +134,12 @@ def test_corner_forces_and_friction_are_those_of_the_equations_by_hand(driven):
     middle = SPEED * (np.asarray(driven.time)[1:] - 0.5 * STEP)
     expected = regularised(middle, SPEED)
     n, friction = corners(driven)
-    # Midpoint rule: the guide's angle is of order h^2 beside the exact one; largest where the slider is nearest to C.
+    # Midpoint rule: the guide's angle is of order h^2 beside the exact one; largest where the
+    # slider is nearest to C.
     np.testing.assert_allclose(n, expected["n"], atol=5e-4 * np.abs(expected["n"]).max())
-    np.testing.assert_allclose(friction, expected["friction"], atol=5e-4 * np.abs(expected["friction"]).max())
+    np.testing.assert_allclose(
+        friction, expected["friction"], atol=5e-4 * np.abs(expected["friction"]).max()
+    )
     # True also where only rounding answers friction: the crank is driven, friction moves nothing.
     assert np.all(friction * expected["slip"] < 0)
 
@@ -117,14 +151,20 @@ def test_reactions_agree_with_the_regularised_model_away_from_switchings(driven,
     for joint in "OA":
         force = np.asarray(driven.reaction(joint).force)[:, :2].T
         error = np.linalg.norm(force - expected[joint], axis=0)
-        # Friction is its mean over the interval before: first order in the step, one per cent of its part of a tenth.
+        # Friction is its mean over the interval before: first order in the step, one per cent of
+        # its part of a tenth.
         assert error[far].max() < 5e-3 * np.linalg.norm(expected[joint], axis=0).max()
 
 
-def test_reactions_agree_with_a_compliant_run_away_from_switchings_and_impacts(driven, compliant, instants):
+def test_reactions_agree_with_a_compliant_run_away_from_switchings_and_impacts(
+    driven, compliant, instants
+):
     time = np.asarray(compliant.time)
-    # Centred in its gap, the slider first bounces; at a switching it crosses its gap and bounces until it rests again.
-    calm = ((time > 0.05) & (time < instants[0] - 5e-3)) | ((time > 0.45) & (time < instants[2] - 5e-3))
+    # Centred in its gap, the slider first bounces; at a switching it crosses its gap and bounces
+    # until it rests again.
+    calm = ((time > 0.05) & (time < instants[0] - 5e-3)) | (
+        (time > 0.45) & (time < instants[2] - 5e-3)
+    )
     for joint in "OA":
         force = np.asarray(driven.reaction(joint).force)[:, :2]
         here = np.stack([np.interp(time, driven.time, part) for part in force.T], 1)
@@ -136,12 +176,17 @@ def test_reactions_agree_with_a_compliant_run_away_from_switchings_and_impacts(d
 def test_switching_instants_are_where_a_corners_force_by_hand_passes_zero(instants):
     time = np.linspace(0.3, 0.64, 34001)
     changes = np.diff(np.sign(regularised(SPEED * time, SPEED)["n"]), axis=1) != 0
-    first, second, third, fourth = np.sort(np.concatenate([time[:-1][change] for change in changes]))
-    # The last two are 47 us apart, within a step: then the line changes sides at once. A tenth of a step for the rest.
+    first, second, third, fourth = np.sort(
+        np.concatenate([time[:-1][change] for change in changes])
+    )
+    # The last two are 47 us apart, within a step: then the line changes sides at once. A tenth of a
+    # step for the rest.
     np.testing.assert_allclose(instants, [first, second, 0.5 * (third + fourth)], atol=0.1 * STEP)
 
 
-def test_switching_instants_are_those_of_the_model_with_a_small_clearance(driven, compliant, instants):
+def test_switching_instants_are_those_of_the_model_with_a_small_clearance(
+    driven, compliant, instants
+):
     assert list(driven.switchings("P")["to"]) == [
         "two points on opposite sides",
         "a line (points on one side)",
@@ -153,10 +198,15 @@ def test_switching_instants_are_those_of_the_model_with_a_small_clearance(driven
     struck = time[np.flatnonzero((time > 0.3) & touch[:, 0])[0]]
     assert abs(lifted - instants[0]) < 2e-3 and instants[0] < struck < instants[0] + 15e-3
     assert np.all(touch[time == struck] == [True, False, False, True])
-    # The line lets go within two saving intervals, and the slider strikes the other side after it has crossed its gap.
+    # The line lets go within two saving intervals, and the slider strikes the other side after it
+    # has crossed its gap.
     let_go = time[np.flatnonzero((time > 0.6) & ~touch[:, :2].any(axis=1))[0]]
     assert abs(let_go - instants[2]) < 2e-3
-    assert instants[2] < time[np.flatnonzero((time > 0.6) & touch[:, 2:].any(axis=1))[0]] < instants[2] + 7e-3
+    assert (
+        instants[2]
+        < time[np.flatnonzero((time > 0.6) & touch[:, 2:].any(axis=1))[0]]
+        < instants[2] + 7e-3
+    )
 
 
 @pytest.mark.slow
@@ -166,10 +216,12 @@ def test_impact_follows_the_switching_after_a_flight_that_vanishes_with_the_clea
     for clearance in clearances:
         rig = jc.scenes.guide(clearance=clearance, crank_angle=SPEED * begin)
         run = jc.simulate(rig, 0.1, save=1001, integrator=jc.integrator.MoreauJean(step))
-        strikes = np.asarray(run.contact("P").normal_force)[:, 2:].any(axis=1) & (run.time > instants[2] - begin - 0.01)
+        strikes = np.asarray(run.contact("P").normal_force)[:, 2:].any(axis=1) & (
+            run.time > instants[2] - begin - 0.01
+        )
         flights.append(run.time[np.flatnonzero(strikes)[0]] + begin - instants[2])
-    # The force grows as N' t from the switching on and turns the guide about C: 2 c = N' r^2 t^3 / (6 I). Bounces before,
-    # turning of the slider and growth of N' are left out.
+    # The force grows as N' t from the switching on and turns the guide about C: 2 c = N' r^2 t^3 /
+    # (6 I). Bounces before, turning of the slider and growth of N' are left out.
     around = regularised(SPEED * (instants[2] + np.array([-1e-3, 0.0, 1e-3])), SPEED)
     slope = abs(around["N"][2] - around["N"][0]) / 2e-3
     expected = np.cbrt(12 * clearances * scene.GUIDE_INERTIA / (slope * around["r"][1] ** 2))
@@ -179,10 +231,11 @@ def test_impact_follows_the_switching_after_a_flight_that_vanishes_with_the_clea
 
 
 def friction_problem(offset, slope, mu, slip, answer):
-    """Corner forces n = offset + slope T = p - m, friction T, slip s = slip + answer T = s+ - s- as a horizontal LCP.
+    """Corner forces n = offset + slope T = p - m, friction T, slip s = slip + answer T = s+ - s- as
+    a horizontal LCP.
 
-    0 <= p perp m >= 0 at both corners, 0 <= s+ perp mu sum(p + m) + T >= 0, 0 <= s- perp mu sum(p + m) - T >= 0.
-    z: p, s+, the last one; w: m, the one before, s-.
+    0 <= p perp m >= 0 at both corners, 0 <= s+ perp mu sum(p + m) + T >= 0, 0 <= s- perp mu sum(p +
+    m) - T >= 0. z: p, s+, the last one; w: m, the one before, s-.
     """
     w, z = np.zeros((4, 4)), np.zeros((4, 4))
     for k in range(2):
@@ -197,7 +250,9 @@ def friction_problem(offset, slope, mu, slip, answer):
 
 
 def solved(problem, mu):
-    """Corner forces, friction and slip that Lemke finds, and how well they are complementary beside the largest force."""
+    """Corner forces, friction and slip that Lemke finds, and how well they are complementary beside
+    the largest force.
+    """
     found = lemke(problem)
     assert found.solved, found.sentence()
     z, w = np.asarray(found.z), np.asarray(found.w)
@@ -212,12 +267,20 @@ def test_the_complementarity_residual_is_rounding_at_every_step(driven, free):
         total = np.abs(n).sum(axis=0)
         normal = np.asarray(run.contact("P").normal_force)[1:]
         assert normal.min() >= 0
-        assert max(np.minimum(normal[:, 0], normal[:, 2]).max(), np.minimum(normal[:, 1], normal[:, 3]).max()) == 0
-        # 0 <= s+ perp mu S + T >= 0 and 0 <= s- perp mu S - T >= 0: slip beside the largest slip, force beside the largest bound.
+        assert (
+            max(
+                np.minimum(normal[:, 0], normal[:, 2]).max(),
+                np.minimum(normal[:, 1], normal[:, 3]).max(),
+            )
+            == 0
+        )
+        # 0 <= s+ perp mu S + T >= 0 and 0 <= s- perp mu S - T >= 0: slip beside the largest slip,
+        # force beside the largest bound.
         largest = mu * total.max()
         backward, forward = ((mu * total - sign * friction) / largest for sign in (1, -1))
         speed = slip / np.abs(slip).max()
-        # Where a driven slider turns round its speed is nought but for the drift of the closed loop.
+        # Where a driven slider turns round its speed is nought but for the drift of the closed
+        # loop.
         turning = np.abs(speed) < 1e-5
         assert min(backward.min(), forward.min()) > -1e-13
         assert np.abs(np.minimum(np.maximum(speed, 0), forward))[~turning].max() < 1e-13
@@ -233,7 +296,9 @@ def test_lemke_finds_the_same_friction_for_the_driven_crank(driven):
         angle = SPEED * (float(driven.time[step]) + 0.5 * STEP)
         slip = by_hand(angle, SPEED, 0.0, 0.0)["slip"]
         offset = by_hand(angle, SPEED, 0.0, -MU * np.sign(slip))["n"]
-        own_n, own_friction, own_slip, residual = solved(friction_problem(offset, np.zeros(2), MU, slip, 0.0), MU)
+        own_n, own_friction, own_slip, residual = solved(
+            friction_problem(offset, np.zeros(2), MU, slip, 0.0), MU
+        )
         assert residual < 1e-12
         np.testing.assert_allclose(own_slip, slip, rtol=1e-12)
         np.testing.assert_allclose(own_n, n[:, step], atol=5e-4 * largest)
@@ -250,7 +315,8 @@ def test_lemke_finds_the_same_friction_and_slip_for_the_free_crank(free):
         rate = 0.5 * (speed[step] + speed[step + 1])
         still, moved = (by_hand(middle, rate, a, 0.0) for a in (0.0, 1.0))
         lean = -np.sign(still["N"])
-        # Both corners on one wall: friction T at half the width gives a moment +-w T / 2, and T gives the crank's acceleration.
+        # Both corners on one wall: friction T at half the width gives a moment +-w T / 2, and T
+        # gives the crank's acceleration.
         along = by_hand(middle, 1.0, 0.0, 0.0)["slip"] / scene.CRANK
         inertia = moved["torque"] - still["torque"]
         acceleration, per_friction = -still["torque"] / inertia, scene.CRANK * along / inertia
@@ -258,10 +324,13 @@ def test_lemke_finds_the_same_friction_and_slip_for_the_free_crank(free):
         turned = by_hand(middle, rate, acceleration + per_friction, 0.0)["n"] - base
         turned += np.array([1.0, -1.0]) * 0.5 * scene.WIDTH * lean / scene.SLIDER
         answer = h * scene.CRANK * along * per_friction
-        # Slip at the step's end without friction: along the guide, by the crank's acceleration and by what the geometry changes.
+        # Slip at the step's end without friction: along the guide, by the crank's acceleration and
+        # by what the geometry changes.
         ahead = by_hand(angle[step] + h * rate, 1.0, 0.0, 0.0)["slip"]
         slip = ahead * (speed[step] + h * acceleration)
-        own_n, own_friction, own_slip, residual = solved(friction_problem(base, turned, MU_FREE, slip, answer), MU_FREE)
+        own_n, own_friction, own_slip, residual = solved(
+            friction_problem(base, turned, MU_FREE, slip, answer), MU_FREE
+        )
         assert residual < 1e-12
         np.testing.assert_allclose(own_n, n[:, step], rtol=2e-3)
         np.testing.assert_allclose(own_friction, friction[step], rtol=2e-3)
@@ -289,8 +358,8 @@ def test_relaxed_friction_tends_to_coulombs(free):
         run = free_crank(width)
         errors.append(np.abs(np.asarray(run.coordinate("O") - free.coordinate("O"))).max())
         creeps.append(np.abs(np.asarray(run.speed("P")))[-100:].max())
-    # Rounding a corner over kappa moves the law by kappa at the corner, by kappa^2 beside it: order 1 at least, 2 where the
-    # motion spends no time at the corner.
+    # Rounding a corner over kappa moves the law by kappa at the corner, by kappa^2 beside it: order
+    # 1 at least, 2 where the motion spends no time at the corner.
     for size in (errors, creeps):
         rate = np.polyfit(np.log(widths), np.log(size), 1)[0]
         assert 0.9 < rate < 2.1
@@ -300,12 +369,17 @@ def test_relaxed_friction_tends_to_coulombs(free):
 def frictionless(kind, integrator):
     run = jc.simulate(jc.scenes.guide(kind, friction=None), 0.25, save=126, integrator=integrator)
     expected = by_hand(SPEED * np.asarray(run.time), SPEED, 0.0, 0.0)["A"].T
-    return run, np.asarray(run.reaction("A").force)[:, :2] / np.abs(expected).max(), expected / np.abs(expected).max()
+    return (
+        run,
+        np.asarray(run.reaction("A").force)[:, :2] / np.abs(expected).max(),
+        expected / np.abs(expected).max(),
+    )
 
 
 def test_without_friction_the_reactions_are_those_of_the_ideal_joint():
     run, force, expected = frictionless("guide", jc.integrator.NonColliding(2.5e-4))
-    # The first step knows no acceleration yet: an error of order h^2, which decays as the loop's drift does.
+    # The first step knows no acceleration yet: an error of order h^2, which decays as the loop's
+    # drift does.
     np.testing.assert_allclose(force, expected, atol=5e-4)
     assert np.all(np.asarray(run.contact("P").traction) == 0)
 
@@ -317,7 +391,13 @@ def test_the_ideal_scene_has_the_reactions_of_the_equations_by_hand():
 
 
 def test_energy_balance_closes_with_the_square_of_the_step(driven):
-    fine = jc.simulate(jc.scenes.guide(), TURN, save=SAVES, integrator=jc.integrator.NonColliding(STEP / 2), balance=True)
+    fine = jc.simulate(
+        jc.scenes.guide(),
+        TURN,
+        save=SAVES,
+        integrator=jc.integrator.NonColliding(STEP / 2),
+        balance=True,
+    )
     coarse, halved = (run.energy_balance() for run in (driven, fine))
     loss = np.asarray(coarse.friction_loss)
     assert np.all(np.diff(loss) >= 0) and loss[-1] > 100
@@ -329,11 +409,11 @@ def test_energy_balance_closes_with_the_square_of_the_step(driven):
 
 
 def test_every_figure_draws(driven, compliant, instants, tmp_path):
-    assert len(guide_study.impacts(compliant, instants)) == len(instants)
+    assert len(guide.impacts(compliant, instants)) == len(instants)
     figures = [
-        guide_study.corner_forces(driven, instants),
-        guide_study.switching_window(driven, compliant, instants),
-        guide_study.reactions(driven, compliant, instants),
+        guide.corner_forces(driven, instants),
+        guide.switching_window(driven, compliant, instants),
+        guide.reactions(driven, compliant, instants),
     ]
     for number, figure in enumerate(figures):
         figure.savefig(tmp_path / f"{number}.png")
@@ -343,7 +423,9 @@ def test_every_figure_draws(driven, compliant, instants, tmp_path):
 @pytest.mark.slow
 def test_the_command_writes_figures_and_tables(tmp_path, capsys):
     main(["guide", "--out", str(tmp_path), "--quiet"])
-    assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".csv"} and len(list(tmp_path.iterdir())) == 5
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".csv"} and len(
+        list(tmp_path.iterdir())
+    ) == 5
     assert str(tmp_path) in capsys.readouterr().out
 
 

@@ -1,4 +1,5 @@
-"""Advice on integrators: what is recommended keeps its word, and what cannot be promised is said."""
+"""Advice on integrators: what is recommended keeps its word, and what cannot be promised is
+said."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -6,29 +7,39 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.face import plot
-from jaxclear.studies import judgement
-from jaxclear.studies.advice import REFERENCE
-from jaxclear.studies.ladder import default_ladder, loosened, reference, steps
-from jaxclear.studies.pilot import Trial, describe, evaluate_one, pilot_of
+from jaxclear import plot
+from jaxclear.studies import verdict
+from jaxclear.studies.advice.advice import REFERENCE
+from jaxclear.studies.advice.pilot import Trial, describe, evaluate_one, pilot_of
+from jaxclear.studies.work_precision import default_ladder, loosened, reference, steps
 
 STEPS = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 
 
 def falling():
     """A journal that falls in its bearing and bounces."""
-    bearing = jc.clearance.PlanarJournalBearing(jc.contact.Flores(stiffness=1e8, restitution=0.5), clearance=1e-3)
+    bearing = jc.clearance.PlanarJournalBearing(
+        jc.contact.Flores(stiffness=1e8, restitution=0.5), clearance=1e-3
+    )
     connections = {"B": jc.Connection(bearing, "ground", "journal")}
-    return jc.Mechanism({"journal": jc.Body(1.0, 1e-4)}, connections, {"gravity": jc.load.Gravity()})
+    return jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)}, connections, {"gravity": jc.load.Gravity()}
+    )
 
 
 def rattling():
-    """A bouncing journal in a bearing that is shaken: chaotic, neighbouring runs part within tenths of a second."""
-    bearing = jc.clearance.PlanarJournalBearing(jc.contact.Flores(stiffness=1e7, restitution=0.95), clearance=1e-3)
+    """A bouncing journal in a bearing that is shaken: chaotic, neighbouring runs part within tenths
+    of a second.
+    """
+    bearing = jc.clearance.PlanarJournalBearing(
+        jc.contact.Flores(stiffness=1e7, restitution=0.95), clearance=1e-3
+    )
     return jc.Mechanism(
         {"ring": jc.Body(1.0, 1e-3), "journal": jc.Body(1.0, 1e-4)},
         {
-            "G": jc.Connection(jc.joint.Prismatic(drive=jc.drive.Harmonic(5e-4, 100.0)), "ground", "ring", axis="x"),
+            "G": jc.Connection(
+                jc.joint.Prismatic(drive=jc.drive.Harmonic(5e-4, 100.0)), "ground", "ring", axis="x"
+            ),
             "B": jc.Connection(bearing, "ring", "journal"),
         },
         {"gravity": jc.load.Gravity()},
@@ -55,8 +66,13 @@ def swings(response=last_angle, variables=(), *, damping=0.1, duration=1.0):
 MASS = {"mass": jc.Variable(lambda rig: rig.bodies["rod"].mass, jc.distribution.Uniform(1.5))}
 
 
-CLEARANCE = {"clearance": jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=2e-5)}
-FALL = {"force": jc.response.MeanContactForce("B"), "place": jc.response.FinalCoordinate("journal", 1, "m")}
+CLEARANCE = {
+    "clearance": jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=2e-5)
+}
+FALL = {
+    "force": jc.response.MeanContactForce("B"),
+    "place": jc.response.FinalCoordinate("journal", 1, "m"),
+}
 
 
 def falls(response=FALL, **kwargs):
@@ -64,10 +80,15 @@ def falls(response=FALL, **kwargs):
 
 
 def explicit(*methods, scale=1.0):
-    return {method: [jc.integrator.FixedStep(scale * step, method) for step in STEPS] for method in methods}
+    return {
+        method: [jc.integrator.FixedStep(scale * step, method) for step in STEPS]
+        for method in methods
+    }
 
 
-LADDER = explicit("rk4") | {"Adaptive": [loosened(reference(), 10.0**decade) for decade in (6, 5, 4, 3, 2, 1)]}
+LADDER = explicit("rk4") | {
+    "Adaptive": [loosened(reference(), 10.0**decade) for decade in (6, 5, 4, 3, 2, 1)]
+}
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +97,8 @@ def advice():
 
 
 def truth(problem, values):
-    """Steps far below those of any rung: the same equations, none of the reference's error control."""
+    """Steps far below those of any rung: the same equations, none of the reference's error
+    control."""
     fine = eqx.tree_at(lambda p: p.integrator, problem, jc.integrator.FixedStep(1e-6))
     return evaluate_one(fine, jnp.asarray(values)).responses
 
@@ -96,7 +118,9 @@ def test_errors_told_are_errors_made(advice):
     """The table's errors against runs that know nothing of the reference."""
     exact = [truth(advice.asked, values) for values in advice.pilot.values]
     table = advice.table()
-    for row, trial in zip(table[table["rung"] == "rk4"].itertuples(), advice.climbs["rk4"].trials, strict=True):
+    for row, trial in zip(
+        table[table["rung"] == "rk4"].itertuples(), advice.climbs["rk4"].trials, strict=True
+    ):
         if not trial.failure:
             gaps = [
                 max(abs(trial.responses[name] - [float(e[name]) for e in exact]))
@@ -125,7 +149,9 @@ def test_steps_too_long_are_rows_with_a_sentence(advice):
 
 
 def test_an_unstable_rung_is_reported():
-    """A damper that stops the rod within a microsecond: steps of a hundred are refused by the numbers themselves."""
+    """A damper that stops the rod within a microsecond: steps of a hundred are refused by the
+    numbers themselves.
+    """
     ladder = {"long": [jc.integrator.FixedStep(step) for step in (1e-4, 5e-5)]}
     found = jc.advise(swings(damping=2e6, duration=1e-2), 0.01, pilot=1e-2, ladder=ladder)
     assert "became infinite" in found.table()["remark"].tolist()[-1]
@@ -135,13 +161,19 @@ def test_an_unstable_rung_is_reported():
 
 @pytest.mark.slow
 def test_chaos_is_said():
-    response = {"force": jc.response.MeanContactForce("B"), "place": jc.response.FinalCoordinate("journal", unit="m")}
+    response = {
+        "force": jc.response.MeanContactForce("B"),
+        "place": jc.response.FinalCoordinate("journal", unit="m"),
+    }
     question = jc.Problem(rattling(), response, CLEARANCE, duration=0.8, save=81)
     ladder = {"rk4": [jc.integrator.FixedStep(step) for step in (5e-5, 2e-5)]}
     found = jc.advise(question, 0.01, copies=4, pilot=0.8, ladder=ladder)
     assert not found.met and found.standards["place"].by_means
     sentence = found.sentence()
-    assert "Single runs do not converge" in sentence and "No setting can be shown to meet 1 %" in sentence
+    assert (
+        "Single runs do not converge" in sentence
+        and "No setting can be shown to meet 1 %" in sentence
+    )
     assert "copies" in sentence and found.standards["place"].limit > 0.01
     alone = jc.advise(question, 0.01, copies=1, pilot=0.8, ladder=ladder)
     assert not alone.met and "at least 3 copies" in alone.sentence()
@@ -176,7 +208,9 @@ def test_a_pilot_is_the_start_of_the_problem():
     question = falls({"stray": jc.response.PositionError("journal", path)})
     piece = pilot_of(question, 1, 0.019, 0)
     assert piece.duration == pytest.approx(0.02) and piece.whole == 0.05
-    np.testing.assert_allclose(piece.problem.shares * piece.duration, (question.shares * 0.05)[:11], atol=1e-15)
+    np.testing.assert_allclose(
+        piece.problem.shares * piece.duration, (question.shares * 0.05)[:11], atol=1e-15
+    )
     np.testing.assert_array_equal(piece.problem.response["stray"].reference, path[:11])
 
 
@@ -186,39 +220,56 @@ def test_copies_that_no_integrator_can_run_are_left_out():
 
 
 def trial(error, cost=1.0):
-    return Trial(jc.integrator.FixedStep(), {"r": np.array([1.0, 2.0, 3.0]) * (1 + error)}, np.zeros(3, int), cost, 0.0, "")
+    return Trial(
+        jc.integrator.FixedStep(),
+        {"r": np.array([1.0, 2.0, 3.0]) * (1 + error)},
+        np.zeros(3, int),
+        cost,
+        0.0,
+        "",
+    )
 
 
 def test_a_setting_that_passes_by_luck_is_not_taken():
-    rules = {"r": judgement.standard(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0]), 0.01)}
-    assert judgement.coarsest((trial(0.5), trial(0.001), trial(0.1), trial(0.004), trial(0.001)), rules) == 3
-    assert judgement.coarsest((trial(0.5), trial(0.001)), rules) is None
+    rules = {"r": verdict.standard(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0]), 0.01)}
+    assert (
+        verdict.coarsest((trial(0.5), trial(0.001), trial(0.1), trial(0.004), trial(0.001)), rules)
+        == 3
+    )
+    assert verdict.coarsest((trial(0.5), trial(0.001)), rules) is None
 
 
 def test_means_are_compared_where_runs_do_not_repeat():
     noise = np.random.default_rng(0).normal(1.0, 0.1, (3, 40_000))
-    rule = judgement.standard(noise[0], noise[1], 0.01)
-    error, uncertainty = judgement.score(noise[2], rule)
+    rule = verdict.standard(noise[0], noise[1], 0.01)
+    error, uncertainty = verdict.score(noise[2], rule)
     # The difference from a mean of two: 0.1 sqrt(1 + 1/2) / 200, times 1.96, as a share of 1.005.
-    assert rule.by_means and rule.limit == 0.01 and uncertainty == pytest.approx(0.1 * 1.5**0.5 / 200 * 1.96, rel=0.05)
+    assert (
+        rule.by_means
+        and rule.limit == 0.01
+        and uncertainty == pytest.approx(0.1 * 1.5**0.5 / 200 * 1.96, rel=0.05)
+    )
     assert error < 2 * uncertainty
-    assert sum(judgement.score(noise[2] * 1.02, rule)) > 0.01
+    assert sum(verdict.score(noise[2] * 1.02, rule)) > 0.01
     # Runs that repeat are compared by means where that is asked for.
-    assert judgement.standard(noise[0], noise[0], 0.01, means=True).by_means
-    assert not judgement.standard(noise[0], noise[0], 0.01).by_means
-    few = judgement.standard(noise[0, :8], noise[1, :8], 0.01)
+    assert verdict.standard(noise[0], noise[0], 0.01, means=True).by_means
+    assert not verdict.standard(noise[0], noise[0], 0.01).by_means
+    few = verdict.standard(noise[0, :8], noise[1, :8], 0.01)
     assert few.by_means and few.limit > 0.01
 
 
 def test_an_undecided_setting_asks_for_copies():
     one, other = np.random.default_rng(1).normal(1.0, 0.1, (2, 16))
-    rules = {"r": judgement.standard(one, one + 1e-9, 0.01, means=True)}
-    vague = eqx.tree_at(lambda t: (t.responses, t.outcome), trial(0.0), ({"r": other}, np.zeros(16, int)))
-    assert judgement.undecided(vague, rules) and not judgement.passes(vague, rules)
-    # 95 % of 0.1 sqrt(2) within 0.01 takes (1.96 x 0.14 / 0.01)^2 = 770 copies, give or take the chance of 16.
-    assert 200 < judgement.copies_to_decide(vague, rules) < 4000
+    rules = {"r": verdict.standard(one, one + 1e-9, 0.01, means=True)}
+    vague = eqx.tree_at(
+        lambda t: (t.responses, t.outcome), trial(0.0), ({"r": other}, np.zeros(16, int))
+    )
+    assert verdict.undecided(vague, rules) and not verdict.passes(vague, rules)
+    # 95 % of 0.1 sqrt(2) within 0.01 takes (1.96 x 0.14 / 0.01)^2 = 770 copies, give or take the
+    # chance of 16.
+    assert 200 < verdict.copies_to_decide(vague, rules) < 4000
     wrong = eqx.tree_at(lambda t: t.responses, trial(0.0), {"r": other + 1.0})
-    assert not judgement.undecided(wrong, rules)
+    assert not verdict.undecided(wrong, rules)
 
 
 def test_means_are_judged_where_they_are_asked_for(advice):
@@ -240,7 +291,11 @@ def test_the_default_ladder_goes_from_the_saving_interval_down():
 def test_the_figure_shows_every_rung(advice):
     axis = plot.work_precision(advice).axes[0]
     labels = [line.get_label() for line in axis.get_lines()]
-    assert labels[:2] == ["rk4", "Adaptive"] and "recommended" in labels and "accuracy asked, 0.1 %" in labels
+    assert (
+        labels[:2] == ["rk4", "Adaptive"]
+        and "recommended" in labels
+        and "accuracy asked, 0.1 %" in labels
+    )
 
 
 @pytest.mark.parametrize(
@@ -253,17 +308,29 @@ def test_the_figure_shows_every_rung(advice):
         (lambda: jc.advise(falls(), copies=0), "copies is 0"),
         (lambda: jc.advise(falls(), batch=1.5), "batch is 1.5"),
         (lambda: jc.advise(falls(), pilot=1.0), "the pilot is 1.0 s"),
-        (lambda: jc.advise(falls(), reference=jc.integrator.FixedStep()), "must be an integrator.Adaptive"),
+        (
+            lambda: jc.advise(falls(), reference=jc.integrator.FixedStep()),
+            "must be an integrator.Adaptive",
+        ),
         (lambda: jc.advise(falls(), scales={"speed": 1.0}), 'no response "speed"'),
         (lambda: jc.advise(falls(), scales={"force": 0.0}), 'the scale of response "force"'),
         (lambda: jc.advise(falls(), ladder={}), "the ladder is"),
         (lambda: jc.advise(falls(), copies=2, means=True), "means need at least 3 copies"),
-        (lambda: jc.advise(falls(), ladder={"reference": [jc.integrator.FixedStep()]}), 'no rung may be called "reference"'),
+        (
+            lambda: jc.advise(falls(), ladder={"reference": [jc.integrator.FixedStep()]}),
+            'no rung may be called "reference"',
+        ),
         (lambda: jc.advise(falls(), ladder={"steps": [1e-4]}), 'rung "steps" of the ladder'),
         (lambda: jc.advise(swings(lambda run: run.time)), "it must be one number"),
         (lambda: jc.advise(swings(lambda run: run.time[-1] * jnp.nan)), "not finite"),
-        (lambda: jc.advise(swings(lambda run: 0.0 * run.time[-1])), "is 0 in every copy of the pilot"),
-        (lambda: jc.advise(swings(lambda run: (run.time - np.linspace(0, 1, 11)).sum())), "give pilot=1"),
+        (
+            lambda: jc.advise(swings(lambda run: 0.0 * run.time[-1])),
+            "is 0 in every copy of the pilot",
+        ),
+        (
+            lambda: jc.advise(swings(lambda run: (run.time - np.linspace(0, 1, 11)).sum())),
+            "give pilot=1",
+        ),
     ],
 )
 def test_mistakes_get_a_sentence(call, sentence):

@@ -1,4 +1,6 @@
-"""Monte Carlo and sensitivity on a mechanism whose answer is known: a pendulum's period, and a spring's static stretch."""
+"""Monte Carlo and sensitivity on a mechanism whose answer is known: a pendulum's period, and a
+spring's static stretch.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,8 +28,17 @@ def swing(run):
 
 
 def problem(**variables):
-    variables = variables or {"length": jc.Variable(lambda r: r.bodies["rod"].com[0], jc.distribution.Normal(0.01))}
-    return jc.Problem(pendulum(), {"swing": swing}, variables, duration=1.0, integrator=jc.integrator.FixedStep(1e-2), save=3)
+    variables = variables or {
+        "length": jc.Variable(lambda r: r.bodies["rod"].com[0], jc.distribution.Normal(0.01))
+    }
+    return jc.Problem(
+        pendulum(),
+        {"swing": swing},
+        variables,
+        duration=1.0,
+        integrator=jc.integrator.FixedStep(1e-2),
+        save=3,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +52,15 @@ def small_swing(length):
 
 def test_responses_are_those_of_the_closed_form(sample):
     # The swing of 0.01 rad is not quite small: the period is 6e-6 longer.
-    np.testing.assert_allclose(sample.responses["swing"], small_swing(sample.values[:, 0]), atol=2e-7)
+    np.testing.assert_allclose(
+        sample.responses["swing"], small_swing(sample.values[:, 0]), atol=2e-7
+    )
 
 
 def test_table_and_summary_tell_the_sample(sample):
-    assert list(sample.table().columns) == ["length", "swing", "result"] and len(sample.table()) == 128
+    assert (
+        list(sample.table().columns) == ["length", "swing", "result"] and len(sample.table()) == 128
+    )
     row = sample.summary().iloc[0]
     assert row["failed"] == 0 and row["mean"] == pytest.approx(sample.responses["swing"].mean())
 
@@ -60,7 +75,9 @@ def test_table_and_summary_tell_the_sample(sample):
 )
 def test_distributions_are_scipys(distribution, reference):
     shares = np.linspace(0.01, 0.99, 33)
-    np.testing.assert_allclose(distribution.quantile(jnp.asarray(shares)), reference.ppf(shares), atol=1e-12)
+    np.testing.assert_allclose(
+        distribution.quantile(jnp.asarray(shares)), reference.ppf(shares), atol=1e-12
+    )
     np.testing.assert_allclose(distribution.deviation(), reference.std(), rtol=1e-12)
 
 
@@ -72,7 +89,9 @@ def test_order_of_variables_does_not_matter():
     }
     study = jc.monte_carlo(problem(**zed), 16)
     length, gravity = study.values.T
-    np.testing.assert_allclose(study.responses["swing"], 0.01 * np.cos(np.sqrt(-gravity / length)), atol=2e-7)
+    np.testing.assert_allclose(
+        study.responses["swing"], 0.01 * np.cos(np.sqrt(-gravity / length)), atol=2e-7
+    )
 
 
 def test_all_chunks_share_one_compilation():
@@ -85,15 +104,23 @@ def test_all_chunks_share_one_compilation():
     question = eqx.tree_at(lambda p: p.response["swing"], problem(), counted)
     many = jc.monte_carlo(question, 50, chunk=8)
     assert len(traced) == 1
-    np.testing.assert_array_equal(many.responses["swing"], jc.monte_carlo(question, 50, chunk=8).responses["swing"])
+    np.testing.assert_array_equal(
+        many.responses["swing"], jc.monte_carlo(question, 50, chunk=8).responses["swing"]
+    )
     assert len(traced) == 1
 
 
 def test_failed_samples_are_named_and_the_others_go_on():
-    stiff = {"gravity": jc.Variable(lambda r: r.loads["gravity"].acceleration[1], jc.distribution.Uniform(1e9))}
+    stiff = {
+        "gravity": jc.Variable(
+            lambda r: r.loads["gravity"].acceleration[1], jc.distribution.Uniform(1e9)
+        )
+    }
     study = jc.monte_carlo(problem(**stiff), 16)
     assert 0 < len(study.failed) or np.all(np.isfinite(study.responses["swing"]))
-    broken = {"mass": jc.Variable(lambda r: r.bodies["rod"].mass, jc.distribution.Uniform(1.0 + 1e-9))}
+    broken = {
+        "mass": jc.Variable(lambda r: r.bodies["rod"].mass, jc.distribution.Uniform(1.0 + 1e-9))
+    }
     question = jc.Problem(
         pendulum(),
         lambda run: jnp.where(run.mechanism.bodies["rod"].mass > 1.0, jnp.nan, 1.0),
@@ -110,15 +137,26 @@ def test_failed_samples_are_named_and_the_others_go_on():
 
 def test_a_sample_that_cannot_be_assembled_is_counted():
     rig = jc.scenes.four_bar("ideal")
-    lengths = {"coupler": jc.Variable(lambda r: r.connections["B"].parent.at[0], jc.distribution.Uniform(0.35))}
-    question = jc.Problem(rig, lambda run: run.body("follower").com[-1, 0], lengths, duration=0.01, save=2)
+    lengths = {
+        "coupler": jc.Variable(
+            lambda r: r.connections["B"].parent.at[0], jc.distribution.Uniform(0.35)
+        )
+    }
+    question = jc.Problem(
+        rig, lambda run: run.body("follower").com[-1, 0], lengths, duration=0.01, save=2
+    )
     study = jc.monte_carlo(question, 16)
     assert 0 < len(study.failed) < 16
     assert all("cannot be assembled" in sentence for sentence in study.failures().values())
 
 
 def test_three_methods_find_the_derivative_of_the_closed_form(sample):
-    answers = jc.sensitivity(problem(), sample=sample, difference_samples=32, methods=("regression", "differences", "pathwise"))
+    answers = jc.sensitivity(
+        problem(),
+        sample=sample,
+        difference_samples=32,
+        methods=("regression", "differences", "pathwise"),
+    )
     derivative = answers.derivatives["swing", "length"]
     step = 1e-4
     lengths = sample.values[:, 0]
@@ -143,9 +181,13 @@ def test_methods_that_disagree_say_so():
     assert not apart.trustworthy and abs(apart.value - 1.5) < 1e-12 and apart.error >= 0.5
     vague = judge("r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(5.0, 100.0)})
     assert not vague.trustworthy
-    nought = judge("r", "v", {"regression": Estimate(-1e-3, 1e-2), "differences": Estimate(0.0, 0.0)})
+    nought = judge(
+        "r", "v", {"regression": Estimate(-1e-3, 1e-2), "differences": Estimate(0.0, 0.0)}
+    )
     assert "Agreed by differences and regression" in nought.verdict
-    alone = judge("r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(np.nan, np.nan, "no")})
+    alone = judge(
+        "r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(np.nan, np.nan, "no")}
+    )
     assert "Unconfirmed" in alone.verdict and alone.value == 1.0
 
 
@@ -153,7 +195,10 @@ def test_methods_that_disagree_say_so():
     ("call", "sentence"),
     [
         (lambda: jc.Variable(lambda r: r), "a distribution or a tolerance"),
-        (lambda: problem(x=jc.Variable(lambda r: r.bodies["rod"], tolerance=1.0)), '"x" must point at numbers'),
+        (
+            lambda: problem(x=jc.Variable(lambda r: r.bodies["rod"], tolerance=1.0)),
+            '"x" must point at numbers',
+        ),
         (lambda: jc.monte_carlo(problem(), 0), "at least one sample"),
         (lambda: jc.monte_carlo(problem(), 4, sampling="grid"), "sampling is sobol or random"),
         (lambda: jc.sensitivity(problem(), "width"), 'no variable "width"'),
@@ -166,7 +211,8 @@ def test_mistakes_get_a_sentence(call, sentence):
 
 
 def test_samples_outside_a_fields_range_are_failures():
-    """A tolerance wider than the number makes some masses negative: those samples must not count."""
+    """A tolerance wider than the number makes some masses negative: those samples must not
+    count."""
     wide = {"mass": jc.Variable(lambda r: r.bodies["rod"].mass, jc.distribution.Uniform(1.5))}
     study = jc.monte_carlo(problem(**wide), 32)
     assert len(study.failed) == np.count_nonzero(study.values[:, 0] <= 0) > 0
@@ -174,7 +220,14 @@ def test_samples_outside_a_fields_range_are_failures():
 
 
 def test_saving_times_of_a_problem_may_be_given():
-    question = jc.Problem(pendulum(), swing, {}, duration=1.0, save=[0.25, 0.5], integrator=jc.integrator.FixedStep(1e-2))
+    question = jc.Problem(
+        pendulum(),
+        swing,
+        {},
+        duration=1.0,
+        save=[0.25, 0.5],
+        integrator=jc.integrator.FixedStep(1e-2),
+    )
     np.testing.assert_allclose(question.shares * question.duration, [0.0, 0.25, 0.5, 1.0])
     assert jnp.isfinite(question.evaluate(jnp.zeros(0)).responses["response"])
 

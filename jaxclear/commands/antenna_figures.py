@@ -1,0 +1,183 @@
+"""Figures of the antenna study: motion by joint model, stick and slip by friction law, errors of
+the tip, its path in space.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxclear.results.pointing_error import PointingError, shift, turn
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.scenes.antenna import BASE, JOINTS, TIP
+
+MILLI, MICRO = 1e3, 1e6
+STYLES = {"ideal": ("k", "--"), "planar": ("C0", "-"), "spatial": ("C3", "-")}
+# Difference of model and exact error below which nothing is drawn on a logarithmic axis, relative
+# to the largest.
+FLOOR = 1e-6
+
+
+def motion(runs: Mapping[str, Trajectory]) -> Figure:
+    """Angle of both joints over time, and the speed, for every joint model; below, how far the
+    angles are from the ideal ones.
+    """
+    figure = Figure(figsize=(10.0, 8.0), layout="constrained")
+    axes = figure.subplots(3, 2, sharex=True)
+    for column, joint in enumerate(JOINTS):
+        ideal = np.asarray(runs["ideal"].coordinate(joint))[:, 0]
+        for kind, run in runs.items():
+            colour, line = STYLES[kind]
+            angle, speed = (np.asarray(read(joint))[:, 0] for read in (run.coordinate, run.speed))
+            axes[0][column].plot(
+                run.time, angle, color=colour, ls=line, lw=1.3, label=f"{kind} joints"
+            )
+            axes[1][column].plot(run.time, speed, color=colour, ls=line, lw=1.3)
+            if kind != "ideal":
+                axes[2][column].plot(run.time, np.abs(angle - ideal), color=colour, lw=1.3)
+        axes[0][column].set_title(f"{joint}")
+        axes[2][column].set_xlabel("time [s]")
+        axes[2][column].set_yscale("log")
+        axes[2][column].set_ylim(bottom=1e-5)
+    for row, label in enumerate(("angle [rad]", "speed [rad/s]", "off the ideal angle [rad]")):
+        axes[row][0].set_ylabel(label)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
+    return figure
+
+
+def stick_slip(
+    runs: Mapping[str, Trajectory], joint: str, radius: float, close: tuple[float, float]
+) -> Figure:
+    """Slip speed, acceleration and friction of a joint by friction law; right, the same over the
+    interval `close` [s].
+    """
+    figure = Figure(figsize=(11.0, 8.5), layout="constrained")
+    axes = figure.subplots(3, 2, sharex="col")
+    for number, (label, run) in enumerate(runs.items()):
+        time, speed = np.asarray(run.time), np.asarray(run.speed(joint))[:, 0]
+        acceleration = np.diff(speed) / np.diff(time)
+        friction = np.asarray(run.contact(joint).traction).sum(1)[1:]
+        for column in (0, 1):
+            style = {"color": f"C{number}", "lw": 1.6 if number == 0 else 1.0, "zorder": 3 - number}
+            axes[0][column].plot(time, MILLI * radius * speed, label=label, **style)
+            axes[1][column].plot(time[1:], acceleration, **style)
+            axes[2][column].plot(time[1:], friction, **style)
+    first = next(iter(runs.values()))
+    time, speed = np.asarray(first.time), np.asarray(first.speed(joint))[:, 0]
+    held = np.abs(speed) * radius < 1e-12
+    held[0] = False
+    for row in axes:
+        for axis in row:
+            low, high = axis.get_ylim()
+            axis.fill_between(
+                time,
+                0,
+                1,
+                where=held,
+                color="0.88",
+                transform=axis.get_xaxis_transform(),
+                zorder=0,
+                lw=0,
+            )
+            axis.set_ylim(low, high)
+    inside = (time > close[0]) & (time < close[1])
+    for axis in axes[:, 1]:
+        _fit(axis, inside)
+        axis.set_xlim(*close)
+        axis.axhline(0.0, color="0.6", lw=0.6, zorder=1)
+    for row, text in enumerate(("slip speed [mm/s]", "acceleration [rad/s²]", "friction [N]")):
+        axes[row][0].set_ylabel(text)
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]")
+    axes[0][0].set_title(f"{joint}; grey: sticks by Coulomb's law")
+    axes[0][1].set_title("close up")
+    figure.legend(
+        *axes[0][0].get_legend_handles_labels(),
+        ncols=len(runs),
+        fontsize=9,
+        loc="outside lower center",
+    )
+    return figure
+
+
+def _fit(axis, inside):
+    """Limits that show the first two curves where time is `inside`."""
+    values = np.concatenate(
+        [line.get_ydata()[inside[-len(line.get_ydata()) :]] for line in axis.lines[:2]]
+    )
+    low, high = values.min(), values.max()
+    axis.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
+
+
+def errors(found: Mapping[str, PointingError]) -> Figure:
+    """Pointing and position error of the tip over time by drive: exact, by the adjoint model, and
+    their difference.
+    """
+    figure = Figure(figsize=(11.0, 6.5), layout="constrained")
+    axes = figure.subplots(2, len(found), sharex="col")
+    for column, (drive, error) in enumerate(found.items()):
+        beyond = error.model - error.exact
+        # At the start no force is known yet, so nothing leans.
+        time = error.time[1:]
+        for axis, exact, size, unit in (
+            (axes[0][column], error.pointing_angle, turn, "mrad"),
+            (axes[1][column], error.position_error, shift, "mm"),
+        ):
+            axis.plot(time, MILLI * exact[1:], color="0.6", lw=3.0, label="exact")
+            axis.plot(time, MILLI * size(error.model)[1:], "k--", lw=1.0, label="adjoint model")
+            axis.plot(time, MILLI * size(beyond)[1:], color="C3", lw=1.0, label="their difference")
+            axis.set_yscale("log")
+            axis.set_ylim(bottom=MILLI * max(size(beyond)[1:].min(), FLOOR * exact.max()))
+            axis.set_ylabel(f"{'pointing' if unit == 'mrad' else 'position'} error [{unit}]")
+        axes[0][column].set_title(f"{drive} drive")
+        axes[1][column].set_xlabel("time [s]")
+    figure.legend(*axes[0][0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
+    return figure
+
+
+def tip_paths(run: Trajectory, error: PointingError) -> tuple[np.ndarray, np.ndarray]:
+    """(ideal, actual) path of the tip in the satellite's axes [m]: with ideal joints at the run's
+    coordinates, and as the journals lean."""
+    base, link = run.body(BASE), run.body(TIP.body)
+    turned = np.asarray(base.rotation)
+    place = np.asarray(run.marker(TIP.body, TIP.at)) - np.asarray(base.origin)
+    ideal = np.einsum("tji,tj->ti", turned, place)
+    frame = np.asarray(link.rotation) @ np.array(
+        [[float(x) for x in row] for row in TIP.pose().rotation]
+    )
+    linear, angular = error.exact[:, :3], error.exact[:, 3:]
+    # The exponential of the twist moves the origin by this to second order in the angle.
+    moved = linear + 0.5 * np.cross(angular, linear)
+    return ideal, ideal + np.einsum("tji,tjk,tk->ti", turned, frame, moved)
+
+
+def tip_path(run: Trajectory, error: PointingError, nominal: Trajectory, scale: float) -> Figure:
+    """Path of the tip in space, seen from the satellite: of the ideal mechanism, of this run with
+    ideal joints, and as its journals lean, drawn `scale` times as far from it."""
+    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
+    axis = figure.add_subplot(projection="3d")
+    base = nominal.body(BASE)
+    away = np.asarray(nominal.marker(TIP.body, TIP.at)) - np.asarray(base.origin)
+    frictionless = np.einsum("tji,tj->ti", np.asarray(base.rotation), away)
+    ideal, actual = tip_paths(run, error)
+    exaggerated = (ideal + scale * (actual - ideal))[1:]
+    axis.plot(*frictionless.T, color="0.6", ls="--", lw=1.2, label="ideal mechanism, no friction")
+    axis.plot(*ideal.T, color="k", lw=1.2, label="ideal joints, same angles")
+    axis.plot(
+        *exaggerated.T,
+        color="C3",
+        lw=1.2,
+        label=f"actual, its departure drawn {scale:g} times as large",
+    )
+    axis.scatter(*ideal[0], color="k", s=25)
+    axis.text(*ideal[0], "  start", fontsize=9)
+    for name, setter in zip(
+        "xyz", (axis.set_xlabel, axis.set_ylabel, axis.set_zlabel), strict=True
+    ):
+        setter(f"{name} [m]")
+    points = np.concatenate([frictionless, ideal, exaggerated])
+    axis.set_box_aspect(np.maximum(np.ptp(points, axis=0), 0.2 * np.ptp(points, axis=0).max()))
+    axis.legend(loc="upper left", fontsize=9)
+    largest = MILLI * np.linalg.norm(actual - ideal, axis=1).max()
+    axis.set_title(f"Path of the tip seen from the satellite (largest departure {largest:.2f} mm)")
+    return figure

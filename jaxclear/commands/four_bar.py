@@ -1,0 +1,164 @@
+"""The four-bar study from one command: the paper's runs, a Monte Carlo over clearance and link
+lengths, and derivatives.
+
+Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
+"""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas
+
+import jaxclear as jc
+from jaxclear import plot
+from jaxclear.scenes.four_bar import CLEARANCES, four_bar
+
+LARGEST = CLEARANCES[-1]
+# The follower's error is that in the plane of the mechanism; along the bearing's axis the journal
+# has its own play.
+IN_PLANE = (0, 1)
+# Saving times: a second of the paper's runs, and a turn of the Monte Carlo's.
+SAVES_PER_SECOND, SAVES_PER_TURN = 400, 100
+# Time for one turn of the crank at 10 rad/s [s].
+TURN = 2 * np.pi / 10.0
+# Tolerances of the study (half of the allowed variation) [m]; assumed, of a usual machining grade.
+CLEARANCE_TOLERANCE, LENGTH_TOLERANCE = 20e-6, 20e-6
+
+
+def paper_runs(duration: float, saves: int, show: bool) -> dict[float, Any]:
+    """A run for each clearance of the paper, the ideal joint as clearance 0."""
+    runs = {}
+    for clearance in CLEARANCES:
+        kind = "spatial" if clearance else "ideal"
+        print(f"clearance {1e3 * clearance:.2f} mm ({kind} joint)", flush=True)
+        rig = four_bar(kind, clearance or LARGEST)
+        runs[clearance] = jc.simulate(rig, duration, save=saves, progress_bar=show)
+    return runs
+
+
+def problem(duration: float, saves: int, clearance: float = LARGEST) -> jc.Problem:
+    """Peak worn depth and follower error over clearance and link lengths."""
+    ideal = jc.simulate(four_bar("ideal"), duration, save=saves)
+    reference = ideal.body("follower").com
+    length = {
+        "crank length": lambda rig: rig.connections["A"].parent.at[0],
+        "coupler length": lambda rig: rig.connections["B"].parent.at[0],
+        "follower length": lambda rig: rig.connections["B"].child.at[0],
+        "ground length": lambda rig: rig.connections["D"].parent.at[0],
+    }
+    variables = {
+        "clearance": jc.Variable(
+            lambda rig: rig.connections["B"].joint.clearance, tolerance=CLEARANCE_TOLERANCE
+        )
+    }
+    variables |= {
+        name: jc.Variable(where, tolerance=LENGTH_TOLERANCE) for name, where in length.items()
+    }
+    return jc.Problem(
+        four_bar("spatial", clearance),
+        {
+            "peak worn depth": jc.response.PeakWornDepth("B"),
+            "follower error": jc.response.PositionError("follower", reference, axes=IN_PLANE),
+        },
+        variables,
+        duration=duration,
+        save=saves,
+    )
+
+
+def run_table(runs: dict[float, Any]) -> pandas.DataFrame:
+    """One row a clearance: how far the follower strays in the plane, what the joint carries, what
+    wears.
+    """
+    ideal = runs[0.0]
+    reference = np.asarray(ideal.body("follower").com)[:, :2]
+    rows = []
+    for clearance, run in runs.items():
+        away = np.linalg.norm(np.asarray(run.body("follower").com)[:, :2] - reference, axis=1)
+        spin = (
+            np.asarray(run.body("follower").spin)[:, 2]
+            - np.asarray(ideal.body("follower").spin)[:, 2]
+        )
+        row = {
+            "radial clearance [mm]": 1e3 * clearance,
+            "joint": "spatial" if clearance else "ideal",
+        }
+        row |= {
+            "follower error rms [um]": 1e6 * np.sqrt((away**2).mean()),
+            "largest [um]": 1e6 * away.max(),
+        }
+        row |= {"angular velocity deviation rms [rad/s]": np.sqrt((spin**2).mean())}
+        if clearance:
+            depth = np.asarray(run.worn["B"]["bearing"])
+            row |= {
+                "mean normal force [N]": float(
+                    np.asarray(run.contact("B").normal_force).sum(axis=1).mean()
+                )
+            }
+            row |= {"peak worn depth [um]": 1e6 * depth.max()}
+            share = (depth[:, 0].sum() + depth[:, -1].sum()) / depth.sum()
+            row |= {"share of wear in the two end rows [1]": share}
+        row |= {"steps": int(run.accepted_steps), "result": run.result}
+        rows.append(row)
+    return pandas.DataFrame(rows)
+
+
+def study(
+    folder: Path, samples: int = 256, duration: float = 5.0, turns: float = 2.0, show: bool = True
+) -> None:
+    """Runs everything and writes it to `folder`."""
+    begun = time.perf_counter()
+    folder.mkdir(parents=True, exist_ok=True)
+    runs = paper_runs(duration, int(round(duration * SAVES_PER_SECOND)) + 1, show)
+    table = run_table(runs)
+    table.to_csv(folder / "runs.csv", index=False)
+    print(
+        f"\n{table.drop(columns='result').to_string(index=False, float_format='%.4g')}\n",
+        flush=True,
+    )
+    figures = _run_figures(runs)
+    question = problem(TURN * turns, int(round(SAVES_PER_TURN * turns)) + 1)
+    print(f"Monte Carlo, {samples} samples over {turns:g} turn(s) of the crank", flush=True)
+    sample = jc.monte_carlo(question, samples, progress_bar=show)
+    sample.table().to_csv(folder / "monte_carlo.csv", index=False)
+    sample.summary().to_csv(folder / "monte_carlo_summary.csv", index=False)
+    print(f"\n{sample.summary().to_string(index=False, float_format='%.4g')}\n", flush=True)
+    for index, sentence in sample.failures().items():
+        print(f"sample {index} failed. {sentence}")
+    print("derivatives with respect to clearance", flush=True)
+    pairs = max(16, samples // 2)
+    answers = jc.sensitivity(
+        question, "clearance", sample=sample, difference_samples=pairs, progress_bar=show
+    )
+    answers.table().to_csv(folder / "sensitivity.csv", index=False)
+    for (response, variable), d in answers.derivatives.items():
+        unit = answers.unit(response, variable)
+        print(
+            f"d({response})/d({variable}) = {d.value:.4g} +- {d.error:.2g} {unit} (95 %). "
+            f"{d.verdict}"
+        )
+        for method, e in d.estimates.items():
+            print(f"    {method}: {e.refusal or f'{e.value:.4g} +- {e.error:.2g}'}")
+    figures |= {"monte_carlo": plot.monte_carlo(sample), "sensitivity": plot.sensitivity(answers)}
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=130)
+    print(
+        f"\n{len(figures)} figures and 4 tables in {folder.resolve()}, "
+        f"{time.perf_counter() - begun:.0f} s"
+    )
+
+
+def _run_figures(runs: dict[float, Any]) -> dict[str, Any]:
+    ideal, widest = runs[0.0], runs[LARGEST]
+    labels = {f"{1e3 * c:.2f} mm": run for c, run in runs.items() if c}
+    return {
+        "follower_displacement": plot.displacement(labels, ideal, "follower"),
+        "angular_velocity": plot.angular_velocity(
+            widest, ideal, "follower", f"clearance {1e3 * LARGEST:g} mm"
+        ),
+        "journal_ends": plot.journal_ends(widest, "B"),
+        "wear_unrolled": plot.wear_unrolled(widest, "B"),
+        "wear_surface": plot.wear_surface(widest, "B"),
+    }

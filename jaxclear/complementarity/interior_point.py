@@ -1,0 +1,188 @@
+"""The relaxed problem z_i w_i = kappa, z, w > 0: smooth in its data, and within about kappa /
+max(z_i, w_i) of the exact one.
+
+Mehrotra's predictor and corrector follow the central path down to the given kappa and stay there.
+Because the relaxed solution has no corners, its derivatives exist everywhere and are those of the
+relaxed problem, not of the exact one. Sources: Mehrotra 1992, SIAM J. Optim. 2, 575; Wright 1997,
+Primal-Dual Interior-Point Methods (SIAM), chapters 8 and 10.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxclear.complementarity.problem import (
+    LIMIT,
+    NOT_FINITE,
+    SOLVED,
+    STALLED,
+    AbstractProblem,
+    AbstractSolver,
+    Solution,
+    posed,
+    scaled,
+)
+from jaxclear.ground.quantity import Scalar, concrete, quantity
+
+# Products z_i w_i / kappa_i stay above this share of their mean, and above this; steps are
+# shortened by this factor, this often at most, to keep them there. Without it, one boundary in a
+# hundred problems stops all further steps (measured).
+NEAR, LEAST, SHORTENED, TRIES = 1e-2, 0.2, 0.7, 16
+# Share of the way to the nearest boundary that a step may go.
+SHORT_OF_BOUNDARY = 0.995
+# Products within this share of kappa, and the linear equations to this in scaled units, end the
+# iteration.
+CENTRED = 1e-11
+BALANCED = 1e-13
+# Start z = w, in units of the data: large, so that the path is reached before a boundary is.
+START = 10.0
+# Steps shorter than this lead nowhere.
+SHORTEST = 1e-10
+
+
+class InteriorPoint(AbstractSolver):
+    """Primal-dual interior point to a given relaxation. For derivatives through changes of contact,
+    or as a smooth model.
+
+    Solves monotone problems (positive semidefinite matrices) that some z > 0 with w > 0 satisfies,
+    in 10 to 30 iterations whatever their size, and most with P-matrices. `residual` is that of the
+    exact problem: it tells how far the relaxed solution is from contact. Where contact must be
+    exact, prefer `Lemke`. Below about 1e-12 of the data's product, redundant contacts leave the
+    relaxed solution undetermined, and the iterations are used up.
+    """
+
+    kappa: Scalar = quantity(1e-8, "1", "product z_i w_i, in the units of the problem", above=0)
+    most_steps: int = eqx.field(static=True, default=100)
+
+    def __check_init__(self):
+        if not (isinstance(self.most_steps, int) and self.most_steps > 0):
+            raise ValueError(
+                f"most_steps of InteriorPoint is {self.most_steps!r}; it must be a positive whole "
+                "number."
+            )
+        kappa = concrete(self.kappa)
+        if kappa is not None and not kappa > 0:
+            raise ValueError(
+                f"kappa of InteriorPoint is {kappa}; it must be positive. For the exact solution "
+                "take Lemke."
+            )
+
+    def solve(self, problem: AbstractProblem) -> Solution:
+        lcp = posed(problem)
+        small = scaled(lcp)
+        kappa = jax.lax.stop_gradient(self.kappa) / (small.z_scale * small.w_scale)
+        finite = small.finite & jnp.all(jnp.isfinite(kappa))
+        found, outcome, steps = _follow_path(
+            small.matrix, small.offset, jnp.where(finite, kappa, 1.0), self.most_steps
+        )
+        outcome = jnp.where(finite, outcome, NOT_FINITE)
+        kept = jax.lax.stop_gradient(jnp.where(small.finite, found, 0.0) * small.z_scale)
+        z = follow_relaxed(
+            kept,
+            outcome == SOLVED,
+            (small.z_scale, small.w_scale),
+            lcp.matrix,
+            lcp.offset,
+            self.kappa,
+        )
+        own = problem.from_lcp(z)
+        return Solution(*own, problem.residual(*own), outcome, steps)
+
+
+@jax.custom_jvp
+def follow_relaxed(z, solved, scale, matrix, offset, kappa):
+    """z unchanged, with the derivatives of the relaxed solution; zero where not `solved`."""
+    return z
+
+
+@follow_relaxed.defjvp
+def _follow_relaxed_jvp(primals, tangents):
+    z, solved, (z_scale, w_scale), matrix, offset, kappa = primals
+    _, _, _, d_matrix, d_offset, d_kappa = tangents
+    out = follow_relaxed(*primals)
+    w = jnp.where(solved, kappa, 1.0) / jnp.where(solved, out, 1.0)
+    # w dz + z dw = dkappa with dw = M dz + moved, in scaled units, each row divided by the sum of
+    # its two weights
+    weight = w * z_scale + out * w_scale
+    share = jnp.where(solved, out * w_scale / weight, 0.0)
+    held = (
+        jnp.diag(1 - share)
+        + share[:, None] * jnp.where(solved, matrix, 0.0) * z_scale / w_scale[:, None]
+    )
+    right = d_kappa / weight - share * (d_matrix @ out + d_offset) / w_scale
+    return out, z_scale * jnp.linalg.solve(held, jnp.where(solved, right, 0.0))
+
+
+def _follow_path(matrix, offset, kappa, most_steps):
+    """(z, outcome, steps) of a scaled problem with a kappa for every row."""
+
+    def running(carry):
+        z, w, moved, steps = carry
+        return ~_arrived(matrix, offset, kappa, z, w) & moved & (steps < most_steps)
+
+    def improve(carry):
+        z, w, _, steps = carry
+        dz, dw, length = _step(matrix, offset, kappa, z, w)
+        moved = (length > SHORTEST) & jnp.all(jnp.isfinite(dz + dw))
+        return (
+            jnp.where(moved, z + length * dz, z),
+            jnp.where(moved, w + length * dw, w),
+            moved,
+            steps + 1,
+        )
+
+    start = START * jnp.maximum(1.0, jnp.sqrt(kappa))
+    first = (start, start, jnp.asarray(True), 0)
+    z, w, moved, steps = jax.lax.while_loop(running, improve, first)
+    arrived = _arrived(matrix, offset, kappa, z, w)
+    return z, jnp.where(arrived, SOLVED, jnp.where(moved, LIMIT, STALLED)), steps
+
+
+def _arrived(matrix, offset, kappa, z, w):
+    balanced = jnp.max(jnp.abs(matrix @ z + offset - w)) <= BALANCED * (1 + jnp.max(z))
+    return balanced & (jnp.max(jnp.abs(z * w / kappa - 1)) <= CENTRED)
+
+
+def _step(matrix, offset, kappa, z, w):
+    """Direction (dz, dw) towards the path, and how far along it to go."""
+    total = z + w
+    factored = jax.scipy.linalg.lu_factor(jnp.diag(w / total) + (z / total)[:, None] * matrix)
+    balance = matrix @ z + offset - w
+
+    def towards(gap, balance):
+        """dz, dw with w dz + z dw = gap to rounding of the smaller of the two, and dw = M dz +
+        balance.
+        """
+        dz = jax.scipy.linalg.lu_solve(factored, (gap - z * balance) / total)
+        dw = jnp.where(z > w, (gap - w * dz) / z, matrix @ dz + balance)
+        return jnp.where(z > w, dz, (gap - z * dw) / w), dw
+
+    # Mehrotra's heuristic: the better the step straight to kappa, the nearer to it the step aims
+    # that is taken
+    mean = jnp.mean(z * w / kappa)
+    dz, dw = towards(kappa - z * w, balance)
+    length = _length(z, w, dz, dw)
+    predicted = jnp.mean((z + length * dz) * (w + length * dw) / kappa)
+    share = jnp.where(length < 1, (predicted / mean) ** 3, 0.0)
+    target = kappa * jnp.maximum(1.0, share * mean)
+    # the correction for a whole step misleads where only part of it can be taken
+    dz, dw = towards(target - z * w - length**2 * dz * dw, (1 - share) * balance)
+    return dz, dw, _near_path(kappa, z, w, dz, dw)
+
+
+def _length(z, w, dz, dw):
+    """The longest step up to 1 that keeps z and w positive."""
+    ratios = [
+        jnp.where(d < 0, -x / jnp.where(d < 0, d, 1.0), jnp.inf) for x, d in ((z, dz), (w, dw))
+    ]
+    return jnp.minimum(1.0, SHORT_OF_BOUNDARY * jnp.min(jnp.minimum(*ratios)))
+
+
+def _near_path(kappa, z, w, dz, dw):
+    """The longest of some steps that keeps every product above a share of their mean, so that no
+    boundary stops the next.
+    """
+    lengths = _length(z, w, dz, dw) * SHORTENED ** jnp.arange(TRIES)
+    products = (z + lengths[:, None] * dz) * (w + lengths[:, None] * dw) / kappa
+    near = jnp.min(products, 1) >= jnp.maximum(NEAR * jnp.mean(products, 1), LEAST)
+    return jnp.where(jnp.any(near), lengths[jnp.argmax(near)], lengths[-1])

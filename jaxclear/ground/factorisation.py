@@ -1,0 +1,76 @@
+"""Small symmetric positive definite systems, written out where that is faster than a library call.
+
+A call to LAPACK costs more than the whole arithmetic of a 4 x 4 system inside a compiled loop, and
+hides structural zeros; beyond `LARGEST_WRITTEN_OUT` unknowns (three free bodies) LAPACK's Cholesky
+factorisation takes over, for which kernels of machine code have no rule: an implicit step of a
+floating mechanism is then several hundred times slower.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import jax.scipy.linalg as jsl
+
+from jaxclear.ground import sparse as sp
+
+LARGEST_WRITTEN_OUT = 18
+
+Rows = tuple[tuple[Any, ...], ...]
+
+
+def factor(matrix: Rows) -> Any:
+    """L D L^T of a symmetric positive definite matrix given as rows of sparse scalars."""
+    n = len(matrix)
+    if n > LARGEST_WRITTEN_OUT:
+        return jsl.cho_factor(
+            sp.stack([x for row in matrix for x in row]).reshape(n, n), lower=True
+        )
+    lower = [[0] * n for _ in range(n)]
+    inverse_pivots: list[Any] = []
+    for i in range(n):
+        row: list[Any] = []  # row i of L D
+        for j in range(i):
+            entry = matrix[i][j]
+            for k in range(j):
+                entry = sp.sub(entry, sp.mul(row[k], lower[j][k]))
+            row.append(entry)
+        lower[i][:i] = [
+            sp.mul(entry, pivot) for entry, pivot in zip(row, inverse_pivots, strict=True)
+        ]
+        pivot = sp.sub(matrix[i][i], sp.dot(row, lower[i][:i]))
+        inverse_pivots.append(1.0 / pivot)
+    return lower, inverse_pivots
+
+
+def solve(factored: Any, right: tuple) -> tuple:
+    """x of M x = right, for a factored M."""
+    lower, inverse_pivots = factored
+    if not isinstance(lower, list):
+        solution = jsl.cho_solve(factored, sp.stack(right))
+        return tuple(solution[i] for i in range(len(right)))
+    n = len(right)
+    x = list(right)
+    for i in range(n):
+        for j in range(i):
+            x[i] = sp.sub(x[i], sp.mul(lower[i][j], x[j]))
+    x = [sp.mul(value, pivot) for value, pivot in zip(x, inverse_pivots, strict=True)]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            x[i] = sp.sub(x[i], sp.mul(lower[j][i], x[j]))
+    return tuple(x)
+
+
+def to_array(rows: Rows) -> jnp.ndarray:
+    """Rows of sparse scalars as an array; entries that are structurally zero are filled in, not
+    stacked.
+    """
+    places = [(i, j) for i, row in enumerate(rows) for j, x in enumerate(row) if not sp.is_zero(x)]
+    shape = (len(rows), len(rows[0]) if rows else 0)
+    if not places:
+        return jnp.zeros(shape)
+    i, j = zip(*places, strict=True)
+    return (
+        jnp.zeros(shape)
+        .at[jnp.array(i), jnp.array(j)]
+        .set(sp.stack([rows[a][b] for a, b in places]))
+    )

@@ -1,0 +1,44 @@
+"""The ladder of integrators, from cheap to exact: `jaxclear.integrator`. Each states what it
+trades.
+
+`Adaptive` (any diffrax solver under error control) is the reference; `FixedStep` (explicit) does
+the same work for every sample, so it wins in batches; `ImplicitStep` takes long steps through stiff
+contacts. `MuntheKaas` is a solver for `Adaptive` that keeps rotations on their group. A class of
+your own derives from `AbstractIntegrator`.
+"""
+
+from jaxclear.integrators.adaptive import Adaptive
+from jaxclear.integrators.base import (
+    NOT_FINITE,
+    OUTCOMES,
+    REACHED,
+    TOO_MANY,
+    TOO_MANY_IMPACTS,
+    TOO_SMALL,
+    AbstractIntegrator,
+    Advance,
+)
+from jaxclear.integrators.fixed_step import FixedStep
+from jaxclear.integrators.implicit_step import ImplicitStep
+from jaxclear.integrators.moreau_jean import MoreauJean
+from jaxclear.integrators.munthe_kaas import AbstractGroup, GroupTerm, MuntheKaas
+from jaxclear.integrators.non_colliding import NonColliding
+
+__all__ = [
+    "NOT_FINITE",
+    "OUTCOMES",
+    "REACHED",
+    "TOO_MANY",
+    "TOO_MANY_IMPACTS",
+    "TOO_SMALL",
+    "AbstractGroup",
+    "AbstractIntegrator",
+    "Adaptive",
+    "Advance",
+    "FixedStep",
+    "GroupTerm",
+    "ImplicitStep",
+    "MoreauJean",
+    "NonColliding",
+    "MuntheKaas",
+]

@@ -1,0 +1,231 @@
+"""Steps chosen by error control, on diffrax's solvers: the reference, and the fastest way to run
+one simulation.
+
+Impacts can be captured: the solve then stops where a contact closes, the impact speed is set to the
+approach speed at that very instant, and it goes on. A contact counts as closed from HYSTERESIS
+above the touch on and as open from as much below, so that an event does not find itself again.
+"""
+
+from typing import Any, ClassVar, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix
+
+from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.integrators.base import (
+    COMPLIANT,
+    REACHED,
+    TOO_MANY,
+    TOO_MANY_IMPACTS,
+    TOO_SMALL,
+    AbstractIntegrator,
+    Advance,
+    check_count,
+)
+from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas, state_group
+from jaxclear.native.loop import with_fast_loops
+
+# Share of an interval below which a step is given up.
+SMALLEST_STEP = 1e-11
+# Indentation [m] at which a touch is captured: forces there are far below rounding of any that move
+# a body.
+HYSTERESIS = 1e-11
+# Bisection ends when time [s] and indentation [m] are known to this; if rounding of the time
+# prevents it, no harm is done.
+EVENT_TOLERANCE = 1e-12
+
+
+class Adaptive(AbstractIntegrator):
+    """A diffrax solver under error control: cost follows difficulty.
+
+    Use as reference and for single runs. Local error per step below rtol |y| + atol in every
+    coordinate and speed; memories of laws are held a hundred times looser, worn volumes and
+    energies follow the motion. In a batch all samples wait for the slowest. Do not differentiate a
+    finished run near contact (52 % wrong in a measurement); see `jaxclear.sensitivity`. Stiff
+    scenes (large friction over tiny transition speeds) may prefer an implicit solver, best with a
+    full Newton iteration: diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
+    `MuntheKaas` keeps rotations on their group.
+
+    `capture_impacts`: every touch is an event, at which laws that remember the impact speed take
+    the approach speed of that instant. Restitution is then the law's own whatever its
+    `memory_time`, which plays no part; each touch and each release costs a restart. `most_impacts`
+    between two saving times. Two contacts that close within one step are told apart.
+    """
+
+    pathwise: ClassVar = False
+    formulation: ClassVar = COMPLIANT
+    solver: diffrax.AbstractSolver = eqx.field(default_factory=diffrax.Tsit5)
+    rtol: Scalar = quantity(1e-7, "1", "relative local error of coordinates and speeds")
+    atol: Scalar = quantity(
+        1e-9, "1", "absolute local error of coordinates [m, rad] and speeds [m/s, rad/s]"
+    )
+    largest_step: Scalar | None = quantity(None, "s", "largest step")
+    most_steps: int = eqx.field(static=True, default=200_000)
+    capture_impacts: bool = eqx.field(static=True, default=False)
+    most_impacts: int = eqx.field(static=True, default=1000)
+
+    def __check_init__(self):
+        if not isinstance(self.solver, diffrax.AbstractSolver):
+            raise ValueError(
+                f"the solver of integrator.Adaptive is {self.solver!r}; it must be one of diffrax, "
+                "such as diffrax.Tsit5()."
+            )
+        for name, allowed in (("rtol", "at least 0"), ("atol", "positive")):
+            value = concrete(getattr(self, name))
+            if value is not None and not (value > 0 or (value == 0 and name == "rtol")):
+                raise ValueError(
+                    f"the tolerance {name} of integrator.Adaptive is {value}; it must be {allowed}."
+                )
+        check_count(self.most_steps, "most_steps of integrator.Adaptive")
+        check_count(self.most_impacts, "most_impacts of integrator.Adaptive")
+
+    def relaxing_step(self, interval):
+        return None
+
+    def first_warm_start(self, field, start, state):
+        """A typical step [s]; 0: not known."""
+        return jnp.zeros(())
+
+    def advance(self, field, start, stop, state, warm_start, weights, running):
+        stop = jnp.where(running, stop, start)
+        if not self.capture_impacts or not field.remembers:
+            found = self._solve(field, start, stop, state, warm_start, weights, None)
+            return Advance(
+                found.state, found.accepted, found.rejected, found.typical(start), found.outcome
+            )
+        return self._through_impacts(field.when_captured(), start, stop, state, warm_start, weights)
+
+    def _through_impacts(self, field, start, stop, state, step, weights):
+        """Segments between touches and releases."""
+
+        def one(carry):
+            begun, state, closed, step, accepted, rejected, impacts, _ = carry
+            found = self._solve(field, begun, stop, state, step, weights, closed)
+            depth, closing = field.contacts(found.time, found.state)
+            beyond = _beyond(depth, closed)
+            fired = found.stopped & ((beyond > -0.5 * HYSTERESIS) | (beyond == jnp.max(beyond)))
+            touched = fired & ~closed
+            state = field.remember(found.state, touched, closing)
+            impacts = impacts + jnp.any(touched)
+            outcome = jnp.where(
+                (impacts > self.most_impacts) & (found.outcome == REACHED),
+                TOO_MANY_IMPACTS,
+                found.outcome,
+            )
+            counts = (accepted + found.accepted, rejected + found.rejected, impacts)
+            return found.time, state, closed ^ fired, found.typical(begun), *counts, outcome
+
+        def unfinished(carry):
+            return (carry[0] < stop) & (carry[-1] == REACHED)
+
+        depth, _ = field.contacts(start, state)
+        none = jnp.zeros((), int)
+        first = (
+            start,
+            state,
+            depth > 0.5 * HYSTERESIS,
+            step,
+            none,
+            none,
+            none,
+            jnp.asarray(REACHED),
+        )
+        _, state, _, step, accepted, rejected, _, outcome = jax.lax.while_loop(
+            unfinished, one, first
+        )
+        return Advance(state, accepted, rejected, step, outcome)
+
+    def _solve(self, field, start, stop, state, step, weights, closed) -> "Segment":
+        """One solve, to `stop` or (where `closed` flags are given) to the first contact that closes
+        or opens before.
+        """
+        arrays, rest = eqx.partition(field, eqx.is_array)
+
+        def solve(*numbers):
+            return self._solve_in_jax(rest, *numbers)
+
+        return Segment(*with_fast_loops(solve)(arrays, start, stop, state, step, weights, closed))
+
+    def _solve_in_jax(self, rest, arrays, start, stop, state, step, weights, closed) -> tuple:
+        interval = stop - start
+        controller = diffrax.PIDController(
+            rtol=self.rtol,
+            atol=self.atol,
+            # diffrax reports a failed implicit stage as an infinite error of all entries: 0 times
+            # infinity must not enter.
+            norm=lambda error: jnp.max(
+                jnp.where(weights > 0, jnp.abs(weights * error), 0.0), initial=0.0
+            ),
+            dtmin=SMALLEST_STEP * jnp.maximum(interval, SMALLEST_STEP),
+            dtmax=self.largest_step,
+            force_dtmin=False,
+        )
+
+        # Traced once, however often diffrax asks.
+        rates = jax.jit(lambda arrays, time, y: eqx.combine(arrays, rest)(time, y))
+
+        # Falls through zero where a contact changes. diffrax 0.7 puts the time left in its place
+        # for the samples of a batch without an event, which falls too; a function that rises would
+        # lose them (tests/time/test_captured_impacts.py).
+        def crossing(t, y, args, **_):
+            return -jnp.max(
+                _beyond(eqx.combine(args[0], rest).contacts(t, y)[0], args[1]), initial=-1.0
+            )
+
+        term = diffrax.ODETerm(lambda time, y, args: rates(args[0], jnp.asarray(time, float), y))
+        if isinstance(self.solver, MuntheKaas):
+            group, field_of = state_group(eqx.combine(arrays, rest)), term.vector_field
+            term = GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
+        finder = optimistix.Bisection(rtol=0.0, atol=EVENT_TOLERANCE, flip=True)
+        solution = diffrax.diffeqsolve(
+            term,
+            self.solver,
+            start,
+            stop,
+            jnp.where(step > 0, jnp.minimum(step, interval), 1e-2 * interval),
+            state,
+            args=(arrays, closed),
+            stepsize_controller=controller,
+            saveat=diffrax.SaveAt(t1=True),
+            max_steps=self.most_steps,
+            event=None if closed is None else diffrax.Event(crossing, finder, direction=False),
+            adjoint=diffrax.ForwardMode(),
+            throw=False,
+        )
+        stats, results = solution.stats, diffrax.RESULTS
+        stopped = jnp.asarray(False) if closed is None else solution.event_mask
+        failed = jnp.where(solution.result == results.max_steps_reached, TOO_MANY, TOO_SMALL)
+        # A remainder of rounding before `stop` is shorter than the smallest step, but it has been
+        # taken.
+        reached = stopped | (solution.result == results.successful) | (solution.ts[-1] >= stop)
+        outcome = jnp.where(reached, REACHED, failed)
+        time = jnp.where(reached & ~stopped, stop, solution.ts[-1])
+        counts = (stats["num_accepted_steps"], stats["num_rejected_steps"])
+        return time, solution.ys[-1], *counts, outcome, stopped
+
+
+class Segment(NamedTuple):
+    """Outcome of one solve: where it ended, steps accepted and rejected, index into `OUTCOMES`,
+    whether an event ended it.
+    """
+
+    time: Any
+    state: Any
+    accepted: Any
+    rejected: Any
+    outcome: Any
+    stopped: Any
+
+    def typical(self, start: Scalar) -> Scalar:
+        """Mean length of its steps [s]."""
+        return (self.time - start) / jnp.maximum(self.accepted, 1)
+
+
+def _beyond(depth, closed):
+    """Distance [m] by which each contact is beyond the threshold at which it changes: positive
+    where it has just changed.
+    """
+    return jnp.where(closed, -HYSTERESIS - depth, depth - HYSTERESIS)

@@ -1,0 +1,92 @@
+"""Implicit steps through stiff contacts: their length follows the motion, not the stiffness."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.integrators.base import COMPLIANT, AbstractIntegrator, check_count, check_step
+from jaxclear.integrators.stepping import arrived, divide, march
+
+
+class ImplicitStep(AbstractIntegrator):
+    """Midpoint rule with mean contact forces: equal steps that no contact makes too long. The
+    choice for statistics.
+
+    Order 2 in free motion. Over a step a contact force does the work that its law says (discrete
+    gradient) or takes more energy out, so stiff contacts do not make motion explode, as long as the
+    iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s three iterations gain energy, `newton=30` does
+    not. An impact that the steps resolve ends with the restitution of its law, one within a step
+    with `rebound`: choose the restitution itself where stiff impacts decide. One evaluation a step;
+    `newton` iterations on the contact laws alone, in the contact directions (2 are enough but for
+    bristles).
+
+    `rebound` sets the numerical dissipation: with theta = 1 / (1 + rebound), a linear contact mode
+    omega is damped as by the theta method, amplitude per step sqrt((1 + (1 - theta)^2 z^2) / (1 +
+    theta^2 z^2)) with z = omega h, and an elastic impact in one step (z >> 1) keeps `rebound` of
+    its speed. Damping ratio about (theta - 1/2) z for small z. 1 dissipates nothing; 0 is backward
+    Euler in the contacts: for gradients, and where single unresolved impacts do not matter.
+
+    Loads that oscillate by themselves (stiff springs, dampers) are explicit: step < 2 / omega of
+    them. A step should move the parts by less than a clearance, and by less than a cell of a worn
+    surface, or forces at the saved instants are far off, though the motion stays bounded.
+    `capture_impacts` takes the approach speed at the start of the step in which a contact closes;
+    otherwise the impact speed follows within `memory_time`, which may be far shorter than the step.
+    `steps_per_save` fixes the number of steps between saving times: reverse-mode derivatives need
+    it, forward-mode ones do not.
+
+    Source: mean forces that conserve energy: Gonzalez 1996, J. Nonlinear Sci. 6, 449; for contact
+    Laursen & Chawla 1997, Int. J. Numer. Methods Eng. 40, 863; with dissipation Armero & Petocz
+    1998, Comput. Methods Appl. Mech. Eng. 158, 269.
+    """
+
+    pathwise: ClassVar = True
+    formulation: ClassVar = COMPLIANT
+    step: Scalar = quantity(1e-4, "s", "largest step")
+    rebound: Scalar = quantity(
+        0.95, "1", "share of its speed that an elastic impact keeps which the step does not resolve"
+    )
+    newton: int = eqx.field(static=True, default=3)
+    steps_per_save: int | None = eqx.field(static=True, default=None)
+    capture_impacts: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        check_step(self.step, "ImplicitStep")
+        rebound = concrete(self.rebound)
+        if rebound is not None and not 0 <= rebound <= 1:
+            raise ValueError(
+                f"rebound of integrator.ImplicitStep is {rebound}; it must be at least 0 and at "
+                "most 1."
+            )
+        check_count(self.newton, "newton of integrator.ImplicitStep")
+        check_count(self.steps_per_save, "steps_per_save of integrator.ImplicitStep")
+
+    def relaxing_step(self, interval):
+        return None
+
+    def first_warm_start(self, field, start, state):
+        return field.implicit_warm_start(start, state)
+
+    def advance(self, field, start, stop, state, warm_start, weights, running):
+        field = field.when_captured() if self.capture_impacts else field
+        steps, h = divide(start, stop, self.step, self.steps_per_save)
+        bias = (1 - self.rebound) / (1 + self.rebound)
+
+        def one(index, state, warm_start):
+            end, warm_start = field.implicit_step(
+                TimeStep(start + index * h, h, bias), state, warm_start, self.newton
+            )
+            return field.closed(start + (index + 1) * h, end), warm_start
+
+        if self.steps_per_save is None:
+            end, warm_start = march(one, steps, state, warm_start)
+        else:
+            turns = jnp.arange(self.steps_per_save)
+            # Reverse mode then keeps the states alone and goes through each step again: a third of
+            # the time to compile.
+            turn = jax.checkpoint(lambda carry, index: (one(index, *carry), None))
+            end, warm_start = jax.lax.scan(turn, (state, warm_start), turns)[0]
+        return arrived(end, steps, warm_start)

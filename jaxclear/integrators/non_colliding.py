@@ -1,0 +1,78 @@
+"""Steps of mechanisms whose clearance joints always touch: the cheapest rung, without impacts, with
+friction that sticks.
+"""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.permanent import NonCollidingSettings
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.integrators.base import PERMANENT, AbstractIntegrator, check_step
+from jaxclear.integrators.stepping import divide, solved
+
+# Last change of friction in a search, relative to its bound, beyond which it may be far from the
+# solution.
+LOOSE = 1e-6
+
+
+class NonColliding(AbstractIntegrator):
+    """Joints with a small clearance taken as always in contact: motion of the ideal mechanism,
+    reactions carried in the gap, set-valued Coulomb friction that truly sticks. No impacts, no
+    stiffness, so steps follow the motion alone.
+
+    Use where joints stay pressed (slow or well-loaded mechanisms); where a reaction passes through
+    zero a real journal would cross its gap and strike, which `Trajectory.switchings` tells and
+    compliant rungs show. Clearance joints are the same as there, one word changed; a regularised
+    friction law gives its coefficients. Midpoint rule, order 2 in smooth motion and 1 across stick
+    and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
+
+    `sweeps` over the joints at most, until friction changes by less than `tolerance` of its bound;
+    where they end far from that (a guide about to lock itself), the run ends and says so.
+    `relaxation` rounds Coulomb's law over this share of the bound: a joint then creeps, and the
+    error is of its order (None: exact). `regularised` takes a friction law as the function of the
+    sliding speed that it is, for comparison: the joint creeps, and steps must be short beside the
+    time in which friction stops a joint that slides at the law's transition speed.
+
+    Source: antenna paper (000) and guide paper (004).
+    """
+
+    pathwise: ClassVar = True
+    formulation: ClassVar = PERMANENT
+    step: Scalar = quantity(1e-3, "s", "largest step")
+    sweeps: Scalar = quantity(1000.0, "1", "most sweeps over the joints in a step", above=0)
+    tolerance: Scalar = quantity(
+        1e-13,
+        "1",
+        "change of a joint's friction relative to its bound at which sweeps end",
+        above=0,
+    )
+    relaxation: Scalar | None = quantity(
+        None, "1", "share of the bound over which friction is rounded (None: exact)", above=0
+    )
+    regularised: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        check_step(self.step, "NonColliding")
+
+    def relaxing_step(self, interval):
+        return None
+
+    def first_warm_start(self, field, start, state):
+        return jnp.zeros(field.layout.speeds + 1)
+
+    def advance(self, field, start, stop, state, warm_start, weights, running):
+        steps, h = divide(start, stop, self.step)
+        settings = NonCollidingSettings(
+            self.sweeps, self.tolerance, self.relaxation, self.regularised
+        )
+
+        def one(index, state, last):
+            end, last = field.permanent_step(
+                TimeStep(start + index * h, h, 0.0), state, last, settings
+            )
+            return field.closed(start + (index + 1) * h, end), last
+
+        return solved(one, steps, state, warm_start, LOOSE)

@@ -1,0 +1,52 @@
+"""What all integrators with fixed steps share: how many steps fill an interval, going through them,
+and the answer at its end.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxclear.integrators.base import NOT_FINITE, NOT_SOLVED, REACHED, Advance
+from jaxclear.native.loop import while_loop
+
+# Share of a step by which rounding may miss the end of an interval.
+SLIVER = 1e-9
+
+
+def divide(start: Any, stop: Any, step: Any, fixed: int | None = None) -> tuple[Any, Any]:
+    """(number of steps, their length [s]): the fewest equal ones no longer than `step`, or the
+    `fixed` number.
+    """
+    count = jnp.maximum(jnp.ceil((stop - start) / step * (1 - SLIVER)), 1.0)
+    count = count if fixed is None else jnp.asarray(float(fixed))
+    return count.astype(int), (stop - start) / count
+
+
+def march(
+    one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, warm_start: Any
+) -> tuple[Any, Any]:
+    """State and hint after `steps` turns of (index, state, hint) -> (state, hint), in one loop."""
+    turn = lambda carry: (carry[0] + 1, *one(*carry))
+    _, state, warm_start = while_loop(
+        lambda carry: carry[0] < steps, turn, (jnp.zeros((), int), state, warm_start)
+    )
+    return state, warm_start
+
+
+def arrived(end: Any, steps: Any, warm_start: Any) -> Advance:
+    """The answer of steps that are never rejected."""
+    outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)
+    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome)
+
+
+def solved(
+    one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, warm_start: Any, loose: float
+) -> Advance:
+    """The answer of steps each of which searches for percussions or friction; the last entry of the
+    hint is the largest residual with which a search has ended, and beyond `loose` the laws are not
+    met."""
+    end, warm_start = march(one, steps, state, warm_start.at[-1].set(0.0))
+    found = arrived(end, steps, warm_start)
+    failed = (found.outcome == REACHED) & (found.warm_start[-1] > loose)
+    return found._replace(outcome=jnp.where(failed, NOT_SOLVED, found.outcome))

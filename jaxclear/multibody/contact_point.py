@@ -1,0 +1,302 @@
+"""One clearance joint at one instant: from relative motion to forces, rates of the laws' memories
+and lost material.
+
+Normal forces act along the gradient of the indentation with respect to the relative displacement,
+so normal power is exactly -F_n d(delta)/dt, worn and tilted surfaces included. Friction acts at the
+point of touch, against the relative velocity of the two material points there.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part, rounded_norm, safe_sqrt
+from jaxclear.ground.pose import Pose
+from jaxclear.laws.friction import AbstractBristleFriction
+
+# Slip speeds are rounded here [m/s]: far below any transition speed, only so that the direction of
+# slip exists at rest.
+SLIP_ROUNDING = 1e-14
+# Time [s] in which the bristles of an open contact straighten.
+BRISTLE_RELEASE = 1e-4
+
+
+class Relative(NamedTuple):
+    """Motion of the journal's marker as seen from the (moving) bearing's marker, in the bearing's
+    axes.
+    """
+
+    pose: Pose
+    velocity: sp.Vec
+    spin: sp.Vec
+
+
+class PointState(NamedTuple):
+    """What one possible contact remembers: speed of first touch [m/s] and bristle deflections [m],
+    where its laws do.
+    """
+
+    impact_speed: Any
+    bristles: tuple
+
+
+class PointReport(NamedTuple):
+    """One possible contact at an instant, SI units; slip and traction along the touch's sliding
+    directions.
+    """
+
+    indentation: Any
+    rate: Any
+    normal_force: Any
+    slip_speed: Any
+    traction: Any
+    place: sp.Vec
+
+
+class JointReport(NamedTuple):
+    """A clearance joint at an instant: wrench on the journal about its marker in the bearing's
+    axes, rates and powers.
+    """
+
+    force: sp.Vec
+    torque: sp.Vec
+    memory_rates: tuple[PointState, ...]
+    wear_rates: dict[str, tuple]
+    contact_power: Any
+    contact_loss: Any
+    friction_loss: Any
+    points: tuple[PointReport, ...]
+
+
+def memory_template(pairing: ContactLaws, touch: ContactCandidate) -> PointState:
+    """Initial memory of a contact: nothing remembered, straight bristles; `None` and () where a law
+    has no memory.
+    """
+    bristles = (
+        (0.0,) * len(touch.tangents)
+        if isinstance(pairing.friction, AbstractBristleFriction)
+        else ()
+    )
+    return PointState(0.0 if pairing.contact.remembers_impact_speed else None, bristles)
+
+
+class GapFunction(NamedTuple):
+    """Geometry of one possible contact: its overlap [m], the overlap's gradient by the offset and
+    by each axis, the touch.
+    """
+
+    indentation: Any
+    slope: sp.Vec
+    turns: tuple[sp.Vec, ...]
+    touch: ContactCandidate
+
+
+class Response(NamedTuple):
+    """What the laws answer at one contact: normal force [N], sliding speed [m/s], friction [N]
+    along each sliding direction, rates of the memory."""
+
+    normal: Any
+    slip_speed: Any
+    tractions: tuple
+    memory_rates: PointState
+
+
+def evaluate(
+    joint: AbstractClearance,
+    contact_laws: tuple[ContactLaws, ...],
+    relative: Relative,
+    memory: tuple[PointState, ...],
+    worn: dict[str, Any],
+) -> JointReport:
+    """Forces of a clearance joint; `worn` are the depth maps that feed back into the gap."""
+    gap_functions = gap_function(joint, relative.pose, worn)
+    speeds = tuple(
+        contact_speeds(joint, relative.pose, o, relative.velocity, relative.spin)
+        for o in gap_functions
+    )
+    responses = tuple(
+        _respond(pairing, o.indentation, *own, memory[k])
+        for k, (pairing, o, own) in enumerate(zip(contact_laws, gap_functions, speeds, strict=True))
+    )
+    return assemble(joint, contact_laws, relative.pose, gap_functions, speeds, responses)
+
+
+def gap_function(
+    joint: AbstractClearance, pose: Pose, worn: dict[str, Any]
+) -> tuple[GapFunction, ...]:
+    """Geometry of every possible contact of a joint."""
+    offset, axes = pose.translation, _axes(joint, pose)
+    indentations, gradients = _indentations(joint, offset, axes, worn)
+    contact_candidates = joint.contact_candidates(offset, axes, indentations)
+    return tuple(
+        GapFunction(i, *g, t)
+        for i, g, t in zip(indentations, gradients, contact_candidates, strict=True)
+    )
+
+
+def depths(joint: AbstractClearance, pose: Pose, worn: dict[str, Any]) -> tuple:
+    """Indentation of every possible contact of a joint [m]."""
+    return joint.indentations(pose.translation, _axes(joint, pose), worn)
+
+
+def contact_speeds(
+    joint: AbstractClearance, pose: Pose, contact: GapFunction, velocity: sp.Vec, spin: sp.Vec
+) -> tuple[Any, tuple]:
+    """(rate of the indentation, components of slip) for a relative velocity and spin: linear in
+    both, so it also gives the rows of the contact's Jacobian from the twists of unit speeds."""
+    rate = sp.dot(contact.slope, velocity)
+    for axis, turn in zip(_axes(joint, pose), contact.turns, strict=True):
+        rate = sp.add(rate, sp.dot(turn, sp.cross(spin, axis)))
+    # Velocity of the journal's material point at the touch, seen from the bearing.
+    arm = sp.minus(contact.touch.place, pose.translation)
+    across = _tangential(contact.touch, sp.plus(velocity, sp.cross(spin, arm)))
+    return rate, tuple(sp.dot(across, tangent) for tangent in contact.touch.tangents)
+
+
+def slip_speed(slip: tuple) -> Any:
+    """Sliding speed [m/s] from its components."""
+    return rounded_norm(*[s for s in slip if not sp.is_zero(s)], width=SLIP_ROUNDING)
+
+
+def assemble(
+    joint: AbstractClearance,
+    contact_laws: tuple[ContactLaws, ...],
+    pose: Pose,
+    gap_functions: tuple[GapFunction, ...],
+    speeds: tuple[tuple[Any, tuple], ...],
+    responses: tuple[Response, ...],
+) -> JointReport:
+    """The joint's report from the geometry, the speeds and the laws' responses at each contact."""
+    offset, axes = pose.translation, _axes(joint, pose)
+    force, torque, powers, reports = sp.ZERO, sp.ZERO, [], []
+    for pairing, contact, (rate, slip), response in zip(
+        contact_laws, gap_functions, speeds, responses, strict=True
+    ):
+        normal, touch = response.normal, contact.touch
+        push = sp.scale(-normal, contact.slope)
+        turned = [
+            sp.scale(-normal, sp.cross(a, t)) for a, t in zip(axes, contact.turns, strict=True)
+        ]
+        traction = sp.plus(
+            sp.ZERO,
+            *[sp.scale(f, t) for f, t in zip(response.tractions, touch.tangents, strict=False)],
+        )
+        traction = _tangential(touch, traction) if response.memory_rates.bristles else traction
+        arm = sp.minus(touch.place, offset)
+        force = sp.plus(force, push, traction)
+        torque = sp.plus(torque, *turned, sp.cross(arm, traction))
+        elastic = pairing.contact.elastic_force(contact.indentation)
+        drag = 0.0 if pairing.friction is None else safe_sqrt(sp.dot(traction, traction))
+        loss = sp.neg(sp.dot(response.tractions, slip)) if response.tractions else 0
+        powers.append((normal * rate, (normal - elastic) * rate, loss))
+        reports.append(
+            PointReport(contact.indentation, rate, normal, response.slip_speed, drag, touch.place)
+        )
+    indentations = tuple(o.indentation for o in gap_functions)
+    wear_rates = _wear_rates(joint, contact_laws, offset, axes, indentations, reports)
+    sums = [sp.total(parts) for parts in zip(*powers, strict=True)]
+    rates = tuple(response.memory_rates for response in responses)
+    return JointReport(force, torque, rates, wear_rates, *sums, tuple(reports))
+
+
+def _axes(joint, pose):
+    """Those axes of the journal's marker on which the gap depends, in the bearing's axes."""
+    return tuple(sp.transpose(pose.rotation)[k] for k in joint.axes)
+
+
+def _indentations(joint, offset, axes, worn):
+    """Indentations and, for each, its gradient by the offset and by each axis, with structural
+    zeros kept.
+    """
+    leaves, structure = jax.tree.flatten((offset, axes))
+    varying = [i for i, leaf in enumerate(leaves) if not isinstance(leaf, int)]
+
+    def overlaps(arrays):
+        filled = list(leaves)
+        for i, array in zip(varying, arrays, strict=True):
+            filled[i] = array
+        return joint.indentations(*jax.tree.unflatten(structure, filled), worn)
+
+    arrays = [leaves[i] for i in varying]
+    values = overlaps(arrays)
+    gradients = []
+    for k in range(len(values)):
+        slopes = [0] * len(leaves)
+        for i, slope in zip(varying, jax.grad(lambda a, k=k: overlaps(a)[k])(arrays), strict=True):
+            slopes[i] = slope
+        gradients.append(jax.tree.unflatten(structure, slopes))
+    return values, gradients
+
+
+def _tangential(touch, vector):
+    """The part of a vector across the normal; directions given as a whole basis include the
+    normal."""
+    if len(touch.tangents) < 3:
+        return vector
+    along = sp.dot(vector, touch.normal)
+    return sp.minus(vector, sp.scale(along, touch.normal))
+
+
+def _respond(pairing, indentation, rate, slip, memory) -> Response:
+    """The laws at one contact."""
+    normal = pairing.contact.normal_force(indentation, rate, memory.impact_speed)
+    speed = slip_speed(slip)
+    tractions, bristle_rates = _traction(pairing, normal, slip, speed, memory)
+    return Response(
+        normal,
+        speed,
+        tractions,
+        PointState(_impact_speed_rate(pairing, indentation, rate, memory), bristle_rates),
+    )
+
+
+def _traction(pairing, normal, slip, speed, memory):
+    """Friction on the journal along each sliding direction, and the rates of the bristles."""
+    law = pairing.friction
+    if law is None:
+        return (), ()
+    if isinstance(law, AbstractBristleFriction):
+        law_rates = [
+            law.deflection_rate(z, s, speed) for z, s in zip(memory.bristles, slip, strict=True)
+        ]
+        shares = [
+            law.coefficient(z, r, s)
+            for z, r, s in zip(memory.bristles, law_rates, slip, strict=True)
+        ]
+        rates = tuple(
+            jnp.where(normal > 0, r, -z / BRISTLE_RELEASE)
+            for z, r in zip(memory.bristles, law_rates, strict=True)
+        )
+    else:
+        share = law.coefficient(speed) / speed
+        shares, rates = [sp.mul(share, s) for s in slip], ()
+    return tuple(sp.mul(-normal, share) for share in shares), rates
+
+
+def _impact_speed_rate(pairing, indentation, rate, memory):
+    """The remembered speed follows the approach speed while the contact is open and stays while it
+    is closed.
+    """
+    if memory.impact_speed is None:
+        return None
+    follow = (positive_part(rate) - memory.impact_speed) / pairing.contact.memory_time
+    return jnp.where(indentation < 0, follow, 0.0)
+
+
+def _wear_rates(joint, contact_laws, offset, axes, indentations, reports):
+    """For each surface and each contact that wears it: (volume rate, location features)."""
+    rates = {}
+    for surface, (_, wearing) in joint.maps().items():
+        entries = []
+        for k, (pairing, report) in enumerate(zip(contact_laws, reports, strict=True)):
+            if pairing.wears:
+                volume = wearing.law.volume_rate(
+                    report.normal_force, report.slip_speed, report.traction
+                )
+                features = joint.features(surface, offset, axes, indentations, k)
+                entries.append((wearing.acceleration * volume, features))
+        rates[surface] = tuple(entries)
+    return rates

@@ -1,0 +1,227 @@
+"""The state of a simulation as one flat array, and where everything sits in it.
+
+Sections in order: coordinates, speeds, memories of contact laws, worn volumes with their
+volume-weighted locations, impulses (of joints whose forces are no functions of the state),
+energies. One array, because a compiled loop pays for every leaf it carries. What a scene lacks has
+no entries.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxclear.components.clearance import ContactCandidate, ContactLaws
+from jaxclear.ground import sparse as sp
+from jaxclear.multibody.contact_point import PointState, memory_template
+from jaxclear.multibody.system import Bearing, System
+
+# An offset [m] at which nothing is structurally zero but by the scene.
+PROBE = (0.3e-3, 0.1e-3, 0.2e-3)
+ENERGIES = ("input", "contact_work", "contact_loss", "friction_loss", "damping_loss")
+
+
+@dataclass(frozen=True)
+class WearSlot:
+    """Where the worn volume of one contact on one surface sits; `averaged` are the features that
+    vary in time.
+    """
+
+    bearing: str
+    surface: str
+    contact: int
+    start: int
+    averaged: tuple[int, ...]
+    constants: tuple[tuple[int, float], ...]
+
+    @property
+    def feature_count(self) -> int:
+        return len(self.averaged) + len(self.constants)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Static description of the state array."""
+
+    coordinates: int
+    speeds: int
+    memories: tuple[tuple[str, tuple[tuple[bool, int], ...]], ...]
+    wear: tuple[WearSlot, ...]
+    impulses: tuple[tuple[str, int], ...]
+    energies: tuple[str, ...]
+    size: int
+
+    @property
+    def memory_start(self) -> int:
+        return self.coordinates + self.speeds
+
+    @property
+    def memory_count(self) -> int:
+        return sum(
+            remembers + bristles for _, kinds in self.memories for remembers, bristles in kinds
+        )
+
+    @property
+    def energy_start(self) -> int:
+        return self.size - len(self.energies)
+
+    @property
+    def impulse_start(self) -> int:
+        return self.energy_start - sum(count for _, count in self.impulses)
+
+
+def lay_out(
+    system: System, balance: bool = False, impulses: tuple[tuple[str, int], ...] = ()
+) -> Layout:
+    """The layout of a system's state; `balance` adds the energies that close the energy balance,
+    `impulses` so many components of an impulse [N s, N m s] since the start for a joint."""
+    topology = system.topology
+    memories, wear = [], []
+    position = topology.coordinate_count + topology.speed_count
+    samples = {}
+    for name, bearing in system.bearings.items():
+        offset, axes, overlaps, contact_candidates = probe(system, bearing)
+        templates = [
+            memory_template(p, t)
+            for p, t in zip(bearing.contact_laws, contact_candidates, strict=True)
+        ]
+        kinds = tuple((t.impact_speed is not None, len(t.bristles)) for t in templates)
+        memories.append((name, kinds))
+        position += sum(remembers + bristles for remembers, bristles in kinds)
+        samples[name] = (bearing, offset, axes, overlaps)
+    for name, (bearing, offset, axes, overlaps) in samples.items():
+        for surface in bearing.joint.maps():
+            for k, pairing in enumerate(bearing.contact_laws):
+                if pairing.wears:
+                    features = bearing.joint.features(surface, offset, axes, overlaps, k)
+                    averaged = tuple(
+                        i for i, f in enumerate(features) if not isinstance(f, (int, float))
+                    )
+                    constants = tuple(
+                        (i, float(f)) for i, f in enumerate(features) if isinstance(f, (int, float))
+                    )
+                    wear.append(WearSlot(name, surface, k, position, averaged, constants))
+                    position += 1 + len(averaged)
+    energies = ENERGIES if balance else ()
+    size = position + sum(count for _, count in impulses) + len(energies)
+    return Layout(
+        topology.coordinate_count,
+        topology.speed_count,
+        tuple(memories),
+        tuple(wear),
+        impulses,
+        energies,
+        size,
+    )
+
+
+def probe(system: System, bearing: Bearing) -> tuple:
+    """(offset, axes, indentations, touches) of a clearance joint somewhere: for what does not
+    depend on the place.
+    """
+    planar = _is_planar(system)
+    offset = tuple(jnp.asarray(x) for x in PROBE[:2]) + (
+        (0,) if planar else (jnp.asarray(PROBE[2]),)
+    )
+    axes = tuple(tuple(jnp.asarray(float(x)) for x in sp.IDENTITY[k]) for k in bearing.joint.axes)
+    overlaps = bearing.joint.indentations(offset, axes, {})
+    return offset, axes, overlaps, bearing.joint.contact_candidates(offset, axes, overlaps)
+
+
+def component_count(pairing: ContactLaws, touch: ContactCandidate) -> int:
+    """Components of a contact's force: a normal one, and one per slip direction where it rubs."""
+    return 1 + (0 if pairing.friction is None else len(touch.tangents))
+
+
+def contact_components(system: System) -> tuple[tuple[str, int], ...]:
+    """By clearance joint, how many components its contacts' forces have."""
+    counts = []
+    for name, bearing in system.bearings.items():
+        each = zip(bearing.contact_laws, probe(system, bearing)[3], strict=True)
+        counts.append((name, sum(component_count(pairing, touch) for pairing, touch in each)))
+    return tuple(counts)
+
+
+def _is_planar(system):
+    return all(
+        not link.joint.columns(link.joint.home) or _flat(link) for link in system.links
+    ) and bool(system.links)
+
+
+def _flat(link):
+    return all(
+        sp.is_zero(c.linear[2]) and sp.is_zero(c.angular[0]) and sp.is_zero(c.angular[1])
+        for c in link.joint.columns(link.joint.home)
+    )
+
+
+def unpack_motion(system: System, entries: Any) -> tuple[tuple, tuple]:
+    """Coordinates and speeds of each link as tuples of scalars, from the entries of a state."""
+    topology = system.topology
+    shift = topology.coordinate_count
+    q = tuple(
+        tuple(entries[i] for i in range(b.coordinates.start, b.coordinates.stop))
+        for b in topology.branches
+    )
+    v = tuple(
+        tuple(entries[shift + i] for i in range(b.speeds.start, b.speeds.stop))
+        for b in topology.branches
+    )
+    return q, v
+
+
+def unpack_memories(layout: Layout, entries: Any) -> dict[str, tuple[PointState, ...]]:
+    """Memory of each possible contact, by clearance joint."""
+    position, memories = layout.memory_start, {}
+    for name, kinds in layout.memories:
+        points = []
+        for remembers, bristles in kinds:
+            speed = entries[position] if remembers else None
+            position += remembers
+            points.append(PointState(speed, tuple(entries[position + i] for i in range(bristles))))
+            position += bristles
+        memories[name] = tuple(points)
+    return memories
+
+
+def pack_memories(layout: Layout, memories: dict[str, tuple[PointState, ...]]) -> list:
+    """Inverse of `unpack_memories`."""
+    entries = []
+    for name, _ in layout.memories:
+        for point in memories[name]:
+            entries.extend([] if point.impact_speed is None else [point.impact_speed])
+            entries.extend(point.bristles)
+    return entries
+
+
+def impact_speed_places(layout: Layout) -> tuple[int | None, ...]:
+    """Where the impact speed of each possible contact sits in the state; None for a law that does
+    not remember it.
+    """
+    position, places = layout.memory_start, []
+    for _, kinds in layout.memories:
+        for remembers, bristles in kinds:
+            places.append(position if remembers else None)
+            position += remembers + bristles
+    return tuple(places)
+
+
+def names(system: System, layout: Layout) -> list[str]:
+    """A name for each entry of the state."""
+    topology, out = system.topology, []
+    for branch, _link in zip(topology.branches, system.links, strict=True):
+        label = branch.connection or branch.body
+        out += [f"{label}.q{i}" for i in range(branch.coordinates.stop - branch.coordinates.start)]
+    for branch in topology.branches:
+        label = branch.connection or branch.body
+        out += [f"{label}.v{i}" for i in range(branch.speeds.stop - branch.speeds.start)]
+    for name, kinds in layout.memories:
+        for k, (remembers, bristles) in enumerate(kinds):
+            out += [f"{name}.impact_speed{k}"] * remembers + [
+                f"{name}.bristle{k}_{i}" for i in range(bristles)
+            ]
+    for slot in layout.wear:
+        label = f"{slot.bearing}.{slot.surface}.volume{slot.contact}"
+        out += [label] + [f"{label}.location{i}" for i in slot.averaged]
+    out += [f"{name}.impulse{i}" for name, count in layout.impulses for i in range(count)]
+    return out + list(layout.energies)

@@ -1,0 +1,151 @@
+"""A mechanism made ready for the time loop: numbers moved into the frames in which the equations
+are written.
+
+Everything here is computed once before the loop starts, from the same leaves, so derivatives pass
+through.
+"""
+
+from typing import Any
+
+import equinox as eqx
+
+from jaxclear.components.body import GROUND
+from jaxclear.components.clearance import AbstractClearance, ContactLaws
+from jaxclear.components.joint import Universal
+from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import FLIP, REST, Pose
+from jaxclear.laws.stiffness import fitted
+from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.topology import Topology, joint_of
+from jaxclear.multibody.tree import Link
+
+
+class Bearing(eqx.Module):
+    """A clearance joint ready for evaluation: its markers as a closure and its fitted laws."""
+
+    closure: Closure
+    joint: AbstractClearance
+    contact_laws: tuple[ContactLaws, ...]
+
+
+class System(eqx.Module):
+    """Links in the topology's order, loop closures and the joints that make them, clearance joints
+    and loads.
+    """
+
+    links: tuple[Link, ...]
+    closures: tuple[Closure, ...]
+    closing: tuple[Any, ...]
+    bearings: dict[str, Bearing]
+    loads: dict[str, Any]
+    load_markers: dict[str, tuple[tuple[int | None, Pose], ...]]
+    gravity: sp.Vec
+    topology: Topology = eqx.field(static=True)
+
+
+# A universal joint that starts at the child turns about the child's y axis first, then about the
+# parent's x axis.
+EXCHANGE: sp.Mat = ((0, -1, 0), (1, 0, 0), (0, 0, 1))
+
+
+def _turned(pose: Pose, turn: sp.Mat) -> Pose:
+    return Pose(sp.product(pose.rotation, turn), pose.translation)
+
+
+def prepare(mechanism: Mechanism) -> System:
+    """The system of a mechanism."""
+    topology = mechanism.topology
+    links: list[Link] = []
+    for limb in topology.limbs:
+        for position in limb:
+            links.append(_link(mechanism, position, limb, links))
+    frames = {GROUND: REST} | {
+        branch.body: link.frame for branch, link in zip(topology.branches, links, strict=True)
+    }
+
+    def closure(name, rows):
+        ends = (mechanism.connections[name].parent, mechanism.connections[name].child)
+        poses = [frames[marker.body].after(marker.pose()) for marker in ends]
+        return Closure(*poses, *[topology.index(marker.body) for marker in ends], rows)
+
+    closures = tuple(
+        closure(name, mechanism.connections[name].joint.rows) for name in topology.loops
+    )
+    bearings = {}
+    for name in topology.clearances:
+        joint = mechanism.connections[name].joint
+        contact_laws = tuple(
+            ContactLaws(fitted(p.contact, p.shape), p.friction, p.shape, p.wears)
+            for p in joint.contact_laws()
+        )
+        bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, contact_laws)
+    loads, markers, gravity = {}, {}, sp.ZERO
+    for name, load in mechanism.loads.items():
+        if isinstance(load, Gravity):
+            gravity = sp.vec3(load.acceleration)
+        else:
+            loads[name] = load
+        if isinstance(load, AbstractBodyLoad):
+            markers[name] = tuple(
+                (topology.index(m.body), frames[m.body].after(m.pose())) for m in load.markers()
+            )
+    closing = tuple(mechanism.connections[name].joint for name in topology.loops)
+    return System(tuple(links), closures, closing, bearings, loads, markers, gravity, topology)
+
+
+def _link(mechanism: Mechanism, position: int, limb: tuple[int, ...], links: list[Link]) -> Link:
+    topology = mechanism.topology
+    branch = topology.branches[position]
+    body = mechanism.bodies[branch.body]
+    joint = joint_of(branch, mechanism.bodies, mechanism.connections)
+    base, outer = REST, REST
+    if branch.connection is not None:
+        connection = mechanism.connections[branch.connection]
+        base, outer = connection.parent.pose(), connection.child.pose()
+        if branch.reversed:
+            base, outer = outer, base
+            if joint.reversible or isinstance(joint, Universal):
+                turn = FLIP if joint.reversible else EXCHANGE
+                base, outer = _turned(base, turn), _turned(outer, turn)
+    parent = topology.index(branch.parent)
+    if parent is not None:
+        base = links[parent].frame.after(base)
+    frame = outer.inverse() if outer is not REST else REST
+    centre = frame.point(sp.vec3(body.com))
+    inertia = sp.congruence(frame.rotation, body.inertia_matrix())
+    return Link(
+        joint,
+        base,
+        frame,
+        body.mass,
+        sp.scale(body.mass, centre),
+        sp.shift_inertia(inertia, body.mass, sp.ZERO, centre),
+        -1 if parent is None else limb.index(parent),
+    )
+
+
+def coordinate_loads(system: System) -> list[tuple[str, AbstractCoordinateLoad]]:
+    return [
+        (name, load)
+        for name, load in system.loads.items()
+        if isinstance(load, AbstractCoordinateLoad)
+    ]
+
+
+def body_loads(system: System) -> list[tuple[str, AbstractBodyLoad]]:
+    return [
+        (name, load) for name, load in system.loads.items() if isinstance(load, AbstractBodyLoad)
+    ]
+
+
+def readings(system: System, worn: dict) -> dict:
+    """Worn surfaces in the form in which the gaps read them."""
+    return {
+        name: {
+            s: system.bearings[name].joint.maps()[s][0].reading(depth)
+            for s, depth in surfaces.items()
+        }
+        for name, surfaces in worn.items()
+    }

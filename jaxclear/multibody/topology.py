@@ -1,0 +1,134 @@
+"""The spanning tree: which joints carry coordinates, which close loops, and where every number sits
+in the state.
+
+The tree grows from the ground over the ideal joints, driven ones first, then those with the fewest
+freedoms, then the shortest way: what is left to close loops has the most freedoms, hence the fewest
+constraint rows. Clearance joints are contacts and never belong to the tree; a body that only they
+hold floats free. All of it is static: names and counts, no numbers.
+"""
+
+from dataclasses import dataclass
+
+from jaxclear.components.body import GROUND, Body, Connection
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.joint import AbstractJoint, Free, Planar, drive_of
+from jaxclear.components.permanent import AbstractPermanentJoint
+
+
+@dataclass(frozen=True)
+class Branch:
+    """One body of the tree: held by `connection` (None: floating), turned round if the connection
+    starts at this body.
+    """
+
+    body: str
+    connection: str | None
+    parent: str
+    reversed: bool
+    coordinates: slice | None
+    speeds: slice | None
+
+
+@dataclass(frozen=True)
+class Topology:
+    """Static structure of a mechanism. `limbs` are the independent subtrees, as tuples of indices
+    of branches.
+    """
+
+    branches: tuple[Branch, ...]
+    limbs: tuple[tuple[int, ...], ...]
+    loops: tuple[str, ...]
+    clearances: tuple[str, ...]
+    coordinate_count: int
+    speed_count: int
+
+    def branch_of(self, connection: str) -> Branch | None:
+        """The branch held by a connection, or None where it closes a loop or has clearance."""
+        return next((branch for branch in self.branches if branch.connection == connection), None)
+
+    def index(self, body: str) -> int | None:
+        """Index of a body's branch; None for the ground."""
+        return (
+            None
+            if body == GROUND
+            else next(i for i, branch in enumerate(self.branches) if branch.body == body)
+        )
+
+
+def free_joint(body: Body) -> AbstractJoint:
+    """The joint of a body that only contacts hold: in the plane if its inertia is planar, in space
+    otherwise.
+    """
+    return Planar() if len(body.inertia) == 1 else Free()
+
+
+def joint_of(
+    branch: Branch, bodies: dict[str, Body], connections: dict[str, Connection]
+) -> AbstractJoint:
+    return (
+        free_joint(bodies[branch.body])
+        if branch.connection is None
+        else connections[branch.connection].joint
+    )
+
+
+def grow(bodies: dict[str, Body], connections: dict[str, Connection]) -> Topology:
+    """The spanning tree of a mechanism whose names have been checked."""
+    ideal = {name: c for name, c in connections.items() if isinstance(c.joint, AbstractJoint)}
+    depth = {GROUND: 0}
+    order: list[tuple[str, str | None, str, bool]] = []
+    unused = list(ideal)
+
+    def rank(name):
+        joint = ideal[name].joint
+        ends = (ideal[name].parent.body, ideal[name].child.body)
+        reached = [end for end in ends if end in depth]
+        free = len(joint.home) if drive_of(joint) is None else -1
+        # Friction costs least in the tree: joints that may have it go first among equals.
+        free -= 0.5 * isinstance(joint, AbstractPermanentJoint)
+        return (free, depth[reached[0]], unused.index(name))
+
+    while len(depth) <= len(bodies):
+        open_ends = [
+            n for n in unused if (ideal[n].parent.body in depth) != (ideal[n].child.body in depth)
+        ]
+        if open_ends:
+            name = min(open_ends, key=rank)
+            parent, child = ideal[name].parent.body, ideal[name].child.body
+            turned = parent not in depth
+            inner, outer = (child, parent) if turned else (parent, child)
+            order.append((outer, name, inner, turned))
+            unused.remove(name)
+        else:
+            outer = next(body for body in bodies if body not in depth)
+            order.append((outer, None, GROUND, False))
+            inner = GROUND
+        depth[outer] = depth[inner] + 1
+    return _lay_out(order, unused, bodies, connections)
+
+
+def _lay_out(order, loops, bodies, connections):
+    children: dict[str, list] = {}
+    for entry in order:
+        children.setdefault(entry[2], []).append(entry)
+    sequence, limbs = [], []
+
+    def visit(entry, limb):
+        limb.append(len(sequence))
+        sequence.append(entry)
+        for child in children.get(entry[0], []):
+            visit(child, limb)
+
+    for root in children.get(GROUND, []):
+        limbs.append([])
+        visit(root, limbs[-1])
+    branches, q, v = [], 0, 0
+    for body, name, parent, turned in sequence:
+        joint = free_joint(bodies[body]) if name is None else connections[name].joint
+        driven = drive_of(joint) is not None
+        nq = 0 if driven else len(joint.home)
+        nv = 0 if driven else len(joint.columns(joint.home))
+        branches.append(Branch(body, name, parent, turned, slice(q, q + nq), slice(v, v + nv)))
+        q, v = q + nq, v + nv
+    clearances = tuple(n for n, c in connections.items() if isinstance(c.joint, AbstractClearance))
+    return Topology(tuple(branches), tuple(map(tuple, limbs)), tuple(loops), clearances, q, v)

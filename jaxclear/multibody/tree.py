@@ -1,0 +1,236 @@
+"""Kinematics and dynamics of one limb of the spanning tree, in body axes (Featherstone 2008,
+chapters 5 and 6).
+
+Each link's own frame sits at its inboard joint, so most joint motions and inertias are sparse or
+constant. Accelerations are spatial; gravity enters as an upward acceleration of the ground. `bias`
+are the forces that hold zero accelerations: M(q) dv/dt + bias(q, v, t) = generalised forces.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+
+from jaxclear.components.joint import AbstractJoint, drive_of
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import STILL, Pose, Twist
+from jaxclear.ground.quantity import Scalar
+
+
+class Wrench(NamedTuple):
+    """Force and torque about the frame's origin, in the frame's axes."""
+
+    force: sp.Vec
+    torque: sp.Vec
+
+
+NOTHING = Wrench(sp.ZERO, sp.ZERO)
+
+
+class Link(eqx.Module):
+    """A body ready for the recursion: numbers of a mechanism, moved into the link's own frame."""
+
+    joint: AbstractJoint
+    base: Pose
+    frame: Pose
+    mass: Scalar
+    moment: sp.Vec
+    inertia: sp.Mat
+    parent: int = eqx.field(static=True)
+
+
+class Motion(NamedTuple):
+    """Motion of one link: pose in the parent link and in the ground, twist, joint columns, and the
+    part of its acceleration relative to the parent that does not depend on the free
+    accelerations."""
+
+    relative: Pose
+    pose: Pose
+    twist: Twist
+    columns: tuple[Twist, ...]
+    own: Twist
+
+
+def carry_twist(relative: Pose, twist: Twist) -> Twist:
+    """A parent's twist (or spatial acceleration) seen from the child's frame, the two rigidly
+    joined.
+    """
+    linear = sp.plus(twist.linear, sp.cross(twist.angular, relative.translation))
+    return Twist(
+        sp.apply_transposed(relative.rotation, linear),
+        sp.apply_transposed(relative.rotation, twist.angular),
+    )
+
+
+def carry_wrench(relative: Pose, wrench: Wrench) -> Wrench:
+    """A wrench on the child, about the child's origin, moved to the parent's frame."""
+    force = sp.apply(relative.rotation, wrench.force)
+    torque = sp.plus(
+        sp.apply(relative.rotation, wrench.torque), sp.cross(relative.translation, force)
+    )
+    return Wrench(force, torque)
+
+
+def add_twists(*twists: Twist) -> Twist:
+    return Twist(sp.plus(*[t.linear for t in twists]), sp.plus(*[t.angular for t in twists]))
+
+
+def combine(columns: tuple[Twist, ...], factors: tuple) -> Twist:
+    """Sum of columns times factors."""
+    scaled = [
+        Twist(sp.scale(f, c.linear), sp.scale(f, c.angular))
+        for c, f in zip(columns, factors, strict=True)
+    ]
+    return add_twists(STILL, *scaled)
+
+
+def work(twist: Twist, wrench: Wrench) -> Any:
+    """Power of a wrench along a twist."""
+    return sp.add(sp.dot(twist.linear, wrench.force), sp.dot(twist.angular, wrench.torque))
+
+
+def move(
+    links: tuple[Link, ...], coordinates: tuple, speeds: tuple, time: Scalar
+) -> tuple[Motion, ...]:
+    """Poses and twists of a limb from root to tips; driven joints take their motion from the
+    time."""
+    motions: list[Motion] = []
+    for link, q, v in zip(links, coordinates, speeds, strict=True):
+        drive = drive_of(link.joint)
+        acceleration = ()
+        if drive is not None:
+            q, v, acceleration = ((part,) for part in drive.motion(time))
+        relative = link.base.after(link.joint.motion(q))
+        columns = link.joint.columns(q)
+        slide = combine(columns, v)
+        parent = motions[link.parent] if link.parent >= 0 else None
+        twist = add_twists(carry_twist(relative, parent.twist), slide) if parent else slide
+        pose = parent.pose.after(relative) if parent else relative
+        spin = Twist(
+            sp.plus(sp.cross(twist.linear, slide.angular), sp.cross(twist.angular, slide.linear)),
+            sp.cross(twist.angular, slide.angular),
+        )
+        own = add_twists(spin, combine(columns, acceleration) if drive is not None else STILL)
+        bias = link.joint.bias(q, v)
+        own = add_twists(own, bias) if bias is not None else own
+        motions.append(Motion(relative, pose, twist, columns if drive is None else (), own))
+    return tuple(motions)
+
+
+def accelerate(
+    links: tuple[Link, ...], motions: tuple[Motion, ...], rates: tuple | None, ground: sp.Vec
+) -> tuple[Twist, ...]:
+    """Spatial accelerations for given free accelerations `rates` (None: zero) and acceleration of
+    the ground.
+    """
+    accelerations: list[Twist] = []
+    for index, (link, motion) in enumerate(zip(links, motions, strict=True)):
+        inboard = accelerations[link.parent] if link.parent >= 0 else Twist(ground, sp.ZERO)
+        parts = [carry_twist(motion.relative, inboard), motion.own]
+        if rates is not None:
+            parts.append(combine(motion.columns, rates[index]))
+        accelerations.append(add_twists(*parts))
+    return tuple(accelerations)
+
+
+def transmit(
+    links: tuple[Link, ...],
+    motions: tuple[Motion, ...],
+    accelerations: tuple[Twist, ...],
+    loads: tuple[Wrench, ...],
+) -> tuple[Wrench, ...]:
+    """Wrench that each link receives through its inboard joint, in the link's frame: what the
+    motion needs, less the loads.
+    """
+    through: list[Any] = []
+    for link, motion, acceleration, load in zip(links, motions, accelerations, loads, strict=True):
+        velocity = motion.twist
+        momentum = sp.plus(
+            sp.scale(link.mass, velocity.linear), sp.cross(velocity.angular, link.moment)
+        )
+        spin = sp.plus(
+            sp.apply(link.inertia, velocity.angular), sp.cross(link.moment, velocity.linear)
+        )
+        force = sp.plus(
+            sp.scale(link.mass, acceleration.linear),
+            sp.cross(acceleration.angular, link.moment),
+            sp.cross(velocity.angular, momentum),
+        )
+        torque = sp.plus(
+            sp.apply(link.inertia, acceleration.angular),
+            sp.cross(link.moment, acceleration.linear),
+            sp.cross(velocity.angular, spin),
+            sp.cross(velocity.linear, momentum),
+        )
+        through.append(Wrench(sp.minus(force, load.force), sp.minus(torque, load.torque)))
+    for index in range(len(links) - 1, -1, -1):
+        parent = links[index].parent
+        if parent >= 0:
+            passed = carry_wrench(motions[index].relative, through[index])
+            through[parent] = Wrench(
+                sp.plus(through[parent].force, passed.force),
+                sp.plus(through[parent].torque, passed.torque),
+            )
+    return tuple(through)
+
+
+def bias_forces(links, motions, ground: sp.Vec, loads: tuple[Wrench, ...]) -> tuple:
+    """Generalised forces, one per free speed, that hold zero free accelerations against motion,
+    gravity and loads.
+    """
+    through = transmit(links, motions, accelerate(links, motions, None, ground), loads)
+    return tuple(
+        work(column, wrench)
+        for motion, wrench in zip(motions, through, strict=True)
+        for column in motion.columns
+    )
+
+
+def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[tuple, ...]:
+    """Mass matrix of a limb as rows of sparse scalars (composite rigid bodies)."""
+    composite = [(link.mass, link.moment, link.inertia) for link in links]
+    for index in range(len(links) - 1, -1, -1):
+        parent = links[index].parent
+        if parent >= 0 and _moves(links, motions, parent):
+            mass, moment, inertia = composite[index]
+            rotation, offset = motions[index].relative
+            turned = sp.apply(rotation, moment)
+            shifted = sp.shift_inertia(sp.congruence(rotation, inertia), mass, turned, offset)
+            own_mass, own_moment, own_inertia = composite[parent]
+            composite[parent] = (
+                sp.add(own_mass, mass),
+                sp.plus(own_moment, turned, sp.scale(mass, offset)),
+                sp.plus_matrix(own_inertia, shifted),
+            )
+    places = [
+        (index, k) for index, motion in enumerate(motions) for k in range(len(motion.columns))
+    ]
+    position = {place: number for number, place in enumerate(places)}
+    rows = [[0] * len(places) for _ in places]
+    for index, k in places:
+        mass, moment, inertia = composite[index]
+        column = motions[index].columns[k]
+        wrench = Wrench(
+            sp.plus(sp.scale(mass, column.linear), sp.cross(column.angular, moment)),
+            sp.plus(sp.apply(inertia, column.angular), sp.cross(moment, column.linear)),
+        )
+        other = index
+        while other >= 0:
+            for m, against in enumerate(motions[other].columns):
+                if other < index or m <= k:
+                    entry = work(against, wrench)
+                    rows[position[index, k]][position[other, m]] = entry
+                    rows[position[other, m]][position[index, k]] = entry
+            wrench = carry_wrench(motions[other].relative, wrench)
+            other = links[other].parent
+    return tuple(map(tuple, rows))
+
+
+def _moves(links, motions, index) -> bool:
+    """True where the link or one of its ancestors has a free speed, so that its composite inertia
+    is needed.
+    """
+    while index >= 0:
+        if motions[index].columns:
+            return True
+        index = links[index].parent
+    return False

@@ -1,0 +1,207 @@
+"""Pointing error of a tip: exact, by the adjoint error model, and joint by joint.
+
+The joints' deviations come from a run, so the error follows from the dynamics instead of from
+assumed distributions. Twists of the tip are in the axes of the nominal tip, linear then angular;
+the z axis of the tip is its boresight.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.components.body import GROUND, Marker
+from jaxclear.results.tip import checked_through, checked_tip, tip_errors
+from jaxclear.results.trajectory import Trajectory
+
+# What differences of the joints' motion contribute, beside their deviations, where the nominal pose
+# is another run's.
+MOTION = "motion"
+# Components of a twist that displace the tip, and those that turn its z axis.
+PLACE, ACROSS = slice(0, 3), slice(3, 5)
+# Weakest signal [m, rad] that is told from rounding when shares are formed.
+ROUNDING = 1e-15
+
+
+class PointingError(eqx.Module):
+    """Error of a tip over the saving times; twists [m, rad] of shape (time, 6), rows of
+    `deviations` in the bearings' axes.
+
+    `exact` is the logarithm of the displacement from the nominal to the actual tip, `model` its
+    first order, the sum of `contributions` by joint (and "motion" against another run).
+    `pointing_angle` [rad] lies between the z axes of the two tips, `position_error` [m] between
+    their origins. `budget()` shares the error out among the joints, `sentence()` says it in words,
+    `jaxclear.plot.pointing_budget` draws it.
+    """
+
+    time: np.ndarray
+    exact: np.ndarray
+    model: np.ndarray
+    contributions: dict[str, np.ndarray]
+    deviations: dict[str, np.ndarray]
+    pointing_angle: np.ndarray
+    position_error: np.ndarray
+    names: tuple[str, ...] = eqx.field(static=True)
+    tip: str = eqx.field(static=True)
+    base: str = eqx.field(static=True)
+
+    def budget(self) -> Any:
+        """What each joint contributes, as a pandas table with the model's and the exact error as
+        its last rows.
+
+        A share is the mean over time of the joint's contribution times the model's error, divided
+        by the mean square of the latter: shares add up to 1, and one below zero marks a joint that
+        makes up for others.
+        """
+        import pandas
+
+        rows = {name: self._row(twist) | self._shares(twist) for name, twist in self._parts()}
+        rows["model"] = self._row(self.model) | self._shares(self.model)
+        unshared = dict.fromkeys(self._shares(self.model), np.nan)
+        rows["exact"] = _sizes(self.pointing_angle, self.position_error) | unshared
+        return pandas.DataFrame.from_dict(rows, orient="index").rename_axis("joint")
+
+    def _parts(self):
+        return [(name, self.contributions[name]) for name in self.names]
+
+    def _row(self, twist):
+        return _sizes(turn(twist), shift(twist))
+
+    def _shares(self, twist):
+        def share(part):
+            whole = np.mean(np.sum(self.model[:, part] ** 2, axis=1))
+            return (
+                np.mean(np.sum(twist[:, part] * self.model[:, part], axis=1)) / whole
+                if whole > ROUNDING**2
+                else 0.0
+            )
+
+        return {"share of pointing [1]": share(ACROSS), "share of position [1]": share(PLACE)}
+
+    @property
+    def model_error(self) -> float:
+        """Largest difference between the first-order and the exact error, the larger of its shares
+        in turn and in place [1].
+        """
+        return max(_difference(self.model, self.exact, part) for part in (PLACE, slice(3, 6)))
+
+    def sentence(self) -> str:
+        """The error and its largest share in plain words."""
+        table = self.budget()
+        text = (
+            f'The z axis of the tip on "{self.tip}", seen from "{self.base}", is off by '
+            f"{_text(self.pointing_angle)} rad"
+        )
+        text += f" and its origin by {_text(self.position_error)} m."
+        parts = table.loc[list(self.names)]
+        for what in ("pointing", "position"):
+            column = parts[f"share of {what} [1]"]
+            if column.abs().max() > 0:
+                text += (
+                    f' The most in {what} comes from "{column.idxmax()}": '
+                    f"{100 * column.max():.3g} % of the mean square."
+                )
+        return (
+            f"{text} The adjoint error model is within {100 * self.model_error:.2g} % of the "
+            "largest exact error."
+        )
+
+    def __str__(self) -> str:
+        return self.sentence()
+
+
+def turn(twist: np.ndarray) -> np.ndarray:
+    """Angle [rad] by which a small twist tilts the tip's z axis."""
+    return np.linalg.norm(twist[:, ACROSS], axis=1)
+
+
+def shift(twist: np.ndarray) -> np.ndarray:
+    """Length [m] by which a small twist moves the tip's origin."""
+    return np.linalg.norm(twist[:, PLACE], axis=1)
+
+
+def _sizes(angle, length):
+    return {
+        "rms pointing [rad]": np.sqrt(np.mean(angle**2)),
+        "max pointing [rad]": np.max(angle),
+        "rms position [m]": np.sqrt(np.mean(length**2)),
+        "max position [m]": np.max(length),
+    }
+
+
+def _difference(model, exact, part):
+    largest = np.linalg.norm(exact[:, part], axis=1).max()
+    return (
+        np.linalg.norm((model - exact)[:, part], axis=1).max() / largest
+        if largest > ROUNDING
+        else 0.0
+    )
+
+
+def _text(values: np.ndarray) -> str:
+    return f"{np.sqrt(np.mean(values**2)):.3g} (rms), {values.max():.3g} (largest)"
+
+
+def pointing_error(
+    trajectory: Trajectory,
+    tip: Marker | str,
+    base: str = GROUND,
+    *,
+    through: str | tuple[str, ...] = (),
+    nominal: Trajectory | None = None,
+) -> PointingError:
+    """Error of a tip, a marker whose z axis is the boresight, relative to a base, over the saving
+    times of a run.
+
+    The chain of connections from base to tip must be serial; where there are several, `through`
+    names connections until one is left. Without `nominal` the error is that against ideal joints at
+    the very coordinates of the run: what the clearances take from an antenna that knows its joint
+    angles. With `nominal`, a run of the ideal mechanism saved at the same times, the joints'
+    coordinates differ as well, which appears as a contribution "motion". A joint with clearance
+    deviates by what the ideal joint of the same kind (its `ideal_rows`) would not let it do: a
+    `PlanarJournalBearing` has no rows against tilt, so its tilt is motion and no error; an ideal
+    joint contributes nothing. The model is of first order: good while deviations are small, and
+    differences of motion too. Raises `ValueError` with a sentence for a tip, base or chain that is
+    not there.
+    """
+    for run in (trajectory, *([] if nominal is None else [nominal])):
+        if not isinstance(run, Trajectory):
+            raise ValueError(
+                f"pointing_error is given a {type(run).__name__}; it takes a run, as "
+                "jaxclear.simulate returns it."
+            )
+    if nominal is not None and MOTION in trajectory.mechanism.connections:
+        raise ValueError(
+            f'connection "{MOTION}" bears the name of the contribution of differing coordinates; '
+            "rename it."
+        )
+    links, setting, errors = tip_errors(
+        trajectory, checked_tip(tip), base, checked_through(through), nominal
+    )
+    contributions = {
+        name: np.asarray(twist)
+        for name, step, twist in zip(links.names, links.steps, errors.deviations, strict=True)
+        if not step.ideal
+    }
+    if nominal is not None:
+        # A nominal joint with clearance where this run has an ideal one: its deviation is missing
+        # here and counts as motion.
+        missing = [
+            t
+            for t, step in zip(errors.deviations, links.steps, strict=True)
+            if step.ideal and t is not None
+        ]
+        contributions[MOTION] = sum(map(np.asarray, (*errors.motions, *missing)))
+    deviations = zip(links.names, setting.deviations, strict=True)
+    return PointingError(
+        np.asarray(trajectory.time),
+        np.asarray(errors.exact),
+        sum(contributions.values(), np.zeros_like(np.asarray(errors.exact))),
+        contributions,
+        {name: np.asarray(twist) for name, twist in deviations if twist is not None},
+        np.asarray(errors.pointing_angle),
+        np.asarray(errors.position_error),
+        tuple(contributions),
+        checked_tip(tip).body,
+        base,
+    )

@@ -1,0 +1,148 @@
+"""From a trajectory to a number: what a study asks of a mechanism. Any function of a trajectory is
+a response.
+
+Those here are modules, so that a reference path or a threshold is a number that can change without
+compiling again.
+"""
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.components.body import GROUND, Marker
+from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.quantity import Scalar
+from jaxclear.integrators.base import COMPLIANT
+from jaxclear.results.tip import checked_through, checked_tip, tip_errors
+from jaxclear.results.trajectory import Trajectory
+
+
+class AbstractResponse(eqx.Module):
+    """A number drawn from a run; `unit` is that of the number."""
+
+    unit: eqx.AbstractVar[str]
+
+    @abstractmethod
+    def __call__(self, run: Trajectory) -> Scalar:
+        """The response of a run."""
+
+
+class PeakWornDepth(AbstractResponse):
+    """Largest depth of a wear map at the end of the run [m]."""
+
+    joint: str = eqx.field(static=True)
+    surface: str = eqx.field(static=True, default="bearing")
+    unit: str = eqx.field(static=True, default="m")
+
+    def __call__(self, run):
+        return jnp.max(run.worn_depth(self.joint, self.surface))
+
+
+class WornVolume(AbstractResponse):
+    """Volume lost by a surface over the run [m3]."""
+
+    joint: str = eqx.field(static=True)
+    surface: str = eqx.field(static=True, default="bearing")
+    unit: str = eqx.field(static=True, default="m^3")
+
+    def __call__(self, run):
+        return run.worn_volume(self.joint, self.surface)[-1]
+
+
+class PositionError(AbstractResponse):
+    """Root mean square distance [m] of a body's centre of mass from a reference path at the saving
+    times, along some or all of the ground's axes."""
+
+    body: str = eqx.field(static=True)
+    reference: Float[Array, "time 3"]
+    axes: tuple[int, ...] = eqx.field(static=True, default=(0, 1, 2))
+    unit: str = eqx.field(static=True, default="m")
+
+    def __call__(self, run):
+        path = run.body(self.body).com
+        if path.shape != self.reference.shape:
+            raise ValueError(
+                f'the reference path of "{self.body}" has shape {self.reference.shape}, the run '
+                f"{path.shape}."
+            )
+        away = (path - self.reference)[:, np.array(self.axes)]
+        return safe_sqrt(jnp.mean(jnp.sum(away * away, axis=-1)))
+
+
+class PointingAngle(AbstractResponse):
+    """Angle between the boresight (z axis) of a tip and that of the same chain with ideal joints at
+    the same coordinates [rad]: root mean square over the saving times, or the largest with
+    `peak=True`.
+
+    `tip`: a marker or a body's name; `base`, `through`: as in `jaxclear.pointing_error`, which
+    shows where the error comes from.
+    """
+
+    tip: Marker = eqx.field(converter=checked_tip)
+    base: str = eqx.field(static=True, default=GROUND)
+    through: tuple[str, ...] = eqx.field(static=True, default=(), converter=checked_through)
+    peak: bool = eqx.field(static=True, default=False)
+    unit: str = eqx.field(static=True, default="rad")
+
+    def __call__(self, run):
+        angle = tip_errors(run, self.tip, self.base, self.through)[2].pointing_angle
+        return jnp.max(angle) if self.peak else safe_sqrt(jnp.mean(angle * angle))
+
+
+class MeanContactForce(AbstractResponse):
+    """Mean over the saving times of the normal forces of a clearance joint, summed over its
+    contacts [N].
+
+    Where forces are means over the saving intervals (rigid contact, joints that always touch), the
+    mean over the run; of joints that always touch it is that of the size of the mean reaction, so
+    save densely beside the time in which this turns.
+    """
+
+    joint: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="N")
+
+    def __call__(self, run):
+        force = jnp.sum(run.contact(self.joint).normal_force, axis=-1)
+        if run.formulation == COMPLIANT:
+            return jnp.mean(force)
+        return jnp.sum(force[1:] * jnp.diff(run.time)) / (run.time[-1] - run.time[0])
+
+
+class PeakContactForce(AbstractResponse):
+    """Largest normal force of a clearance joint at the saving times [N]; save densely enough to
+    catch the impacts.
+    """
+
+    joint: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="N")
+
+    def __call__(self, run):
+        return jnp.max(run.contact(self.joint).normal_force)
+
+
+class FinalCoordinate(AbstractResponse):
+    """A coordinate of a connection (or floating body) at the end of the run; give `unit="m"` for
+    one that slides.
+    """
+
+    connection: str = eqx.field(static=True)
+    index: int = eqx.field(static=True, default=0)
+    unit: str = eqx.field(static=True, default="rad")
+
+    def __call__(self, run):
+        coordinates = run.coordinate(self.connection)
+        if not 0 <= self.index < coordinates.shape[1]:
+            raise ValueError(
+                f'"{self.connection}" has {coordinates.shape[1]} coordinates; there is no number '
+                f"{self.index}."
+            )
+        return coordinates[-1, self.index]
+
+
+def unit_of(response: Any) -> str:
+    """Unit of a response; "1" for a plain function."""
+    return response.unit if isinstance(response, AbstractResponse) else "1"

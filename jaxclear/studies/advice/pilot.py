@@ -1,0 +1,238 @@
+"""A short piece of a problem, run by one integrator after another: what each answers for a few
+copies, and what that costs.
+
+The pilot keeps the saving times of the problem and ends at one of them, so a response sees the
+start of what it will see. Its copies are the nominal values and some drawn from the tolerances.
+Steps and tolerances are numbers, so each kind of integrator compiles once.
+"""
+
+import dataclasses
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.integrators import OUTCOMES, REACHED, AbstractIntegrator
+from jaxclear.simulation.simulate import check_run
+from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.monte_carlo import draw
+from jaxclear.studies.problem import IMPOSSIBLE, UNASSEMBLED, Outcome, Problem
+
+# Share of the problem's duration that a pilot runs unless told otherwise.
+SHARE = 0.25
+# All copies are timed again until this has been spent [s], or this many times; the best time
+# counts: a busy machine only adds.
+TIMING, MOST_TIMINGS = 0.2, 40
+# What assembly and the start of a program take is taken off, but not more than this share of a run.
+MOST_TAKEN_OFF = 0.95
+# What decides accuracy is said of an integrator even where it is the default.
+ALWAYS_SAID = ("step", "rtol", "atol")
+
+
+class Pilot(eqx.Module):
+    """The problem up to a saving time, and the values (copies, variables) it is run for, nominal
+    first.
+    """
+
+    problem: Problem
+    values: np.ndarray
+    whole: float
+
+    @property
+    def duration(self) -> float:
+        """Simulated time of one copy [s]."""
+        return float(self.problem.duration)
+
+    def with_copies(self, kept: np.ndarray) -> "Pilot":
+        """The same pilot for the copies that are `kept`."""
+        return Pilot(self.problem, self.values[kept], self.whole)
+
+
+class Trial(eqx.Module):
+    """One integrator on the pilot. `responses` (copies,) by name, nan where a run failed; `cost` is
+    wall seconds for a simulated second of one copy alone, `cost_in_batch` the same of a sample in a
+    batch (nan: not measured); `compile` the seconds until its program was ready (near 0 where
+    another trial has the same); `failure` a sentence, empty if all went well."""
+
+    integrator: AbstractIntegrator
+    responses: dict[str, np.ndarray]
+    outcome: np.ndarray
+    cost: float
+    compile: float
+    failure: str = eqx.field(static=True)
+    cost_in_batch: float = np.nan
+
+
+@eqx.filter_jit
+def evaluate_one(problem: Problem, values: Float[Array, " variables"]) -> Outcome:
+    """Outcome of one set of values."""
+    return problem.evaluate(values)
+
+
+def pilot_of(problem: Problem, copies: int, duration: float | None, seed: int) -> Pilot:
+    """The pilot of a problem: as long as asked for [s], rounded up to a saving time (None: SHARE of
+    the problem).
+    """
+    whole = float(problem.duration)
+    wanted = SHARE * whole if duration is None else duration
+    shares = np.asarray(problem.shares)
+    saves = int(np.searchsorted(shares, wanted / whole * (1 - 1e-9))) + 1
+    piece = problem if saves >= len(shares) else _up_to(problem, saves)
+    values = np.asarray(problem.nominal())[None] if problem.names else np.zeros((1, 0))
+    if problem.names and copies > 1:
+        values = np.concatenate([values, draw(problem, copies - 1, seed)])
+    return Pilot(piece, values, whole)
+
+
+def _up_to(problem, saves):
+    """The first `saves` saving times; what a response holds for every saving time is cut with
+    them."""
+
+    def cut(leaf):
+        over_time = (
+            isinstance(leaf, (jax.Array, np.ndarray))
+            and leaf.ndim
+            and leaf.shape[0] == len(problem.shares)
+        )
+        return leaf[:saves] if over_time else leaf
+
+    last = problem.shares[saves - 1]
+    parts = (
+        problem.duration * last,
+        problem.shares[:saves] / last,
+        jax.tree.map(cut, problem.response),
+    )
+    return eqx.tree_at(lambda p: (p.duration, p.shares, p.response), problem, parts)
+
+
+def measure(pilot: Pilot, integrator: AbstractIntegrator) -> Trial:
+    """Runs every copy, one after another. What an integrator cannot do is a trial with a sentence,
+    not an exception.
+    """
+    problem = eqx.tree_at(lambda p: p.integrator, pilot.problem, integrator)
+    begun = time.perf_counter()
+    try:
+        check_run(problem.mechanism, integrator, np.asarray(problem.shares * problem.duration))
+        start = eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(()))
+        jax.block_until_ready(evaluate_one(start, jnp.asarray(pilot.values[0])))
+    except (ValueError, TypeError, NotImplementedError) as error:
+        return _no_trial(
+            pilot,
+            integrator,
+            f"{type(error).__name__}: {error}" if isinstance(error, TypeError) else str(error),
+        )
+    ready = time.perf_counter() - begun
+    outcomes, seconds = _run_all(problem, start, pilot.values)
+    for name, found in outcomes.responses.items():
+        if found.ndim != 1:
+            return _no_trial(
+                pilot,
+                integrator,
+                f'response "{name}" is an array for each run; it must be one number.',
+            )
+    responses = {
+        name: np.where(outcomes.outcome == REACHED, outcomes.responses[name], np.nan)
+        for name in problem.response_names
+    }
+    failure = failure_in_words(outcomes, responses)
+    return Trial(integrator, responses, outcomes.outcome, seconds / pilot.duration, ready, failure)
+
+
+def _run_all(problem, start, values):
+    """Outcomes of all copies, and the time [s] one takes in the middle, less that of a run of no
+    length (`start`).
+    """
+    best, idle = np.full(len(values), np.inf), np.inf
+    begun = time.perf_counter()
+    for _ in range(MOST_TIMINGS):
+        found = []
+        for i, row in enumerate(jnp.asarray(values)):
+            # Side by side, so that what else runs on the machine touches both.
+            idle = min(idle, _timed(lambda row=row: evaluate_one(start, row))[1])
+            outcome, seconds = _timed(lambda row=row: evaluate_one(problem, row))
+            found.append(outcome)
+            best[i] = min(best[i], seconds)
+        if time.perf_counter() - begun > TIMING:
+            break
+    outcomes = jax.tree.map(lambda *parts: np.stack([np.asarray(p) for p in parts]), *found)
+    middle = float(np.median(best))
+    return outcomes, max(middle - idle, (1 - MOST_TAKEN_OFF) * middle)
+
+
+def _timed(action):
+    """What an action returns, and its time [s]: wall time, but not what other programs took of it
+    where all work is the CPU's.
+    """
+    wall, cpu = time.perf_counter(), time.process_time()
+    found = jax.block_until_ready(action())
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return found, min(wall, cpu) if jax.default_backend() == "cpu" else wall
+
+
+def _no_trial(pilot, integrator, why):
+    copies = len(pilot.values)
+    empty = {name: np.full(copies, np.nan) for name in pilot.problem.response_names}
+    return Trial(integrator, empty, np.full(copies, REACHED), np.nan, 0.0, why)
+
+
+def failure_in_words(outcomes: Outcome, responses: dict[str, np.ndarray]) -> str:
+    """A sentence on the copies that failed; empty if none did."""
+    lost = np.flatnonzero(outcomes.outcome != REACHED)
+    copies = len(outcomes.outcome)
+    many = f"{len(lost)} of {copies} copies: " if copies > 1 else ""
+    if len(lost):
+        first = lost[0]
+        reason = int(outcomes.outcome[first])
+        if reason == UNASSEMBLED:
+            return f"{many}the mechanism cannot be assembled."
+        if reason == IMPOSSIBLE:
+            return f"{many}a number of the mechanism lies outside its range."
+        return f"{many}the run ended after {float(outcomes.ended[first]):.3g} s. {OUTCOMES[reason]}"
+    wrong = [f'"{name}"' for name, values in responses.items() if not np.all(np.isfinite(values))]
+    return f"not finite: response {', '.join(wrong)}." if wrong else ""
+
+
+def time_in_batch(pilot: Pilot, trial: Trial, samples: int) -> Trial:
+    """The trial with its cost for a sample of a batch, run as a Monte Carlo study would run it."""
+    problem = eqx.tree_at(lambda p: p.integrator, pilot.problem, trial.integrator)
+    values = jnp.asarray(pilot.values[np.arange(samples) % len(pilot.values)])
+    start = eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(()))
+    evaluate_all(start, values)
+    begun, best, idle = time.perf_counter(), np.inf, np.inf
+    for _ in range(MOST_TIMINGS):
+        idle = min(idle, _timed(lambda: evaluate_all(start, values))[1])
+        best = min(best, _timed(lambda: evaluate_all(problem, values))[1])
+        if time.perf_counter() - begun > TIMING:
+            break
+    seconds = max(best - idle, (1 - MOST_TAKEN_OFF) * best)
+    return dataclasses.replace(trial, cost_in_batch=seconds / samples / pilot.duration)
+
+
+def describe(integrator: AbstractIntegrator) -> str:
+    """An integrator as a user would write it, defaults left out: FixedStep(step=5e-05,
+    method="semi_implicit").
+    """
+    parts = []
+    for field in dataclasses.fields(integrator):
+        value = getattr(integrator, field.name)
+        if isinstance(value, (jax.Array, float)) and np.ndim(value) == 0:
+            if (
+                field.name not in ALWAYS_SAID
+                and field.default is not dataclasses.MISSING
+                and value == field.default
+            ):
+                continue
+            parts.append(f"{field.name}={float(value):.6g}")
+        elif isinstance(value, eqx.Module):
+            usual = field.default_factory is not dataclasses.MISSING and type(
+                field.default_factory()
+            ) is type(value)
+            parts += [] if usual else [f"{field.name}={type(value).__name__}()"]
+        elif value is not None and value != field.default:
+            parts.append(
+                f'{field.name}="{value}"' if isinstance(value, str) else f"{field.name}={value!r}"
+            )
+    return f"{type(integrator).__name__}({', '.join(parts)})"

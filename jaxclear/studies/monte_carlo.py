@@ -1,0 +1,156 @@
+"""Monte Carlo over the toleranced numbers of a problem: how responses spread, and which sample
+failed and why.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import qmc
+
+from jaxclear.integrators import OUTCOMES, REACHED
+from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.problem import IMPOSSIBLE, UNASSEMBLED, Problem
+
+SAMPLINGS = ("sobol", "random")
+
+
+class MonteCarlo(eqx.Module):
+    """Samples and their responses. Failed samples keep their row, with `nan` responses and a
+    sentence.
+
+    `values` (samples, variables) are the varied numbers, `responses` (samples,) by name.
+    """
+
+    problem: Problem
+    values: np.ndarray
+    responses: dict[str, np.ndarray]
+    outcome: np.ndarray
+    ended: np.ndarray
+    seed: int = eqx.field(static=True)
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Indices of the samples that failed."""
+        finite = np.all([np.isfinite(r) for r in self.responses.values()], axis=0)
+        return np.flatnonzero((self.outcome != REACHED) | ~finite)
+
+    def failures(self) -> dict[int, str]:
+        """Why each failed sample failed, by its index."""
+        return {int(i): self._sentence(i) for i in self.failed}
+
+    def _sentence(self, i):
+        named = ", ".join(
+            f"{n} = {v:.6g}" for n, v in zip(self.problem.names, self.values[i], strict=True)
+        )
+        if self.outcome[i] == UNASSEMBLED:
+            return f"With {named} the mechanism cannot be assembled."
+        if self.outcome[i] == IMPOSSIBLE:
+            return (
+                f"With {named} a number of the mechanism lies outside its range (a negative "
+                "clearance, say)."
+            )
+        if self.outcome[i] == REACHED:
+            return f"With {named} the run reached its end, but a response is not finite."
+        return (
+            f"With {named} the run ended after {self.ended[i]:.6g} s. "
+            f"{OUTCOMES[int(self.outcome[i])]}"
+        )
+
+    def table(self) -> Any:
+        """All samples as a pandas table: variables, responses, result."""
+        import pandas
+
+        columns = {name: self.values[:, i] for i, name in enumerate(self.problem.names)}
+        columns |= self.responses
+        sentences = self.failures()
+        columns["result"] = [sentences.get(i, OUTCOMES[REACHED]) for i in range(len(self.values))]
+        return pandas.DataFrame(columns)
+
+    def summary(self) -> Any:
+        """Mean with its standard error, standard deviation and percentiles of each response, as a
+        pandas table.
+
+        The standard error is that of independent samples; for quasi-random ones it is an upper
+        estimate.
+        """
+        import pandas
+
+        good = np.setdiff1d(np.arange(len(self.values)), self.failed)
+        rows = []
+        for name, response in self.responses.items():
+            r = response[good]
+            low, median, high = np.percentile(r, [5, 50, 95]) if len(r) else (np.nan,) * 3
+            spread = r.std(ddof=1) if len(r) > 1 else np.nan
+            rows.append(
+                {
+                    "response": name,
+                    "unit": self.problem.units()[name],
+                    "samples": len(r),
+                    "failed": len(self.failed),
+                    "mean": r.mean() if len(r) else np.nan,
+                    "standard error": spread / np.sqrt(max(len(r), 1)),
+                    "standard deviation": spread,
+                    "5 %": low,
+                    "median": median,
+                    "95 %": high,
+                }
+            )
+        return pandas.DataFrame(rows)
+
+
+def draw(problem: Problem, samples: int, seed: int, sampling: str = "sobol") -> np.ndarray:
+    """Values (samples, variables) drawn from the variables' distributions."""
+    if sampling not in SAMPLINGS:
+        raise ValueError(f"sampling is {' or '.join(SAMPLINGS)}, not {sampling!r}.")
+    if not isinstance(samples, (int, np.integer)) or samples < 1:
+        raise ValueError(
+            f"a Monte Carlo study needs at least one sample, a whole number of them, not "
+            f"{samples!r}."
+        )
+    count = len(problem.variables)
+    if count == 0:
+        raise ValueError("the problem has no variables; nothing would vary.")
+    if sampling == "sobol":
+        # A power of two keeps the sequence balanced; what is more than asked for is left out.
+        power = int(np.ceil(np.log2(samples)))
+        shares = qmc.Sobol(count, scramble=True, rng=np.random.default_rng(seed)).random_base2(
+            power
+        )[:samples]
+    else:
+        shares = np.random.default_rng(seed).random((samples, count))
+    shares = np.clip(shares, 1e-12, 1 - 1e-12)
+    nominal = np.asarray(problem.nominal())
+    columns = [
+        nominal[i]
+        + np.asarray(problem.variables[name].distribution.quantile(jnp.asarray(shares[:, i])))
+        for i, name in enumerate(problem.names)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def monte_carlo(
+    problem: Problem,
+    samples: int = 1024,
+    *,
+    seed: int = 0,
+    sampling: str = "sobol",
+    chunk: int | None = None,
+    progress_bar: bool = False,
+) -> MonteCarlo:
+    """Responses over a random sample of the variables.
+
+    `sampling`: "sobol" (scrambled, quasi-random) or "random". `chunk`: samples run together, by
+    default what fits memory; all chunks share one compiled program. A sample that fails is counted,
+    named and kept.
+    """
+    values = draw(problem, samples, seed, sampling)
+    outcome = evaluate_all(
+        problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
+    )
+    good = outcome.outcome == REACHED
+    responses = {
+        name: np.where(good, outcome.responses[name], np.nan) for name in problem.response_names
+    }
+    return MonteCarlo(problem, values, responses, outcome.outcome, outcome.ended, seed)

@@ -1,0 +1,150 @@
+"""How far an integrator's answers are from the reference's, and whether that is near enough.
+
+Two runs of the reference, one ten times tighter than the other, tell how far it can be trusted.
+Where they agree to half the accuracy asked, every copy is compared with itself and the worst
+counts. Where they do not, single runs are not reproducible (rattling is chaotic), and means over
+the copies are compared, with the 95 % error of their difference; as they are where only means are
+asked for. If the copies are too few to show the accuracy, the limit is what they can show, and the
+answer must say so.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from jaxclear.studies.advice.pilot import Trial
+
+# Share of the accuracy that the reference may use up before means are compared instead of runs.
+TRUSTED = 0.5
+# Means over fewer copies have no error worth the name.
+FEWEST = 3
+# Right answers scatter about a reference that scatters as much, and have their own error: together
+# twice what the reference shows (means), three times for single runs, of which only one difference
+# is known.
+SLACK_OF_MEANS, SLACK_OF_RUNS = 2.0, 3.0
+# A normal variable lies within its 95 % interval: half of 5 % on each side.
+TAIL = 0.975
+
+
+class Standard(NamedTuple):
+    """How one response is judged: the reference's answers (copies,), their size, whether means are
+    compared, how far the reference can be trusted, the largest error that passes and the accuracy
+    asked, these three as shares of the size."""
+
+    truth: np.ndarray
+    size: float
+    by_means: bool
+    trust: float
+    limit: float
+    accuracy: float
+
+
+class Score(NamedTuple):
+    """Error of one response as a share of its size, and how far off that may be."""
+
+    error: float
+    uncertainty: float
+
+
+def difference(a: np.ndarray, b: np.ndarray, size: float, by_means: bool) -> Score:
+    """Largest difference between runs, or difference of the means with its 95 % error."""
+    gap = (a - b) / size
+    if not by_means:
+        return Score(float(np.max(np.abs(gap))), 0.0)
+    width = stats.t.ppf(TAIL, len(gap) - 1) * gap.std(ddof=1) / np.sqrt(len(gap))
+    return Score(float(abs(gap.mean())), float(width))
+
+
+def standard(
+    loose: np.ndarray,
+    tight: np.ndarray,
+    accuracy: float,
+    size: float | None = None,
+    means: bool = False,
+) -> Standard:
+    """What two runs of the reference demand of a response at this accuracy; its size is its root
+    mean square unless given.
+    """
+    size = float(np.sqrt(np.mean(tight**2))) if size is None else size
+    trust = difference(loose, tight, size, False).error
+    if trust <= TRUSTED * accuracy and not (means and len(tight) >= FEWEST):
+        return Standard(tight, size, False, trust, accuracy, accuracy)
+    if len(tight) < FEWEST:
+        return Standard(tight, size, False, trust, max(accuracy, SLACK_OF_RUNS * trust), accuracy)
+    trust = sum(difference(loose, tight, size, True))
+    return Standard(
+        0.5 * (loose + tight), size, True, trust, max(accuracy, SLACK_OF_MEANS * trust), accuracy
+    )
+
+
+def standards(
+    reference: tuple[Trial, Trial],
+    names: tuple[str, ...],
+    accuracy: float,
+    sizes: Mapping[str, float],
+    means: bool,
+) -> dict[str, Standard]:
+    """How each response is judged by the reference, looser and tight; `sizes` are those given by
+    the user.
+    """
+    loose, tight = (trial.responses for trial in reference)
+    return {
+        name: standard(loose[name], tight[name], accuracy, sizes.get(name), means) for name in names
+    }
+
+
+def score(answers: np.ndarray, rule: Standard) -> Score:
+    """Error of a response by its standard; nan where a run failed."""
+    if not np.all(np.isfinite(answers)):
+        return Score(np.nan, np.nan)
+    found = difference(answers, rule.truth, rule.size, rule.by_means)
+    return found if rule.by_means else Score(found.error, rule.trust)
+
+
+def scores(trial: Trial, rules: dict[str, Standard]) -> dict[str, Score]:
+    """Scores of all responses."""
+    return {name: score(trial.responses[name], rule) for name, rule in rules.items()}
+
+
+def worst(trial: Trial, rules: dict[str, Standard]) -> tuple[str, float]:
+    """The response nearest to or furthest beyond its limit, and its error with uncertainty as a
+    multiple of that limit.
+    """
+    shares = {name: sum(found) / rules[name].limit for name, found in scores(trial, rules).items()}
+    name = max(shares, key=lambda n: np.inf if np.isnan(shares[n]) else shares[n])
+    return name, np.inf if np.isnan(shares[name]) else shares[name]
+
+
+def passes(trial: Trial, rules: dict[str, Standard]) -> bool:
+    """True where every response, its uncertainty added, is within its limit."""
+    return worst(trial, rules)[1] <= 1.0
+
+
+def undecided(trial: Trial, rules: dict[str, Standard]) -> bool:
+    """True where a trial does not pass only because the copies are too few to tell its means from
+    the reference's.
+    """
+    found = scores(trial, rules)
+    return not passes(trial, rules) and all(
+        sum(one) <= rules[name].limit or (rules[name].by_means and one.error <= one.uncertainty)
+        for name, one in found.items()
+    )
+
+
+def copies_to_decide(trial: Trial, rules: dict[str, Standard]) -> int:
+    """Copies with which an undecided trial could pass: an uncertainty falls with the root of their
+    number.
+    """
+    found = scores(trial, rules)
+    excess = max(sum(found[name]) / rule.accuracy for name, rule in rules.items() if rule.by_means)
+    return int(np.ceil(len(trial.outcome) * excess**2))
+
+
+def coarsest(trials: tuple[Trial, ...], rules: dict[str, Standard]) -> int | None:
+    """The first trial of a rung that passes and whose finer neighbour passes too: one that passes
+    alone may do so by luck.
+    """
+    good = [passes(trial, rules) for trial in trials]
+    return next((i for i in range(len(good) - 1) if good[i] and good[i + 1]), None)

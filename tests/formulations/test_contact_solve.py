@@ -1,0 +1,73 @@
+"""Accelerations under linear contact laws: every way to solve for them gives the solution of the
+equations written as arrays.
+"""
+
+import numpy as np
+import pytest
+
+from jaxclear.formulations import contact_solve
+from jaxclear.formulations.contact_rows import FreeMotion, Place
+
+LIMBS = (2, 3)
+
+
+def equations(rows, closures, seed=1):
+    """Random equations of motion of two limbs, with contact rows and closure rows."""
+    random = np.random.default_rng(seed)
+    masses = []
+    for size in LIMBS:
+        root = random.normal(size=(size, size))
+        masses.append(root @ root.T + size * np.eye(size))
+    size = sum(LIMBS)
+    jacobian, held = random.normal(size=(rows, size)), random.normal(size=(closures, size))
+    as_rows = lambda matrix: [dict(enumerate(row)) for row in matrix]
+    contacts = tuple(Place(None, (0.0,), (row,), 1) for row in as_rows(jacobian))
+    right, wanted = random.normal(size=size), random.normal(size=closures)
+    apart = FreeMotion(
+        None,
+        [list(map(list, m)) for m in masses],
+        tuple(right),
+        as_rows(held),
+        list(wanted),
+        {},
+        contacts,
+    )
+    mass = np.zeros((size, size))
+    mass[:2, :2], mass[2:, 2:] = masses
+    return apart, (mass, jacobian, held, right, wanted), random
+
+
+def solved(mass, jacobian, held, right, wanted, reach, unmoved, forces, dampings, about):
+    """Accelerations with and without contact, from the whole system at once."""
+    count = len(wanted)
+    stiff = mass + reach * jacobian.T @ (dampings[:, None] * jacobian)
+    pushed = right + jacobian.T @ (forces + dampings * (about - unmoved))
+
+    def whole(matrix, load):
+        system = np.block([[matrix, held.T], [held, np.zeros((count, count))]])
+        return np.linalg.solve(system, np.concatenate([load, wanted]))[: len(right)]
+
+    free = whole(mass, right)
+    # What contact adds is measured from the free motion: rates = unmoved + reach J (k - free).
+    return free, whole(stiff, pushed + reach * jacobian.T @ (dampings * (jacobian @ free)))
+
+
+@pytest.mark.parametrize(
+    ("rows", "closures", "limit"), [(6, 0, 8), (6, 0, 4), (2, 0, 8), (6, 2, 8), (2, 1, 8)], ids=str
+)
+def test_every_way_gives_the_solution_of_the_whole_system(rows, closures, limit, monkeypatch):
+    monkeypatch.setattr(contact_solve.linear, "LARGEST_WRITTEN_OUT", limit)
+    apart, arrays, random = equations(rows, closures)
+    unmoved, forces, about = random.normal(size=(3, rows))
+    dampings = random.uniform(0.0, 1e3, rows) * (np.arange(rows) != 1)
+    split = contact_solve.prepare(apart)
+    push = split.push(0.1, *map(list, (unmoved, forces, dampings, about)))
+    free, total = solved(*arrays, 0.1, unmoved, forces, dampings, about)
+    np.testing.assert_allclose(np.array(split.free), free, rtol=1e-10)
+    np.testing.assert_allclose(np.array(push.accelerations), total - free, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        np.array(push.rates), unmoved + 0.1 * arrays[1] @ (total - free), atol=1e-10
+    )
+    law = forces + dampings * (about - np.array(push.rates))
+    # sqrt(D) and back: forces of hundreds of newtons to rounding.
+    np.testing.assert_allclose(np.array(push.forces), law, atol=1e-8)

@@ -1,0 +1,97 @@
+"""Short steps in contact only: the accuracy of the fine run, fewer steps, each sample of a batch at
+its own pace.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from falling_journal import touching_journal
+
+import jaxclear as jc
+from jaxclear.multibody.assembly import guess
+from jaxclear.simulation.simulate import run
+
+LONG, PARTS = 1e-4, 50
+SHORT = LONG / PARTS
+
+
+def bouncing():
+    """The falling journal in a wide bearing: three quarters of the time in flight."""
+    rig = eqx.tree_at(
+        lambda m: m.connections["B"].joint.contact.stiffness, touching_journal(), jnp.asarray(1e10)
+    )
+    return eqx.tree_at(
+        lambda m: m.connections["B"].joint.contact.restitution, rig, jnp.asarray(0.9)
+    )
+
+
+def simulate(integrator):
+    return jc.simulate(bouncing(), 0.05, save=6, integrator=integrator, start_concentric=False)
+
+
+def test_as_accurate_as_short_steps_throughout_at_a_fraction_of_the_steps():
+    exact = simulate(jc.integrator.Adaptive(rtol=1e-10, atol=1e-12, capture_impacts=True))
+    fine = simulate(jc.integrator.FixedStep(SHORT, capture_impacts=True))
+    mixed = simulate(jc.integrator.FixedStep(LONG, contact_steps=PARTS, capture_impacts=True))
+    errors = [
+        float(abs(run.body("journal").com - exact.body("journal").com).max())
+        for run in (fine, mixed)
+    ]
+    # Flight is a parabola, which rk4 follows exactly at any step; 1e-7 m is a ten thousandth of the
+    # clearance.
+    assert errors[1] < 2 * errors[0] + 1e-7
+    assert int(mixed.accepted_steps) < 0.6 * int(fine.accepted_steps)
+
+
+def test_samples_keep_their_own_time():
+    integrator = jc.integrator.FixedStep(LONG, contact_steps=10)
+
+    def end(clearance):
+        rig = eqx.tree_at(lambda m: m.connections["B"].joint.clearance, bouncing(), clearance)
+        q, v = guess(rig)
+        found = run(rig, q, v, jnp.linspace(0.0, 0.03, 3), integrator)
+        return found.states[-1], found.accepted_steps
+
+    clearances = jnp.array([0.2e-3, 0.6e-3, 1.5e-3])
+    together = jax.jit(jax.vmap(end))(clearances)
+    alone = [jax.jit(end)(clearance) for clearance in clearances]
+    assert len(set(together[1].tolist())) == 3
+    np.testing.assert_array_equal(together[1], [steps for _, steps in alone])
+    # rounding, multiplied by bounces
+    np.testing.assert_allclose(
+        together[0], jnp.stack([state for state, _ in alone]), rtol=1e-8, atol=1e-10
+    )
+
+
+def test_number_of_short_steps_varies_without_compiling_again():
+    rig = bouncing()
+    q, v = guess(rig)
+    once = eqx.debug.assert_max_traces(
+        lambda i: run(rig, q, v, jnp.linspace(0.0, 1e-3, 3), i).states, max_traces=1
+    )
+    for parts in (5, 10.0):
+        eqx.filter_jit(once)(jc.integrator.FixedStep(LONG, contact_steps=parts))
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        (
+            {"contact_steps": 0},
+            "contact_steps of integrator.FixedStep is 0.0; it must be at least 1",
+        ),
+        (
+            {"contact_steps": 4, "steps_per_save": 5},
+            "takes contact_steps or steps_per_save, not both",
+        ),
+        (
+            {"steps_per_save": 0},
+            "steps_per_save of integrator.FixedStep is 0; it must be a positive whole number",
+        ),
+    ],
+)
+def test_settings_that_cannot_be_say_so(settings, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        jc.integrator.FixedStep(**settings)

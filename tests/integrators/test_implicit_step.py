@@ -1,0 +1,279 @@
+"""The implicit rung: its dissipation in closed form, energy at every stiffness and clearance,
+derivatives, loops, memories.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from falling_journal import touching_journal
+from test_no_recompilation import rich
+
+import jaxclear as jc
+from jaxclear.multibody.assembly import guess
+from jaxclear.simulation.simulate import run
+
+STEP = 1e-4
+
+
+def held_journal(law, clearance=1e-4, speeds=(0.0, 0.0, 0.0), **rest):
+    joint = jc.clearance.PlanarJournalBearing(law, clearance=clearance)
+    connections = {"B": jc.Connection(joint, "ground", "journal")}
+    return jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)}, connections, speeds={"journal": speeds}, **rest
+    )
+
+
+@pytest.mark.parametrize("rebound", [1.0, 0.9, 0.5, 0.0])
+@pytest.mark.parametrize("angle", [0.3, 3.0])
+def test_linear_contact_is_damped_as_by_the_theta_method(rebound, angle):
+    """A spring contact that weight keeps closed; |lambda|^2 = (1 + (1 - theta)^2 z^2) / (1 +
+    theta^2 z^2).
+    """
+    stiffness = (angle / STEP) ** 2
+    depth = 9.81 / stiffness
+    rig = held_journal(
+        jc.contact.KelvinVoigt(stiffness, damping=0.0),
+        loads={"gravity": jc.load.Gravity((9.81, 0.0))},
+        start={"journal": (1e-4 + 1.2 * depth, 0.0, 0.0)},
+    )
+    integrator = jc.integrator.ImplicitStep(STEP, rebound, newton=2)
+    path = np.asarray(
+        jc.simulate(rig, 8 * STEP, save=9, integrator=integrator, start_concentric=False).states[
+            :, 0
+        ]
+    )
+    assert (path > 1e-4).all()
+    # d(n+2) = trace d(n+1) - determinant d(n) for any linear method; differences d drop the
+    # equilibrium.
+    d = np.diff(path)
+    if rebound > 0:
+        _, determinant = np.linalg.lstsq(np.stack([d[1:-1], -d[:-2]], axis=1), d[2:], rcond=None)[0]
+        theta = 1 / (1 + rebound)
+        wanted = (1 + (1 - theta) ** 2 * angle**2) / (1 + theta**2 * angle**2)
+        # indentations are differences of lengths of 1e-4 m: rounding of 1e-20 m against amplitudes
+        # of 1e-9 m and more
+        assert determinant == pytest.approx(wanted, rel=1e-6)
+    else:
+        assert np.abs(d[-1]) < np.abs(d[0]) * (1 + angle**2) ** -3
+
+
+@pytest.mark.parametrize("rebound", [1.0, 0.9, 0.5, 0.0])
+def test_elastic_impact_within_a_step_keeps_the_rebound(rebound):
+    """z is 50 or more. Radau's rule for the mean force, and what a last short contact gives back: 2
+    % of the speed.
+    """
+    rig = held_journal(jc.contact.Hertz(1e13), speeds=(0.06, 0.08, 0.0))
+    end = jc.simulate(
+        rig,
+        2.6e-3,
+        save=2,
+        integrator=jc.integrator.ImplicitStep(STEP, rebound),
+        start_concentric=False,
+    )
+    velocity = np.asarray(end.body("journal").velocity[-1, :2])
+    np.testing.assert_allclose(velocity, -rebound * np.array([0.06, 0.08]), atol=2e-3)
+
+
+def planar(law, friction, clearance):
+    return (
+        jc.clearance.PlanarJournalBearing(law, friction, clearance=clearance),
+        (1e-4),
+        (1.0, 0.3, 20.0),
+    )
+
+
+def journal(law, friction, clearance):
+    flange = jc.clearance.Flange(
+        law, friction, radius=0.0 * clearance + 14e-3, clearance=0.0 * clearance + 1e-3
+    )
+    joint = jc.clearance.JournalBearing(law, friction, clearance=clearance, flange=flange)
+    return joint, (1e-4, 3e-4, 2e-4), (1.0, 0.3, 0.2, 5.0, 2.0, 20.0)
+
+
+def elastic(stiffness):
+    return jc.contact.Hertz(stiffness), None
+
+
+def rough(stiffness):
+    one = 0.0 * stiffness + 1.0
+    law = jc.contact.CarvalhoMartins(
+        stiffness, restitution=0.8 * one, memory_time=1e-4 * one, slowest_impact=1e-3 * one
+    )
+    return law, jc.friction.ThreeZone(0.15 * one, 0.1 * one, 1e-5 * one, 1e-4 * one)
+
+
+def abrupt(stiffness):
+    one = 0.0 * stiffness + 1.0
+    law = jc.contact.MarhefkaOrin(stiffness, dissipation=0.2 * one)
+    return law, jc.friction.Ambrosio(0.1 * one, 1e-6 * one, 1e-5 * one)
+
+
+@pytest.mark.parametrize(("kind", "laws"), [(planar, rough), (planar, elastic), (journal, abrupt)])
+def test_energy_never_grows(kind, laws):
+    """Stiffness 1e6 to 1e12 N/m^1.5, clearance 1 um to 1 mm, thrown at 0.01 to 1 m/s: up to 100
+    clearances a step.
+    """
+
+    def energies(stiffness, clearance, speed):
+        joint, inertia, speeds = kind(*laws(stiffness), clearance)
+        body = jc.Body(1.0, inertia, None if kind is planar else (0.02, 0.01, 0.03))
+        rig = jc.Mechanism(
+            {"j": body}, {"B": jc.Connection(joint, "ground", "j")}, speeds={"j": speeds}
+        )
+        q, v = guess(rig)
+        end = run(
+            rig, q, speed * v, jnp.linspace(0.0, 0.05, 21), jc.integrator.ImplicitStep(STEP), True
+        )
+        return end.energy_balance().kinetic, end.outcome
+
+    cases = jnp.asarray(
+        np.stack(
+            np.meshgrid(10.0 ** np.arange(6, 13, 2), 10.0 ** np.arange(-6, -2), [0.01, 0.1, 1.0])
+        )
+    )
+    kinetic, outcome = jax.jit(jax.vmap(energies))(*cases.reshape(3, -1))
+    assert (outcome == 0).all()
+    # Free flight of a turning body keeps its energy to second order in the step: 3e-8 here. Contact
+    # adds nothing.
+    assert float((kinetic.max(1) / kinetic[:, 0]).max()) < 1 + 1e-7
+
+
+def test_agrees_with_the_reference_on_a_sliding_wearing_journal():
+    """Measured 8e-7 m and 3e-5; memories follow the approach speed in both, so their lag is the
+    same.
+    """
+    runs = [
+        jc.simulate(
+            touching_journal(), 0.05, save=26, integrator=integrator, start_concentric=False
+        )
+        for integrator in (
+            jc.integrator.ImplicitStep(5e-5, 1.0),
+            jc.integrator.Adaptive(rtol=1e-9, atol=1e-11),
+        )
+    ]
+    com = [np.asarray(run.body("journal").com) for run in runs]
+    np.testing.assert_allclose(*com, atol=3e-6)
+    np.testing.assert_allclose(
+        *[float(run.worn_volume("B", "bearing")[-1]) for run in runs], rtol=1e-3
+    )
+
+
+@pytest.mark.slow
+def test_loop_with_bristles_drive_and_loads_agrees_with_the_reference():
+    """Contact within a closed loop is solved in its rows: measured 9e-7 m, drift 4e-7 m."""
+    runs = [
+        jc.simulate(rich(), 0.03, save=4, integrator=integrator)
+        for integrator in (
+            jc.integrator.ImplicitStep(),
+            jc.integrator.Adaptive(rtol=1e-8, atol=1e-10),
+        )
+    ]
+    for name in ("rocker", "blade"):
+        np.testing.assert_allclose(*[np.asarray(run.body(name).com) for run in runs], atol=5e-6)
+    assert float(runs[0].drift()["B"].max()) < 2e-6
+
+
+def test_energy_balance_closes():
+    from_rest = touching_journal()
+    run = jc.simulate(
+        from_rest,
+        0.05,
+        save=11,
+        integrator=jc.integrator.ImplicitStep(),
+        balance=True,
+        start_concentric=False,
+    )
+    energy = run.energy_balance()
+    lost = float(energy.contact_loss[-1] + energy.friction_loss[-1])
+    assert lost > 1e-4 and float(jnp.abs(energy.error).max()) < 0.1 * lost
+
+
+def falling(clearance, integrator):
+    """Height of a journal after its first bounces, with friction and without wear."""
+    rig = eqx.tree_at(lambda m: m.connections["B"].joint.wear, touching_journal(), None)
+    rig = eqx.tree_at(lambda m: m.connections["B"].joint.clearance, rig, clearance)
+    q, v = guess(rig)
+    return run(rig, q, v, jnp.linspace(0.0, 0.02, 3), integrator).states[-1, 1]
+
+
+def test_derivatives_are_those_of_the_discrete_run():
+    """Forward through the loop, reverse through the scan, and central differences of the run
+    itself.
+    """
+    at = jnp.asarray(1e-3)
+    loop, scan = (
+        jc.integrator.ImplicitStep(newton=2),
+        jc.integrator.ImplicitStep(newton=2, steps_per_save=100),
+    )
+    value, slope = jax.jit(lambda c: jax.jvp(lambda c: falling(c, loop), (c,), (jnp.ones(()),)))(at)
+    backward = jax.jit(jax.grad(lambda c: falling(c, scan)))(at)
+    plain = jax.jit(lambda c: falling(c, scan))
+    d = 1e-9
+    difference = (plain(at + d) - plain(at - d)) / (2 * d)
+    assert float(value) == pytest.approx(float(plain(at)), rel=1e-9)
+    np.testing.assert_allclose(backward, slope, rtol=1e-8)
+    # curvature d^2 over lengths of 1e-5 m, and rounding 1e-16 / d
+    np.testing.assert_allclose(difference, slope, rtol=1e-5)
+
+
+def test_rest_is_finite_with_its_derivative():
+    """Without slip, concentric, at the very touch, and pressed in."""
+    friction = jc.friction.ThreeZone()
+    joint = jc.clearance.PlanarJournalBearing(
+        jc.contact.CarvalhoMartins(1e9), friction, clearance=1e-4
+    )
+    rig = jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)}, {"B": jc.Connection(joint, "ground", "journal")}
+    )
+    end = lambda q: run(
+        rig, q, jnp.zeros(3), jnp.linspace(0.0, 1e-3, 3), jc.integrator.ImplicitStep()
+    ).states[-1]
+    go = jax.jit(lambda q: jax.jvp(end, (q,), (jnp.ones_like(q),)))
+    for offset in (0.0, 1e-4, 1.1e-4):
+        value, slope = go(jnp.array([offset, 0.0, 0.0]))
+        assert np.isfinite(value).all() and np.isfinite(slope).all()
+
+
+def test_steps_far_longer_than_a_memory_are_stable():
+    """Relaxation of 1 us under steps of 100 us; explicit steps are refused here
+    (test_integrators)."""
+    law = jc.contact.CarvalhoMartins(1e9, restitution=0.5, memory_time=1e-6)
+    rig = held_journal(law, speeds=(0.06, 0.08, 0.0))
+    end = jc.simulate(
+        rig,
+        2.6e-3,
+        save=2,
+        integrator=jc.integrator.ImplicitStep(STEP, 1.0),
+        start_concentric=False,
+    )
+    speed = -np.asarray(end.body("journal").velocity[-1, :2]) @ np.array([0.6, 0.8]) / 0.1
+    # Steps of a quarter of the contact's period: measured 0.507.
+    assert speed == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (
+            lambda: jc.integrator.ImplicitStep(0.0),
+            r"step of integrator.ImplicitStep is 0.0 s; it must be positive",
+        ),
+        (
+            lambda: jc.integrator.ImplicitStep(rebound=1.1),
+            "rebound of integrator.ImplicitStep is 1.1; it must be at least 0",
+        ),
+        (
+            lambda: jc.integrator.ImplicitStep(newton=0),
+            "newton of integrator.ImplicitStep is 0; it must be a positive whole",
+        ),
+        (
+            lambda: jc.integrator.ImplicitStep(steps_per_save=1.5),
+            "steps_per_save of integrator.ImplicitStep is 1.5; it must",
+        ),
+    ],
+)
+def test_settings_that_cannot_be_say_so(make, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        make()

@@ -1,0 +1,182 @@
+"""Every integrator on one bounce-and-slide: explicit and implicit adaptive solvers and fixed steps
+must agree, with the order that each method promises."""
+
+import diffrax
+import numpy as np
+import optimistix
+import pytest
+from falling_journal import touching_journal
+
+import jaxclear as jc
+
+NEWTON = optimistix.Newton(rtol=1e-6, atol=1e-8)
+
+
+def simulate(integrator):
+    return jc.simulate(
+        touching_journal(), 0.05, save=26, integrator=integrator, start_concentric=False
+    )
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return simulate(jc.integrator.Adaptive(diffrax.Dopri8(), 1e-11, 1e-13))
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        jc.integrator.Adaptive(),
+        pytest.param(
+            jc.integrator.Adaptive(diffrax.Kvaerno5(root_finder=NEWTON), 1e-6, 1e-9),
+            marks=pytest.mark.slow,
+        ),
+        jc.integrator.FixedStep(2e-6),
+        jc.integrator.FixedStep(2e-7, "heun"),
+        jc.integrator.FixedStep(steps_per_save=1000),
+    ],
+    ids=["Tsit5", "Kvaerno5", "rk4", "heun", "steps per save"],
+)
+def test_integrators_agree(integrator, reference):
+    run = simulate(integrator)
+    com = [np.asarray(r.body("journal").com) for r in (run, reference)]
+    # Each bounce passes on a share of the error of the one before; a thousandth of the clearance is
+    # left room.
+    np.testing.assert_allclose(*com, atol=1e-6)
+    np.testing.assert_allclose(
+        run.worn_volume("B", "bearing")[-1], reference.worn_volume("B", "bearing")[-1], rtol=1e-3
+    )
+
+
+def top():
+    """A rod that turns on a ball joint: coordinates are a quaternion, and gyroscopic terms depend
+    on the speeds.
+    """
+    return jc.Mechanism(
+        {"rod": jc.Body(1.0, (0.1, 0.2, 0.15), (1.0, 0.1, 0.05))},
+        {"pivot": jc.Connection(jc.joint.Spherical(), "ground", "rod")},
+        {"gravity": jc.load.Gravity((0.0, -9.81, 0.0))},
+        start={"pivot": (0.3, 0.2, 0.1)},
+        speeds={"pivot": (0.5, 1.0, 2.0)},
+    )
+
+
+def four_bar():
+    """An ideal four-bar that falls: one loop closed by multipliers."""
+    revolute = jc.joint.Revolute()
+    return jc.Mechanism(
+        {name: jc.Body(0.5, 1e-3, (0.1, 0.01)) for name in ("crank", "coupler", "rocker")},
+        {
+            "O": jc.Connection(revolute, "ground", "crank"),
+            "A": jc.Connection(revolute, "crank", "coupler", at=(0.1, 0.0)),
+            "B": jc.Connection(revolute, "coupler", "rocker", at=(0.3, 0.0)),
+            "D": jc.Connection(revolute, "ground", jc.Marker("rocker", (0.25, 0.0)), at=(0.3, 0.0)),
+        },
+        {"gravity": jc.load.Gravity()},
+        start={"A": -0.5, "D": 0.3},
+    )
+
+
+SMOOTH = {"top": (top(), 0.5), "four-bar": (four_bar(), 0.1)}
+ORDERS = {
+    "euler": (1, 400, lambda step: jc.integrator.FixedStep(step, "euler")),
+    "semi_implicit": (1, 200, lambda step: jc.integrator.FixedStep(step, "semi_implicit")),
+    "heun": (2, 100, lambda step: jc.integrator.FixedStep(step, "heun")),
+    "rk4": (4, 50, lambda step: jc.integrator.FixedStep(step, "rk4")),
+    "implicit": (2, 50, lambda step: jc.integrator.ImplicitStep(step)),
+}
+
+
+@pytest.fixture(scope="module")
+def ends():
+    """Final states of the smooth motions."""
+    fine = jc.integrator.Adaptive(diffrax.Dopri8(), 1e-12, 1e-13)
+    return {
+        name: jc.simulate(rig, duration, save=2, integrator=fine).states[-1]
+        for name, (rig, duration) in SMOOTH.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("method", "scene"),
+    [(method, "top") for method in ORDERS]
+    + [(method, "four-bar") for method in ("semi_implicit", "implicit")],
+)
+def test_fixed_steps_converge_with_their_order(method, scene, ends):
+    """No contact, so nothing but the method makes the error."""
+    rig, duration = SMOOTH[scene]
+    order, steps, integrator = ORDERS[method]
+    errors = [
+        float(
+            abs(
+                jc.simulate(rig, duration, save=2, integrator=integrator(duration / n)).states[-1]
+                - ends[scene]
+            ).max()
+        )
+        for n in (steps, 2 * steps)
+    ]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
+
+
+def test_symplectic_steps_keep_the_energy_of_a_swing():
+    """2000 steps of a tenth of a radian: explicit Euler gains without bound, symplectic Euler sways
+    within the step's order.
+    """
+    rig = jc.Mechanism(
+        {"rod": jc.Body(1.0, 0.1, (1.0, 0.0))},
+        {"pivot": jc.Connection(jc.joint.Revolute(), "ground", "rod")},
+        {"gravity": jc.load.Gravity((9.81, 0.0))},
+        start={"pivot": 0.3},
+    )
+    run = jc.simulate(
+        rig, 60.0, save=2001, integrator=jc.integrator.FixedStep(0.03, "semi_implicit")
+    )
+    assert float(abs(run.states[-200:, 0]).max()) == pytest.approx(0.3, rel=0.1)
+
+
+def test_steps_too_long_for_a_memory_are_refused_by_name():
+    with pytest.raises(
+        ValueError, match='joint "B": its contact law remembers the impact speed with memory_time'
+    ):
+        jc.simulate(touching_journal(), 0.05, integrator=jc.integrator.FixedStep(1e-3))
+
+
+def test_steps_per_save_too_few_for_a_memory_are_refused_by_name():
+    few = jc.integrator.FixedStep(steps_per_save=2)
+    with pytest.raises(ValueError, match='steps of 0.001 s are too long for joint "B"'):
+        jc.simulate(touching_journal(), 0.05, save=26, integrator=few)
+    with pytest.raises(ValueError, match='steps of 0.001 s are too long for joint "B"'):
+        jc.Problem(
+            touching_journal(),
+            jc.response.MeanContactForce("B"),
+            {},
+            duration=0.05,
+            save=26,
+            integrator=few,
+        )
+
+
+def test_a_run_that_ends_early_says_when_and_why():
+    few = jc.integrator.Adaptive(most_steps=5)
+    with pytest.raises(
+        jc.SimulationError, match=r"ended early, after 0 s\. The allowed number of steps"
+    ) as caught:
+        jc.simulate(touching_journal(), 0.05, save=3, integrator=few)
+    assert caught.value.trajectory.states.shape[0] == 3
+    assert not jc.simulate(touching_journal(), 0.05, save=3, integrator=few, throw=False).succeeded
+
+
+def test_saving_times_may_be_given():
+    run = jc.simulate(touching_journal(), 0.02, save=[0.005, 0.01])
+    np.testing.assert_allclose(run.time, [0.0, 0.005, 0.01, 0.02])
+
+
+def test_dataset_carries_units_and_names():
+    data = jc.simulate(touching_journal(), 0.02, save=5, balance=True).to_dataset()
+    assert data["journal.com"].attrs["units"] == "m" and data["B.normal_force"].dims == (
+        "time",
+        "B.contact",
+    )
+    assert float(abs(data["energy.error"]).max()) < 1e-9 and data.attrs["result"].startswith(
+        "The run reached"
+    )

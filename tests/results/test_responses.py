@@ -1,0 +1,66 @@
+"""Every response of the package on one run, against the trajectory it is drawn from; and what it
+says when it cannot be.
+"""
+
+import numpy as np
+import pytest
+from falling_journal import touching_journal
+
+import jaxclear as jc
+from jaxclear.results.response import AbstractResponse
+
+
+@pytest.fixture(scope="module")
+def run():
+    return jc.simulate(touching_journal(), 0.05, save=51, start_concentric=False)
+
+
+def test_responses_are_what_their_names_say(run):
+    force = np.asarray(run.contact("B").normal_force)
+    com = np.asarray(run.body("journal").com)
+    expected = {
+        jc.response.PeakWornDepth("B"): np.asarray(run.worn["B"]["bearing"]).max(),
+        jc.response.WornVolume("B"): run.worn_volume("B", "bearing")[-1],
+        jc.response.MeanContactForce("B"): force.sum(axis=1).mean(),
+        jc.response.PeakContactForce("B"): force.max(),
+        jc.response.FinalCoordinate("journal", 1, "m"): com[-1, 1],
+    }
+    covered = {type(response) for response in expected} | {
+        jc.response.PositionError,
+        jc.response.PointingAngle,
+    }
+    assert covered == {
+        cls for cls in AbstractResponse.__subclasses__() if cls.__module__.startswith("jaxclear.")
+    }
+    for response, value in expected.items():
+        assert (
+            float(response(run)) == pytest.approx(float(value))
+            and np.isfinite(value)
+            and value != 0
+        )
+    error = jc.response.PositionError("journal", np.zeros_like(com), axes=(1,))
+    assert float(error(run)) == pytest.approx(np.sqrt((com[:, 1] ** 2).mean()))
+
+
+@pytest.mark.parametrize(
+    ("response", "sentence"),
+    [
+        (
+            jc.response.PeakWornDepth("C"),
+            'surface "bearing" of joint "C" does not wear; those that do: "B" bearing',
+        ),
+        (
+            jc.response.FinalCoordinate("journal", 3),
+            '"journal" has 3 coordinates; there is no number 3',
+        ),
+        (jc.response.FinalCoordinate("nothing"), 'no connection or floating body "nothing"'),
+        (jc.response.MeanContactForce("nothing"), 'no clearance joint "nothing"'),
+        (
+            jc.response.PositionError("journal", np.zeros((3, 3))),
+            'the reference path of "journal" has shape',
+        ),
+    ],
+)
+def test_responses_that_do_not_exist_say_so(run, response, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        response(run)
