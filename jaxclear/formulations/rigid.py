@@ -376,7 +376,7 @@ def reports_at(system: System, motions: tuple, worn: dict, components: list) -> 
     """Reports of the clearance joints at an instant, for given components of their contacts'
     forces, in the state's order.
     """
-    poses, contacts = contact_rows.places(system, motions, worn)
+    poses, contacts = contact_rows.contact_points(system, motions, worn)
     counts = [
         component_count(pairing, p.gap_function.touch)
         for p, pairing in zip(contacts, contact_laws_of(system), strict=True)
