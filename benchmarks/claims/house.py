@@ -1,0 +1,243 @@
+"""Measures the house itself: lengths of files and functions, arguments, units, sources, frames.
+
+    python -m benchmarks.claims.house [--list] [--json FILE] [--against FOLDER]
+
+`--list` names what is beyond a limit; `--against` measures another checkout beside this one (lines
+only). Everything is read from the source or from one traced run; nothing is timed.
+"""
+
+import argparse
+import ast
+import dataclasses
+import importlib
+import inspect
+import json
+import pkgutil
+import re
+import traceback
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+
+import jaxclear as jc
+from jaxclear.laws.contact import AbstractContactLaw, AbstractNormalLaw
+from jaxclear.laws.friction import AbstractFrictionLaw
+from jaxclear.laws.wear import AbstractWearLaw
+
+ROOT = Path(__file__).resolve().parents[2]
+LIMITS = {
+    "longest file [lines]": ("at most", 300),
+    "longest function [lines]": ("at most", 50),
+    "most arguments": ("at most", 8),
+    "lines over 100 characters": ("at most", 0),
+    "README [lines]": ("at most", 100),
+    "public numbers with a unit [%]": ("at least", 95),
+    "laws with a source [%]": ("at least", 100),
+    "own frames from simulate to a law": ("at most", 12),
+}
+WIDEST = 100
+# Packages and folders whose Python files are looked at for the width of lines.
+LOOKED_AT = ("jaxclear", "tests", "benchmarks")
+FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
+# A unit in a docstring stands in brackets, as in "step [s]"; several parted by commas.
+UNIT = re.compile(r"\[[^\]\n]{1,60}\]")
+
+
+def package_files(root: Path = ROOT) -> list[Path]:
+    """Python files of the package."""
+    return sorted((root / "jaxclear").rglob("*.py"))
+
+
+def lengths(root: Path = ROOT) -> dict[str, int]:
+    """Lines of every file of the package."""
+    return {str(p.relative_to(root)): len(p.read_text().splitlines()) for p in package_files(root)}
+
+
+def functions() -> list[tuple[str, int, int]]:
+    """(place, lines, arguments but self) of every function of the package."""
+    found = []
+    for path in package_files():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, FUNCTIONS):
+                given = node.args
+                names = [a.arg for a in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+                names += [a.arg for a in (given.vararg, given.kwarg) if a is not None]
+                count = len([name for name in names if name not in ("self", "cls")])
+                place = f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"
+                found.append((place, node.end_lineno - node.lineno + 1, count))
+    return found
+
+
+def wide_lines() -> list[str]:
+    """Places of lines that are too long."""
+    files = [p for folder in LOOKED_AT for p in sorted((ROOT / folder).rglob("*.py"))]
+    return [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in files
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if len(line) > WIDEST
+    ]
+
+
+def public_classes() -> list[type]:
+    """Every class with fields whose name does not begin with an underscore."""
+    found = {}
+    for info in pkgutil.walk_packages([str(ROOT / "jaxclear")], "jaxclear."):
+        if info.name.endswith("__main__"):
+            continue
+        for _, kind in inspect.getmembers(importlib.import_module(info.name), inspect.isclass):
+            if kind.__module__.startswith("jaxclear") and not kind.__name__.startswith("_"):
+                found[f"{kind.__module__}.{kind.__qualname__}"] = kind
+    return list(found.values())
+
+
+def without_unit() -> tuple[list[str], int]:
+    """(public numbers for which neither a field nor a docstring gives a unit, how many there are).
+
+    Numbers are fields and parameters that are annotated as `Scalar`, `float` or an array of floats.
+    A field of `quantity` carries its unit; others need their name and a unit in brackets in the
+    docstring of the class or function.
+    """
+    lacking, count = [], 0
+    for kind in public_classes():
+        text = inspect.getdoc(kind) or ""
+        if dataclasses.is_dataclass(kind):
+            for field in dataclasses.fields(kind):
+                if _is_number(field.type) and not field.metadata.get("static", False):
+                    count += 1
+                    if not field.metadata.get("unit") and not _mentions(text, field.name):
+                        lacking.append(f"{kind.__module__}.{kind.__qualname__}.{field.name}")
+    for name in jc.__all__:
+        thing = getattr(jc, name)
+        if inspect.isfunction(thing):
+            text = inspect.getdoc(thing) or ""
+            for parameter in inspect.signature(thing).parameters.values():
+                if _is_number(parameter.annotation):
+                    count += 1
+                    if not _mentions(text, parameter.name):
+                        lacking.append(f"{name}({parameter.name})")
+    return lacking, count
+
+
+def _is_number(annotation: Any) -> bool:
+    text = annotation if isinstance(annotation, str) else str(annotation)
+    return annotation is float or "Float[" in text or "float" in text.split(" | ")
+
+
+def _mentions(text: str, name: str) -> bool:
+    """Whether a docstring names a number and gives a unit in the same sentence or the next."""
+    spoken = name.replace("_", " ")
+    for found in re.finditer(rf"`{re.escape(name)}`|\b{re.escape(spoken)}\b", text):
+        if UNIT.search(text[max(0, found.start() - 200) : found.end() + 200]):
+            return True
+    return False
+
+
+def laws() -> list[type]:
+    """Every concrete law of the package."""
+
+    def below(kind: type) -> set[type]:
+        return {kind}.union(*(below(child) for child in kind.__subclasses__()))
+
+    families = (AbstractNormalLaw, AbstractContactLaw, AbstractFrictionLaw, AbstractWearLaw)
+    found = set().union(*(below(family) for family in families))
+    own = [law for law in found if law.__module__.startswith("jaxclear.")]
+    return sorted(
+        (law for law in own if not law.__name__.startswith(("Abstract", "_"))),
+        key=lambda law: law.__name__,
+    )
+
+
+def without_source() -> list[str]:
+    """Concrete laws whose docstring names no source."""
+    return [law.__name__ for law in laws() if "Source:" not in (inspect.getdoc(law) or "")]
+
+
+class _Witness(AbstractContactLaw):
+    """A linear spring that remembers through which own functions it was reached."""
+
+    frames: list = eqx.field(static=True)
+    remembers_impact_speed = False
+
+    def normal_force(self, indentation, rate, impact_speed):
+        stack = traceback.extract_stack()[:-1]
+        own = [f"{f.filename}:{f.name}" for f in stack if f"{ROOT}/jaxclear/" in f.filename]
+        self.frames.append(own)
+        return self.elastic_force(indentation)
+
+    def elastic_force(self, indentation):
+        return 1e6 * (indentation + abs(indentation)) / 2
+
+
+def frames_to_a_law() -> list[str]:
+    """Own functions on the way from `simulate` to the force of a contact law, the shortest way."""
+    frames: list[list[str]] = []
+    joint = jc.clearance.PlanarJournalBearing(_Witness(frames), clearance=1e-4)
+    ring = jc.Mechanism(
+        {"ring": jc.Body(mass=1.0, inertia=1e-3)}, {"B": jc.Connection(joint, "ground", "ring")}
+    )
+    jc.simulate(ring, 1e-3, save=2, integrator=jc.integrator.FixedStep(1e-4))
+    return min(frames, key=len)
+
+
+def measure() -> dict[str, float]:
+    """All measures by name."""
+    every, (lacking, count) = functions(), without_unit()
+    return {
+        "longest file [lines]": max(lengths().values()),
+        "longest function [lines]": max(lines for _, lines, _ in every),
+        "most arguments": max(arguments for *_, arguments in every),
+        "lines over 100 characters": len(wide_lines()),
+        "README [lines]": len((ROOT / "README.md").read_text().splitlines()),
+        "public numbers with a unit [%]": 100 * (1 - len(lacking) / count),
+        "laws with a source [%]": 100 * (1 - len(without_source()) / len(laws())),
+        "own frames from simulate to a law": len(frames_to_a_law()),
+        "package [lines]": sum(lengths().values()),
+        "package [files]": len(lengths()),
+    }
+
+
+def offenders() -> dict[str, list[str]]:
+    """What is beyond a limit, by measure."""
+    every = functions()
+    return {
+        "files over 300 lines": [f"{n} {p}" for p, n in lengths().items() if n > 300],
+        "functions over 50 lines": [f"{n} {place}" for place, n, _ in every if n > 50],
+        "functions of more than 8 arguments": [f"{n} {place}" for place, _, n in every if n > 8],
+        "lines over 100 characters": wide_lines(),
+        "numbers without a unit": without_unit()[0],
+        "laws without a source": without_source(),
+        "frames from simulate to a law": frames_to_a_law(),
+    }
+
+
+def main() -> None:
+    """Prints the measures with their limits."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--list", action="store_true", help="name what is beyond a limit")
+    parser.add_argument("--json", type=Path, help="write the measures to this file")
+    parser.add_argument("--against", type=Path, help="another checkout, to compare lines with")
+    parser.add_argument(
+        "--quick", action="store_true", help="as all benchmarks; nothing to leave out"
+    )
+    options = parser.parse_args()
+    found = measure()
+    for name, value in found.items():
+        word, limit = LIMITS.get(name, ("", ""))
+        print(f"{name:40} {value:10.4g}  {word} {limit}")
+    if options.against:
+        other = sum(lengths(options.against).values())
+        print(
+            f"package beside {options.against}: {found['package [lines]'] / other:.3f} of {other}"
+        )
+    if options.list:
+        for name, places in offenders().items():
+            print(f"\n{name}: {len(places)}")
+            print("\n".join(f"  {place}" for place in places))
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()
