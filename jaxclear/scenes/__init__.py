@@ -1,7 +1,8 @@
-"""The mechanisms of the papers, ready to run."""
+"""The mechanisms of the papers, and a slider-crank, ready to run."""
 
 from jaxclear.scenes.antenna import antenna
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.scenes.guide import guide
+from jaxclear.scenes.slider_crank import slider_crank
 
-__all__ = ["antenna", "four_bar", "guide"]
+__all__ = ["antenna", "four_bar", "guide", "slider_crank"]
