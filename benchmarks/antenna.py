@@ -27,7 +27,7 @@ import jaxclear as jc
 from jaxclear.commands.antenna import friction_runs, friction_table
 from jaxclear.scenes.antenna import BASE, HOLD, JOINTS, TIP, antenna
 from jaxclear.studies.batch import cores, evaluate_all
-from jaxclear.integrators import REACHED
+from jaxclear.integrators import Outcome
 
 SAVES_PER_SECOND = 20
 STEPS = (1e-3, 2e-3, 5e-3, 1e-2, 2.5e-2)
@@ -103,7 +103,7 @@ def convergence(problem: jc.Problem, duration: float, members: int) -> list[dict
             worst = max(worst, 0.0 if key == NOT_COUNTED else float(error))
         wall, cpu = alone(asked, 3)
         row |= {"alone, wall [s]": wall, "alone, CPU [s]": cpu, "simulated / wall": duration / wall}
-        sound = bool(np.all(found.outcome == REACHED))
+        sound = bool(np.all(found.outcome == Outcome.REACHED))
         row["within 1 %"] = (
             "yes" if sound and worst < ACCURACY else ("no" if sound else "did not reach its end")
         )
@@ -124,7 +124,7 @@ def batch(problem: jc.Problem, step: float, samples: int) -> dict:
     cpu, wall = time.process_time(), time.perf_counter()
     outcome = evaluate_all(asked, values, chunk=chunk)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    failed = int(np.sum(outcome.outcome != REACHED))
+    failed = int(np.sum(outcome.outcome != Outcome.REACHED))
     row = {"step [s]": f"{step:g}", "samples": samples, "failed": failed}
     return row | {"wall [ms/sample]": 1e3 * wall / samples, "CPU [ms/sample]": 1e3 * cpu / samples}
 

@@ -30,7 +30,7 @@ import jaxclear as jc
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP, antenna
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.integrators import REACHED
+from jaxclear.integrators import Outcome
 
 ACCURACY = 0.02
 STEPS, CHEAPEST = "steps", "sample of a batch, CPU [ms]"
@@ -200,7 +200,7 @@ def posed(problem: jc.Problem, integrator: Any, saves: int) -> jc.Problem:
 def means_of(problem: jc.Problem, values: np.ndarray) -> dict[str, tuple[float, float]] | None:
     """Mean and standard error of every response over the members; None where a run was lost."""
     found = evaluate_all(problem, jnp.asarray(values))
-    if not np.all(found.outcome == REACHED):
+    if not np.all(found.outcome == Outcome.REACHED):
         return None
     return {
         k: (float(np.mean(x)), float(np.std(x, ddof=1) / np.sqrt(len(x))))

@@ -24,7 +24,7 @@ from benchmarks.measure import alone, arguments, report
 import jaxclear as jc
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.integrators import REACHED
+from jaxclear.integrators import Outcome
 
 SAVES_PER_SECOND = 400
 # Clearances of the ensemble differ by this share: far below what moves a mean, far above rounding.
@@ -85,7 +85,7 @@ def with_integrator(
 def statistics(problem: jc.Problem, values: np.ndarray) -> tuple[dict[str, np.ndarray], bool]:
     """Responses of the ensemble, and whether all of it reached the end."""
     outcome = evaluate_all(problem, values)
-    return outcome.responses, bool(np.all(outcome.outcome == REACHED))
+    return outcome.responses, bool(np.all(outcome.outcome == Outcome.REACHED))
 
 
 def main() -> None:
@@ -134,7 +134,7 @@ def main() -> None:
         start = time.perf_counter()
         outcome = evaluate_all(asked, batch)
         wall = time.perf_counter() - start
-        failed = int(np.sum(outcome.outcome != REACHED))
+        failed = int(np.sum(outcome.outcome != Outcome.REACHED))
         rows.append(
             {
                 "rung": name,

@@ -15,7 +15,7 @@ import jaxclear as jc
 from benchmarks import peers_rig as rig
 from benchmarks.peers_rig import Answer, Batch, Program
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.integrators import REACHED
+from jaxclear.integrators import Outcome
 from jaxclear.simulation.simulate import run
 
 # jaxclear saves this often within a saving interval of the others, and looks this often between two
@@ -122,7 +122,7 @@ def program(name: str, entry: Entry, question: rig.Question) -> Program:
     def batch(setting, clearances):
         found = evaluate_all(problem(setting), jnp.asarray(clearances)[:, None], chunk=entry.chunk)
         rows = np.stack([found.responses["peak"], found.responses["place"]], axis=1)
-        return np.where(found.outcome[:, None] == REACHED, rows, np.nan)
+        return np.where(found.outcome[:, None] == Outcome.REACHED, rows, np.nan)
 
     how = "evaluate_all" if entry.chunk is None else f"evaluate_all, chunks of {entry.chunk}"
     return Program(name, entry.law, entry.ladder, alone, Batch(batch, how), entry.adaptive)

@@ -163,7 +163,7 @@ def program(
 
 def _ended(outcomes: Any) -> str:
     worst = int(np.max(np.asarray(outcomes)))
-    return "ok" if worst == jc.integrator.REACHED else jc.integrator.OUTCOMES[worst]
+    return "ok" if worst == jc.integrator.Outcome.REACHED else jc.integrator.Outcome(worst).sentence
 
 
 def _sentence(error: BaseException) -> str:
@@ -314,7 +314,7 @@ def _samples(asked: jc.Problem, size: int, repeats: int) -> dict[str, Any]:
     }
     steps, well = (
         answers["varied"].responses["steps"],
-        answers["varied"].outcome == jc.integrator.REACHED,
+        answers["varied"].outcome == jc.integrator.Outcome.REACHED,
     )
     row = {
         "wall [ms/sample]": 1e3 * walls["varied"] / size,

@@ -185,7 +185,7 @@ def ladder(
         )
         spent = time.perf_counter() - begun
         # Comparisons with what is not a number are False.
-        stable = (got.outcome == jc.integrator.REACHED) & (
+        stable = (got.outcome == jc.integrator.Outcome.REACHED) & (
             got.responses["highest"] <= mark["highest"] + MARGIN
         )
         accurate = stable & (np.abs(got.responses["late"] - mark["late"]) <= MARGIN)
@@ -213,7 +213,11 @@ def ladder_rows(quick: bool) -> dict[str, list[dict[str, Any]]]:
     fine = evaluate_all(problem(exact, saves), cases, chunk=1)
     tables: dict[str, list[dict[str, Any]]] = {"stable": [], "accurate": []}
     for (k, c), outcome in zip(cases, fine.outcome, strict=True):
-        ended = "ok" if outcome == jc.integrator.REACHED else jc.integrator.OUTCOMES[outcome]
+        ended = (
+            "ok"
+            if outcome == jc.integrator.Outcome.REACHED
+            else jc.integrator.Outcome(outcome).sentence
+        )
         for rows in tables.values():
             row = {"K [N/m^1.5]": float(k), "clearance [m]": float(c), "reference": ended}
             rows.append(row | {"2.8 / omega [s]": linear_theory(k, c)})

@@ -9,12 +9,6 @@ your own derives from `AbstractIntegrator`.
 
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import (
-    NOT_FINITE,
-    OUTCOMES,
-    REACHED,
-    TOO_MANY,
-    TOO_MANY_IMPACTS,
-    TOO_SMALL,
     AbstractIntegrator,
     Advance,
 )
@@ -23,14 +17,9 @@ from jaxclear.integrators.implicit_step import ImplicitStep
 from jaxclear.integrators.moreau_jean import MoreauJean
 from jaxclear.integrators.munthe_kaas import AbstractGroup, GroupTerm, MuntheKaas
 from jaxclear.integrators.non_colliding import NonColliding
+from jaxclear.integrators.outcome import Outcome
 
 __all__ = [
-    "NOT_FINITE",
-    "OUTCOMES",
-    "REACHED",
-    "TOO_MANY",
-    "TOO_MANY_IMPACTS",
-    "TOO_SMALL",
     "AbstractGroup",
     "AbstractIntegrator",
     "Adaptive",
@@ -41,4 +30,5 @@ __all__ = [
     "MoreauJean",
     "NonColliding",
     "MuntheKaas",
+    "Outcome",
 ]

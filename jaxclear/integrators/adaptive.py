@@ -17,15 +17,12 @@ import optimistix
 from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.integrators.base import (
     COMPLIANT,
-    REACHED,
-    TOO_MANY,
-    TOO_MANY_IMPACTS,
-    TOO_SMALL,
     AbstractIntegrator,
     Advance,
     check_count,
 )
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas, state_group
+from jaxclear.integrators.outcome import Outcome
 from jaxclear.native.loop import with_fast_loops
 
 # Share of an interval below which a step is given up.
@@ -111,15 +108,15 @@ class Adaptive(AbstractIntegrator):
             state = field.remember(found.state, touched, closing)
             impacts = impacts + jnp.any(touched)
             outcome = jnp.where(
-                (impacts > self.most_impacts) & (found.outcome == REACHED),
-                TOO_MANY_IMPACTS,
+                (impacts > self.most_impacts) & (found.outcome == Outcome.REACHED),
+                Outcome.TOO_MANY_IMPACTS,
                 found.outcome,
             )
             counts = (accepted + found.accepted, rejected + found.rejected, impacts)
             return found.time, state, closed ^ fired, found.typical(begun), *counts, outcome
 
         def unfinished(carry):
-            return (carry[0] < stop) & (carry[-1] == REACHED)
+            return (carry[0] < stop) & (carry[-1] == Outcome.REACHED)
 
         depth, _ = field.contacts(start, state)
         none = jnp.zeros((), int)
@@ -131,7 +128,7 @@ class Adaptive(AbstractIntegrator):
             none,
             none,
             none,
-            jnp.asarray(REACHED),
+            jnp.asarray(Outcome.REACHED),
         )
         _, state, _, step, accepted, rejected, _, outcome = jax.lax.while_loop(
             unfinished, one, first
@@ -197,18 +194,22 @@ class Adaptive(AbstractIntegrator):
         )
         stats, results = solution.stats, diffrax.RESULTS
         stopped = jnp.asarray(False) if closed is None else solution.event_mask
-        failed = jnp.where(solution.result == results.max_steps_reached, TOO_MANY, TOO_SMALL)
+        failed = jnp.where(
+            solution.result == results.max_steps_reached,
+            Outcome.TOO_MANY_STEPS,
+            Outcome.STEP_TOO_SMALL,
+        )
         # A remainder of rounding before `stop` is shorter than the smallest step, but it has been
         # taken.
         reached = stopped | (solution.result == results.successful) | (solution.ts[-1] >= stop)
-        outcome = jnp.where(reached, REACHED, failed)
+        outcome = jnp.where(reached, Outcome.REACHED, failed)
         time = jnp.where(reached & ~stopped, stop, solution.ts[-1])
         counts = (stats["num_accepted_steps"], stats["num_rejected_steps"])
         return time, solution.ys[-1], *counts, outcome, stopped
 
 
 class Segment(NamedTuple):
-    """Outcome of one solve: where it ended, steps accepted and rejected, index into `OUTCOMES`,
+    """Outcome of one solve: where it ended, steps accepted and rejected, `Outcome`,
     whether an event ended it.
     """
 

@@ -13,18 +13,6 @@ import equinox as eqx
 from jaxclear.formulations.base import Field
 from jaxclear.ground.quantity import Scalar, concrete
 
-# Outcomes of an advance; the sentence is the result a run ends with.
-OUTCOMES = (
-    "The run reached its end.",
-    "The step size fell below the smallest allowed: the equations are too stiff or not finite "
-    "here.",
-    "The allowed number of steps between two saved times was used up.",
-    "The state became infinite or not a number.",
-    "The allowed number of captured impacts between two saved times was used up.",
-    "The laws of contact or friction were not met: the sweeps over the joints were used up far "
-    "from their solution.",
-)
-REACHED, TOO_SMALL, TOO_MANY, NOT_FINITE, TOO_MANY_IMPACTS, NOT_SOLVED = range(6)
 # Forces that follow from the state; percussions of rigid contacts; reactions of joints that are
 # always in contact.
 FORMULATIONS = COMPLIANT, RIGID, PERMANENT = ("compliant", "rigid", "permanent")
@@ -32,7 +20,7 @@ FORMULATIONS = COMPLIANT, RIGID, PERMANENT = ("compliant", "rigid", "permanent")
 
 class Advance(NamedTuple):
     """Outcome of one interval: state at its end, steps accepted and rejected, what helps the next
-    interval to start, index into `OUTCOMES`."""
+    interval to start, `Outcome`."""
 
     state: Any
     accepted: Any

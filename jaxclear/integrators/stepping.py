@@ -7,7 +7,8 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxclear.integrators.base import NOT_FINITE, NOT_SOLVED, REACHED, Advance
+from jaxclear.integrators.base import Advance
+from jaxclear.integrators.outcome import Outcome
 from jaxclear.native.loop import while_loop
 
 # Share of a step by which rounding may miss the end of an interval.
@@ -36,7 +37,7 @@ def march(
 
 def arrived(end: Any, steps: Any, warm_start: Any) -> Advance:
     """The answer of steps that are never rejected."""
-    outcome = jnp.where(jnp.all(jnp.isfinite(end)), REACHED, NOT_FINITE)
+    outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
     return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome)
 
 
@@ -48,5 +49,5 @@ def solved(
     met."""
     end, warm_start = march(one, steps, state, warm_start.at[-1].set(0.0))
     found = arrived(end, steps, warm_start)
-    failed = (found.outcome == REACHED) & (found.warm_start[-1] > loose)
-    return found._replace(outcome=jnp.where(failed, NOT_SOLVED, found.outcome))
+    failed = (found.outcome == Outcome.REACHED) & (found.warm_start[-1] > loose)
+    return found._replace(outcome=jnp.where(failed, Outcome.LAWS_NOT_MET, found.outcome))

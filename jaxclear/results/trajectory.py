@@ -16,7 +16,8 @@ from jaxclear.components.body import GROUND
 from jaxclear.formulations import permanent, rigid
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
-from jaxclear.integrators.base import COMPLIANT, OUTCOMES, PERMANENT, REACHED, RIGID
+from jaxclear.integrators.base import COMPLIANT, PERMANENT, RIGID
+from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import dynamics, state
 from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.mechanism import Mechanism
@@ -102,12 +103,12 @@ class Trajectory(eqx.Module):
     @property
     def succeeded(self) -> Any:
         """True where the run reached its end."""
-        return self.outcome == REACHED
+        return self.outcome == Outcome.REACHED
 
     @property
     def result(self) -> str:
         """A sentence: that the run reached its end, or when and why it did not."""
-        sentence = OUTCOMES[int(self.outcome)]
+        sentence = Outcome(int(self.outcome)).sentence
         if self.succeeded:
             return sentence
         return f"The run ended early, after {float(self.ended):.6g} s. {sentence}"

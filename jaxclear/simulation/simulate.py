@@ -22,12 +22,11 @@ from jaxclear.ground.quantity import concrete
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import (
     COMPLIANT,
-    NOT_FINITE,
     PERMANENT,
-    REACHED,
     RIGID,
     AbstractIntegrator,
 )
+from jaxclear.integrators.outcome import Outcome
 from jaxclear.laws.contact import Rigid
 from jaxclear.laws.friction import AbstractBristleFriction, AbstractSlipFriction, set_valued
 from jaxclear.laws.restitution import restitution
@@ -112,7 +111,7 @@ def run(
     def interval(carry, span):
         state, worn, warm_start, outcome, ended = carry
         start, stop, share = span
-        running = outcome == REACHED
+        running = outcome == Outcome.REACHED
         read = readings(system, worn)
         field = Field(system, read, mechanism.baumgarte, layout, projects=mechanism.projects)
         result = integrator.advance(field, start, stop, state, warm_start, weights, running)
@@ -123,9 +122,11 @@ def run(
             jax.debug.callback(progress.advance, share)
         # What is not held to a tolerance (memories, worn volumes) can be lost while the steps still
         # succeed.
-        found = jnp.where(sound | (result.outcome != REACHED), result.outcome, NOT_FINITE)
+        found = jnp.where(
+            sound | (result.outcome != Outcome.REACHED), result.outcome, Outcome.NOT_FINITE
+        )
         outcome = jnp.where(running, found, outcome)
-        ended = jnp.where(running & (outcome == REACHED), stop, ended)
+        ended = jnp.where(running & (outcome == Outcome.REACHED), stop, ended)
         counts = (jnp.where(running, result.accepted, 0), jnp.where(running, result.rejected, 0))
         return (kept, worn, result.warm_start, outcome, ended), (kept, read, counts)
 
@@ -134,7 +135,7 @@ def run(
         system, readings(system, worn), mechanism.baumgarte, layout, projects=mechanism.projects
     )
     warm_start = integrator.first_warm_start(begun, times[0], state)
-    first = (state, worn, warm_start, jnp.asarray(REACHED), times[0])
+    first = (state, worn, warm_start, jnp.asarray(Outcome.REACHED), times[0])
     (_, worn, _, outcome, ended), (states, read, (accepted, rejected)) = jax.lax.scan(
         interval, first, spans
     )

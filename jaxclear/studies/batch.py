@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare
-from jaxclear.studies.problem import Outcome, Problem
+from jaxclear.studies.problem import Problem, SampleResult
 
 # Memory for one chunk [bytes] on machines with a few GiB a core; states are saved for every sample
 # of a chunk.
@@ -31,7 +31,7 @@ LARGEST_ELSEWHERE = 4096
 
 
 @eqx.filter_jit
-def evaluate_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> Outcome:
+def evaluate_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> SampleResult:
     """Outcomes of a chunk of samples."""
     return jax.vmap(problem.evaluate)(values)
 
@@ -61,7 +61,7 @@ def evaluate_all(
     progress_bar: bool = False,
     label: str = "samples",
     function=evaluate_chunk,
-) -> Outcome:
+) -> SampleResult:
     """Outcomes of all samples, in the order of `values`; arrays on the host."""
     samples = len(values)
     threads = 1 if jax.default_backend() != "cpu" else cores()

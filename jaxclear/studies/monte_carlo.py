@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from jaxclear.integrators import OUTCOMES, REACHED
+from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.problem import IMPOSSIBLE, UNASSEMBLED, Problem
+from jaxclear.studies.problem import Problem
 
 SAMPLINGS = ("sobol", "random")
 
@@ -34,7 +34,7 @@ class MonteCarlo(eqx.Module):
     def failed(self) -> np.ndarray:
         """Indices of the samples that failed."""
         finite = np.all([np.isfinite(r) for r in self.responses.values()], axis=0)
-        return np.flatnonzero((self.outcome != REACHED) | ~finite)
+        return np.flatnonzero((self.outcome != Outcome.REACHED) | ~finite)
 
     def failures(self) -> dict[int, str]:
         """Why each failed sample failed, by its index."""
@@ -44,19 +44,12 @@ class MonteCarlo(eqx.Module):
         named = ", ".join(
             f"{n} = {v:.6g}" for n, v in zip(self.problem.names, self.values[i], strict=True)
         )
-        if self.outcome[i] == UNASSEMBLED:
-            return f"With {named} the mechanism cannot be assembled."
-        if self.outcome[i] == IMPOSSIBLE:
-            return (
-                f"With {named} a number of the mechanism lies outside its range (a negative "
-                "clearance, say)."
-            )
-        if self.outcome[i] == REACHED:
+        outcome = Outcome(int(self.outcome[i]))
+        if outcome == Outcome.REACHED:
             return f"With {named} the run reached its end, but a response is not finite."
-        return (
-            f"With {named} the run ended after {self.ended[i]:.6g} s. "
-            f"{OUTCOMES[int(self.outcome[i])]}"
-        )
+        if not outcome.began:
+            return f"With {named} {outcome.sentence[0].lower()}{outcome.sentence[1:]}"
+        return f"With {named} the run ended after {self.ended[i]:.6g} s. {outcome.sentence}"
 
     def table(self) -> Any:
         """All samples as a pandas table: variables, responses, result."""
@@ -65,7 +58,9 @@ class MonteCarlo(eqx.Module):
         columns = {name: self.values[:, i] for i, name in enumerate(self.problem.names)}
         columns |= self.responses
         sentences = self.failures()
-        columns["result"] = [sentences.get(i, OUTCOMES[REACHED]) for i in range(len(self.values))]
+        columns["result"] = [
+            sentences.get(i, Outcome.REACHED.sentence) for i in range(len(self.values))
+        ]
         return pandas.DataFrame(columns)
 
     def summary(self) -> Any:
@@ -149,7 +144,7 @@ def monte_carlo(
     outcome = evaluate_all(
         problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
     )
-    good = outcome.outcome == REACHED
+    good = outcome.outcome == Outcome.REACHED
     responses = {
         name: np.where(good, outcome.responses[name], np.nan) for name in problem.response_names
     }

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import inside, numbers
-from jaxclear.integrators import AbstractIntegrator, FixedStep
+from jaxclear.integrators import AbstractIntegrator, FixedStep, Outcome
 from jaxclear.multibody.assembly import CLOSED, assemble_arrays
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.response import unit_of
@@ -48,10 +48,8 @@ class Variable(eqx.Module):
         )
 
 
-class Outcome(eqx.Module):
-    """Responses of one sample by name, and how its run ended (index into `integrator.OUTCOMES`, and
-    time [s]).
-    """
+class SampleResult(eqx.Module):
+    """Responses of one sample by name, and how its run ended (`integrator.Outcome`) and when [s]."""
 
     responses: dict[str, Array]
     outcome: Array
@@ -137,7 +135,7 @@ class Problem(eqx.Module):
             )
         return mechanism
 
-    def evaluate(self, values: Float[Array, " variables"]) -> Outcome:
+    def evaluate(self, values: Float[Array, " variables"]) -> SampleResult:
         """Assemble, run and take the responses for one set of values; pure."""
         mechanism = seen_by(self.with_values(values), self.integrator)
         start = assemble_arrays(mechanism)
@@ -151,13 +149,10 @@ class Problem(eqx.Module):
         left = jnp.stack(
             [jnp.max(jnp.abs(r), initial=0.0) for r in start.residuals.values()] or [jnp.zeros(())]
         )
-        outcome = jnp.where(jnp.max(left) <= CLOSED, trajectory.outcome, UNASSEMBLED)
-        return Outcome(responses, jnp.where(possible, outcome, IMPOSSIBLE), trajectory.ended)
-
-
-# Outcomes of samples whose dimensions do not let the mechanism close, or lie outside what their
-# fields allow; beside those of an integrator.
-UNASSEMBLED, IMPOSSIBLE = -1, -2
+        outcome = jnp.where(jnp.max(left) <= CLOSED, trajectory.outcome, Outcome.UNASSEMBLED)
+        return SampleResult(
+            responses, jnp.where(possible, outcome, Outcome.OUT_OF_RANGE), trajectory.ended
+        )
 
 
 def _check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:

@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.integrators import REACHED
+from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo, draw, monte_carlo
-from jaxclear.studies.problem import Outcome, Problem
+from jaxclear.studies.problem import Problem, SampleResult
 
 # An answer this many times less certain than another is large agrees with anything, and confirms
 # nothing.
@@ -145,7 +145,7 @@ def differences(
     outcome = evaluate_all(
         problem, jnp.asarray(moved), progress_bar=progress_bar, label="differences"
     )
-    good = np.all((outcome.outcome == REACHED).reshape(4, -1), axis=0)
+    good = np.all((outcome.outcome == Outcome.REACHED).reshape(4, -1), axis=0)
     estimates = {}
     for name, flat in outcome.responses.items():
         far_down, down, up, far_up = flat.reshape(4, -1)[:, good]
@@ -166,7 +166,7 @@ def differences(
 
 
 @eqx.filter_jit
-def _pathwise_chunk(problem: Problem, packed) -> Outcome:
+def _pathwise_chunk(problem: Problem, packed) -> SampleResult:
     """Tangents of the responses along a direction: `packed` (samples, 2 variables) are values and
     directions.
     """
@@ -178,7 +178,7 @@ def _pathwise_chunk(problem: Problem, packed) -> Outcome:
             return result.responses, (result.outcome, result.ended)
 
         _, tangents, rest = jax.jvp(responses, (row[:count],), (row[count:],), has_aux=True)
-        return Outcome(tangents, *rest)
+        return SampleResult(tangents, *rest)
 
     return jax.vmap(one)(packed)
 
@@ -201,7 +201,7 @@ def pathwise(
     outcome = evaluate_all(
         problem, packed, progress_bar=progress_bar, label="tangents", function=_pathwise_chunk
     )
-    good = outcome.outcome == REACHED
+    good = outcome.outcome == Outcome.REACHED
     estimates = {}
     for name, tangents in outcome.responses.items():
         finite = tangents[good & np.isfinite(tangents)]

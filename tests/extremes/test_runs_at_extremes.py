@@ -13,7 +13,7 @@ from extreme_rigs import JOINTS, USUAL, build
 from hypothesis import example, given, settings
 
 import jaxclear as jc
-from jaxclear.integrators import OUTCOMES, TOO_MANY
+from jaxclear.integrators import Outcome
 from jaxclear.multibody.assembly import assemble_arrays
 from jaxclear.simulation.simulate import run
 
@@ -66,7 +66,7 @@ def test_run_ends_or_says_why(kind, integrator):
         states, worn, outcome, ended = evaluate(p, speed)
         for leaf in jax.tree.leaves((states, worn)):
             assert np.all(np.isfinite(leaf))
-        assert 0 <= int(outcome) < len(OUTCOMES)
+        assert Outcome(int(outcome)).began
         assert (int(outcome) == 0) == (float(ended) == 1e-4)
 
     check()
@@ -130,7 +130,9 @@ def test_too_few_steps_end_the_run():
     end = jc.simulate(
         pendulum(lambda time: jnp.sin(1e3 * time)), 1.0, integrator=few, save=3, throw=False
     )
-    assert int(end.outcome) == TOO_MANY and OUTCOMES[TOO_MANY] in end.result
+    assert (
+        int(end.outcome) == Outcome.TOO_MANY_STEPS and Outcome.TOO_MANY_STEPS.sentence in end.result
+    )
 
 
 def test_mechanism_without_freedom_runs():

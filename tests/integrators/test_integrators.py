@@ -180,3 +180,11 @@ def test_dataset_carries_units_and_names():
     assert float(abs(data["energy.error"]).max()) < 1e-9 and data.attrs["result"].startswith(
         "The run reached"
     )
+
+
+def test_outcomes_have_sentences_of_their_own_and_unknown_codes_none():
+    sentences = [outcome.sentence for outcome in jc.integrator.Outcome]
+    assert len(set(sentences)) == len(sentences) and all(s.endswith(".") for s in sentences)
+    assert [int(outcome) for outcome in jc.integrator.Outcome] == list(range(len(sentences)))
+    with pytest.raises(ValueError):
+        jc.integrator.Outcome(-1)

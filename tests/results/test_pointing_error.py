@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.integrators import REACHED
+from jaxclear.integrators import Outcome
 from jaxclear.multibody.product_of_exponentials import (
     ChainConfiguration,
     chain,
@@ -107,7 +107,7 @@ def trajectory(mechanism, poses):
     )
     states = jnp.asarray(np.concatenate([coordinates, np.zeros((len(poses), 12))], axis=1))
     time = jnp.linspace(0.0, 1.0, len(poses))
-    numbers = (jnp.asarray(REACHED), time[-1], jnp.asarray(0), jnp.asarray(0))
+    numbers = (jnp.asarray(Outcome.REACHED), time[-1], jnp.asarray(0), jnp.asarray(0))
     return jc.Trajectory(mechanism, time, states, {}, {}, *numbers, False)
 
 

@@ -15,7 +15,7 @@ import equinox as eqx
 import numpy as np
 from tqdm import tqdm
 
-from jaxclear.integrators import Adaptive
+from jaxclear.integrators import Adaptive, Outcome
 from jaxclear.studies import verdict
 from jaxclear.studies.advice.advice import (
     PRESENT,
@@ -26,7 +26,7 @@ from jaxclear.studies.advice.advice import (
     checked_accuracy,
 )
 from jaxclear.studies.advice.pilot import Pilot, Trial, describe, measure, pilot_of, time_in_batch
-from jaxclear.studies.problem import IMPOSSIBLE, UNASSEMBLED, Problem
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.verdict import Standard
 from jaxclear.studies.work_precision import LOOSER, Ladder, check_ladder, default_ladder, loosened
 from jaxclear.studies.work_precision import reference as default_reference
@@ -170,7 +170,7 @@ def _reference(
     """The reference, looser and tight, and the pilot without copies that no integrator could
     run."""
     tight = measure(pilot, integrator)
-    lost = (tight.outcome == UNASSEMBLED) | (tight.outcome == IMPOSSIBLE)
+    lost = (tight.outcome == Outcome.UNASSEMBLED) | (tight.outcome == Outcome.OUT_OF_RANGE)
     if np.any(lost) and not lost[0]:
         pilot = pilot.with_copies(~lost)
         tight = measure(pilot, integrator)

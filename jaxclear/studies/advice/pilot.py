@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.integrators import OUTCOMES, REACHED, AbstractIntegrator
+from jaxclear.integrators import AbstractIntegrator, Outcome
 from jaxclear.simulation.simulate import check_run
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.monte_carlo import draw
-from jaxclear.studies.problem import IMPOSSIBLE, UNASSEMBLED, Outcome, Problem
+from jaxclear.studies.problem import Problem, SampleResult
 
 # Share of the problem's duration that a pilot runs unless told otherwise.
 SHARE = 0.25
@@ -67,8 +67,8 @@ class Trial(eqx.Module):
 
 
 @eqx.filter_jit
-def evaluate_one(problem: Problem, values: Float[Array, " variables"]) -> Outcome:
-    """Outcome of one set of values."""
+def evaluate_one(problem: Problem, values: Float[Array, " variables"]) -> SampleResult:
+    """Result of one set of values."""
     return problem.evaluate(values)
 
 
@@ -134,7 +134,7 @@ def measure(pilot: Pilot, integrator: AbstractIntegrator) -> Trial:
                 f'response "{name}" is an array for each run; it must be one number.',
             )
     responses = {
-        name: np.where(outcomes.outcome == REACHED, outcomes.responses[name], np.nan)
+        name: np.where(outcomes.outcome == Outcome.REACHED, outcomes.responses[name], np.nan)
         for name in problem.response_names
     }
     failure = failure_in_words(outcomes, responses)
@@ -175,22 +175,20 @@ def _timed(action):
 def _no_trial(pilot, integrator, why):
     copies = len(pilot.values)
     empty = {name: np.full(copies, np.nan) for name in pilot.problem.response_names}
-    return Trial(integrator, empty, np.full(copies, REACHED), np.nan, 0.0, why)
+    return Trial(integrator, empty, np.full(copies, Outcome.REACHED), np.nan, 0.0, why)
 
 
-def failure_in_words(outcomes: Outcome, responses: dict[str, np.ndarray]) -> str:
+def failure_in_words(outcomes: SampleResult, responses: dict[str, np.ndarray]) -> str:
     """A sentence on the copies that failed; empty if none did."""
-    lost = np.flatnonzero(outcomes.outcome != REACHED)
+    lost = np.flatnonzero(outcomes.outcome != Outcome.REACHED)
     copies = len(outcomes.outcome)
     many = f"{len(lost)} of {copies} copies: " if copies > 1 else ""
     if len(lost):
         first = lost[0]
-        reason = int(outcomes.outcome[first])
-        if reason == UNASSEMBLED:
-            return f"{many}the mechanism cannot be assembled."
-        if reason == IMPOSSIBLE:
-            return f"{many}a number of the mechanism lies outside its range."
-        return f"{many}the run ended after {float(outcomes.ended[first]):.3g} s. {OUTCOMES[reason]}"
+        reason = Outcome(int(outcomes.outcome[first]))
+        if not reason.began:
+            return f"{many}{reason.sentence[0].lower()}{reason.sentence[1:]}"
+        return f"{many}the run ended after {float(outcomes.ended[first]):.3g} s. {reason.sentence}"
     wrong = [f'"{name}"' for name, values in responses.items() if not np.all(np.isfinite(values))]
     return f"not finite: response {', '.join(wrong)}." if wrong else ""
 

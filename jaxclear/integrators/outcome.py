@@ -1,0 +1,38 @@
+"""How a run can end, or fail to begin: one enumeration for integrators and studies."""
+
+from jaxclear.ground.outcome import AbstractOutcome
+
+
+class Outcome(AbstractOutcome):
+    """How a run ended. `Outcome(code).sentence` says it; only `REACHED` (0) is a success.
+
+    The last two are those of samples of a study, whose numbers do not make a mechanism.
+    """
+
+    REACHED = 0, "The run reached its end."
+    STEP_TOO_SMALL = (
+        1,
+        "The step size fell below the smallest allowed: the equations are too stiff or not finite "
+        "here.",
+    )
+    TOO_MANY_STEPS = 2, "The allowed number of steps between two saved times was used up."
+    NOT_FINITE = 3, "The state became infinite or not a number."
+    TOO_MANY_IMPACTS = (
+        4,
+        "The allowed number of captured impacts between two saved times was used up.",
+    )
+    LAWS_NOT_MET = (
+        5,
+        "The laws of contact or friction were not met: the sweeps over the joints were used up far "
+        "from their solution.",
+    )
+    UNASSEMBLED = 6, "The mechanism cannot be assembled."
+    OUT_OF_RANGE = (
+        7,
+        "A number of the mechanism lies outside its range (a negative clearance, say).",
+    )
+
+    @property
+    def began(self) -> bool:
+        """Whether there was a run at all."""
+        return self not in (Outcome.UNASSEMBLED, Outcome.OUT_OF_RANGE)
