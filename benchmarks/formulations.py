@@ -40,7 +40,7 @@ CHUNK = 64
 # common; those of a batch by up to this one.
 SPREAD, BATCH_SPREAD = 2e-2, 0.05
 # Friction of the antenna as a function of speed: full beyond a tenth of the sliding speeds.
-ANTENNA_FRICTION = (0.1, 1e-3)
+ANTENNA_FRICTION = {"mu_kinetic": 0.1, "transition_speed": 1e-3}
 
 
 class Ladder(NamedTuple):
@@ -104,7 +104,9 @@ def four_bar_scene(quick: bool) -> Scene:
     kinds = jc.integrator
     rig = four_bar("spatial", wear=False)
     # The same coefficient, acting from small speeds on: rigid formulations know no speeds.
-    law = jc.friction.CoulombTanh(rig.connections["B"].joint.friction.mu_kinetic, 1e-2)
+    law = jc.friction.CoulombTanh(
+        mu_kinetic=rig.connections["B"].joint.friction.mu_kinetic, transition_speed=1e-2
+    )
     rig = eqx.tree_at(lambda m: m.connections["B"].joint.friction, rig, law)
     responses = {
         "mean force": jc.response.MeanContactForce("B"),
@@ -152,7 +154,7 @@ def antenna_scene(quick: bool) -> Scene:
         STEPS: steps_of,
     }
     variables = {"clearance": jc.Variable(clearances(JOINTS), tolerance=1e-6)}
-    rig = antenna(friction=jc.friction.CoulombTanh(*ANTENNA_FRICTION))
+    rig = antenna(friction=jc.friction.CoulombTanh(**ANTENNA_FRICTION))
     seconds = 1 if quick else 2
     problem = jc.Problem(rig, responses, variables, duration=seconds)
     steps = (4e-4, 2e-4, 1e-4, 5e-5, 2e-5)

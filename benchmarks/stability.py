@@ -60,9 +60,9 @@ BOUNCE = (1e10, 1e-4, (0.2, 0.1), 1e-5)
 def journal(stiffness: float, clearance: float, lossless: bool = False) -> jc.Mechanism:
     """The journal in its bearing; `lossless`: no damping, no friction, only its own weight."""
     contact = (
-        jc.contact.Hertz(stiffness)
+        jc.contact.Hertz(stiffness=stiffness)
         if lossless
-        else jc.contact.LankaraniNikravesh(stiffness, restitution=0.9)
+        else jc.contact.LankaraniNikravesh(stiffness=stiffness, restitution=0.9)
     )
     friction = None if lossless else jc.friction.CoulombTanh(mu_kinetic=0.05, transition_speed=1e-2)
     return jc.Mechanism(

@@ -103,11 +103,11 @@ def path(law: Any, integrator: Any, grid: float) -> Motion:
 
 
 def rigid(step: float, grid: float) -> Motion:
-    return path(jc.contact.Rigid(RESTITUTION), jc.integrator.MoreauJean(step), grid)
+    return path(jc.contact.Rigid(restitution=RESTITUTION), jc.integrator.MoreauJean(step), grid)
 
 
 def compliant(stiffness: float, grid: float) -> Motion:
-    law = jc.contact.CarvalhoMartins(stiffness, restitution=RESTITUTION)
+    law = jc.contact.CarvalhoMartins(stiffness=stiffness, restitution=RESTITUTION)
     return path(
         law, jc.integrator.Adaptive(rtol=RTOL, atol=RTOL * 1e-2, capture_impacts=True), grid
     )
@@ -197,11 +197,14 @@ def four_bar_rows(stiffnesses: tuple[float, ...], steps: tuple[float, ...]) -> l
         rtol=FOUR_BAR_RTOL, atol=FOUR_BAR_RTOL * 1e-3, capture_impacts=True
     )
     compliant = {
-        f"K = {k:g} N/m^1.5": (jc.contact.CarvalhoMartins(k, restitution=RESTITUTION), adaptive)
+        f"K = {k:g} N/m^1.5": (
+            jc.contact.CarvalhoMartins(stiffness=k, restitution=RESTITUTION),
+            adaptive,
+        )
         for k in stiffnesses
     }
     rigid = {
-        f"rigid, {h:g} s": (jc.contact.Rigid(RESTITUTION), jc.integrator.MoreauJean(h))
+        f"rigid, {h:g} s": (jc.contact.Rigid(restitution=RESTITUTION), jc.integrator.MoreauJean(h))
         for h in steps
     }
     return [{"contact": name} | four_bar_means(*pair) for name, pair in (compliant | rigid).items()]

@@ -54,7 +54,7 @@ def slider_crank() -> jc.Mechanism:
     steel = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
     bearing = jc.clearance.PlanarJournalBearing(
         jc.contact.CarvalhoMartins(jc.stiffness.HertzStiffness(steel, steel), restitution=0.9),
-        jc.friction.CoulombTanh(0.05),
+        jc.friction.CoulombTanh(mu_kinetic=0.05),
         bearing_radius=10e-3,
         clearance=0.1e-3,
     )

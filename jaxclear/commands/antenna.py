@@ -42,7 +42,13 @@ def friction_runs(duration: float) -> dict[str, Any]:
     """The step drive with Coulomb's law and with two regularised ones."""
     return {
         COULOMB: run("spatial", "step", duration),
-        NARROW: run("spatial", "step", duration, jc.friction.ThreeZone(0.15, 0.1, **STEEP), True),
+        NARROW: run(
+            "spatial",
+            "step",
+            duration,
+            jc.friction.ThreeZone(mu_static=0.15, mu_kinetic=0.1, **STEEP),
+            True,
+        ),
         WIDE: run("spatial", "step", duration, "regularised", True),
     }
 

@@ -347,7 +347,7 @@ def set_valued(law: AbstractFrictionLaw) -> Coulomb | None:
     if isinstance(law, Coulomb):
         return law
     if isinstance(law, (ThreeZone, AdamsStep, BengisuAkay, Stribeck, LuGre)):
-        return Coulomb(law.mu_kinetic, law.mu_static)
+        return Coulomb(mu_kinetic=law.mu_kinetic, mu_static=law.mu_static)
     if isinstance(law, (CoulombTanh, Ambrosio, Threlfall, Dahl)):
-        return Coulomb(law.mu_kinetic)
+        return Coulomb(mu_kinetic=law.mu_kinetic)
     return None

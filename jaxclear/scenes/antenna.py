@@ -110,8 +110,13 @@ def friction_law(
             f"{friction!r}."
         )
     if friction == "set_valued":
-        return Coulomb(mu_kinetic, mu_static)
-    return ThreeZone(mu_static, mu_kinetic, STATIC_SPEED, KINETIC_SPEED)
+        return Coulomb(mu_kinetic=mu_kinetic, mu_static=mu_static)
+    return ThreeZone(
+        mu_static=mu_static,
+        mu_kinetic=mu_kinetic,
+        static_speed=STATIC_SPEED,
+        kinetic_speed=KINETIC_SPEED,
+    )
 
 
 def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:

@@ -69,10 +69,15 @@ def friction_law(
     if kind is None:
         return None
     if kind == "set_valued":
-        return Coulomb(mu_kinetic, mu_static)
+        return Coulomb(mu_kinetic=mu_kinetic, mu_static=mu_static)
     if mu_static is None:
-        return CoulombTanh(mu_kinetic, REGULARISING_SPEED)
-    return AdamsStep(mu_static, mu_kinetic, REGULARISING_SPEED, KINETIC_SPEED)
+        return CoulombTanh(mu_kinetic=mu_kinetic, transition_speed=REGULARISING_SPEED)
+    return AdamsStep(
+        mu_static=mu_static,
+        mu_kinetic=mu_kinetic,
+        static_speed=REGULARISING_SPEED,
+        kinetic_speed=KINETIC_SPEED,
+    )
 
 
 def guide(

@@ -15,8 +15,8 @@ from jaxclear.ground.pose import Pose
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import PointState, Relative, evaluate
 
-LAW = jc.contact.CarvalhoMartins(1e9, restitution=0.7)
-SLIP = jc.friction.CoulombTanh(0.2, 1e-3)
+LAW = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.7)
+SLIP = jc.friction.CoulombTanh(mu_kinetic=0.2, transition_speed=1e-3)
 WEAR = jc.Wearing(jc.wear.Archard(), cells=(9, 3))
 
 

@@ -30,13 +30,18 @@ USUAL = {
 
 
 def _wearing():
-    return jc.Wearing(jc.wear.Archard(1e-4, 2e9), cells=(12, 4), acceleration=1e3)
+    return jc.Wearing(
+        jc.wear.Archard(wear_coefficient=1e-4, hardness=2e9), cells=(12, 4), acceleration=1e3
+    )
 
 
 def planar(p):
-    law = jc.contact.CarvalhoMartins(p["stiffness"], restitution=0.8)
+    law = jc.contact.CarvalhoMartins(stiffness=p["stiffness"], restitution=0.8)
     friction = jc.friction.ThreeZone(
-        1.5 * p["mu"], p["mu"], p["transition_speed"], 10 * p["transition_speed"]
+        mu_static=1.5 * p["mu"],
+        mu_kinetic=p["mu"],
+        static_speed=p["transition_speed"],
+        kinetic_speed=10 * p["transition_speed"],
     )
     return jc.clearance.PlanarJournalBearing(
         law, friction, RADIUS, p["clearance"], LENGTH, wear=_wearing()
@@ -46,21 +51,28 @@ def planar(p):
 def planar_conformal(p):
     law = conformal.Liu(modulus=p["stiffness"], restitution=0.8)
     return jc.clearance.PlanarJournalBearing(
-        law, jc.friction.Dahl(p["mu"], p["transition_speed"] * 1e-3), RADIUS, p["clearance"], LENGTH
+        law,
+        jc.friction.Dahl(mu_kinetic=p["mu"], presliding=p["transition_speed"] * 1e-3),
+        RADIUS,
+        p["clearance"],
+        LENGTH,
     )
 
 
 def journal(p):
     law = conformal.Johnson(modulus=p["stiffness"], restitution=0.8)
     friction = jc.friction.Stribeck(
-        1.5 * p["mu"], p["mu"], 10 * p["transition_speed"], p["transition_speed"]
+        mu_static=1.5 * p["mu"],
+        mu_kinetic=p["mu"],
+        stribeck_speed=10 * p["transition_speed"],
+        transition_speed=p["transition_speed"],
     )
     return jc.clearance.JournalBearing(law, friction, RADIUS, p["clearance"], LENGTH)
 
 
 def journal_that_wears(p):
-    law = jc.contact.Gonthier(p["stiffness"], restitution=0.8)
-    friction = jc.friction.Threlfall(p["mu"], p["transition_speed"])
+    law = jc.contact.Gonthier(stiffness=p["stiffness"], restitution=0.8)
+    friction = jc.friction.Threlfall(mu_kinetic=p["mu"], transition_speed=p["transition_speed"])
     return jc.clearance.JournalBearing(
         law,
         friction,
@@ -73,12 +85,18 @@ def journal_that_wears(p):
 
 
 def journal_with_collars(p):
-    law = jc.contact.Flores(p["stiffness"], restitution=0.8)
+    law = jc.contact.Flores(stiffness=p["stiffness"], restitution=0.8)
     friction = jc.friction.LuGre(
-        1.5 * p["mu"], p["mu"], 10 * p["transition_speed"], 1e-3 * p["transition_speed"]
+        mu_static=1.5 * p["mu"],
+        mu_kinetic=p["mu"],
+        stribeck_speed=10 * p["transition_speed"],
+        presliding=1e-3 * p["transition_speed"],
     )
     collar = jc.clearance.Flange(
-        law, jc.friction.CoulombTanh(p["mu"], p["transition_speed"]), 1.4 * RADIUS, p["clearance"]
+        law,
+        jc.friction.CoulombTanh(mu_kinetic=p["mu"], transition_speed=p["transition_speed"]),
+        1.4 * RADIUS,
+        p["clearance"],
     )
     return jc.clearance.JournalBearing(law, friction, RADIUS, p["clearance"], LENGTH, flange=collar)
 
@@ -86,23 +104,32 @@ def journal_with_collars(p):
 def ball(p):
     law = jc.contact.ModifiedFlores(modulus=p["stiffness"], restitution=0.8)
     friction = jc.friction.BengisuAkay(
-        1.5 * p["mu"], p["mu"], p["transition_speed"], 1 / p["transition_speed"]
+        mu_static=1.5 * p["mu"],
+        mu_kinetic=p["mu"],
+        peak_speed=p["transition_speed"],
+        decay=1 / p["transition_speed"],
     )
     return jc.clearance.BallSocket(law, friction, RADIUS, p["clearance"], socket_wear=_wearing())
 
 
 def ball_with_bristles(p):
-    law = jc.contact.HuntCrossley(p["stiffness"], restitution=0.8)
+    law = jc.contact.HuntCrossley(stiffness=p["stiffness"], restitution=0.8)
     friction = jc.friction.LuGre(
-        1.5 * p["mu"], p["mu"], 10 * p["transition_speed"], 1e-3 * p["transition_speed"]
+        mu_static=1.5 * p["mu"],
+        mu_kinetic=p["mu"],
+        stribeck_speed=10 * p["transition_speed"],
+        presliding=1e-3 * p["transition_speed"],
     )
     return jc.clearance.BallSocket(law, friction, RADIUS, p["clearance"])
 
 
 def guide(p):
-    law = jc.contact.AdamsImpact(p["stiffness"], damping=1e3, full_damping_depth=1e-6)
+    law = jc.contact.AdamsImpact(stiffness=p["stiffness"], damping=1e3, full_damping_depth=1e-6)
     friction = jc.friction.AdamsStep(
-        1.5 * p["mu"], p["mu"], p["transition_speed"], 10 * p["transition_speed"]
+        mu_static=1.5 * p["mu"],
+        mu_kinetic=p["mu"],
+        static_speed=p["transition_speed"],
+        kinetic_speed=10 * p["transition_speed"],
     )
     return jc.clearance.SliderGuide(law, friction, RADIUS, LENGTH, p["clearance"])
 

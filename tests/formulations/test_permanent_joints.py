@@ -9,7 +9,7 @@ import pytest
 
 import jaxclear as jc
 
-RIGID = jc.contact.Rigid(0.5)
+RIGID = jc.contact.Rigid(restitution=0.5)
 HALF = 0.4
 QUATERNION = (np.cos(HALF), 0.6 * np.sin(HALF), 0.0, 0.8 * np.sin(HALF))
 UPRIGHT = (np.cos(HALF), 0.0, 0.0, np.sin(HALF))
@@ -72,14 +72,16 @@ def test_starts_vary_in_a_problem():
 
 def test_friction_at_rest_is_not_below_that_of_sliding():
     with pytest.raises(ValueError, match="mu_static 0.2 below mu_kinetic 0.4"):
-        jc.friction.Coulomb(0.4, 0.2)
+        jc.friction.Coulomb(mu_kinetic=0.4, mu_static=0.2)
 
 
 def slider(across, mu, sweeps):
     """A slider whose centre of mass lies aside of the guide: it locks itself at 2 mu across /
     length = 1.
     """
-    guide = jc.clearance.SliderGuide(RIGID, jc.friction.Coulomb(mu), clearance=1e-5, length=0.04)
+    guide = jc.clearance.SliderGuide(
+        RIGID, jc.friction.Coulomb(mu_kinetic=mu), clearance=1e-5, length=0.04
+    )
     rig = jc.Mechanism(
         {"slider": jc.Body(1.0, 1e-3, (0.0, across))},
         {"P": jc.Connection(guide, "ground", "slider", axis="x")},
@@ -102,8 +104,10 @@ def rubbing(order, mu, law=jc.friction.Coulomb):
     """A slider-crank all of whose joints but the crank's have clearance and friction, one of which
     closes its loop.
     """
-    planar = jc.clearance.PlanarJournalBearing(jc.contact.Rigid(0.0), law(mu), 10e-3, 2e-5)
-    guide = jc.clearance.SliderGuide(jc.contact.Rigid(0.0), law(mu), clearance=2e-5)
+    planar = jc.clearance.PlanarJournalBearing(
+        jc.contact.Rigid(restitution=0.0), law(mu_kinetic=mu), 10e-3, 2e-5
+    )
+    guide = jc.clearance.SliderGuide(jc.contact.Rigid(restitution=0.0), law(mu_kinetic=mu), clearance=2e-5)
     connections = {
         "O": jc.Connection(
             jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"

@@ -9,7 +9,7 @@ def touching_journal():
     """A journal that falls from the middle of its bearing under gravity, with friction and wear."""
     bearing = jc.clearance.PlanarJournalBearing(
         jc.contact.Flores(stiffness=1e8, restitution=0.5),
-        jc.friction.CoulombTanh(0.1, 1e-2),
+        jc.friction.CoulombTanh(mu_kinetic=0.1, transition_speed=1e-2),
         clearance=1e-3,
         wear=jc.Wearing(jc.wear.Archard()),
     )

@@ -21,7 +21,7 @@ def thrown(restitution, memory_time, speed=0.1):
     """A journal thrown from the middle of its bearing; Gonthier's law returns exactly its
     coefficient.
     """
-    law = jc.contact.Gonthier(1e9, restitution=restitution, memory_time=memory_time)
+    law = jc.contact.Gonthier(stiffness=1e9, restitution=restitution, memory_time=memory_time)
     joint = jc.clearance.PlanarJournalBearing(law, clearance=0.1e-3)
     speeds = {"journal": (0.6 * speed, 0.8 * speed, 0.0)}
     return jc.Mechanism(
@@ -96,7 +96,7 @@ def test_too_many_impacts_end_the_run_with_a_sentence():
 
 
 def test_law_without_memory_has_nothing_to_capture():
-    joint = jc.clearance.PlanarJournalBearing(jc.contact.Hertz(1e9), clearance=0.1e-3)
+    joint = jc.clearance.PlanarJournalBearing(jc.contact.Hertz(stiffness=1e9), clearance=0.1e-3)
     speeds = {"journal": (0.06, 0.08, 0.0)}
     rig = jc.Mechanism(
         {"journal": jc.Body(0.3, 1e-4)},

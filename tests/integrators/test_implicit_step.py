@@ -34,7 +34,7 @@ def test_linear_contact_is_damped_as_by_the_theta_method(rebound, angle):
     stiffness = (angle / STEP) ** 2
     depth = 9.81 / stiffness
     rig = held_journal(
-        jc.contact.KelvinVoigt(stiffness, damping=0.0),
+        jc.contact.KelvinVoigt(stiffness=stiffness, damping=0.0),
         loads={"gravity": jc.load.Gravity((9.81, 0.0))},
         start={"journal": (1e-4 + 1.2 * depth, 0.0, 0.0)},
     )
@@ -64,7 +64,7 @@ def test_elastic_impact_within_a_step_keeps_the_rebound(rebound):
     """z is 50 or more. Radau's rule for the mean force, and what a last short contact gives back: 2
     % of the speed.
     """
-    rig = held_journal(jc.contact.Hertz(1e13), speeds=(0.06, 0.08, 0.0))
+    rig = held_journal(jc.contact.Hertz(stiffness=1e13), speeds=(0.06, 0.08, 0.0))
     end = jc.simulate(
         rig,
         2.6e-3,
@@ -93,21 +93,31 @@ def journal(law, friction, clearance):
 
 
 def elastic(stiffness):
-    return jc.contact.Hertz(stiffness), None
+    return jc.contact.Hertz(stiffness=stiffness), None
 
 
 def rough(stiffness):
     one = 0.0 * stiffness + 1.0
     law = jc.contact.CarvalhoMartins(
-        stiffness, restitution=0.8 * one, memory_time=1e-4 * one, slowest_impact=1e-3 * one
+        stiffness=stiffness,
+        restitution=0.8 * one,
+        memory_time=1e-4 * one,
+        slowest_impact=1e-3 * one,
     )
-    return law, jc.friction.ThreeZone(0.15 * one, 0.1 * one, 1e-5 * one, 1e-4 * one)
+    return law, jc.friction.ThreeZone(
+        mu_static=0.15 * one,
+        mu_kinetic=0.1 * one,
+        static_speed=1e-5 * one,
+        kinetic_speed=1e-4 * one,
+    )
 
 
 def abrupt(stiffness):
     one = 0.0 * stiffness + 1.0
-    law = jc.contact.MarhefkaOrin(stiffness, dissipation=0.2 * one)
-    return law, jc.friction.Ambrosio(0.1 * one, 1e-6 * one, 1e-5 * one)
+    law = jc.contact.MarhefkaOrin(stiffness=stiffness, dissipation=0.2 * one)
+    return law, jc.friction.Ambrosio(
+        mu_kinetic=0.1 * one, inner_speed=1e-6 * one, outer_speed=1e-5 * one
+    )
 
 
 @pytest.mark.parametrize(("kind", "laws"), [(planar, rough), (planar, elastic), (journal, abrupt)])
@@ -222,7 +232,7 @@ def test_rest_is_finite_with_its_derivative():
     """Without slip, concentric, at the very touch, and pressed in."""
     friction = jc.friction.ThreeZone()
     joint = jc.clearance.PlanarJournalBearing(
-        jc.contact.CarvalhoMartins(1e9), friction, clearance=1e-4
+        jc.contact.CarvalhoMartins(stiffness=1e9), friction, clearance=1e-4
     )
     rig = jc.Mechanism(
         {"journal": jc.Body(1.0, 1e-4)}, {"B": jc.Connection(joint, "ground", "journal")}
@@ -239,7 +249,7 @@ def test_rest_is_finite_with_its_derivative():
 def test_steps_far_longer_than_a_memory_are_stable():
     """Relaxation of 1 us under steps of 100 us; explicit steps are refused here
     (test_integrators)."""
-    law = jc.contact.CarvalhoMartins(1e9, restitution=0.5, memory_time=1e-6)
+    law = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.5, memory_time=1e-6)
     rig = held_journal(law, speeds=(0.06, 0.08, 0.0))
     end = jc.simulate(
         rig,

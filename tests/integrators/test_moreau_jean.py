@@ -65,7 +65,10 @@ def block(mu=MU, mu_static=None, *, angle=0.0, height=0.0, speed=(0.0, 0.0, 0.0)
         {"block": jc.Body(MASS, (1e-2,) * 3)},
         {
             "floor": jc.Connection(
-                Floor(jc.contact.Rigid(restitution), jc.friction.Coulomb(mu, mu_static)),
+                Floor(
+                    jc.contact.Rigid(restitution=restitution),
+                    jc.friction.Coulomb(mu_kinetic=mu, mu_static=mu_static),
+                ),
                 "ground",
                 "block",
             )
@@ -91,10 +94,10 @@ def held(joint, inertia=1e-4, speeds=(0.0, 0.0, 0.0), gravity=None, start=None, 
 
 
 def journal(restitution=0.5, mu=None, **rest):
-    friction = None if mu is None else jc.friction.Coulomb(mu)
+    friction = None if mu is None else jc.friction.Coulomb(mu_kinetic=mu)
     return held(
         jc.clearance.PlanarJournalBearing(
-            jc.contact.Rigid(restitution), friction, clearance=CLEARANCE
+            jc.contact.Rigid(restitution=restitution), friction, clearance=CLEARANCE
         ),
         **rest,
     )
@@ -250,7 +253,9 @@ SPATIAL = ((1e-4, 3e-4, 2e-4), (0.1, 0.05, 0.2, 1.0, 2.0, 3.0), (0.3, -GRAVITY, 
 def ball():
     return held(
         jc.clearance.BallSocket(
-            jc.contact.Rigid(0.5), jc.friction.Coulomb(MU), clearance=CLEARANCE
+            jc.contact.Rigid(restitution=0.5),
+            jc.friction.Coulomb(mu_kinetic=MU),
+            clearance=CLEARANCE,
         ),
         *SPATIAL,
     )
@@ -258,14 +263,14 @@ def ball():
 
 def tilted():
     joint = jc.clearance.JournalBearing(
-        jc.contact.Rigid(0.5), jc.friction.Coulomb(MU), clearance=CLEARANCE
+        jc.contact.Rigid(restitution=0.5), jc.friction.Coulomb(mu_kinetic=MU), clearance=CLEARANCE
     )
     return held(joint, *SPATIAL[:2], (0.3, -GRAVITY, 0.0))
 
 
 def guide():
     joint = jc.clearance.SliderGuide(
-        jc.contact.Rigid(0.5), jc.friction.Coulomb(MU), clearance=CLEARANCE
+        jc.contact.Rigid(restitution=0.5), jc.friction.Coulomb(mu_kinetic=MU), clearance=CLEARANCE
     )
     return held(joint, 1e-4, (0.5, 0.05, 1.0), (0.3, -GRAVITY), axis="x")
 
@@ -302,7 +307,7 @@ def test_loops_are_native_and_contacts_keep_their_laws(make, caplog):
 def hung(ratio):
     """A light link between ground and a heavy one, both joints with clearance."""
     pin = jc.clearance.PlanarJournalBearing(
-        jc.contact.Rigid(0.0), jc.friction.Coulomb(MU), clearance=CLEARANCE
+        jc.contact.Rigid(restitution=0.0), jc.friction.Coulomb(mu_kinetic=MU), clearance=CLEARANCE
     )
     return jc.Mechanism(
         {
@@ -396,8 +401,8 @@ def test_wear_of_the_four_bar_is_that_of_the_reference():
     rig = jc.scenes.four_bar("planar")
     joint = rig.connections["B"].joint
     laws = (
-        jc.contact.CarvalhoMartins(joint.contact.stiffness, restitution=0.9),
-        jc.friction.ThreeZone(0.1, 0.1, 1e-3, 1e-2),
+        jc.contact.CarvalhoMartins(stiffness=joint.contact.stiffness, restitution=0.9),
+        jc.friction.ThreeZone(mu_static=0.1, mu_kinetic=0.1, static_speed=1e-3, kinetic_speed=1e-2),
     )
     rig = eqx.tree_at(
         lambda m: (m.connections["B"].joint.contact, m.connections["B"].joint.friction), rig, laws

@@ -17,8 +17,8 @@ def rich(speed=10.0):
     """Clearance, friction with and without memory, wear, every kind of load, a drive, a loop and
     its stabilisation.
     """
-    law = jc.contact.CarvalhoMartins(1e8, restitution=0.8)
-    wear = jc.Wearing(jc.wear.Archard(1e-4, 2e9), cells=(12, 1))
+    law = jc.contact.CarvalhoMartins(stiffness=1e8, restitution=0.8)
+    wear = jc.Wearing(jc.wear.Archard(wear_coefficient=1e-4, hardness=2e9), cells=(12, 1))
     bearing = jc.clearance.PlanarJournalBearing(law, jc.friction.LuGre(), wear=wear)
     marker = jc.Marker("coupler", (0.1, 0.0))
     return jc.Mechanism(

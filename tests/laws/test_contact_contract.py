@@ -89,7 +89,7 @@ def test_fits_are_found_at_any_depth():
 
 def test_deepest_indentation_of_an_elastic_impact():
     """Energy: m v^2 / 2 = 2 K delta^(5/2) / 5; the force does that work on the way in."""
-    law = contact.Hertz(1e10)
+    law = contact.Hertz(stiffness=1e10)
     deepest = (5 * 1.0 * 0.1**2 / (4 * 1e10)) ** (2 / 5)
     depth = np.linspace(0, deepest, 20001)
     work = np.trapezoid(jax.vmap(law.elastic_force)(depth), depth)
@@ -102,7 +102,9 @@ def test_kelvin_voigt_rebounds_as_the_damped_oscillator():
     Schwager & Poschel 2007.
     """
     stiffness, mass, zeta = 1e8, 1.0, 0.1
-    law = contact.KelvinVoigt(stiffness, 2 * zeta * np.sqrt(stiffness * mass), onset_depth=1e-9)
+    law = contact.KelvinVoigt(
+        stiffness=stiffness, damping=2 * zeta * np.sqrt(stiffness * mass), onset_depth=1e-9
+    )
     omega, damped = np.sqrt(stiffness / mass), np.sqrt(stiffness / mass) * np.sqrt(1 - zeta**2)
     time = brentq(
         lambda t: (
@@ -120,7 +122,7 @@ def test_kelvin_voigt_rebounds_as_the_damped_oscillator():
 
 
 def test_adams_impact_meets_its_formula():
-    law = contact.AdamsImpact(1e10, None, 1e3, 1e-5)
+    law = contact.AdamsImpact(stiffness=1e10, exponent=None, damping=1e3, full_damping_depth=1e-5)
     half = 1e10 * (5e-6) ** 1.5
     np.testing.assert_allclose(law.normal_force(5e-6, 0.1, 0.0), half + 0.5 * 1e3 * 0.1, rtol=1e-13)
     np.testing.assert_allclose(
@@ -130,7 +132,7 @@ def test_adams_impact_meets_its_formula():
 
 
 def test_modified_flores_is_hertz_for_small_indentation():
-    law = fitted(contact.ModifiedFlores(combined_modulus(steel(), steel())), shape())
+    law = fitted(contact.ModifiedFlores(modulus=combined_modulus(steel(), steel())), shape())
     hertz = fitted(contact.Hertz(HertzStiffness(steel(), steel())), shape())
     # R_s^2 stands for R_i R_j: half a per cent at a clearance of a hundredth of the radius
     np.testing.assert_allclose(law.elastic_force(1e-8), hertz.elastic_force(1e-8), rtol=6e-3)
@@ -172,7 +174,7 @@ def test_gonthier_solves_the_rebound_relation(restitution):
     ],
 )
 def test_rebound_is_as_accurate_as_the_docstring_says(law, restitution, error):
-    assert abs(rebound(law(1e10, None, restitution)) - restitution) <= error
+    assert abs(rebound(law(stiffness=1e10, restitution=restitution)) - restitution) <= error
 
 
 def test_marhefka_orin_loses_restitution_in_proportion_to_speed():
@@ -205,13 +207,13 @@ def test_extreme_parameters_stay_finite(stiffness, depth, rate, restitution, exp
     indentation = jnp.asarray(10.0**depth if closed else -(10.0**depth))
     power = 1.01 * exponent
     laws = [
-        law(10.0**stiffness, power, restitution)
+        law(stiffness=10.0**stiffness, exponent=power, restitution=restitution)
         for law in (contact.Gonthier, contact.CarvalhoMartins, contact.Flores)
     ]
     laws += [
-        contact.Hertz(10.0**stiffness),
-        contact.AdamsImpact(10.0**stiffness, power),
-        contact.KelvinVoigt(10.0**stiffness),
+        contact.Hertz(stiffness=10.0**stiffness),
+        contact.AdamsImpact(stiffness=10.0**stiffness, exponent=power),
+        contact.KelvinVoigt(stiffness=10.0**stiffness),
     ]
     for law in laws:
         value, slopes = _value_and_slopes(law, indentation, jnp.asarray(rate))

@@ -66,13 +66,24 @@ def test_extreme_parameters_stay_finite(mu_static, mu_kinetic, exponent, speed_e
     slow = 10.0**exponent
     speed = jnp.asarray(0.0 if at_rest else 10.0**speed_exponent)
     laws = (
-        friction.CoulombTanh(mu_kinetic, slow),
-        friction.Ambrosio(mu_kinetic, slow, 2 * slow),
-        friction.ThreeZone(mu_static, mu_kinetic, slow, 1.5 * slow),
-        friction.AdamsStep(mu_static, mu_kinetic, slow, 1.5 * slow),
-        friction.Threlfall(mu_kinetic, slow),
-        friction.BengisuAkay(mu_static, mu_kinetic, slow, 1 / slow),
-        friction.Stribeck(mu_static, mu_kinetic, slow, slow / 2),
+        friction.CoulombTanh(mu_kinetic=mu_kinetic, transition_speed=slow),
+        friction.Ambrosio(mu_kinetic=mu_kinetic, inner_speed=slow, outer_speed=2 * slow),
+        friction.ThreeZone(
+            mu_static=mu_static, mu_kinetic=mu_kinetic, static_speed=slow, kinetic_speed=1.5 * slow
+        ),
+        friction.AdamsStep(
+            mu_static=mu_static, mu_kinetic=mu_kinetic, static_speed=slow, kinetic_speed=1.5 * slow
+        ),
+        friction.Threlfall(mu_kinetic=mu_kinetic, transition_speed=slow),
+        friction.BengisuAkay(
+            mu_static=mu_static, mu_kinetic=mu_kinetic, peak_speed=slow, decay=1 / slow
+        ),
+        friction.Stribeck(
+            mu_static=mu_static,
+            mu_kinetic=mu_kinetic,
+            stribeck_speed=slow,
+            transition_speed=slow / 2,
+        ),
     )
     for law in laws:
         value, slopes = _value_and_slope(law, speed)
@@ -83,7 +94,10 @@ def test_extreme_parameters_stay_finite(mu_static, mu_kinetic, exponent, speed_e
 @settings(max_examples=50, deadline=None)
 @given(coefficients, coefficients, exponents, st.floats(-3, 3))
 def test_extreme_bristles_stay_finite(mu_static, mu_kinetic, exponent, slip):
-    for law in (friction.LuGre(mu_static, mu_kinetic, 10.0**exponent), friction.Dahl(mu_kinetic)):
+    for law in (
+        friction.LuGre(mu_static=mu_static, mu_kinetic=mu_kinetic, stribeck_speed=10.0**exponent),
+        friction.Dahl(mu_kinetic=mu_kinetic),
+    ):
         values = _bristle_slopes(law, jnp.asarray(3e-7), jnp.asarray(slip))
         assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(values))
 
@@ -98,7 +112,7 @@ def _bristle_slopes(law, deflection, slip):
 
 def test_three_zones_meet_the_published_curve():
     """Four-bar paper (001), eq. 4, at the ends and the middle of each zone."""
-    law = friction.ThreeZone(0.2, 0.1, 1e-3, 3e-3)
+    law = friction.ThreeZone(mu_static=0.2, mu_kinetic=0.1, static_speed=1e-3, kinetic_speed=3e-3)
     speeds = np.array([0.5e-3, 1e-3, 2e-3, 3e-3, 1.0])
     expected = [0.2 * np.sin(np.pi / 4), 0.2, 0.15, 0.1, 0.1]
     np.testing.assert_allclose(jax.vmap(law.coefficient)(speeds), expected, rtol=1e-14)
@@ -106,7 +120,7 @@ def test_three_zones_meet_the_published_curve():
 
 def test_adams_step_meets_the_published_curve():
     """Flap paper (002), eq. 8, with STEP(x) = low + (high - low) s^2 (3 - 2 s)."""
-    law = friction.AdamsStep(0.2, 0.1, 1e-3, 3e-3)
+    law = friction.AdamsStep(mu_static=0.2, mu_kinetic=0.1, static_speed=1e-3, kinetic_speed=3e-3)
     s = (0.5e-3 + 1e-3) / 2e-3
     speeds = np.array([0.5e-3, 1e-3, 2e-3, 3e-3, 1.0])
     expected = [-0.2 + 0.4 * s * s * (3 - 2 * s), 0.2, 0.15, 0.1, 0.1]
@@ -114,16 +128,16 @@ def test_adams_step_meets_the_published_curve():
 
 
 def test_ambrosio_and_threlfall_and_bengisu_akay_at_chosen_speeds():
-    ambrosio = friction.Ambrosio(0.1, 1e-3, 3e-3)
+    ambrosio = friction.Ambrosio(mu_kinetic=0.1, inner_speed=1e-3, outer_speed=3e-3)
     np.testing.assert_allclose(
         jax.vmap(ambrosio.coefficient)(np.array([5e-4, 2e-3, 5e-3])), [0, 0.05, 0.1], atol=1e-15
     )
-    threlfall = friction.Threlfall(0.1, 1e-3)
+    threlfall = friction.Threlfall(mu_kinetic=0.1, transition_speed=1e-3)
     # Threlfall's own 0.95 differs from 1 - exp(-3) by 2.2e-4
     np.testing.assert_allclose(
         threlfall.coefficient(5e-4), 0.1 * (1 - np.exp(-1.5)) / 0.95, rtol=3e-4
     )
-    bengisu = friction.BengisuAkay(0.2, 0.1, 1e-3, 1e3)
+    bengisu = friction.BengisuAkay(mu_static=0.2, mu_kinetic=0.1, peak_speed=1e-3, decay=1e3)
     expected = [0.2 * 0.75, 0.2, 0.1 + 0.1 * np.exp(-2)]
     np.testing.assert_allclose(
         jax.vmap(bengisu.coefficient)(np.array([5e-4, 1e-3, 3e-3])), expected, rtol=1e-13
@@ -134,7 +148,7 @@ def test_dahl_follows_its_closed_solution():
     """At constant slip z = z_0 (1 - exp(-v t / z_0)), so the coefficient depends on the distance
     alone.
     """
-    law = friction.Dahl(0.3, 1e-6)
+    law = friction.Dahl(mu_kinetic=0.3, presliding=1e-6)
     step, speed = 1e-5, 1e-3
     distance = speed * step * np.arange(1000)
     # fourth-order Runge-Kutta at a hundredth of the yield deflection
@@ -144,7 +158,7 @@ def test_dahl_follows_its_closed_solution():
 
 
 def test_lugre_slides_on_the_stribeck_curve():
-    law = friction.LuGre(0.2, 0.1)
+    law = friction.LuGre(mu_static=0.2, mu_kinetic=0.1)
     for speed in (1e-3, 1e-2, 1e-1):
         final = slide(law, jnp.full(8001, speed), 1e-7 / speed)[-1]
         np.testing.assert_allclose(final, 0.1 + 0.1 * np.exp(-((speed / 1e-2) ** 2)), rtol=1e-9)

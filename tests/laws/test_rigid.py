@@ -50,12 +50,12 @@ def test_a_law_of_a_stranger_says_nothing():
 
 def test_rigid_contact_stores_nothing():
     assert (
-        contact.Rigid(0.5).elastic_force(1e-3) == 0
-        and float(restitution(contact.Rigid(0.5))) == 0.5
+        contact.Rigid(restitution=0.5).elastic_force(1e-3) == 0
+        and float(restitution(contact.Rigid(restitution=0.5))) == 0.5
     )
 
 
 def test_a_restitution_above_one_is_refused_by_the_joint_s_name():
-    bearing = jc.clearance.PlanarJournalBearing(contact.Rigid(1.5))
+    bearing = jc.clearance.PlanarJournalBearing(contact.Rigid(restitution=1.5))
     with pytest.raises(ValueError, match='"J".*restitution'):
         jc.Mechanism({"arm": jc.Body(1.0, 0.1)}, {"J": jc.Connection(bearing, "ground", "arm")})

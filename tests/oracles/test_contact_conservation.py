@@ -24,7 +24,7 @@ def colliding_pair():
     friction included.
     """
     law = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.7, memory_time=MEMORY_TIME)
-    friction = jc.friction.ThreeZone(0.3, 0.2)
+    friction = jc.friction.ThreeZone(mu_static=0.3, mu_kinetic=0.2)
     bearing = jc.clearance.JournalBearing(
         law,
         friction,
@@ -159,7 +159,7 @@ def busy_slider_crank():
     """
     law = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.8, memory_time=MEMORY_TIME)
     bearing = jc.clearance.PlanarJournalBearing(
-        law, jc.friction.ThreeZone(0.2, 0.1), clearance=0.2e-3
+        law, jc.friction.ThreeZone(mu_static=0.2, mu_kinetic=0.1), clearance=0.2e-3
     )
     return jc.Mechanism(
         {

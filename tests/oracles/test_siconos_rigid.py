@@ -76,7 +76,7 @@ def rows(case, *columns):
 
 
 def bouncing_ball(restitution):
-    wall = Wall(jc.contact.Rigid(restitution))
+    wall = Wall(jc.contact.Rigid(restitution=restitution))
     return jc.Mechanism(
         {"ball": jc.Body(1.0, 0.1)},
         {"up": up("ball"), "floor": jc.Connection(wall, "ground", "ball")},
@@ -95,7 +95,7 @@ def test_bouncing_ball():
 def test_ball_with_friction_and_spin():
     case = REFERENCE["ball_with_friction"]
     mass, radius = 1.0, 0.5
-    wall = Wall(jc.contact.Rigid(0.9), jc.friction.Coulomb(0.1), radius)
+    wall = Wall(jc.contact.Rigid(restitution=0.9), jc.friction.Coulomb(mu_kinetic=0.1), radius)
     carriage = jc.Body(NOTHING, (NOTHING,) * 3)
     mechanism = jc.Mechanism(
         {"lift": carriage, "slide": carriage, "ball": jc.Body(mass, (0.4 * mass * radius**2,) * 3)},
@@ -122,7 +122,7 @@ def beads(count, restitution, mass, place, floor):
     """
     radius = 0.1
     names = [f"bead{i}" for i in range(count)]
-    law = jc.contact.Rigid(restitution)
+    law = jc.contact.Rigid(restitution=restitution)
     contact_candidates = {"floor": jc.Connection(Wall(law, reach=floor), "ground", names[0])}
     contact_candidates |= {
         f"c{i}": jc.Connection(Wall(law, reach=2 * radius), names[i], names[i + 1])

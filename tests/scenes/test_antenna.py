@@ -85,7 +85,10 @@ def test_sticking_planar_joint_equals_an_independent_solution():
     events.
     """
     bearing = jc.clearance.PlanarJournalBearing(
-        jc.contact.Rigid(0.5), jc.friction.Coulomb(0.4, 0.6), 30e-3, 0.1e-3
+        jc.contact.Rigid(restitution=0.5),
+        jc.friction.Coulomb(mu_kinetic=0.4, mu_static=0.6),
+        30e-3,
+        0.1e-3,
     )
     rig = jc.Mechanism(
         bodies={"link": jc.Body(mass=2.0, inertia=0.02, com=(0.2, 0.0))},
@@ -172,7 +175,7 @@ def test_coulomb_sticks_and_slips_where_the_regularised_law_creeps(stepped):
             np.all(friction[inside] <= 0.15 * load[inside] * (1 + 1e-9))
             and np.ptp(friction[inside]) > 1.0
         )
-    law = jc.friction.ThreeZone(0.15, 0.1, **STEEP)
+    law = jc.friction.ThreeZone(mu_static=0.15, mu_kinetic=0.1, **STEEP)
     creeping = slips(run("spatial", "step", friction=law, regularised=True))[:, 0]
     for first, last in held:
         middle = slice(first + 50, last - 50)
