@@ -107,7 +107,9 @@ def rubbing(order, mu, law=jc.friction.Coulomb):
     planar = jc.clearance.PlanarJournalBearing(
         jc.contact.Rigid(restitution=0.0), law(mu_kinetic=mu), 10e-3, 2e-5
     )
-    guide = jc.clearance.SliderGuide(jc.contact.Rigid(restitution=0.0), law(mu_kinetic=mu), clearance=2e-5)
+    guide = jc.clearance.SliderGuide(
+        jc.contact.Rigid(restitution=0.0), law(mu_kinetic=mu), clearance=2e-5
+    )
     connections = {
         "O": jc.Connection(
             jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"
