@@ -2,8 +2,6 @@
 joint.
 """
 
-import sys
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,9 +17,7 @@ from jaxclear.laws.contact import AbstractContactLaw
 from jaxclear.laws.friction import AbstractSlipFriction
 from jaxclear.laws.stiffness import Shape
 from jaxclear.laws.wear import AbstractWearLaw
-
-sys.path.insert(0, str(Path(__file__).parent / "laws"))
-from contracts import contact_contract, friction_contract, wear_contract  # noqa: E402
+from tests.laws.contracts import contact_contract, friction_contract, wear_contract
 
 
 class Cushion(AbstractContactLaw):

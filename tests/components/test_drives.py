@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_ideal_joints import members
 
 import jaxclear as jc
 from jaxclear.components.drive import AbstractDrive
+from tests.components.test_ideal_joints import members
 
 EXAMPLES = {
     "ConstantSpeed": jc.drive.ConstantSpeed(3.0, 0.2),

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_ideal_joints import members
 
 import jaxclear as jc
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
@@ -14,6 +13,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import PointState, Relative, evaluate
+from tests.components.test_ideal_joints import members
 
 LAW = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.7)
 SLIP = jc.friction.CoulombTanh(mu_kinetic=0.2, transition_speed=1e-3)

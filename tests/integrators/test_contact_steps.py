@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from falling_journal import touching_journal
 
 import jaxclear as jc
 from jaxclear.multibody.assembly import guess
 from jaxclear.simulation.simulate import run
+from tests.rigs.falling_journal import touching_journal
 
 LONG, PARTS = 1e-4, 50
 SHORT = LONG / PARTS

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from falling_journal import touching_journal
-from test_no_recompilation import rich
 
 import jaxclear as jc
 from jaxclear.multibody.assembly import guess
 from jaxclear.simulation.simulate import run
+from tests.rigs.falling_journal import touching_journal
+from tests.rigs.full_loop import full_loop
 
 STEP = 1e-4
 
@@ -174,7 +174,7 @@ def test_agrees_with_the_reference_on_a_sliding_wearing_journal():
 def test_loop_with_bristles_drive_and_loads_agrees_with_the_reference():
     """Contact within a closed loop is solved in its rows: measured 9e-7 m, drift 4e-7 m."""
     runs = [
-        jc.simulate(rich(), 0.03, save=4, integrator=integrator)
+        jc.simulate(full_loop(), 0.03, save=4, integrator=integrator)
         for integrator in (
             jc.integrator.ImplicitStep(),
             jc.integrator.Adaptive(rtol=1e-8, atol=1e-10),

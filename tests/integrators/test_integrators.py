@@ -5,9 +5,9 @@ import diffrax
 import numpy as np
 import optimistix
 import pytest
-from falling_journal import touching_journal
 
 import jaxclear as jc
+from tests.rigs.falling_journal import touching_journal
 
 NEWTON = optimistix.Newton(rtol=1e-6, atol=1e-8)
 

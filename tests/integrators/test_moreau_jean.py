@@ -3,8 +3,6 @@ stiff compliant contact.
 """
 
 import logging
-import sys
-from pathlib import Path
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -14,16 +12,13 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from benchmarks import stiffness_limit
 from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.stiffness import Shape
 from jaxclear.multibody.assembly import guess
 from jaxclear.native import loop
 from jaxclear.simulation.simulate import run
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from benchmarks import stiffness_limit  # noqa: E402
 
 GRAVITY, MASS, MU, CLEARANCE = 9.81, 2.0, 0.3, 1e-4
 STEP = 1e-4

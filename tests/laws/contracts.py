@@ -11,11 +11,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from law_family import assert_finite_derivatives, assert_unit_free, evaluate, grid, shape
 from scipy.integrate import solve_ivp
 
 from jaxclear.laws.friction import AbstractBristleFriction, AbstractSetValuedFriction
 from jaxclear.laws.stiffness import fitted
+from tests.laws.law_family import assert_finite_derivatives, assert_unit_free, evaluate, grid, shape
 
 # Published dampings are first-order in 1 - e; the coarsest member (Lankarani-Nikravesh) is 0.013
 # off at e = 0.9.

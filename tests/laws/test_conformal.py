@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from law_family import shape
 from scipy.optimize import brentq
 from scipy.special import lambertw
 
@@ -17,6 +16,7 @@ from jaxclear.ground.numerics import inverse_entropy
 from jaxclear.laws import conformal
 from jaxclear.laws.material import Material
 from jaxclear.laws.stiffness import CombinedModulus, Shape, fitted
+from tests.laws.law_family import shape
 
 REFERENCE = json.loads((Path(__file__).parent / "dys_cylindrical_contact.json").read_text())
 MODULUS, LENGTH, INNER, OUTER = 1.1e11, 0.03, 9.9e-3, 10e-3

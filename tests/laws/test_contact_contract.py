@@ -7,15 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from contracts import CONTACT_CHECKS, contact_contract, contact_never_pulls, rebound
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from law_family import family, shape
 from scipy.optimize import brentq
 
 from jaxclear.laws import conformal, contact, hysteresis  # noqa: F401 (conformal: its laws join the family)
 from jaxclear.laws.material import Material, combined_modulus, steel
 from jaxclear.laws.stiffness import HertzStiffness, LengthOf, Shape, fitted
+from tests.laws.contracts import CONTACT_CHECKS, contact_contract, contact_never_pulls, rebound
+from tests.laws.law_family import family, shape
 
 LAWS = family(contact.AbstractContactLaw)
 

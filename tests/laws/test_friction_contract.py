@@ -5,7 +5,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from contracts import (
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxclear.laws import friction
+from tests.laws.contracts import (
     BRISTLE_CHECKS,
     SLIP_CHECKS,
     bristle_never_gives_energy_and_is_bounded,
@@ -13,11 +17,7 @@ from contracts import (
     slide,
     slip_never_gives_energy_and_is_bounded,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from law_family import family
-
-from jaxclear.laws import friction
+from tests.laws.law_family import family
 
 SLIP = family(friction.AbstractSlipFriction)
 BRISTLE = family(friction.AbstractBristleFriction)

@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from law_family import members
 
 import jaxclear as jc
 from jaxclear.laws import conformal, contact, friction  # noqa: F401 (conformal: its laws join the family)
 from jaxclear.laws.restitution import restitution
+from tests.laws.law_family import members
 
 FRICTION = [
     law

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from contracts import WEAR_CHECKS
-from law_family import family
 
 from jaxclear.laws import wear
+from tests.laws.contracts import WEAR_CHECKS
+from tests.laws.law_family import family
 
 LAWS = family(wear.AbstractWearLaw)
 

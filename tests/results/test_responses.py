@@ -4,10 +4,10 @@ says when it cannot be.
 
 import numpy as np
 import pytest
-from falling_journal import touching_journal
 
 import jaxclear as jc
 from jaxclear.results.response import AbstractResponse
+from tests.rigs.falling_journal import touching_journal
 
 
 @pytest.fixture(scope="module")

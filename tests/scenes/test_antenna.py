@@ -4,7 +4,6 @@ checks.
 
 import numpy as np
 import pytest
-from antenna_by_hand import Antenna, pendulum
 
 import jaxclear as jc
 from jaxclear.scenes.antenna import (
@@ -16,6 +15,7 @@ from jaxclear.scenes.antenna import (
     antenna,
     driving_torques,
 )
+from tests.rigs.antenna_by_hand import Antenna, pendulum
 
 STEP = 1e-3
 PERIODIC, STEPPED = 2.0, 2.5
