@@ -1,1 +1,9 @@
-"""Measurements behind the numbers in the README; each script takes --quick and --json FILE."""
+"""Measurements behind every number that the documents give.
+
+`claims` measures the engine itself, `peers` sets it beside other programs, `by_hand` beside the
+same mechanisms written by hand. From the root of the repository:
+
+    python -m benchmarks.claims.antenna [--quick] [--json FILE]
+
+`--json` writes {title: [rows]}, a row being {name of the figure [unit]: value}.
+"""

@@ -8,7 +8,7 @@ import jax
 
 # An option of XLA's CPU compiler, read when JAX first computes: loops over a state of up to 100 MB
 # (instead of 1 kB) become one kernel, where otherwise every operation of the body is dispatched by
-# itself. Steps of the four-bar are at least 7 times faster (benchmarks/loops.py). A user's own
+# itself. Steps of the four-bar are at least 7 times faster (benchmarks/claims/loops.py). A user's own
 # xla_backend_extra_options are left alone; JAXCLEAR_PLAIN_XLA=1 switches it off. (Its neighbour
 # xla_cpu_use_multi_output_fusion is faster still, but aborts the process on some differentiated
 # programs of jaxlib 0.10.2 and never ends compiling others.)

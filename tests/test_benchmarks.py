@@ -2,35 +2,31 @@
 what is absent, agreement.
 """
 
-import sys
-from pathlib import Path
-
 import pytest
 
 pytest.importorskip("numba")
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks import evaluation  # noqa: E402
-from benchmarks import four_bar_variants as scenes  # noqa: E402
-from benchmarks import trace as trace_programs  # noqa: E402
+from benchmarks.by_hand import evaluation  # noqa: E402
+from benchmarks.claims import equations  # noqa: E402
+from benchmarks.claims import four_bar_variants as scenes  # noqa: E402
 
 
 def test_programs_stay_within_their_budget():
     """Sizes are exact. Compile times are measured beside a reference, but a busy machine can spoil
     one: three in a row count.
     """
-    over = trace_programs.over_budget(trace_programs.variant_rows(whole=False))
+    over = equations.over_budget(equations.variant_rows(whole=False))
     assert not [sentence for sentence in over if "equations" in sentence]
     stubborn = {sentence.split(" is ")[0] for sentence in over}
     for _ in range(2):
         if stubborn:
-            again = trace_programs.over_budget(trace_programs.variant_rows(whole=False))
+            again = equations.over_budget(equations.variant_rows(whole=False))
             stubborn &= {sentence.split(" is ")[0] for sentence in again}
     assert not stubborn, over
 
 
 def test_an_absent_feature_leaves_no_equation():
-    for row in trace_programs.absence_rows():
+    for row in equations.absence_rows():
         assert row["never given"] == row["taken out"] < row["with it"], row
 
 
@@ -39,7 +35,7 @@ def test_friction_and_wear_leave_none_of_their_operations():
     for an angle.
     """
     bare, rough, worn = (
-        trace_programs.rate_primitives(scenes.build(scenes.Variant("spatial", friction, wear)))
+        equations.rate_primitives(scenes.build(scenes.Variant("spatial", friction, wear)))
         for friction, wear in ((False, False), (True, False), (False, True))
     )
     assert (rough["sin"] - bare["sin"], rough["cos"] - bare["cos"]) == (2, 2)

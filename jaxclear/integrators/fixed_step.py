@@ -38,7 +38,7 @@ class FixedStep(AbstractIntegrator):
     Steps are shortened a little to meet the saving times. No error control: halve `step` to see the
     error. Stable up to about 1.6 / omega (rk4), half of that ("semi_implicit") and a quarter
     ("heun"), omega = sqrt(contact stiffness / mass), of the order of 1e4 rad/s in a steel bearing
-    (benchmarks/stability.py, for K from 1e10 N/m^1.5 on; in softer contacts a step must not cross
+    (benchmarks/claims/stability.py, for K from 1e10 N/m^1.5 on; in softer contacts a step must not cross
     the clearance). "semi_implicit" is symplectic Euler: order 1, one evaluation a step, no drift of
     the energy; "euler" gains energy, "heun" slowly. "munthe_kaas1" to "munthe_kaas4" (order 1 to 4)
     keep rotations on their group; see `MuntheKaas`. `contact_steps` divides a step that starts in

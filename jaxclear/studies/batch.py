@@ -25,7 +25,7 @@ CHUNK_MEMORY = 1 << 30
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12
 # On a CPU the time per sample falls up to chunks of about this length and rises again beyond
-# (benchmarks/monte_carlo.py). An accelerator wants many samples at once.
+# (benchmarks/claims/monte_carlo.py). An accelerator wants many samples at once.
 LARGEST_CHUNK = {"cpu": 64}
 LARGEST_ELSEWHERE = 4096
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from benchmarks import stiffness_limit
+from benchmarks.claims import stiffness_limit
 from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.stiffness import Shape
@@ -392,7 +392,7 @@ def test_stiff_compliant_contact_tends_to_rigid_contact():
 @pytest.mark.slow
 def test_wear_of_the_four_bar_is_that_of_the_reference():
     """From 0.1 to 0.3 s. In the first impacts the two differ: steel's take 0.75 ms, in which the
-    journal slides on and the normal turns (benchmarks/stiffness_limit.py)."""
+    journal slides on and the normal turns (benchmarks/claims/stiffness_limit.py)."""
     rig = jc.scenes.four_bar("planar")
     joint = rig.connections["B"].joint
     laws = (

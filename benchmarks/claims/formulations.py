@@ -10,27 +10,20 @@ one. Cost: a step, a run alone (wall), and CPU time of a sample in a batch. Comp
 counted.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import time
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from benchmarks.measure import alone, arguments, report
-from benchmarks.work_precision import slider_crank
 
 import jaxclear as jc
+from benchmarks.claims.work_precision import slider_crank
+from benchmarks.measure import alone, arguments, report
+from jaxclear.integrators import Outcome
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP, antenna
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.integrators import Outcome
 
 ACCURACY = 0.02
 STEPS, CHEAPEST = "steps", "sample of a batch, CPU [ms]"

@@ -9,13 +9,6 @@ time; it is accurate if moreover the mean energy of the second half is within `M
 reference's. For the drift the same journal is thrown and loses nothing.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import math
 import time
 from collections.abc import Callable
@@ -25,9 +18,9 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from benchmarks.measure import arguments, report
 
 import jaxclear as jc
+from benchmarks.measure import arguments, report
 from jaxclear.studies.batch import evaluate_all
 
 MASS, INERTIA, GRAVITY = 1.0, 1e-2, 9.81

@@ -1,8 +1,8 @@
-"""The slider-crank of `peers_rig` in MuJoCo (C) and in MJX, in their own joint coordinates, the
+"""The slider-crank of `peers.rig` in MuJoCo (C) and in MJX, in their own joint coordinates, the
 contact as an applied force.
 
 MuJoCo's contacts know neither a journal in a hole nor Hertz's law, so the contact law is ours: for
-C the compiled law of `peers_in_c` as a callback, for MJX the law in JAX. Their part is the
+C the compiled law of `slider_crank_in_c` as a callback, for MJX the law in JAX. Their part is the
 equations of motion. A flywheel keeps the crank's speed.
 """
 
@@ -15,8 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks import peers_in_c, peers_rig as rig
-from benchmarks.peers_rig import Answer
+from benchmarks.by_hand import slider_crank_in_c
+from benchmarks.peers import rig
+from benchmarks.peers.rig import Answer
 
 # Inertia of the crank [kg m2].
 FLYWHEEL = 1e9
@@ -52,7 +53,9 @@ void passive(const mjModel *m, mjData *d)
 """
 MODEL = """
 <mujoco>
-  <option integrator="RK4" timestep="{step!r}" gravity="0 0 0"><flag contact="disable" constraint="disable"/></option>
+  <option integrator="RK4" timestep="{step!r}" gravity="0 0 0">
+    <flag contact="disable" constraint="disable"/>
+  </option>
   <size nuserdata="6"/>
   <custom><numeric name="rig" data="{numbers}"/></custom>
   <worldbody>
@@ -100,7 +103,7 @@ def _install() -> bool:
     import mujoco
 
     headers = f"-I{Path(mujoco.__file__).parent / 'include'}"
-    library = peers_in_c.compiled(peers_in_c.SOURCE + CALLBACK, headers)
+    library = slider_crank_in_c.compiled(slider_crank_in_c.SOURCE + CALLBACK, headers)
     if library is not None:
         mujoco.set_mjcb_passive(
             ctypes.cast(library.passive, ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p))
@@ -175,7 +178,7 @@ def _jax_contact(c, stiffness, q, v, memory):
     ex, ey = q[2] - P.crank * ct - P.rod * cp, -P.crank * st - P.rod * sp
     vx, vy = v[2] + P.crank * v[0] * st + P.rod * w * sp, -P.crank * v[0] * ct - P.rod * w * cp
     square = ex * ex + ey * ey
-    away = square > (peers_in_c.CENTRE * c) ** 2
+    away = square > (slider_crank_in_c.CENTRE * c) ** 2
     r = jnp.sqrt(jnp.where(away, square, 1.0))
     nx, ny = ex / r, ey / r
     delta, rate = jnp.where(away, r - c, -c), nx * vx + ny * vy

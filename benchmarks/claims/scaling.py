@@ -6,18 +6,12 @@ Each chain is measured in a process of its own with a time limit, because long c
 compile in bearable time; everything else takes turns in one process.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import json
 import logging
 import math
 import os
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,12 +21,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from benchmarks.chain import chain
-from benchmarks.measure import arguments, report, seconds_to_compile, side_by_side
 
 import jaxclear as jc
-from jaxclear.studies.batch import evaluate_all
+from benchmarks.claims.chain import chain
+from benchmarks.measure import arguments, report, seconds_to_compile, side_by_side
 from jaxclear.simulation.simulate import run
+from jaxclear.studies.batch import evaluate_all
 
 PLAIN_LOOPS = "JAXCLEAR_PLAIN_LOOPS"
 # Chain: step [s] of the fixed ones, simulated time [s], and how long a process may take [s].
@@ -214,7 +208,15 @@ TOO_LONG = "not compiled and run within"
 
 
 def _in_a_process(joints: int, name: str, repeats: int, limit: int) -> dict[str, Any]:
-    command = [sys.executable, __file__, "--chain", str(joints), name, str(repeats)]
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks.claims.scaling",
+        "--chain",
+        str(joints),
+        name,
+        str(repeats),
+    ]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=limit)
     except subprocess.TimeoutExpired:
@@ -432,7 +434,7 @@ def _both_loops(
 
 
 PARTS = {
-    f"scaling: a hanging chain, {CHAIN_TIME:g} s, steps of {CHAIN_STEP:g} s where they are fixed": chain_rows,
+    f"scaling: a hanging chain, {CHAIN_TIME:g} s, fixed steps of {CHAIN_STEP:g} s": chain_rows,
     "scaling: samples through evaluate_all, on all cores": sample_rows,
     f"scaling: simulated time, four-bar, saved every {SAVING:g} s": duration_rows,
     "scaling: the engine's own loops against XLA's, one thread": loop_rows,

@@ -1,4 +1,4 @@
-"""jaxclear on the slider-crank of `peers_rig`, as one program among others. A further integrator is
+"""jaxclear on the slider-crank of `peers.rig`, as one program among others. A further integrator is
 a line more in `JAXCLEAR`.
 """
 
@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks import peers_rig as rig
-from benchmarks.peers_rig import Answer, Batch, Program
-from jaxclear.studies.batch import evaluate_all
+from benchmarks.peers import rig
+from benchmarks.peers.rig import Answer, Batch, Program
 from jaxclear.integrators import Outcome
 from jaxclear.simulation.simulate import run
+from jaxclear.studies.batch import evaluate_all
 
 # jaxclear saves this often within a saving interval of the others, and looks this often between two
 # of its own: forces are wanted every 2 us or so, and what lies between two saved states follows

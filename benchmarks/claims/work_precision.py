@@ -3,25 +3,18 @@ table and a picture of each.
 
 Errors are those of means over a few nearly equal runs, against a tight adaptive reference. Rungs of
 another formulation (rigid contact, joints that always touch) come no nearer than their model: where
-their points stop falling is what the model is off. Pictures go to `benchmarks/figures` (or
+their points stop falling is what the model is off. Pictures go to `figures` beside this file (or
 `--figures`).
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import argparse
+from pathlib import Path
 
 import matplotlib
 
 matplotlib.use("Agg")
-from benchmarks.measure import report
-
 import jaxclear as jc
+from benchmarks.measure import report
 from jaxclear import plot
 from jaxclear.scenes import four_bar
 

@@ -6,16 +6,10 @@ The option is read when JAX starts, so it cannot be changed within a process; th
 turns, and the smallest of several times counts.
 """
 
+import json
 import os
 import subprocess
 import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
-import json
 import time
 
 from benchmarks.measure import arguments, report
@@ -80,7 +74,7 @@ def _timed(call):
 
 
 def in_a_process(settings: dict[str, str]) -> dict[str, dict[str, float]]:
-    command = [sys.executable, __file__, "--measure"]
+    command = [sys.executable, "-m", "benchmarks.claims.loops", "--measure"]
     done = subprocess.run(
         command, env=os.environ | settings, capture_output=True, text=True, check=True
     )

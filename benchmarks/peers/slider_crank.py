@@ -1,33 +1,23 @@
 """jaxclear beside other programs on a planar slider-crank with one clearance: time at equal
 accuracy, alone and in a Monte Carlo.
 
-Every program solves the rig of `peers_rig` and returns the slider's place at the saving times and
+Every program solves the rig of `peers.rig` and returns the slider's place at the saving times and
 the peak contact force. Each is held against its law's reference (scipy, event by event), takes the
 coarsest setting from which three in a row meet the accuracy asked, and is timed there. What is not
 installed is left out with a word: `pip install ".[test,peers]"` brings all.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import time
 from typing import NamedTuple
 
 import numpy as np
-from benchmarks import (
-    peers_by_hand,
-    peers_in_c,
-    peers_jaxclear,
-    peers_mujoco,
-    peers_programs,
-    peers_rig as rig,
-)
+
+from benchmarks.by_hand import slider_crank as in_numba
+from benchmarks.by_hand import slider_crank_in_c as in_c
 from benchmarks.measure import arguments, report, side_by_side
-from benchmarks.peers_rig import Answer, Batch, Program
+from benchmarks.peers import programs as others
+from benchmarks.peers import rig, with_jaxclear, with_mujoco
+from benchmarks.peers.rig import Answer, Batch, Program
 
 # (turns of the crank, samples, longest run tried on the ladder [s], seconds for one batch).
 FULL, QUICK = (2.0, 1024, 25.0, 12.0), (0.2, 64, 2.0, 2.0)
@@ -54,8 +44,8 @@ def by_hand(question: rig.Question) -> list[Program]:
     """numba and C: fixed steps with either law in numba, and error control."""
     ladder, p = rig.steps_ladder(3e-6, 2e-8), rig.LAWS["captured"]
     programs = []
-    for module, language, how in ((peers_by_hand, "numba", "prange"), (peers_in_c, "C", "OpenMP")):
-        if module is peers_in_c and peers_in_c.library() is None:
+    for module, language, how in ((in_numba, "numba", "prange"), (in_c, "C", "OpenMP")):
+        if module is in_c and in_c.library() is None:
             print("There is no C compiler; C is left out.")
             continue
 
@@ -74,8 +64,8 @@ def by_hand(question: rig.Question) -> list[Program]:
                 )
             )
     tolerances, size = rig.tolerance_ladder(1e-5, 1e-11), (question.saves, question.interval)
-    loop = Batch(lambda r, c: peers_by_hand.batch_adaptive(p, c, *size, r), "prange")
-    adaptive = lambda r: peers_by_hand.run_adaptive(p, rig.CLEARANCE, *size, r)
+    loop = Batch(lambda r, c: in_numba.batch_adaptive(p, c, *size, r), "prange")
+    adaptive = lambda r: in_numba.run_adaptive(p, rig.CLEARANCE, *size, r)
     return [
         *programs,
         Program("numba, adaptive by hand", "captured", tolerances, adaptive, loop, True),
@@ -85,16 +75,14 @@ def by_hand(question: rig.Question) -> list[Program]:
 def all_programs(question: rig.Question) -> list[Program]:
     """Those of jaxclear first, then what is installed."""
     programs = (
-        peers_jaxclear.programs(question)
-        + by_hand(question)
-        + peers_programs.scipy_programs(question)
+        with_jaxclear.programs(question) + by_hand(question) + others.scipy_programs(question)
     )
-    if peers_programs.installed("exudyn"):
-        programs += peers_programs.exudyn_programs(question)
-    if peers_programs.installed("mujoco"):
-        programs += peers_mujoco.mujoco_programs(question)
-    if peers_programs.installed("mujoco.mjx"):
-        programs += peers_mujoco.mjx_programs(question)
+    if others.installed("exudyn"):
+        programs += others.exudyn_programs(question)
+    if others.installed("mujoco"):
+        programs += with_mujoco.mujoco_programs(question)
+    if others.installed("mujoco.mjx"):
+        programs += with_mujoco.mjx_programs(question)
     return programs
 
 
@@ -248,7 +236,7 @@ def batch_rows(
     failed = {name: int(np.isnan(answer[:, 0]).sum()) for name, answer in answers.items()}
     sound = {name: cost for name, cost in costs.items() if not failed[name]}
     best, rows = sound[fastest(sound, found, "jaxclear")], []
-    exact = peers_by_hand.batch_adaptive(
+    exact = in_numba.batch_adaptive(
         rig.LAWS["captured"], clearances, question.saves, question.interval, 1e-11
     )
     for f in found:
@@ -301,7 +289,7 @@ def target_rows(alone: dict[str, Cost], batch: dict[str, Cost], found: list[Foun
 
 def reference_rows(question: rig.Question) -> list[dict]:
     """What the references are good for, and how far the laws lie apart."""
-    solved = {law: peers_programs.reference(law, question) for law in rig.LAWS}
+    solved = {law: others.reference(law, question) for law in rig.LAWS}
     captured = solved["captured"][0]
     return [
         {
@@ -331,7 +319,7 @@ def main() -> None:
     report("references: scipy, event by event", reference_rows(question), options)
     found = []
     for program in all_programs(question):
-        found.append(climb(program, peers_programs.reference(program.law, question)[0], patience))
+        found.append(climb(program, others.reference(program.law, question)[0], patience))
         print(f"  {program.name}: {setting_text(found[-1], question)}", flush=True)
     rows, alone = alone_rows(found, question)
     report("alone, at equal accuracy", rows, options)

@@ -3,27 +3,24 @@ scene of the shelf and every variant of the four-bar.
 
 Equations are counted in one evaluation of the rate after dead code is gone, nested programs
 included. Compile times are also given as a ratio to a fixed reference function compiled in the same
-process; `trace_budget.json` bounds both.
+process; `equations_budget.json` bounds both.
 """
-
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 
 import json
 import re
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxlie
-from benchmarks.four_bar_variants import (
+from jax.extend.core import ClosedJaxpr, Jaxpr
+from jax.interpreters import partial_eval
+
+import jaxclear as jc
+from benchmarks.claims.four_bar_variants import (
     VARIANTS,
     build,
     constraint_rows,
@@ -32,16 +29,12 @@ from benchmarks.four_bar_variants import (
     start_of,
     without,
 )
-from jax.extend.core import ClosedJaxpr, Jaxpr
-from jax.interpreters import partial_eval
 from benchmarks.measure import arguments, report, seconds_to_compile
-
-import jaxclear as jc
 from jaxclear.ground.pose import Pose, rotation_z
 from jaxclear.scenes.four_bar import KINDS, four_bar
 from jaxclear.simulation.simulate import run
 
-BUDGET = Path(__file__).with_name("trace_budget.json")
+BUDGET = Path(__file__).with_name("equations_budget.json")
 # Equations of the reference function; its compile time is the unit in which the budget is written.
 REFERENCE_LENGTH = 400
 SAVES = 26
@@ -204,9 +197,9 @@ def pose_rows() -> list[dict[str, Any]]:
 def main() -> None:
     options = arguments(__doc__)
     rows = variant_rows(whole=not options.quick)
-    report("trace: variants of the four-bar", rows, options)
-    report("trace: what is absent", absence_rows(), options)
-    report("trace: a point carried through two turning frames", pose_rows(), options)
+    report("equations: variants of the four-bar", rows, options)
+    report("equations: what is absent", absence_rows(), options)
+    report("equations: a point carried through two turning frames", pose_rows(), options)
     print("\n".join(over_budget(rows)) or "\nwithin the budget")
 
 

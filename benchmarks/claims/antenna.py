@@ -9,25 +9,18 @@ Then the cost alone and a sample in a batch, and how still Coulomb's law holds j
 regularised law creeps. Compilation is not counted.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import time
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from benchmarks.measure import alone, arguments, report
 
 import jaxclear as jc
+from benchmarks.measure import alone, arguments, report
 from jaxclear.commands.antenna import friction_runs, friction_table
+from jaxclear.integrators import Outcome
 from jaxclear.scenes.antenna import BASE, HOLD, JOINTS, TIP, antenna
 from jaxclear.studies.batch import cores, evaluate_all
-from jaxclear.integrators import Outcome
 
 SAVES_PER_SECOND = 20
 STEPS = (1e-3, 2e-3, 5e-3, 1e-2, 2.5e-2)

@@ -1,4 +1,4 @@
-"""The slider-crank of `peers_rig` in other programs without a mechanism of ours: scipy with numba's
+"""The slider-crank of `peers.rig` in other programs without a mechanism of ours: scipy with numba's
 right-hand side, and Exudyn.
 
 scipy stops at every touch and every opening, so it holds the impact speed exactly; at tight
@@ -21,9 +21,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from benchmarks import peers_rig as rig
-from benchmarks.peers_by_hand import _forces
-from benchmarks.peers_rig import Answer
+from benchmarks.by_hand.slider_crank import _forces
+from benchmarks.peers import rig
+from benchmarks.peers.rig import Answer
 
 # Places in a closed contact at which its force is looked at.
 LOOKS = 400
@@ -91,9 +91,18 @@ def scipy_run(
 
         gap.terminal, gap.direction = True, -1.0 if closed else 1.0
         found = solve_ivp(
-            _slope, (t, question.duration), y, method, dense_output=True, events=gap, args=(p, c, k, closed), rtol=rtol,
-            atol=rig.ATOL_SHARE * rtol, max_step=finer * longest, first_step=min(1e-9, question.duration - t),
-        )  # fmt: skip
+            _slope,
+            (t, question.duration),
+            y,
+            method,
+            dense_output=True,
+            events=gap,
+            args=(p, c, k, closed),
+            rtol=rtol,
+            atol=rig.ATOL_SHARE * rtol,
+            max_step=finer * longest,
+            first_step=min(1e-9, question.duration - t),
+        )
         count += found.nfev
         inside = (times > t) & (times <= found.t[-1])
         if inside.any():

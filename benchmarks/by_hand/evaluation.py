@@ -6,23 +6,23 @@ three must agree. Alone means inside a compiled loop, so calling the program doe
 shares every number but the clearance.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
-from benchmarks import four_bar_by_hand as by_hand
 import jax
 import jax.numpy as jnp
 import numpy as np
-from benchmarks.four_bar_variants import CLEARANCE, FULL, build, field_of, samples, with_clearance
+
+from benchmarks.by_hand import four_bar as by_hand
+from benchmarks.claims.four_bar_variants import (
+    CLEARANCE,
+    FULL,
+    build,
+    field_of,
+    samples,
+    with_clearance,
+)
 from benchmarks.measure import arguments, report, side_by_side
 
 # The states lie around the assembled start, which is consistent at time zero.

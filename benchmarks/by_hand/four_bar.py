@@ -304,8 +304,8 @@ def numba_batch(parallel: bool = False):
     def batch(time, states, p, clearances, stiffnesses, lower, upper, out):
         for j in loop(states.shape[0]):
             own = Parameters(
-                clearances[j], p.radius, p.length, stiffnesses[j], p.damping, p.memory_time, p.slowest,
-                p.mu_static, p.mu_kinetic, p.static_speed, p.kinetic_speed, p.wear,
+                clearances[j], p.radius, p.length, stiffnesses[j], p.damping, p.memory_time,
+                p.slowest, p.mu_static, p.mu_kinetic, p.static_speed, p.kinetic_speed, p.wear,
             )  # fmt: skip
             slopes = rate(time, states[j], own, lower, upper)
             for i in range(19):
@@ -340,8 +340,8 @@ def numba_runge_kutta(parallel: bool = False):
     def batch(steps, h, states, p, clearances, stiffnesses, lower, upper):
         for j in loop(states.shape[0]):
             own = Parameters(
-                clearances[j], p.radius, p.length, stiffnesses[j], p.damping, p.memory_time, p.slowest,
-                p.mu_static, p.mu_kinetic, p.static_speed, p.kinetic_speed, p.wear,
+                clearances[j], p.radius, p.length, stiffnesses[j], p.damping, p.memory_time,
+                p.slowest, p.mu_static, p.mu_kinetic, p.static_speed, p.kinetic_speed, p.wear,
             )  # fmt: skip
             advance(steps, h, states[j], own, lower, upper)
 

@@ -1,4 +1,4 @@
-"""The slider-crank of `peers_by_hand` once more in C: the same algorithm, line by line, compiled
+"""The slider-crank of `slider_crank` once more in C: the same algorithm, line by line, compiled
 for this machine.
 
 The source is a string, so that nothing is built when the package is installed; without a compiler
@@ -14,18 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.peers_by_hand import CENTRE, TOUCH_STEPS
-from benchmarks.peers_rig import Answer
+from benchmarks.by_hand.slider_crank import CENTRE, TOUCH_STEPS
+from benchmarks.peers.rig import Answer
 
 SOURCE = r"""
 #define _GNU_SOURCE
 #include <math.h>
-typedef struct { double crank, rod, slider, inertia, pull, speed, radius, modulus, damping, slowest, mu, inner, outer,
-                        memory_time; } P;
+typedef struct {
+    double crank, rod, slider, inertia, pull, speed, radius, modulus, damping, slowest, mu, inner;
+    double outer, memory_time;
+} P;
 typedef struct { double phi, x, w, u, m; } Y;
 typedef struct { double a, b, m, delta, rate, normal; } F;
 
-static inline F forces(const P *p, double c, double k, double ct, double st, double phi, double x, double w, double u, double m)
+static inline F forces(const P *p, double c, double k, double ct, double st, double phi, double x,
+                       double w, double u, double m)
 {
     double sphi, cphi;
     sincos(phi, &sphi, &cphi);
@@ -33,7 +36,8 @@ static inline F forces(const P *p, double c, double k, double ct, double st, dou
     double moment = p->pull * (st * cphi - ct * sphi), square = ex * ex + ey * ey;
     F f = {moment / p->inertia, 0, 0, -c, 0, 0};
     if (square < CENTRE * CENTRE * c * c) return f;
-    double vx = u + p->crank * p->speed * st + p->rod * w * sphi, vy = -p->crank * p->speed * ct - p->rod * w * cphi;
+    double vx = u + p->crank * p->speed * st + p->rod * w * sphi;
+    double vy = -p->crank * p->speed * ct - p->rod * w * cphi;
     double r = sqrt(square), nx = ex / r, ny = ey / r;
     double delta = f.delta = r - c, rate = f.rate = nx * vx + ny * vy;
     if (delta <= 0) {
@@ -114,7 +118,8 @@ double run(const P *p, double c, long saves, long per_save, double h, double *ou
     return peak;
 }
 
-void batch(const P *p, const double *clearances, long samples, long saves, long per_save, double h, double *out)
+void batch(const P *p, const double *clearances, long samples, long saves, long per_save, double h,
+           double *out)
 {
     #pragma omp parallel for schedule(dynamic, 1)
     for (long j = 0; j < samples; j++) {

@@ -2,17 +2,10 @@
 to end, on all cores.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import numpy as np
-from benchmarks.measure import arguments, report, side_by_side
 
 import jaxclear as jc
+from benchmarks.measure import arguments, report, side_by_side
 from jaxclear.commands.four_bar import problem
 
 STEP = 2e-5

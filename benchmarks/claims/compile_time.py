@@ -1,16 +1,11 @@
 """What a user waits for before the first result: `simulate` of the four-bar in a new process, by
 rung, without and with the persistent cache of compiled programs."""
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import os
 import subprocess
+import sys
 import tempfile
+from pathlib import Path
 
 from benchmarks.measure import arguments, report
 
@@ -47,7 +42,7 @@ def measured(integrator: str, cache: str | None) -> list[float]:
     """
     environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
     environment |= {"JAX_COMPILATION_CACHE_DIR": cache} if cache else {}
-    environment["PYTHONPATH"] = str(Path(__file__).parents[1])
+    environment["PYTHONPATH"] = str(Path(__file__).parents[2])
     program = PROGRAM.format(integrator=integrator)
     done = subprocess.run(
         [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True

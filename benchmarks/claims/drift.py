@@ -6,21 +6,15 @@ residual grows about as t^2, with it the residual settles where the loss of a st
 decay, as long as gain x step stays well below 2.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import argparse
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.measure import report
 
 import jaxclear as jc
+from benchmarks.measure import report
 
 DURATION, QUICK_DURATION, SAVES = 20.0, 2.0, 401
 GAINS = (None, 1.0, 10.0, 50.0, 200.0, 1000.0, "projection")

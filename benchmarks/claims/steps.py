@@ -6,27 +6,19 @@ numba. Compiled loops leave Python free, so chunks run side by side in threads. 
 compilation are not counted.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
-
 import os
 from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
-from benchmarks import four_bar_by_hand as by_hand
 import jax
 import jax.numpy as jnp
 import numpy as np
-from benchmarks.evaluation import case
-from benchmarks.four_bar_variants import build, start_of, with_clearance
-from benchmarks.measure import arguments, report, side_by_side
 
 import jaxclear as jc
+from benchmarks.by_hand import four_bar as by_hand
+from benchmarks.by_hand.evaluation import case
+from benchmarks.claims.four_bar_variants import build, start_of, with_clearance
+from benchmarks.measure import arguments, report, side_by_side
 from jaxclear.simulation.simulate import run
 
 SAVES = 11

@@ -1,7 +1,7 @@
 """One mechanism, both formulations: as contact stiffens, the compliant slider-crank becomes the
 nonsmooth one.
 
-The slider-crank of `peers_rig` at a moderate speed, its law one whose restitution does not depend
+The slider-crank of `peers.rig` at a moderate speed, its law one whose restitution does not depend
 on stiffness. The first impact comes at the same instant; it then takes a time in proportion to
 K^(-2/5) (Hertz), by which all that follows is late. Later impacts multiply differences until the
 paths have nothing in common. Moreau-Jean's own error goes with the step.
@@ -11,21 +11,16 @@ means over a few nearly equal runs. Steel takes 0.75 ms for the first impact, in
 slides on and the normal turns; stiffer contacts strike twice instead, as rigid ones do.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+
+import jaxclear as jc
 from benchmarks.measure import arguments, report
-from benchmarks.peers_rig import (
+from benchmarks.peers.rig import (
     CLEARANCE,
     CRANK,
     RADIUS,
@@ -35,8 +30,6 @@ from benchmarks.peers_rig import (
     ROD_MASS,
     SLIDER_MASS,
 )
-
-import jaxclear as jc
 from jaxclear.scenes.four_bar import four_bar
 
 SPEED = 100.0

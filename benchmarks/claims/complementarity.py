@@ -8,28 +8,21 @@ computed anew in numpy, is at most 1e-10 (InteriorPoint: with kappa = 1e-14). qu
 not counted.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import importlib.util
 
 import equinox as eqx
-from benchmarks.measure import arguments, report, side_by_side
 import jax
 import jax.numpy as jnp
 import numba
 import numpy as np
 
 import jaxclear  # noqa: F401  float64, and the compiler option
+from benchmarks.measure import arguments, report, side_by_side
 from jaxclear.complementarity import LCP
-from jaxclear.complementarity.semismooth_newton import SemismoothNewton
+from jaxclear.complementarity.friction_cone import FrictionContact, ProjectedGaussSeidel
 from jaxclear.complementarity.interior_point import InteriorPoint
 from jaxclear.complementarity.lemke import Lemke
-from jaxclear.complementarity.friction_cone import FrictionContact, ProjectedGaussSeidel
+from jaxclear.complementarity.semismooth_newton import SemismoothNewton
 
 SOLVERS = {
     "Lemke": Lemke,

@@ -1,11 +1,11 @@
-"""The slider-crank of `peers_rig`, written by hand for numba: what a user without a library would
+"""The slider-crank of `peers.rig`, written by hand for numba: what a user without a library would
 write.
 
 Coordinates are the rod's angle and the slider's place. Two ways to hold the impact speed: a memory
 that follows the approach speed, which is jaxclear's law (`memory_time` > 0), and exact capture, in
 which the step that would enter the contact is shortened to end at first touch (`memory_time` = 0).
-`peers_in_c` is the same in C. Beside the fixed steps stands an adaptive run, for a user who writes
-that by hand as well.
+`slider_crank_in_c` is the same in C. Beside the fixed steps stands an adaptive run, for a user who
+writes that by hand as well.
 """
 
 import math
@@ -13,7 +13,7 @@ import math
 import numba
 import numpy as np
 
-from benchmarks.peers_rig import ATOL_SHARE, Answer
+from benchmarks.peers.rig import ATOL_SHARE, Answer
 
 # Newton steps to first touch; the gap is nearly straight within a step.
 TOUCH_STEPS = 4

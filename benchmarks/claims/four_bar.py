@@ -8,23 +8,16 @@ differences beside them. The cost is that of one run alone, and of a sample in a
 is not counted.
 """
 
-import sys
-from pathlib import Path
-
-# Run as a file, Python looks into benchmarks/ first, where trace.py hides the standard module of
-# that name.
-sys.path[0] = str(Path(__file__).parents[1])
-
 import time
 
 import equinox as eqx
 import numpy as np
-from benchmarks.measure import alone, arguments, report
 
 import jaxclear as jc
+from benchmarks.measure import alone, arguments, report
+from jaxclear.integrators import Outcome
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.integrators import Outcome
 
 SAVES_PER_SECOND = 400
 # Clearances of the ensemble differ by this share: far below what moves a mean, far above rounding.

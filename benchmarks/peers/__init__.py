@@ -1,0 +1,1 @@
+"""jaxclear beside other programs, at equal accuracy."""
