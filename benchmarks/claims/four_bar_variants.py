@@ -14,7 +14,7 @@ import numpy as np
 
 import jaxclear as jc
 from jaxclear.laws.stiffness import HertzStiffness
-from jaxclear.multibody import dynamics
+from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.state import Layout, lay_out, unpack_motion
 from jaxclear.multibody.system import System, prepare, readings
 from jaxclear.simulation.simulate import Field, unworn
@@ -133,9 +133,10 @@ def constraint_rows(mechanism: jc.Mechanism) -> int:
     """Rows that close loops, those that the structure satisfies left out."""
     system, layout, _ = parts(mechanism)
     q, v = unpack_motion(system, list(start_of(mechanism)))
-    motions = dynamics.move(system, q, v, 0.0)
+    motions = kinematics.link_motions(system, q, v, 0.0)
     return sum(
-        len(dynamics.closure_rows(system, motions, closure).kept) for closure in system.closures
+        len(constraints.constraint_rows(system, motions, closure).kept)
+        for closure in system.closures
     )
 
 

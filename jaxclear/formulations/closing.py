@@ -6,10 +6,10 @@ from typing import Any
 
 from jaxclear.formulations.compliant import drift
 from jaxclear.formulations.contact_rows import ContactJacobianRow, along
-from jaxclear.formulations.contact_solve import by_limbs
+from jaxclear.formulations.contact_solve import by_subtrees
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import dynamics, tree
+from jaxclear.multibody import constraints, kinematics, tree
 from jaxclear.multibody.state import Layout, unpack_motion
 from jaxclear.multibody.system import System
 
@@ -19,14 +19,14 @@ def close(system: System, layout: Layout, time: Any, entries: list) -> list:
     they were.
     """
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
-    motions = dynamics.move(system, *unpack_motion(system, [*q, *v]), time)
-    found = [dynamics.closure_rows(system, motions, closure) for closure in system.closures]
+    motions = kinematics.link_motions(system, *unpack_motion(system, [*q, *v]), time)
+    found = [constraints.constraint_rows(system, motions, closure) for closure in system.closures]
     rows: list[ContactJacobianRow] = [row for closure in found for row in closure.jacobian]
-    limbs = (
-        tuple(tuple(part[i] for i in limb) for part in (system.links, motions))
-        for limb in system.topology.limbs
+    subtrees = (
+        kinematics.by_subtree(subtree, system.links, motions)
+        for subtree in system.topology.subtrees
     )
-    respond = by_limbs([tree.mass_matrix(*limb) for limb in limbs])
+    respond = by_subtrees([tree.mass_matrix(*subtree) for subtree in subtrees])
     answers = [respond([row.get(j, 0) for j in range(len(v))]) for row in rows]
     schur = factorisation.factor([[along(row, answer) for answer in answers] for row in rows])
 
@@ -36,7 +36,7 @@ def close(system: System, layout: Layout, time: Any, entries: list) -> list:
 
     values, rates = (
         [x for closure in found for x in part(closure)]
-        for part in (lambda c: c.values, lambda c: c.rates)
+        for part in (lambda c: c.residuals, lambda c: c.rates)
     )
     v = [sp.add(x, d) for x, d in zip(v, change(rates), strict=True)]
     return [*drift(system, q, q, change(values), 1.0), *v, *entries[layout.memory_start :]]

@@ -21,9 +21,10 @@ from jaxclear.formulations.state_rate import coordinate_rates, passive_rates
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
 from jaxclear.ground.numerics import positive_part, safe_divide
-from jaxclear.multibody import contact_point, dynamics
+from jaxclear.multibody import contact_point
 from jaxclear.multibody.contact_point import PointState, Response
 from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.state import Layout, pack_memories, unpack_memories, unpack_motion
 from jaxclear.multibody.system import System
@@ -297,7 +298,7 @@ def _passive(system, layout, free_motion, laws, motion, mean, middle, split, pus
     )
     forces = free_motion.forces._replace(reports=reports)
     if layout.energies:
-        forces = dynamics.act(
+        forces = applied_forces(
             system,
             free_motion.forces.motions,
             reports,

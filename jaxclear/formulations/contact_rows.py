@@ -18,9 +18,9 @@ from jaxclear.ground.grouping import map_alike
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.pose import STILL, Pose
 from jaxclear.laws.friction import AbstractBristleFriction
-from jaxclear.multibody import contact_point, dynamics, loops
+from jaxclear.multibody import constraints, contact_point, dynamics, kinematics, loops
 from jaxclear.multibody.contact_point import BRISTLE_RELEASE, GapFunction, PointState
-from jaxclear.multibody.dynamics import Forces
+from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.system import System
 
@@ -39,8 +39,8 @@ class ContactPoint(NamedTuple):
 
 class FreeMotion(NamedTuple):
     """Equations of motion at an instant with the contacts set apart: everything else that acts,
-    mass matrix per limb and generalised forces, closure rows with the accelerations they ask for,
-    poses of the journals, and the contacts."""
+    mass matrix per subtree and generalised forces, closure rows with the accelerations they ask
+    for, poses of the journals, and the contacts."""
 
     forces: Forces
     masses: list
@@ -84,12 +84,14 @@ def free_motion(
     system: System, stabilisation: Baumgarte | None, worn: dict, time: Any, q: tuple, v: tuple
 ) -> FreeMotion:
     """The equations of motion at an instant, contacts apart."""
-    motions = dynamics.move(system, q, v, time)
+    motions = kinematics.link_motions(system, q, v, time)
     poses, contacts = contact_points(system, motions, worn)
-    forces = dynamics.act(system, motions, {}, q, v, time)
-    masses, right = dynamics.equations(system, forces)
+    forces = applied_forces(system, motions, {}, q, v, time)
+    masses, right = dynamics.equations_of_motion(system, forces)
     rows, wanted = (
-        dynamics.closure_targets(system, motions, stabilisation) if system.closures else ([], [])
+        constraints.acceleration_equations(system, motions, stabilisation)
+        if system.closures
+        else ([], [])
     )
     return FreeMotion(
         forces, masses, tuple(x for part in right for x in part), rows, wanted, poses, contacts
@@ -98,10 +100,10 @@ def free_motion(
 
 def depths(system: System, worn: dict, time: Any, q: tuple, v: tuple) -> list:
     """Indentation of every possible contact [m], from the geometry alone."""
-    motions = dynamics.move(system, q, v, time)
+    motions = kinematics.link_motions(system, q, v, time)
     calls = []
     for name, bearing in system.bearings.items():
-        pose = dynamics.relative_motion(bearing.closure, motions)[1]
+        pose = kinematics.relative_motion(bearing.closure, motions)[1]
         calls.append((bearing.joint, pose, worn.get(name, {})))
     return [depth for joint in map_alike(contact_point.depths, calls) for depth in joint]
 
@@ -114,7 +116,7 @@ def contact_points(
     poses, calls = {}, []
     for name in names:
         bearing = system.bearings[name]
-        relative = dynamics.relative_motion(bearing.closure, motions)[2]
+        relative = kinematics.relative_motion(bearing.closure, motions)[2]
         poses[name] = relative.pose
         calls.append((bearing.joint, relative, worn.get(name, {})))
 
@@ -152,7 +154,7 @@ def _rows(system, motions, bearing, pose, gap_functions):
     ]
     ends = ((closure.parent_link, closure.parent), (closure.child_link, closure.child))
     for side, (link, marker) in enumerate(ends):
-        for j, column in dynamics.jacobian_columns(system, motions, link).items():
+        for j, column in kinematics.jacobian_columns(system, motions, link).items():
             twist = loops.marker_twist(column, marker)
             pair = (twist, STILL) if side == 0 else (STILL, twist)
             velocity, spin = loops.relative_velocity(pose, *pair)

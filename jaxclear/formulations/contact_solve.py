@@ -87,8 +87,8 @@ def prepare(free_motion: FreeMotion) -> Split:
     return Split(free, multipliers, way(mass, rows))
 
 
-def by_limbs(masses: list) -> Callable:
-    """Accelerations under generalised forces, by the mass matrix of each limb; structurally zero
+def by_subtrees(masses: list) -> Callable:
+    """Accelerations under generalised forces, by the mass matrix of each subtree; structurally zero
     where no force acts.
     """
     factors = [factorisation.factor(mass) if mass else None for mass in masses]
@@ -108,7 +108,7 @@ def _inverse(free_motion: FreeMotion) -> tuple[Callable, Callable]:
     """(accelerations under generalised forces, the same corrected to what the closures want with
     its multipliers).
     """
-    respond = by_limbs(free_motion.masses)
+    respond = by_subtrees(free_motion.masses)
     closures, size = free_motion.closure_rows, len(free_motion.right)
     carried = [respond([row.get(j, 0) for j in range(size)]) for row in closures]
     held = (
@@ -131,7 +131,7 @@ def _inverse(free_motion: FreeMotion) -> tuple[Callable, Callable]:
 
 
 def _whole(masses: list) -> list[list]:
-    """Mass matrices of the limbs as one."""
+    """Mass matrices of the subtrees as one."""
     size = sum(len(mass) for mass in masses)
     out: list[list[Any]] = [[0] * size for _ in range(size)]
     start = 0

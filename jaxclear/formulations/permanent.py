@@ -21,8 +21,9 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import FLIP
 from jaxclear.laws.friction import AbstractSlipFriction, set_valued
-from jaxclear.multibody import dynamics
-from jaxclear.multibody.dynamics import Forces, Solution
+from jaxclear.multibody import constraints, dynamics, energy, kinematics
+from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody.forces import Forces, add_action_and_reaction, applied_forces
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.state import Layout, unpack_motion
 from jaxclear.multibody.system import System
@@ -107,8 +108,8 @@ def slip_of(system: System, motions: tuple, held: PermanentJoint, speeds: list) 
         return Slip({system.topology.branches[held.link].speeds.start: 1}, 0)
     rates = lambda pose, velocity, spin: (held.joint.along(velocity, spin),)
     closure = system.closures[held.loop]
-    _, pose, relative = dynamics.relative_motion(closure, motions)
-    (row,) = dynamics.relative_rows(system, motions, closure, pose, rates)
+    _, pose, relative = kinematics.relative_motion(closure, motions)
+    (row,) = kinematics.relative_jacobian(system, motions, closure, pose, rates)
     return Slip(row, sp.sub(held.joint.along(relative.velocity, relative.spin), along(row, speeds)))
 
 
@@ -149,8 +150,8 @@ def step(
     halfway = displace(system, q, q, v, 0.5 * h)
     at = unpack_motion(system, [*halfway, *middle])
     time = time_step.start + 0.5 * h
-    motions = dynamics.move(system, *at, time)
-    forces = dynamics.act(system, motions, {}, *at, time)
+    motions = kinematics.link_motions(system, *at, time)
+    forces = applied_forces(system, motions, {}, *at, time)
     held = touching(system)
     slips = [slip_of(system, motions, one, middle) for one in held]
 
@@ -181,7 +182,7 @@ def step(
             tuple(tuple(found.accelerations[b.speeds]) for b in system.topology.branches),
             found.multipliers,
         )
-        rates = dynamics.powers(system, with_friction(system, forces, friction), solution)
+        rates = energy.powers(system, with_friction(system, forces, friction), solution)
         rates[3] = -sp.total(
             joint.arm * friction[k] * slips[k].at(mean) for k, joint in enumerate(joints)
         )
@@ -199,21 +200,21 @@ def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
             coordinate_forces[held.link] = (sp.add(own, held.joint.arm * friction[k]),)
             continue
         closure = system.closures[held.loop]
-        pose = dynamics.relative_motion(closure, forces.motions)[1]
-        dynamics.add_pair(wrenches, closure, pose, *held.joint.push(friction[k]))
+        pose = kinematics.relative_motion(closure, forces.motions)[1]
+        add_action_and_reaction(wrenches, closure, pose, *held.joint.push(friction[k]))
     return forces._replace(wrenches=tuple(wrenches), coordinate_forces=tuple(coordinate_forces))
 
 
 def _answer(system, stabilisation, forces, motions, q, touching_joints, friction) -> Answer:
     """How the mechanism answers friction [N] in its touching joints."""
     forces = with_friction(system, forces, friction)
-    solution = dynamics.solve(system, forces, stabilisation)
+    solution = dynamics.forward_dynamics(system, forces, stabilisation)
     wrenches = dynamics.joint_wrenches(system, forces, solution)
     closed = []
     if any(held.link is None for held in touching_joints):
         closed = [
             Reaction(force, torque)
-            for _, force, torque, _ in dynamics.closure_wrenches(
+            for _, force, torque, _ in constraints.constraint_wrenches(
                 system, motions, solution.multipliers
             )
         ]

@@ -8,7 +8,7 @@ from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.permanent import AbstractPermanentJoint, PermanentRevolute, permanent_joint
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import assembly, dynamics
+from jaxclear.multibody import assembly, kinematics
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import prepare
@@ -61,13 +61,13 @@ def _carried_over(mechanism: Mechanism, branches: list[Branch]) -> dict[str, tup
     """
     found = assembly.assembled(mechanism, True)
     system = prepare(mechanism)
-    motions = dynamics.move(
+    motions = kinematics.link_motions(
         system, *unpack_motion(system, [*found.coordinates, *found.speeds]), 0.0
     )
     out: dict[str, tuple[tuple, tuple]] = {}
     for branch in branches:
         bearing = system.bearings[branch.connection]
-        _, pose, relative = dynamics.relative_motion(bearing.closure, motions)
+        _, pose, relative = kinematics.relative_motion(bearing.closure, motions)
         joint = permanent_joint(branch.connection, bearing.joint)
         if not isinstance(joint, AbstractPermanentJoint):
             out[branch.connection] = _ball(pose.rotation, relative.spin, branch.reversed)

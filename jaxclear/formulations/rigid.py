@@ -30,9 +30,10 @@ from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.contact import Rigid
 from jaxclear.laws.friction import Coulomb, set_valued
 from jaxclear.laws.restitution import restitution
-from jaxclear.multibody import contact_point, dynamics
+from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.contact_point import PointState, Response
 from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.state import Layout, component_count, unpack_motion
 from jaxclear.multibody.system import System
@@ -314,7 +315,9 @@ def _passive(system, layout, free_motion, push, settling, found, change, mean, t
         # Loads work along the mean speeds: those of the middle know nothing of the impulses against
         # which the loads press.
         middle = time_step.start + 0.5 * h
-        acting = dynamics.act(system, dynamics.move(system, *mean, middle), reports, *mean, middle)
+        acting = applied_forces(
+            system, kinematics.link_motions(system, *mean, middle), reports, *mean, middle
+        )
     total = [sp.add(k, sp.mul(1 / h, c)) for k, c in zip(found.free, push.changes, strict=True)]
     multipliers = tuple(
         sp.add(a, sp.mul(1 / h, b))

@@ -3,9 +3,10 @@
 from typing import Any
 
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import dynamics
+from jaxclear.multibody import dynamics, energy, kinematics
 from jaxclear.multibody.contact_point import JointReport
-from jaxclear.multibody.dynamics import Forces, Solution
+from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody.forces import Forces, applied_forces, contact_reports
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.state import Layout, pack_memories, unpack_memories, unpack_motion
 from jaxclear.multibody.system import System
@@ -15,8 +16,8 @@ def reports_at(
     system: System, layout: Layout, worn: dict, time: Any, entries: Any
 ) -> dict[str, JointReport]:
     """Report of every clearance joint, without the equations of motion."""
-    motions = dynamics.move(system, *unpack_motion(system, entries), time)
-    return dynamics.touch(system, motions, unpack_memories(layout, entries), worn)
+    motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
+    return contact_reports(system, motions, unpack_memories(layout, entries), worn)
 
 
 def evaluate(
@@ -31,10 +32,10 @@ def evaluate(
     joints.
     """
     q, v = unpack_motion(system, entries)
-    motions = dynamics.move(system, q, v, time)
-    reports = dynamics.touch(system, motions, unpack_memories(layout, entries), worn)
-    forces = dynamics.act(system, motions, reports, q, v, time)
-    solution = dynamics.solve(system, forces, stabilisation)
+    motions = kinematics.link_motions(system, q, v, time)
+    reports = contact_reports(system, motions, unpack_memories(layout, entries), worn)
+    forces = applied_forces(system, motions, reports, q, v, time)
+    solution = dynamics.forward_dynamics(system, forces, stabilisation)
     rates = [
         *coordinate_rates(system, q, v),
         *(a for accelerations in solution.accelerations for a in accelerations),
@@ -63,5 +64,5 @@ def passive_rates(system: System, layout: Layout, forces: Forces, solution: Solu
         out.append(volume)
         out.extend(sp.mul(volume, features[i]) for i in slot.averaged)
     if layout.energies:
-        out.extend(dynamics.powers(system, forces, solution))
+        out.extend(energy.powers(system, forces, solution))
     return out

@@ -19,7 +19,7 @@ from jaxclear.components.joint import Free, Spherical
 from jaxclear.components.permanent import AbstractPermanentJoint
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import dynamics
+from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, prepare
@@ -123,13 +123,18 @@ def _rows(system, closures, q, v, time):
     motion changes.
     """
     own_q, own_v = unpack_motion(system, list(q) + list(v))
-    motions = dynamics.move(system, own_q, own_v, time)
+    motions = kinematics.link_motions(system, own_q, own_v, time)
     out = {}
     for name, closure in closures.items():
-        found = dynamics.closure_rows(system, motions, closure)
+        found = constraints.constraint_rows(system, motions, closure)
         rows = tuple(tuple(row.get(j, 0) for j in range(len(v))) for row in found.jacobian)
         jacobian = factorisation.to_array(rows).reshape(len(rows), len(v))
-        out[name] = (sp.stack(found.values), sp.stack(found.rates), jacobian, sp.stack(found.fixed))
+        out[name] = (
+            sp.stack(found.residuals),
+            sp.stack(found.rates),
+            jacobian,
+            sp.stack(found.fixed),
+        )
     return out
 
 
@@ -148,7 +153,9 @@ def assemble_arrays(mechanism: Mechanism, concentric: bool = True, time: float =
     closures = named_closures(system, concentric)
     q, v = guess(mechanism)
     _check_flat_bodies(
-        mechanism, system, dynamics.move(system, *unpack_motion(system, list(q) + list(v)), time)
+        mechanism,
+        system,
+        kinematics.link_motions(system, *unpack_motion(system, list(q) + list(v)), time),
     )
     if not closures or v.shape[0] == 0:
         return _started(q, v, _rows(system, closures, q, v, time))

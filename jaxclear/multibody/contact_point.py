@@ -16,22 +16,13 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, rounded_norm, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.friction import AbstractBristleFriction
+from jaxclear.multibody.loops import Relative
 
 # Slip speeds are rounded here [m/s]: far below any transition speed, only so that the direction of
 # slip exists at rest.
 SLIP_ROUNDING = 1e-14
 # Time [s] in which the bristles of an open contact straighten.
 BRISTLE_RELEASE = 1e-4
-
-
-class Relative(NamedTuple):
-    """Motion of the journal's marker as seen from the (moving) bearing's marker, in the bearing's
-    axes.
-    """
-
-    pose: Pose
-    velocity: sp.Vec
-    spin: sp.Vec
 
 
 class PointState(NamedTuple):

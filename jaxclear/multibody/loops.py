@@ -13,7 +13,7 @@ import equinox as eqx
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, STILL, Pose, Twist
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.multibody.tree import carry_twist
+from jaxclear.multibody.tree import transform_twist
 
 AXIS = {"x": 0, "y": 1, "z": 2}
 
@@ -47,6 +47,17 @@ class Closure(eqx.Module):
     rows: tuple[str, ...] = eqx.field(static=True)
 
 
+class Relative(NamedTuple):
+    """Motion of the child's marker as seen from the (moving) parent's marker, in the parent
+    marker's axes: pose, velocity [m/s] and angular velocity [rad/s]. In a clearance joint the
+    child's marker is the journal's, the parent's the bearing's.
+    """
+
+    pose: Pose
+    velocity: sp.Vec
+    spin: sp.Vec
+
+
 class Sides(NamedTuple):
     """Marker frames of a closure at an instant: poses in the ground, twists and accelerations in
     their own axes.
@@ -64,7 +75,7 @@ def marker_pose(link_pose: Pose | None, marker: Pose) -> Pose:
 
 def marker_twist(twist: Twist | None, marker: Pose) -> Twist:
     """Twist (or spatial acceleration) of a marker, from that of its link."""
-    return STILL if twist is None else carry_twist(marker, twist)
+    return STILL if twist is None else transform_twist(marker, twist)
 
 
 def sides(closure: Closure, poses: tuple, twists: tuple) -> Sides:

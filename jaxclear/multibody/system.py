@@ -58,9 +58,9 @@ def prepare(mechanism: Mechanism) -> System:
     """The system of a mechanism."""
     topology = mechanism.topology
     links: list[Link] = []
-    for limb in topology.limbs:
-        for position in limb:
-            links.append(_link(mechanism, position, limb, links))
+    for subtree in topology.subtrees:
+        for position in subtree:
+            links.append(_link(mechanism, position, subtree, links))
     frames = {GROUND: REST} | {
         branch.body: link.frame for branch, link in zip(topology.branches, links, strict=True)
     }
@@ -95,7 +95,7 @@ def prepare(mechanism: Mechanism) -> System:
     return System(tuple(links), closures, closing, bearings, loads, markers, gravity, topology)
 
 
-def _link(mechanism: Mechanism, position: int, limb: tuple[int, ...], links: list[Link]) -> Link:
+def _link(mechanism: Mechanism, position: int, subtree: tuple[int, ...], links: list[Link]) -> Link:
     topology = mechanism.topology
     branch = topology.branches[position]
     body = mechanism.bodies[branch.body]
@@ -122,7 +122,7 @@ def _link(mechanism: Mechanism, position: int, limb: tuple[int, ...], links: lis
         body.mass,
         sp.scale(body.mass, centre),
         sp.shift_inertia(inertia, body.mass, sp.ZERO, centre),
-        -1 if parent is None else limb.index(parent),
+        -1 if parent is None else subtree.index(parent),
     )
 
 

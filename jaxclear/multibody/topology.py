@@ -31,12 +31,12 @@ class Branch:
 
 @dataclass(frozen=True)
 class Topology:
-    """Static structure of a mechanism. `limbs` are the independent subtrees, as tuples of indices
+    """Static structure of a mechanism. `subtrees` are the independent subtrees, as tuples of indices
     of branches.
     """
 
     branches: tuple[Branch, ...]
-    limbs: tuple[tuple[int, ...], ...]
+    subtrees: tuple[tuple[int, ...], ...]
     loops: tuple[str, ...]
     clearances: tuple[str, ...]
     coordinate_count: int
@@ -111,17 +111,17 @@ def _lay_out(order, loops, bodies, connections):
     children: dict[str, list] = {}
     for entry in order:
         children.setdefault(entry[2], []).append(entry)
-    sequence, limbs = [], []
+    sequence, subtrees = [], []
 
-    def visit(entry, limb):
-        limb.append(len(sequence))
+    def visit(entry, subtree):
+        subtree.append(len(sequence))
         sequence.append(entry)
         for child in children.get(entry[0], []):
-            visit(child, limb)
+            visit(child, subtree)
 
     for root in children.get(GROUND, []):
-        limbs.append([])
-        visit(root, limbs[-1])
+        subtrees.append([])
+        visit(root, subtrees[-1])
     branches, q, v = [], 0, 0
     for body, name, parent, turned in sequence:
         joint = free_joint(bodies[body]) if name is None else connections[name].joint
@@ -131,4 +131,4 @@ def _lay_out(order, loops, bodies, connections):
         branches.append(Branch(body, name, parent, turned, slice(q, q + nq), slice(v, v + nv)))
         q, v = q + nq, v + nv
     clearances = tuple(n for n, c in connections.items() if isinstance(c.joint, AbstractClearance))
-    return Topology(tuple(branches), tuple(map(tuple, limbs)), tuple(loops), clearances, q, v)
+    return Topology(tuple(branches), tuple(map(tuple, subtrees)), tuple(loops), clearances, q, v)

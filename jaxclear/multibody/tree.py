@@ -1,9 +1,10 @@
-"""Kinematics and dynamics of one limb of the spanning tree, in body axes (Featherstone 2008,
-chapters 5 and 6).
+r"""Recursions over one subtree of the spanning tree, in body axes: forward kinematics, recursive
+Newton-Euler, composite rigid bodies.
 
 Each link's own frame sits at its inboard joint, so most joint motions and inertias are sparse or
-constant. Accelerations are spatial; gravity enters as an upward acceleration of the ground. `bias`
-are the forces that hold zero accelerations: M(q) dv/dt + bias(q, v, t) = generalised forces.
+constant. Accelerations are spatial; gravity enters as an upward acceleration of the ground. The
+bias forces hold zero accelerations: :math:`M(q) \dot v + b(q, v, t) = f`. Source: Featherstone
+2008, Rigid Body Dynamics Algorithms, chapters 5 and 6, doi:10.1007/978-1-4899-7560-7.
 """
 
 from typing import Any, NamedTuple
@@ -27,32 +28,36 @@ NOTHING = Wrench(sp.ZERO, sp.ZERO)
 
 
 class Link(eqx.Module):
-    """A body ready for the recursion: numbers of a mechanism, moved into the link's own frame."""
+    """A body ready for the recursions, its numbers in the link's own frame: mass [kg], first moment
+    of mass [kg m] and inertia [kg m2] about its origin. `base`: the inboard joint's frame in the
+    parent link; `frame`: the link's frame in the body's; `parent`: index in the subtree, -1 for
+    the ground.
+    """
 
     joint: AbstractJoint
     base: Pose
     frame: Pose
     mass: Scalar
-    moment: sp.Vec
+    first_moment: sp.Vec
     inertia: sp.Mat
     parent: int = eqx.field(static=True)
 
 
 class Motion(NamedTuple):
-    """Motion of one link: pose in the parent link and in the ground, twist, joint columns, and the
-    part of its acceleration relative to the parent that does not depend on the free
-    accelerations."""
+    """Motion of one link: pose in the parent link and in the ground, twist, twist of each free unit
+    speed of its joint, and the bias acceleration: the part relative to the parent that does not
+    depend on the free accelerations."""
 
     relative: Pose
     pose: Pose
     twist: Twist
     columns: tuple[Twist, ...]
-    own: Twist
+    bias: Twist
 
 
-def carry_twist(relative: Pose, twist: Twist) -> Twist:
-    """A parent's twist (or spatial acceleration) seen from the child's frame, the two rigidly
-    joined.
+def transform_twist(relative: Pose, twist: Twist) -> Twist:
+    """A parent's twist (or spatial acceleration) in the child's frame, the two rigidly joined:
+    the motion transform from parent to child.
     """
     linear = sp.plus(twist.linear, sp.cross(twist.angular, relative.translation))
     return Twist(
@@ -61,8 +66,9 @@ def carry_twist(relative: Pose, twist: Twist) -> Twist:
     )
 
 
-def carry_wrench(relative: Pose, wrench: Wrench) -> Wrench:
-    """A wrench on the child, about the child's origin, moved to the parent's frame."""
+def transform_wrench(relative: Pose, wrench: Wrench) -> Wrench:
+    """A wrench on the child, about the child's origin, in the parent's frame: the force transform
+    from child to parent."""
     force = sp.apply(relative.rotation, wrench.force)
     torque = sp.plus(
         sp.apply(relative.rotation, wrench.torque), sp.cross(relative.translation, force)
@@ -74,8 +80,8 @@ def add_twists(*twists: Twist) -> Twist:
     return Twist(sp.plus(*[t.linear for t in twists]), sp.plus(*[t.angular for t in twists]))
 
 
-def combine(columns: tuple[Twist, ...], factors: tuple) -> Twist:
-    """Sum of columns times factors."""
+def linear_combination(columns: tuple[Twist, ...], factors: tuple) -> Twist:
+    """Sum of factors times columns."""
     scaled = [
         Twist(sp.scale(f, c.linear), sp.scale(f, c.angular))
         for c, f in zip(columns, factors, strict=True)
@@ -83,16 +89,15 @@ def combine(columns: tuple[Twist, ...], factors: tuple) -> Twist:
     return add_twists(STILL, *scaled)
 
 
-def work(twist: Twist, wrench: Wrench) -> Any:
-    """Power of a wrench along a twist."""
+def power(twist: Twist, wrench: Wrench) -> Any:
+    """Power of a wrench along a twist [W]."""
     return sp.add(sp.dot(twist.linear, wrench.force), sp.dot(twist.angular, wrench.torque))
 
 
-def move(
+def link_motions(
     links: tuple[Link, ...], coordinates: tuple, speeds: tuple, time: Scalar
 ) -> tuple[Motion, ...]:
-    """Poses and twists of a limb from root to tips; driven joints take their motion from the
-    time."""
+    """Motions from root to tips; driven joints take theirs from the time [s]."""
     motions: list[Motion] = []
     for link, q, v in zip(links, coordinates, speeds, strict=True):
         drive = drive_of(link.joint)
@@ -101,38 +106,48 @@ def move(
             q, v, acceleration = ((part,) for part in drive.motion(time))
         relative = link.base.after(link.joint.motion(q))
         columns = link.joint.columns(q)
-        slide = combine(columns, v)
+        joint_twist = linear_combination(columns, v)
         parent = motions[link.parent] if link.parent >= 0 else None
-        twist = add_twists(carry_twist(relative, parent.twist), slide) if parent else slide
+        twist = (
+            add_twists(transform_twist(relative, parent.twist), joint_twist)
+            if parent
+            else joint_twist
+        )
         pose = parent.pose.after(relative) if parent else relative
         spin = Twist(
-            sp.plus(sp.cross(twist.linear, slide.angular), sp.cross(twist.angular, slide.linear)),
-            sp.cross(twist.angular, slide.angular),
+            sp.plus(
+                sp.cross(twist.linear, joint_twist.angular),
+                sp.cross(twist.angular, joint_twist.linear),
+            ),
+            sp.cross(twist.angular, joint_twist.angular),
         )
-        own = add_twists(spin, combine(columns, acceleration) if drive is not None else STILL)
-        bias = link.joint.bias(q, v)
-        own = add_twists(own, bias) if bias is not None else own
-        motions.append(Motion(relative, pose, twist, columns if drive is None else (), own))
+        bias = spin
+        if drive is not None:
+            bias = add_twists(bias, linear_combination(columns, acceleration))
+        change = link.joint.bias(q, v)
+        if change is not None:
+            bias = add_twists(bias, change)
+        motions.append(Motion(relative, pose, twist, () if drive is not None else columns, bias))
     return tuple(motions)
 
 
-def accelerate(
+def link_accelerations(
     links: tuple[Link, ...], motions: tuple[Motion, ...], rates: tuple | None, ground: sp.Vec
 ) -> tuple[Twist, ...]:
-    """Spatial accelerations for given free accelerations `rates` (None: zero) and acceleration of
-    the ground.
+    """Spatial accelerations for given free accelerations `rates` by link (None: zero) and
+    acceleration of the ground.
     """
     accelerations: list[Twist] = []
     for index, (link, motion) in enumerate(zip(links, motions, strict=True)):
         inboard = accelerations[link.parent] if link.parent >= 0 else Twist(ground, sp.ZERO)
-        parts = [carry_twist(motion.relative, inboard), motion.own]
+        parts = [transform_twist(motion.relative, inboard), motion.bias]
         if rates is not None:
-            parts.append(combine(motion.columns, rates[index]))
+            parts.append(linear_combination(motion.columns, rates[index]))
         accelerations.append(add_twists(*parts))
     return tuple(accelerations)
 
 
-def transmit(
+def joint_wrenches(
     links: tuple[Link, ...],
     motions: tuple[Motion, ...],
     accelerations: tuple[Twist, ...],
@@ -145,19 +160,19 @@ def transmit(
     for link, motion, acceleration, load in zip(links, motions, accelerations, loads, strict=True):
         velocity = motion.twist
         momentum = sp.plus(
-            sp.scale(link.mass, velocity.linear), sp.cross(velocity.angular, link.moment)
+            sp.scale(link.mass, velocity.linear), sp.cross(velocity.angular, link.first_moment)
         )
         spin = sp.plus(
-            sp.apply(link.inertia, velocity.angular), sp.cross(link.moment, velocity.linear)
+            sp.apply(link.inertia, velocity.angular), sp.cross(link.first_moment, velocity.linear)
         )
         force = sp.plus(
             sp.scale(link.mass, acceleration.linear),
-            sp.cross(acceleration.angular, link.moment),
+            sp.cross(acceleration.angular, link.first_moment),
             sp.cross(velocity.angular, momentum),
         )
         torque = sp.plus(
             sp.apply(link.inertia, acceleration.angular),
-            sp.cross(link.moment, acceleration.linear),
+            sp.cross(link.first_moment, acceleration.linear),
             sp.cross(velocity.angular, spin),
             sp.cross(velocity.linear, momentum),
         )
@@ -165,7 +180,7 @@ def transmit(
     for index in range(len(links) - 1, -1, -1):
         parent = links[index].parent
         if parent >= 0:
-            passed = carry_wrench(motions[index].relative, through[index])
+            passed = transform_wrench(motions[index].relative, through[index])
             through[parent] = Wrench(
                 sp.plus(through[parent].force, passed.force),
                 sp.plus(through[parent].torque, passed.torque),
@@ -177,17 +192,19 @@ def bias_forces(links, motions, ground: sp.Vec, loads: tuple[Wrench, ...]) -> tu
     """Generalised forces, one per free speed, that hold zero free accelerations against motion,
     gravity and loads.
     """
-    through = transmit(links, motions, accelerate(links, motions, None, ground), loads)
+    through = joint_wrenches(
+        links, motions, link_accelerations(links, motions, None, ground), loads
+    )
     return tuple(
-        work(column, wrench)
+        power(column, wrench)
         for motion, wrench in zip(motions, through, strict=True)
         for column in motion.columns
     )
 
 
 def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[tuple, ...]:
-    """Mass matrix of a limb as rows of sparse scalars (composite rigid bodies)."""
-    composite = [(link.mass, link.moment, link.inertia) for link in links]
+    """Mass matrix of a subtree as rows of sparse scalars, by composite rigid bodies."""
+    composite = [(link.mass, link.first_moment, link.inertia) for link in links]
     for index in range(len(links) - 1, -1, -1):
         parent = links[index].parent
         if parent >= 0 and _moves(links, motions, parent):
@@ -217,10 +234,10 @@ def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[t
         while other >= 0:
             for m, against in enumerate(motions[other].columns):
                 if other < index or m <= k:
-                    entry = work(against, wrench)
+                    entry = power(against, wrench)
                     rows[position[index, k]][position[other, m]] = entry
                     rows[position[other, m]][position[index, k]] = entry
-            wrench = carry_wrench(motions[other].relative, wrench)
+            wrench = transform_wrench(motions[other].relative, wrench)
             other = links[other].parent
     return tuple(map(tuple, rows))
 

@@ -23,7 +23,7 @@ from jaxclear.components.permanent import (
 from jaxclear.formulations import permanent
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.multibody import dynamics
+from jaxclear.multibody import kinematics
 from jaxclear.multibody.system import prepare
 from jaxclear.results.trajectory import (
     ContactHistory,
@@ -86,7 +86,7 @@ def _speed(run: Trajectory, name: str) -> Float[Array, " time"]:
 
     def one(now):
         closure = now.system.closures[now.system.topology.loops.index(name)]
-        relative = dynamics.relative_motion(closure, now.motions)[2]
+        relative = kinematics.relative_motion(closure, now.motions)[2]
         return joint.along(relative.velocity, relative.spin)
 
     return over_time(run, one)

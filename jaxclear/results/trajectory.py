@@ -18,8 +18,9 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.integrators.base import COMPLIANT, PERMANENT, RIGID
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.multibody import dynamics, state
+from jaxclear.multibody import constraints, dynamics, energy, kinematics, state
 from jaxclear.multibody.contact_point import JointReport
+from jaxclear.multibody.forces import Forces, applied_forces, contact_reports
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import System, prepare
 
@@ -276,12 +277,14 @@ class Instant(NamedTuple):
                 self.read,
                 [self.means[i] for i in range(len(self.means))],
             )
-        return dynamics.touch(
+        return contact_reports(
             self.system, self.motions, state.unpack_memories(self.layout, self.entries), self.read
         )
 
-    def forces(self) -> dynamics.Forces:
-        forces = dynamics.act(self.system, self.motions, self.reports(), self.q, self.v, self.time)
+    def forces(self) -> Forces:
+        forces = applied_forces(
+            self.system, self.motions, self.reports(), self.q, self.v, self.time
+        )
         # Present only in runs of joints that always touch: friction, the last component of each
         # one's mean forces.
         count = len(permanent.touching(self.system))
@@ -300,7 +303,15 @@ def over_time(trajectory: Trajectory, function: Any) -> Any:
     def one(time, entries, read, means):
         q, v = state.unpack_motion(system, entries)
         instant = Instant(
-            system, layout, dynamics.move(system, q, v, time), q, v, time, entries, read, means
+            system,
+            layout,
+            kinematics.link_motions(system, q, v, time),
+            q,
+            v,
+            time,
+            entries,
+            read,
+            means,
         )
         return sp.dense(function(instant))
 
@@ -356,7 +367,7 @@ def _arrays(history):
 def _contact(trajectory, name):
     def one(now):
         report = now.reports()[name]
-        pose = dynamics.relative_motion(now.system.bearings[name].closure, now.motions)[1]
+        pose = kinematics.relative_motion(now.system.bearings[name].closure, now.motions)[1]
         axis = sp.transpose(pose.rotation)[2]
         points = report.points
         fields = [
@@ -375,7 +386,7 @@ def _reaction(trajectory, name):
 
     def one(now):
         system, motions, forces = now.system, now.motions, now.forces()
-        solution = dynamics.solve(system, forces, trajectory.mechanism.baumgarte)
+        solution = dynamics.forward_dynamics(system, forces, trajectory.mechanism.baumgarte)
         branch = topology.branch_of(name)
         if branch is not None:
             index = topology.branches.index(branch)
@@ -390,9 +401,9 @@ def _reaction(trajectory, name):
             force, torque = report.force, report.torque
         else:
             wanted = system.closures[topology.loops.index(name)]
-            found = dynamics.closure_wrenches(system, motions, solution.multipliers)
+            found = constraints.constraint_wrenches(system, motions, solution.multipliers)
             closure, force, torque, _ = next(entry for entry in found if entry[0] is wanted)
-        rotation = dynamics.relative_motion(closure, motions)[0].parent_pose.rotation
+        rotation = kinematics.relative_motion(closure, motions)[0].parent_pose.rotation
         return ReactionHistory(sp.apply(rotation, force), sp.apply(rotation, torque))
 
     return _arrays(over_time(trajectory, one))
@@ -403,7 +414,11 @@ def _drift(trajectory):
     def one(now):
         return {
             name: jnp.max(
-                jnp.abs(sp.stack(dynamics.closure_rows(now.system, now.motions, closure).values)),
+                jnp.abs(
+                    sp.stack(
+                        constraints.constraint_rows(now.system, now.motions, closure).residuals
+                    )
+                ),
                 initial=0.0,
             )
             for name, closure in zip(now.system.topology.loops, now.system.closures, strict=True)
@@ -416,7 +431,7 @@ def _drift(trajectory):
 def _energies(trajectory):
     def one(now):
         return (
-            *dynamics.mechanical_energy(now.system, now.forces()),
+            *energy.mechanical_energy(now.system, now.forces()),
             *now.entries[now.layout.energy_start :],
         )
 

@@ -12,7 +12,7 @@ from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.permanent import PermanentPrismatic, PermanentRevolute
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST
-from jaxclear.multibody import dynamics, loops
+from jaxclear.multibody import constraints, kinematics, loops
 from jaxclear.multibody.system import prepare
 
 ALL_ROWS = ("x", "y", "z") + tuple(f"{a}.{b}" for a in "xyz" for b in "xyz")
@@ -121,13 +121,13 @@ def test_rows_vanish_on_the_joints_own_motion(kind, turned_round):
     system = prepare(rig)
     q = tuple(coordinates(kind, rng))
     v = tuple(jnp.asarray(rng.normal(size=system.topology.speed_count)))
-    motions = dynamics.move(system, (q,), (v,), 0.0)
+    motions = kinematics.link_motions(system, (q,), (v,), 0.0)
     frames = {"ground": REST, "body": system.links[0].frame}
     ends = (connection.parent, connection.child)
     poses = [frames[end.body].after(end.pose()) for end in ends]
     closure = loops.Closure(*poses, *[system.topology.index(end.body) for end in ends], kind.rows)
-    found = dynamics.closure_rows(system, motions, closure)
-    np.testing.assert_allclose(sp.stack(found.values), 0, atol=1e-14)
+    found = constraints.constraint_rows(system, motions, closure)
+    np.testing.assert_allclose(sp.stack(found.residuals), 0, atol=1e-14)
     np.testing.assert_allclose(sp.stack(found.rates), 0, atol=1e-14)
 
 
@@ -162,7 +162,7 @@ def test_rows_rates_and_accelerations_are_derivatives():
         return tuple(x[:first]), tuple(x[first:])
 
     def motions(q, v):
-        return dynamics.move(system, split(q, 7), split(v, 6), 0.0)
+        return kinematics.link_motions(system, split(q, 7), split(v, 6), 0.0)
 
     def rate_of_q(q, v):
         pairs = zip(system.links, split(q, 7), split(v, 6), strict=True)
@@ -172,7 +172,7 @@ def test_rows_rates_and_accelerations_are_derivatives():
 
     def residual(q):
         return sp.stack(
-            loops.residuals(ALL_ROWS, dynamics.relative_motion(closure, motions(q, v))[1])
+            loops.residuals(ALL_ROWS, kinematics.relative_motion(closure, motions(q, v))[1])
         )
 
     def residual_rate(q, v):
@@ -180,13 +180,13 @@ def test_rows_rates_and_accelerations_are_derivatives():
 
     _, second = jax.jvp(residual_rate, (q, v), (rate_of_q(q, v), a))
     moved = motions(q, v)
-    found = dynamics.closure_rows(system, moved, closure)
+    found = constraints.constraint_rows(system, moved, closure)
     # exact derivatives on both sides: rounding
     np.testing.assert_allclose(sp.stack(found.rates), residual_rate(q, v), atol=1e-13)
     jacobian = np.array([[float(row.get(j, 0)) for j in range(8)] for row in found.jacobian])
     np.testing.assert_allclose(jacobian @ v, residual_rate(q, v), atol=1e-13)
-    accelerations = dynamics._accelerate(system, moved, split(a, 6))
-    view, pose, _ = dynamics.relative_motion(closure, moved)
+    accelerations = kinematics.link_accelerations(system, moved, split(a, 6))
+    view, pose, _ = kinematics.relative_motion(closure, moved)
     ends = [
         loops.marker_twist(accelerations[link], marker)
         for link, marker in (

@@ -12,7 +12,8 @@ from jaxclear.components.clearance import AbstractClearance, ContactLaws
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.stiffness import fitted
-from jaxclear.multibody.contact_point import PointState, Relative, evaluate
+from jaxclear.multibody.contact_point import PointState, evaluate
+from jaxclear.multibody.loops import Relative
 from tests.components.test_ideal_joints import members
 
 LAW = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.7)

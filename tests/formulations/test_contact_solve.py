@@ -12,7 +12,7 @@ LIMBS = (2, 3)
 
 
 def equations(rows, closures, seed=1):
-    """Random equations of motion of two limbs, with contact rows and closure rows."""
+    """Random equations of motion of two subtrees, with contact rows and closure rows."""
     random = np.random.default_rng(seed)
     masses = []
     for size in LIMBS:

@@ -10,7 +10,8 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import dynamics, tree
+from jaxclear.multibody import dynamics, kinematics, tree
+from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.state import lay_out, unpack_motion
 from jaxclear.multibody.system import prepare
 
@@ -105,8 +106,8 @@ def coordinates(rng, kind):
     return [*place, *turn], [*place, *turn[1:], turn[0]]
 
 
-def limb_rows(system, mass_blocks):
-    """Mass blocks of the limbs as one dense matrix over all speeds."""
+def subtree_rows(system, mass_blocks):
+    """Mass blocks of the subtrees as one dense matrix over all speeds."""
     count = system.topology.speed_count
     full, start = np.zeros((count, count)), 0
     for block in mass_blocks:
@@ -151,14 +152,14 @@ def test_random_tree_agrees_with_pinocchio(seed):
 
     def all_of_it(entries):
         q, v = unpack_motion(system, entries)
-        motions = dynamics.move(system, q, v, 0.0)
-        forces = dynamics.act(system, motions, {}, q, v, 0.0)
-        solution = dynamics.solve(system, forces, None)
+        motions = kinematics.link_motions(system, q, v, 0.0)
+        forces = applied_forces(system, motions, {}, q, v, 0.0)
+        solution = dynamics.forward_dynamics(system, forces, None)
         ground = tuple(-x for x in system.gravity)
         mass, bias = [], []
-        for limb in system.topology.limbs:
+        for subtree in system.topology.subtrees:
             links, own, loads = (
-                tuple(p[i] for i in limb) for p in (system.links, motions, forces.wrenches)
+                tuple(p[i] for i in subtree) for p in (system.links, motions, forces.wrenches)
             )
             mass.append(tree.mass_matrix(links, own))
             bias.extend(tree.bias_forces(links, own, ground, loads))
@@ -171,7 +172,7 @@ def test_random_tree_agrees_with_pinocchio(seed):
     still = pin.rnea(model, data, theirs, speeds, 0 * speeds)
     inertia = np.stack([pin.rnea(model, data, theirs, speeds, e) - still for e in unit])
     np.testing.assert_allclose(
-        limb_rows(system, mass),
+        subtree_rows(system, mass),
         inertia[np.ix_(order, order)],
         rtol=1e-10,
         atol=1e-10 * inertia.max(),

@@ -1,0 +1,107 @@
+r"""Constraints of the joints that close loops: residuals, Jacobian, what the accelerations must
+give, and the reactions.
+
+For residuals :math:`\Phi(q, t) = 0` the accelerations satisfy :math:`\Phi_q \dot v = \gamma` with
+:math:`\gamma = -(\ddot\Phi \text{ at } \dot v = 0) - 2\alpha\dot\Phi - \beta^2\Phi`, the last two
+Baumgarte's (Nikravesh 1988, Computer-Aided Analysis of Mechanical Systems, section 3.2; see
+`loops`). Reactions are :math:`\Phi_q^T \lambda`.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import Pose, Twist
+from jaxclear.multibody import kinematics, loops, tree
+from jaxclear.multibody.loops import Baumgarte, Closure
+from jaxclear.multibody.system import System
+from jaxclear.multibody.tree import Motion
+
+
+class ConstraintRows(NamedTuple):
+    """Rows of one closure that motion changes: their places in the closure, residuals, rates,
+    Jacobian (by speed index). `fixed`: residuals of those that no motion changes."""
+
+    kept: list[int]
+    residuals: tuple
+    rates: tuple
+    jacobian: list[dict[int, Any]]
+    fixed: tuple
+
+
+def constraint_rows(
+    system: System, motions: tuple[Motion, ...], closure: Closure
+) -> ConstraintRows:
+    """Residuals, rates and Jacobian of a closure's rows."""
+    _, pose, relative = kinematics.relative_motion(closure, motions)
+    residuals = loops.residuals(closure.rows, pose)
+    rates = loops.row_rates(closure.rows, pose, relative.velocity, relative.spin)
+    jacobian = kinematics.relative_jacobian(
+        system, motions, closure, pose, lambda *own: loops.row_rates(closure.rows, *own)
+    )
+    kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
+    fixed = tuple(
+        value for i, value in enumerate(residuals) if i not in kept and not sp.is_zero(value)
+    )
+    return ConstraintRows(
+        kept,
+        tuple(residuals[i] for i in kept),
+        tuple(rates[i] for i in kept),
+        [jacobian[i] for i in kept],
+        fixed,
+    )
+
+
+def acceleration_equations(
+    system: System, motions: tuple[Motion, ...], stabilisation: Baumgarte | None
+) -> tuple[list[dict[int, Any]], list]:
+    """Jacobian rows of all closures (by speed index), and the right side gamma that each must give
+    for the free accelerations.
+    """
+    accelerations = kinematics.link_accelerations(system, motions, None)
+    # A marker on the ground shares the fictitious acceleration that stands for gravity.
+    ground = Twist(kinematics.upward(system), sp.ZERO)
+    rows: list[dict[int, Any]] = []
+    gamma = []
+    for closure in system.closures:
+        found = constraint_rows(system, motions, closure)
+        view, pose, _ = kinematics.relative_motion(closure, motions)
+        ends = [
+            tree.transform_twist(marker, ground if link is None else accelerations[link])
+            for link, marker in (
+                (closure.parent_link, closure.parent),
+                (closure.child_link, closure.child),
+            )
+        ]
+        second = loops.row_accelerations(closure.rows, pose, view, *ends)
+        for i, residual, rate in zip(found.kept, found.residuals, found.rates, strict=True):
+            target = sp.neg(second[i])
+            if stabilisation is not None:
+                target = sp.sub(target, sp.mul(2.0 * stabilisation.alpha, rate))
+                target = sp.sub(target, sp.mul(stabilisation.beta * stabilisation.beta, residual))
+            gamma.append(target)
+        rows.extend(found.jacobian)
+    return rows, gamma
+
+
+def constraint_wrenches(
+    system: System, motions: tuple[Motion, ...], multipliers: tuple
+) -> Iterator[tuple[Closure, sp.Vec, sp.Vec, Pose]]:
+    """(closure, force [N], torque [N m], pose) on each closure's child about its marker, in the
+    parent marker's axes.
+    """
+    position = 0
+    for closure in system.closures:
+        _, pose, _ = kinematics.relative_motion(closure, motions)
+        force, torque = sp.ZERO, sp.ZERO
+        columns = sp.transpose(pose.rotation)
+        for i in constraint_rows(system, motions, closure).kept:
+            row, multiplier = closure.rows[i], multipliers[position]
+            axis = sp.IDENTITY[loops.AXIS[row[0]]]
+            if len(row) == 1:
+                force = sp.plus(force, sp.scale(multiplier, axis))
+            else:
+                turned = sp.cross(columns[loops.AXIS[row[2]]], axis)
+                torque = sp.plus(torque, sp.scale(multiplier, turned))
+            position += 1
+        yield closure, force, torque, pose

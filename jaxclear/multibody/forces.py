@@ -1,0 +1,126 @@
+"""Everything that acts at an instant: contacts and loads, as a wrench on every link and a force on
+every coordinate.
+
+Alike clearance joints are traced once. Constraint reactions are not forces here: they follow from
+the accelerations (`dynamics`).
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+
+from jaxclear.components.load import Action, MarkerMotion
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.pose import Pose
+from jaxclear.multibody import contact_point, kinematics, tree
+from jaxclear.multibody.contact_point import JointReport
+from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.system import System, body_loads, coordinate_loads
+from jaxclear.multibody.tree import NOTHING, Motion, Wrench
+
+
+class Forces(NamedTuple):
+    """Everything that acts, at one instant: wrenches by link, in its axes, and forces on its
+    coordinates; `stored` energy [J] of the loads, their `damping_loss` and `external_power` [W].
+    """
+
+    motions: tuple[Motion, ...]
+    reports: dict[str, JointReport]
+    wrenches: tuple[Wrench, ...]
+    coordinate_forces: tuple
+    stored: Any
+    damping_loss: Any
+    external_power: Any
+
+
+def contact_reports(
+    system: System, motions: tuple[Motion, ...], memories: dict, worn: dict
+) -> dict[str, JointReport]:
+    """Report of every clearance joint; `worn` are depth maps by joint and surface."""
+    calls = []
+    for name, bearing in system.bearings.items():
+        relative = kinematics.relative_motion(bearing.closure, motions)[2]
+        calls.append(
+            (bearing.joint, bearing.contact_laws, relative, memories[name], worn.get(name, {}))
+        )
+    with jax.named_scope("contact"):
+        reports = map_alike(contact_point.evaluate, calls)
+    return dict(zip(system.bearings, reports, strict=True))
+
+
+def applied_forces(
+    system: System,
+    motions: tuple[Motion, ...],
+    reports: dict[str, JointReport],
+    q: tuple,
+    v: tuple,
+    time: Any,
+) -> Forces:
+    """Wrench of contacts and loads on every link, and forces on coordinates."""
+    wrenches = [NOTHING] * len(system.links)
+    for name, report in reports.items():
+        closure = system.bearings[name].closure
+        pose = kinematics.relative_motion(closure, motions)[1]
+        add_action_and_reaction(wrenches, closure, pose, report.force, report.torque)
+    stored, damping, external = 0, 0, 0
+    with jax.named_scope("loads"):
+        for name, load in body_loads(system):
+            markers = system.load_markers[name]
+            sights = tuple(_marker_motion(link, marker, motions) for link, marker in markers)
+            effect = load.effect(time, sights)
+            for action, (link, marker) in zip(effect.actions, markers, strict=True):
+                if link is not None:
+                    _add(wrenches, link, _in_link(action, motions[link], marker))
+            stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
+            external = sp.add(external, effect.external)
+    forces = [(0,) * len(motion.columns) for motion in motions]
+    for _, load in coordinate_loads(system):
+        index = system.topology.branches.index(system.topology.branch_of(load.connection))
+        force, energy, loss, power = load.force(time, q[index][0], v[index][0])
+        forces[index] = (sp.add(forces[index][0], force),)
+        stored, damping = sp.add(stored, energy), sp.add(damping, loss)
+        external = sp.add(external, power)
+    return Forces(motions, reports, tuple(wrenches), tuple(forces), stored, damping, external)
+
+
+def add_action_and_reaction(
+    wrenches: list[Wrench], closure: Closure, pose: Pose, force: sp.Vec, torque: sp.Vec
+) -> None:
+    """Add a wrench on the closure's child about its marker, in the parent marker's axes, and its
+    opposite on the parent.
+    """
+    if closure.child_link is not None:
+        on_child = Wrench(
+            sp.apply_transposed(pose.rotation, force), sp.apply_transposed(pose.rotation, torque)
+        )
+        _add(wrenches, closure.child_link, tree.transform_wrench(closure.child, on_child))
+    if closure.parent_link is not None:
+        moment = sp.plus(torque, sp.cross(pose.translation, force))
+        on_parent = Wrench(tuple(sp.neg(x) for x in force), tuple(sp.neg(x) for x in moment))
+        _add(wrenches, closure.parent_link, tree.transform_wrench(closure.parent, on_parent))
+
+
+def _add(wrenches: list[Wrench], link: int, wrench: Wrench) -> None:
+    old = wrenches[link]
+    wrenches[link] = Wrench(sp.plus(old.force, wrench.force), sp.plus(old.torque, wrench.torque))
+
+
+def _marker_motion(link: int | None, marker: Pose, motions: tuple[Motion, ...]) -> MarkerMotion:
+    """A load's marker in ground axes."""
+    if link is None:
+        return MarkerMotion(marker, sp.ZERO, sp.ZERO)
+    pose = motions[link].pose.after(marker)
+    twist = tree.transform_twist(marker, motions[link].twist)
+    return MarkerMotion(
+        pose, sp.apply(pose.rotation, twist.linear), sp.apply(pose.rotation, twist.angular)
+    )
+
+
+def _in_link(action: Action, motion: Motion, marker: Pose) -> Wrench:
+    """An action on a marker as a wrench in the axes of its link."""
+    rotation = motion.pose.after(marker).rotation
+    local = Wrench(
+        sp.apply_transposed(rotation, action.force), sp.apply_transposed(rotation, action.torque)
+    )
+    return tree.transform_wrench(marker, local)

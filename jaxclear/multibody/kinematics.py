@@ -1,0 +1,116 @@
+"""Motion of the whole mechanism: of every link, of one marker as seen from another, and how both
+follow from unit speeds.
+
+Nothing here knows of forces. Alike subtrees are traced once.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.pose import STILL, Pose, Twist
+from jaxclear.multibody import loops, tree
+from jaxclear.multibody.loops import Closure, Relative
+from jaxclear.multibody.system import System
+from jaxclear.multibody.tree import Motion
+
+
+def link_motions(system: System, q: tuple, v: tuple, time: Any) -> tuple[Motion, ...]:
+    """Motion of every link at coordinates `q` and speeds `v` (tuples by link) and a time [s]."""
+    calls = [
+        (*by_subtree(subtree, system.links, q, v), time) for subtree in system.topology.subtrees
+    ]
+    with jax.named_scope("kinematics"):
+        return tuple(motion for own in map_alike(tree.link_motions, calls) for motion in own)
+
+
+def link_accelerations(
+    system: System, motions: tuple[Motion, ...], accelerations: tuple | None
+) -> tuple[Twist, ...]:
+    """Spatial acceleration of every link for free `accelerations` by link (None: zero), with the
+    fictitious part that stands for gravity.
+    """
+    ground = upward(system)
+    out: list[Twist] = []
+    for subtree in system.topology.subtrees:
+        links, own = by_subtree(subtree, system.links, motions)
+        free = None if accelerations is None else tuple(accelerations[i] for i in subtree)
+        out.extend(tree.link_accelerations(links, own, free, ground))
+    return tuple(out)
+
+
+def upward(system: System) -> sp.Vec:
+    """Acceleration of the ground [m/s^2] that stands for gravity."""
+    return tuple(sp.neg(x) for x in system.gravity)
+
+
+def by_subtree(subtree: tuple[int, ...], *parts: tuple) -> tuple[tuple, ...]:
+    """The entries of one subtree from sequences by link."""
+    return tuple(tuple(part[i] for i in subtree) for part in parts)
+
+
+def relative_motion(
+    closure: Closure, motions: tuple[Motion, ...]
+) -> tuple[loops.Sides, Pose, Relative]:
+    """The closure's markers, and the child's marker as seen from the parent's."""
+    view = loops.sides(closure, tuple(m.pose for m in motions), tuple(m.twist for m in motions))
+    pose = loops.relative_pose(view)
+    velocity, spin = loops.relative_velocity(pose, view.parent_twist, view.child_twist)
+    return view, pose, Relative(pose, velocity, spin)
+
+
+def ancestry(system: System, link: int | None) -> list[int]:
+    """Links from a link to its root, the link first; none for the ground."""
+    if link is None:
+        return []
+    subtree = next(subtree for subtree in system.topology.subtrees if link in subtree)
+    path = [link]
+    while system.links[path[-1]].parent >= 0:
+        path.append(subtree[system.links[path[-1]].parent])
+    return path
+
+
+def jacobian_columns(
+    system: System, motions: tuple[Motion, ...], link: int | None
+) -> dict[int, Twist]:
+    """Twist of a link for each free unit speed (by its index) that moves it, in the link's axes."""
+    columns: dict[int, Twist] = {}
+    for index in reversed(ancestry(system, link)):
+        columns = {
+            j: tree.transform_twist(motions[index].relative, twist) for j, twist in columns.items()
+        }
+        start = system.topology.branches[index].speeds.start
+        columns |= {start + k: column for k, column in enumerate(motions[index].columns)}
+    return columns
+
+
+def relative_jacobian(
+    system: System, motions: tuple[Motion, ...], closure: Closure, pose: Pose, rates: Callable
+) -> list[dict[int, Any]]:
+    """Jacobian rows (by speed index) of what `rates` draws, linearly, from the closure's `pose`,
+    relative velocity and spin.
+    """
+    rows: list[dict[int, Any]] = [{} for _ in rates(pose, sp.ZERO, sp.ZERO)]
+    ends = ((closure.parent_link, closure.parent), (closure.child_link, closure.child))
+    for side, (link, marker) in enumerate(ends):
+        for j, column in jacobian_columns(system, motions, link).items():
+            twist = loops.marker_twist(column, marker)
+            pair = (twist, STILL) if side == 0 else (STILL, twist)
+            entries = rates(pose, *loops.relative_velocity(pose, *pair))
+            for row, entry in zip(rows, entries, strict=True):
+                if not sp.is_zero(entry):
+                    row[j] = sp.add(row.get(j, 0), entry)
+    return rows
+
+
+def joint_twist(system: System, motions: tuple[Motion, ...], index: int) -> Twist:
+    """Twist of a link relative to its parent link, in the link's axes."""
+    path = ancestry(system, index)
+    twist = motions[index].twist
+    if len(path) == 1:
+        return twist
+    inboard = tree.transform_twist(motions[index].relative, motions[path[1]].twist)
+    return Twist(sp.minus(twist.linear, inboard.linear), sp.minus(twist.angular, inboard.angular))
