@@ -22,7 +22,7 @@ from jaxclear.complementarity.problem import (
     posed,
     scaled,
 )
-from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.quantity import Scalar, quantity
 
 # Products z_i w_i / kappa_i stay above this share of their mean, and above this; steps are
 # shortened by this factor, this often at most, to keep them there. Without it, one boundary in a
@@ -51,7 +51,9 @@ class InteriorPoint(AbstractSolver):
     relaxed solution undetermined, and the iterations are used up.
     """
 
-    kappa: Scalar = quantity(1e-8, "1", "product z_i w_i, in the units of the problem", above=0)
+    kappa: Scalar = quantity(
+        1e-8, "1", "product z_i w_i, in the units of the problem", above=0
+    )
     most_steps: int = eqx.field(static=True, default=100)
 
     def __check_init__(self):
@@ -59,12 +61,6 @@ class InteriorPoint(AbstractSolver):
             raise ValueError(
                 f"most_steps of InteriorPoint is {self.most_steps!r}; it must be a positive whole "
                 "number."
-            )
-        kappa = concrete(self.kappa)
-        if kappa is not None and not kappa > 0:
-            raise ValueError(
-                f"kappa of InteriorPoint is {kappa}; it must be positive. For the exact solution "
-                "take Lemke."
             )
 
     def solve(self, problem: AbstractProblem) -> Solution:

@@ -74,6 +74,9 @@ def natural_residual(z: Float[Array, " n"], w: Float[Array, " n"]) -> Float[Arra
     return jnp.max(jnp.abs(jnp.minimum(z, w)))
 
 
+from jaxclear.ground.quantity import AbstractQuantified
+
+
 class Solution(eqx.Module):
     """What a solver hands back. Where the outcome is not 0, z is the last finite iterate and its
     derivative is zero.
@@ -353,7 +356,7 @@ def solve_exactly(
     return Solution(*own, problem.residual(*own), outcome, found.iterations)
 
 
-class AbstractSolver(eqx.Module):
+class AbstractSolver(AbstractQuantified):
     """Solves complementarity problems: frozen settings, no state."""
 
     @abstractmethod

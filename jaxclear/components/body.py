@@ -11,7 +11,14 @@ import equinox as eqx
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import AXES, Pose, frame_with_axis, rotation_from_quaternion
-from jaxclear.ground.quantity import Scalar, as_vector, concrete, quantity, vector
+from jaxclear.ground.quantity import (
+    AbstractQuantified,
+    Scalar,
+    as_vector,
+    concrete,
+    quantity,
+    vector,
+)
 
 GROUND = "ground"
 
@@ -30,7 +37,7 @@ def _inertia(value: Any) -> Any:
     return as_vector(value)
 
 
-class Body(eqx.Module):
+class Body(AbstractQuantified):
     """A rigid body: mass [kg], centre of mass [m] in the body frame (2 or 3 numbers, absent: the
     origin), and inertia [kg m2] about the centre of mass in body axes: 1 number (about z, for
     planar motion), 3 (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, yz; products as elements of the matrix,
@@ -55,7 +62,7 @@ class Body(eqx.Module):
         return ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
 
 
-class Marker(eqx.Module):
+class Marker(AbstractQuantified):
     """A frame fixed on a body: origin `at` [m] in the body frame, z axis along `axis`.
 
     `axis` is "x", "y", "z", "-x", "-y" or "-z" (known before tracing, costs nothing) or three

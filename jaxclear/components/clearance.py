@@ -17,7 +17,7 @@ import equinox as eqx
 from jaxclear.components.wear_map import AbstractWearMap, CylinderMap, SphereMap, Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.friction import AbstractFrictionLaw
 from jaxclear.laws.stiffness import Shape
@@ -48,7 +48,7 @@ class ContactLaws(NamedTuple):
     wears: bool
 
 
-class AbstractClearance(eqx.Module):
+class AbstractClearance(AbstractQuantified):
     """A joint with clearance. `ideal_rows` close the joint it turns into as the clearance
     vanishes."""
 
@@ -137,7 +137,7 @@ class PlanarJournalBearing(AbstractClearance):
         return (*_direction(offset), 1.0, -1.0)
 
 
-class Flange(eqx.Module):
+class Flange(AbstractQuantified):
     """Collars on the journal that stop it along the bearing: the rim point nearest the bearing's
     face may touch it.
 

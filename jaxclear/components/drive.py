@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.ground.numerics import smooth_step
-from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
 
-class AbstractDrive(eqx.Module):
+class AbstractDrive(AbstractQuantified):
     """A coordinate as a function of time."""
 
     @abstractmethod
@@ -52,20 +52,12 @@ class Harmonic(AbstractDrive):
 
 class RampUp(AbstractDrive):
     """Starts at rest and reaches a constant speed after `duration`, the speed following a cubic
-    step.
+    step; ConstantSpeed has no ramp.
     """
 
     speed: Scalar = quantity(unit="rad/s", meaning="final speed (m/s for a sliding joint)")
-    duration: Scalar = quantity(unit="s", meaning="time until the final speed is reached")
+    duration: Scalar = quantity(unit="s", meaning="time until the final speed is reached", above=0)
     start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
-
-    def __check_init__(self):
-        duration = concrete(self.duration)
-        if duration is not None and not duration > 0:
-            raise ValueError(
-                f"a RampUp takes {duration} s; its duration must be positive (ConstantSpeed has no "
-                "ramp)."
-            )
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         s = jnp.clip(time / self.duration, 0.0, 1.0)

@@ -26,12 +26,13 @@ from jaxclear.ground.pose import (
     rotation_y,
     rotation_z,
 )
+from jaxclear.ground.quantity import AbstractQuantified
 
 LINEAR = tuple(Twist(axis, sp.ZERO) for axis in sp.IDENTITY)
 ANGULAR = tuple(Twist(sp.ZERO, axis) for axis in sp.IDENTITY)
 
 
-class AbstractJoint(eqx.Module):
+class AbstractJoint(AbstractQuantified):
     """An ideal joint: `home` are its coordinates in the drawing, `columns` the twist of each speed,
     `rows` its rows.
     """

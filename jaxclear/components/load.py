@@ -16,7 +16,14 @@ from jaxclear.components.body import Marker
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose
-from jaxclear.ground.quantity import Scalar, as_number, as_vector, quantity, vector
+from jaxclear.ground.quantity import (
+    AbstractQuantified,
+    Scalar,
+    as_number,
+    as_vector,
+    quantity,
+    vector,
+)
 
 
 class MarkerMotion(NamedTuple):
@@ -48,7 +55,7 @@ class Effect(NamedTuple):
     external: Any
 
 
-class AbstractLoad(eqx.Module):
+class AbstractLoad(AbstractQuantified):
     """A load on bodies, or on the coordinate of a joint of the tree."""
 
 
@@ -188,7 +195,7 @@ class Spring(AbstractBodyLoad):
     start: Marker
     end: Marker
     stiffness: Scalar | None = quantity(None, "N/m", "stiffness")
-    free_length: Scalar = quantity(0.0, "m", "length without force")
+    free_length: Scalar = quantity(0.0, "m", "length without force", at_least=0)
     damping: Scalar | None = quantity(None, "N s/m", "viscous damping")
 
     def markers(self):

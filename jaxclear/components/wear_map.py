@@ -13,11 +13,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.numerics import TINY_SQUARE, safe_sqrt
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.laws.wear import AbstractWearLaw
 
 
-class Wearing(eqx.Module):
+class Wearing(AbstractQuantified):
     """A surface that wears: its law (of this surface alone), and the number of cells around and
     along (azimuth and elevation on a sphere).
 
@@ -40,7 +40,7 @@ class Wearing(eqx.Module):
             )
 
 
-class AbstractWearMap(eqx.Module):
+class AbstractWearMap(AbstractQuantified):
     """Geometry of a wear map; the depth itself is an array (cells) [m] kept by the simulation."""
 
     cells: eqx.AbstractVar[tuple[int, int]]
@@ -90,8 +90,8 @@ class CylinderMap(AbstractWearMap):
     """
 
     cells: tuple[int, int] = eqx.field(static=True)
-    radius: Scalar = quantity(unit="m", meaning="radius of the wall")
-    length: Scalar = quantity(unit="m", meaning="length of the wall")
+    radius: Scalar = quantity(unit="m", meaning="radius of the wall", above=0)
+    length: Scalar = quantity(unit="m", meaning="length of the wall", above=0)
 
     def areas(self) -> Float[Array, "around along"]:
         around, along = self.cells
@@ -162,7 +162,7 @@ class SphereMap(AbstractWearMap):
     """
 
     cells: tuple[int, int] = eqx.field(static=True)
-    radius: Scalar = quantity(unit="m", meaning="radius of the socket")
+    radius: Scalar = quantity(unit="m", meaning="radius of the socket", above=0)
 
     def areas(self) -> Float[Array, "around along"]:
         around, along = self.cells

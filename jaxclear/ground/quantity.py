@@ -5,10 +5,15 @@ A quantity is a float64 leaf of a pytree: it can be varied, differentiated and b
 absent and leaves no operation in the compiled program. A vector quantity is a tuple of scalar
 leaves, because each component can then be varied by itself and a component that is not given is
 known to be zero before tracing.
+
+Every class with quantities derives from `AbstractQuantified`, which checks their ranges when an
+object is built from numbers; a number that is being traced was checked before, or is a sample's.
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -67,16 +72,17 @@ def quantity(
     *,
     above: float | None = None,
     at_least: float | None = None,
+    below: float | None = None,
     at_most: float | None = None,
     **kwargs: Any,
 ) -> Any:
     """A scalar field with a unit (SI, "1" if none), a sentence of meaning and the range of its
     values.
 
-    `default` may be a number or `None`. The range is checked where a mechanism is built, and for
-    every sample of a study.
+    `default` may be a number or `None`. The range is checked when an object is built (see
+    `AbstractQuantified`), for all numbers of a mechanism, and for every sample of a study.
     """
-    bounds = {"above": above, "at_least": at_least, "at_most": at_most}
+    bounds = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
     return _field(
         default,
         unit,
@@ -99,6 +105,54 @@ def _field(default, unit, meaning, converter, kwargs, bounds):
     if default is not dataclasses.MISSING:
         kwargs["default"] = default
     return eqx.field(converter=converter, metadata=metadata, **kwargs)
+
+
+class AbstractQuantified(eqx.Module):
+    """What has numbers with units. Building one raises `ValueError` for a number that is not finite
+    or outside its range: `integrator.MoreauJean has gamma = -1; it must be at least 0.`
+    """
+
+    def __check_init__(self):
+        for field in dataclasses.fields(self):
+            if "unit" in field.metadata:
+                for path, leaf, metadata in _numbers(
+                    getattr(self, field.name), field.name, field.metadata
+                ):
+                    check_range(lambda: public_name(type(self)), path, leaf, metadata)
+
+
+def check_range(owner: Callable[[], str], path: str, leaf: Any, metadata: Mapping) -> None:
+    """Raises `ValueError` if a known number is not finite or not within its field's range; `owner`
+    says whose number it is.
+    """
+    if (
+        "unit" not in metadata
+        or isinstance(leaf, jax.core.Tracer)
+        or np.all(inside(leaf, metadata))
+    ):
+        return
+    unit = "" if metadata["unit"] == "1" else f" {metadata['unit']}"
+    wanted = [range_in_words(metadata)] if range_in_words(metadata) else []
+    wanted += [] if np.all(np.isfinite(leaf)) else ["finite"]
+    raise ValueError(
+        f"{owner()} has {path} = {np.asarray(leaf):g}{unit}; it must be {' and '.join(wanted)}."
+    )
+
+
+def public_name(kind: type) -> str:
+    """What a user types behind `jaxclear.` for a class, such as `contact.Hertz`; the class's own
+    name where it is not of this package.
+    """
+    package = sys.modules[__name__.partition(".")[0]]
+    for name in getattr(package, "__all__", ()):
+        place = getattr(package, name, None)
+        if place is kind:
+            return name
+        if isinstance(place, ModuleType) and getattr(place, kind.__name__, None) is kind:
+            # a module also holds the names that it imports for its own use
+            if kind.__name__ in getattr(place, "__all__", ()) or place.__name__ == kind.__module__:
+                return f"{name}.{kind.__name__}"
+    return kind.__qualname__
 
 
 def numbers(tree: Any, name: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
@@ -130,12 +184,14 @@ def inside(leaf: Any, metadata: Mapping[str, Any]) -> Any:
         fits = fits & (leaf > metadata["above"])
     if "at_least" in metadata:
         fits = fits & (leaf >= metadata["at_least"])
+    if "below" in metadata:
+        fits = fits & (leaf < metadata["below"])
     return fits & (leaf <= metadata["at_most"]) if "at_most" in metadata else fits
 
 
 def range_in_words(metadata: Mapping[str, Any]) -> str:
     """The range of a field: "above 0 and at most 1"."""
-    words = {"above": "above", "at_least": "at least", "at_most": "at most"}
+    words = {"above": "above", "at_least": "at least", "below": "below", "at_most": "at most"}
     return " and ".join(
         f"{word} {metadata[key]:g}" for key, word in words.items() if key in metadata
     )

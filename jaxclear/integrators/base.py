@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 
 from jaxclear.formulations.base import Field
-from jaxclear.ground.quantity import Scalar, concrete
+from jaxclear.ground.quantity import AbstractQuantified, Scalar
 
 # Forces that follow from the state; percussions of rigid contacts; reactions of joints that are
 # always in contact.
@@ -29,7 +29,7 @@ class Advance(NamedTuple):
     outcome: Any
 
 
-class AbstractIntegrator(eqx.Module):
+class AbstractIntegrator(AbstractQuantified):
     """Carries a state over an interval. `pathwise` tells whether forward-mode derivatives through
     its steps are those of the discrete run, `formulation` what contact is to it: one of
     `FORMULATIONS`."""
@@ -62,13 +62,6 @@ class AbstractIntegrator(eqx.Module):
         """The step [s] over which an impact speed relaxes by an explicit formula, in a saving
         interval of this length (None: not known). None where steps of any length are stable, or not
         known."""
-
-
-def check_step(step: Scalar, name: str) -> None:
-    """Raises `ValueError` for a step that is a number and not positive."""
-    value = concrete(step)
-    if value is not None and not value > 0:
-        raise ValueError(f"the step of integrator.{name} is {value} s; it must be positive.")
 
 
 def check_count(value: int | None, what: str) -> None:

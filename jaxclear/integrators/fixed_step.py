@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.integrators import munthe_kaas
-from jaxclear.integrators.base import COMPLIANT, AbstractIntegrator, check_count, check_step
+from jaxclear.integrators.base import COMPLIANT, AbstractIntegrator, check_count
 from jaxclear.integrators.stepping import SLIVER, arrived, divide, march
 from jaxclear.native.loop import while_loop
 
@@ -51,11 +51,11 @@ class FixedStep(AbstractIntegrator):
 
     pathwise: ClassVar = True
     formulation: ClassVar = COMPLIANT
-    step: Scalar = quantity(2e-5, "s", "largest step")
+    step: Scalar = quantity(2e-5, "s", "largest step", above=0)
     method: str = eqx.field(static=True, default="rk4")
     steps_per_save: int | None = eqx.field(static=True, default=None)
     contact_steps: Scalar | None = quantity(
-        None, "1", "short steps in contact to one long step in free flight"
+        None, "1", "short steps in contact to one long step in free flight", at_least=1
     )
     capture_impacts: bool = eqx.field(static=True, default=False)
 
@@ -66,12 +66,6 @@ class FixedStep(AbstractIntegrator):
                 f"{', '.join([*CHAINS, *ON_GROUPS])}."
             )
         check_count(self.steps_per_save, "steps_per_save of integrator.FixedStep")
-        check_step(self.step, "FixedStep")
-        short = concrete(self.contact_steps)
-        if short is not None and not short >= 1:
-            raise ValueError(
-                f"contact_steps of integrator.FixedStep is {short}; it must be at least 1."
-            )
         if self.contact_steps is not None and self.steps_per_save is not None:
             raise ValueError(
                 "integrator.FixedStep takes contact_steps or steps_per_save, not both: short steps "

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.contact_rows import TimeStep
-from jaxclear.ground.quantity import Scalar, concrete, quantity
-from jaxclear.integrators.base import COMPLIANT, AbstractIntegrator, check_count, check_step
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.integrators.base import COMPLIANT, AbstractIntegrator, check_count
 from jaxclear.integrators.stepping import arrived, divide, march
 
 
@@ -45,22 +45,19 @@ class ImplicitStep(AbstractIntegrator):
 
     pathwise: ClassVar = True
     formulation: ClassVar = COMPLIANT
-    step: Scalar = quantity(1e-4, "s", "largest step")
+    step: Scalar = quantity(1e-4, "s", "largest step", above=0)
     rebound: Scalar = quantity(
-        0.95, "1", "share of its speed that an elastic impact keeps which the step does not resolve"
+        0.95,
+        "1",
+        "share of its speed that an elastic impact keeps which the step does not resolve",
+        at_least=0,
+        at_most=1,
     )
     newton: int = eqx.field(static=True, default=3)
     steps_per_save: int | None = eqx.field(static=True, default=None)
     capture_impacts: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        check_step(self.step, "ImplicitStep")
-        rebound = concrete(self.rebound)
-        if rebound is not None and not 0 <= rebound <= 1:
-            raise ValueError(
-                f"rebound of integrator.ImplicitStep is {rebound}; it must be at least 0 and at "
-                "most 1."
-            )
         check_count(self.newton, "newton of integrator.ImplicitStep")
         check_count(self.steps_per_save, "steps_per_save of integrator.ImplicitStep")
 

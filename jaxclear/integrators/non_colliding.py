@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.permanent import NonCollidingSettings
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.integrators.base import PERMANENT, AbstractIntegrator, check_step
+from jaxclear.integrators.base import PERMANENT, AbstractIntegrator
 from jaxclear.integrators.stepping import divide, solved
 
 # Last change of friction in a search, relative to its bound, beyond which it may be far from the
@@ -41,7 +41,7 @@ class NonColliding(AbstractIntegrator):
 
     pathwise: ClassVar = True
     formulation: ClassVar = PERMANENT
-    step: Scalar = quantity(1e-3, "s", "largest step")
+    step: Scalar = quantity(1e-3, "s", "largest step", above=0)
     sweeps: Scalar = quantity(1000.0, "1", "most sweeps over the joints in a step", above=0)
     tolerance: Scalar = quantity(
         1e-13,
@@ -53,9 +53,6 @@ class NonColliding(AbstractIntegrator):
         None, "1", "share of the bound over which friction is rounded (None: exact)", above=0
     )
     regularised: bool = eqx.field(static=True, default=False)
-
-    def __check_init__(self):
-        check_step(self.step, "NonColliding")
 
     def relaxing_step(self, interval):
         return None

@@ -12,7 +12,7 @@ from typing import ClassVar
 import equinox as eqx
 
 from jaxclear.ground.numerics import positive_part, power, safe_divide, safe_sqrt, smooth_step
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.laws import hysteresis
 from jaxclear.laws.stiffness import HERTZ_SPHERE, AbstractFit, ClearanceOf, OuterRadiusOf
 
@@ -49,7 +49,7 @@ def slowest_impact_field():
     )
 
 
-class AbstractNormalLaw(eqx.Module):
+class AbstractNormalLaw(AbstractQuantified):
     """What happens along the normal of one contact point."""
 
 

@@ -9,11 +9,10 @@ steady side load at rest; a bristle or set-valued law sticks.
 
 from abc import abstractmethod
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.ground.numerics import smooth_sign, smooth_step
-from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
 
 # LuGre's bristles yield at a deflection in proportion to the friction level: to no less than this
 # share of the largest, and a largest coefficient below LEAST_FRICTION is no friction.
@@ -34,7 +33,7 @@ def mu_kinetic_field():
     return quantity(0.1, "1", "kinetic friction coefficient mu_d", at_least=0)
 
 
-class AbstractFrictionLaw(eqx.Module):
+class AbstractFrictionLaw(AbstractQuantified):
     """Friction of one contact point. Opposes sliding, never gives energy, in proportion to the
     normal force.
     """
@@ -85,10 +84,7 @@ class Coulomb(AbstractSetValuedFriction):
     )
 
     def __check_init__(self):
-        kinetic, static = (
-            concrete(self.mu_kinetic),
-            None if self.mu_static is None else concrete(self.mu_static),
-        )
+        kinetic, static = concrete(self.mu_kinetic), concrete(self.mu_static)
         if kinetic is not None and static is not None and static < kinetic:
             raise ValueError(
                 f"friction.Coulomb has mu_static {static} below mu_kinetic {kinetic}; at rest it "

@@ -4,12 +4,10 @@ One question: which elastic modulus does a pair of surfaces press with? Sources 
 beside each factory.
 """
 
-import equinox as eqx
-
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
 
-class Material(eqx.Module):
+class Material(AbstractQuantified):
     """Linear isotropic elasticity, small strain."""
 
     young_modulus: Scalar = quantity(unit="Pa", meaning="Young's modulus", above=0)

@@ -8,41 +8,36 @@ inner radius > 0.
 
 from abc import abstractmethod
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from jaxclear.ground.numerics import safe_sqrt
-from jaxclear.ground.quantity import Scalar, as_number, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, concrete, quantity
 from jaxclear.laws.material import Material, combined_modulus
 
 # Hertz: F = 4/3 E* sqrt(R) delta^(3/2) for two spheres (Johnson 1985, eq. 4.23).
 HERTZ_SPHERE = 4 / 3
 
 
-class Shape(eqx.Module):
+class Shape(AbstractQuantified):
     """Geometry of a journal in a bearing or a ball in a socket. Refuses (before tracing) an inner
     body that does not fit.
     """
 
-    inner_radius: Scalar = quantity(unit="m", meaning="radius of the journal or ball")
+    inner_radius: Scalar = quantity(unit="m", meaning="radius of the journal or ball", above=0)
     outer_radius: Scalar = quantity(
-        unit="m", meaning="radius of the bearing's hole or of the socket"
+        unit="m", meaning="radius of the bearing's hole or of the socket", above=0
     )
     length: Scalar | None = quantity(
-        None, "m", "length of the contact along the axis (None: a spherical pair)"
+        None, "m", "length of the contact along the axis (None: a spherical pair)", above=0
     )
 
     def __check_init__(self):
-        radii = (self.inner_radius, self.outer_radius)
-        if any(isinstance(radius, jax.core.Tracer) or not eqx.is_array(radius) for radius in radii):
-            return
-        if not float(self.outer_radius) > float(self.inner_radius) > 0:
+        inner, outer = concrete(self.inner_radius), concrete(self.outer_radius)
+        if inner is not None and outer is not None and inner >= outer:
             raise ValueError(
-                f"a journal of radius {float(self.inner_radius):g} m does not fit a bearing of "
-                "radius "
-                f"{float(self.outer_radius):g} m: the outer radius must be the larger one, and "
-                "both positive."
+                f"a journal of radius {inner:g} m does not fit a bearing of radius {outer:g} m: "
+                "the outer radius must be the larger one."
             )
 
     @property
@@ -51,7 +46,7 @@ class Shape(eqx.Module):
         return self.outer_radius - self.inner_radius
 
 
-class AbstractFit(eqx.Module):
+class AbstractFit(AbstractQuantified):
     """A number that the pair's geometry decides."""
 
     @abstractmethod

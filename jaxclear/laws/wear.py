@@ -7,12 +7,10 @@ wear map's business.
 
 from abc import abstractmethod
 
-import equinox as eqx
-
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
 
-class AbstractWearLaw(eqx.Module):
+class AbstractWearLaw(AbstractQuantified):
     """Worn volume per time of one contact point."""
 
     @abstractmethod

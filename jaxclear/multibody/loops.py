@@ -12,19 +12,19 @@ import equinox as eqx
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, STILL, Pose, Twist
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.multibody.tree import transform_twist
 
 AXIS = {"x": 0, "y": 1, "z": 2}
 
 
-class Baumgarte(eqx.Module):
+class Baumgarte(AbstractQuantified):
     """d2(phi)/dt2 + 2 alpha d(phi)/dt + beta^2 phi = 0: drift of a row decays like exp(-alpha t)
     where beta = alpha.
     """
 
-    alpha: Scalar = quantity(50.0, "1/s", "damping of the drift")
-    beta: Scalar = quantity(50.0, "1/s", "stiffness of the drift")
+    alpha: Scalar = quantity(50.0, "1/s", "damping of the drift", at_least=0)
+    beta: Scalar = quantity(50.0, "1/s", "stiffness of the drift", at_least=0)
 
 
 class Projection(eqx.Module):

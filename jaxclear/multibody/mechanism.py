@@ -25,11 +25,10 @@ from jaxclear.components.joint import AbstractJoint, drive_of
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, AbstractLoad, Gravity
 from jaxclear.ground.quantity import (
     as_number,
+    check_range,
     concrete,
-    inside,
     numbers,
     parameters,
-    range_in_words,
 )
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.loops import Baumgarte, Projection
@@ -229,25 +228,18 @@ def _check_finite(what: str, part: Any) -> None:
 
 def _check_ranges(what: str, part: Any) -> None:
     for path, leaf, metadata in numbers(part):
-        if not isinstance(leaf, jax.core.Tracer) and not inside(leaf, metadata):
-            raise ValueError(
-                f"{what} has {path} = {float(leaf):g} {metadata['unit']}; it must be "
-                f"{range_in_words(metadata)}."
-            )
+        check_range(lambda: what, path, leaf, metadata)
 
 
 def check_numbers(bodies: dict, connections: dict, loads: dict) -> None:
     """Masses, inertias and joint dimensions must be possible."""
     for name, body in bodies.items():
         _check_finite(f'body "{name}"', body)
-        mass = concrete(body.mass)
         if body.com is not None and len(body.com) not in (2, 3):
             raise ValueError(
                 f'body "{name}" has a centre of mass of {len(body.com)} numbers; give 2 (planar) '
                 "or 3."
             )
-        if mass is not None and not mass > 0:
-            raise ValueError(f'body "{name}" has mass {mass} kg; a mass must be positive.')
         _check_inertia(name, body)
         _check_ranges(f'body "{name}"', body)
     for name, connection in connections.items():
@@ -258,6 +250,7 @@ def check_numbers(bodies: dict, connections: dict, loads: dict) -> None:
         _check_ranges(f'connection "{name}"', connection)
     for name, load in loads.items():
         _check_finite(f'load "{name}"', load)
+        _check_ranges(f'load "{name}"', load)
 
 
 def _check_inertia(name: str, body: Body) -> None:
@@ -290,11 +283,6 @@ def _check_clearance(name: str, joint: AbstractClearance) -> None:
     if not isinstance(joint, known):
         return
     clearance = concrete(joint.clearance)
-    if clearance is not None and not clearance > 0:
-        raise ValueError(
-            f'joint "{name}" has clearance {clearance} m; it must be positive (without clearance '
-            "it is an ideal joint)."
-        )
     outer_name = {BallSocket: "socket_radius", SliderGuide: "width"}.get(
         type(joint), "bearing_radius"
     )
@@ -304,12 +292,8 @@ def _check_clearance(name: str, joint: AbstractClearance) -> None:
             f'joint "{name}" has {outer_name} {outer} m; it must be larger than the clearance '
             f"{clearance} m."
         )
-    if isinstance(joint, (PlanarJournalBearing, JournalBearing)):
-        length = concrete(joint.length)
-        if length is not None and not length > 0:
-            raise ValueError(f'joint "{name}" has bearing length {length} m; it must be positive.')
     if isinstance(joint, JournalBearing):
-        journal = concrete(joint.journal_length)
+        length, journal = concrete(joint.length), concrete(joint.journal_length)
         if journal is not None and length is not None and journal < length:
             raise ValueError(
                 f'joint "{name}" has a journal of length {journal} m in a bearing of {length} m; '

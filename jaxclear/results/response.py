@@ -15,13 +15,13 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.numerics import safe_sqrt
-from jaxclear.ground.quantity import Scalar
+from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.integrators.base import COMPLIANT
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
 
-class AbstractResponse(eqx.Module):
+class AbstractResponse(AbstractQuantified):
     """A number drawn from a run; `unit` is that of the number."""
 
     unit: eqx.AbstractVar[str]

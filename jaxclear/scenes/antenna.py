@@ -22,14 +22,13 @@ torque (the paper's assumption), so they have no friction here.
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.components import clearance as clearances
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.joint import Free, Revolute
 from jaxclear.components.load import MotorTorque
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, ThreeZone
 from jaxclear.laws.material import steel
@@ -55,7 +54,7 @@ TIP = Marker("link2", (OFFSET, LINK_2, 0.0), axis="y")
 BASE = "satellite"
 
 
-class PeriodicTorque(eqx.Module):
+class PeriodicTorque(AbstractQuantified):
     """amplitude sin(2 pi frequency t)."""
 
     amplitude: Scalar = quantity(unit="N m", meaning="amplitude of the driving torque")
@@ -65,7 +64,7 @@ class PeriodicTorque(eqx.Module):
         return self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * time)
 
 
-class StepTorque(eqx.Module):
+class StepTorque(AbstractQuantified):
     """`amplitude` up to `push`, its opposite up to `brake`, then none; switched at once. Steps
     should end at these instants.
     """

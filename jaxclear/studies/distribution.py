@@ -6,15 +6,17 @@ serves every distribution.
 
 from abc import abstractmethod
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float
 
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+
+# What a distribution describes tells its unit.
+UNIT = "(in the varied number's unit)"
 
 
-class AbstractDistribution(eqx.Module):
+class AbstractDistribution(AbstractQuantified):
     """Deviation of a number from its nominal value, in the number's own unit."""
 
     @abstractmethod
@@ -29,7 +31,7 @@ class AbstractDistribution(eqx.Module):
 class Normal(AbstractDistribution):
     """Normal distribution about nominal."""
 
-    standard_deviation: Scalar = quantity(unit="as varied", meaning="standard deviation", above=0)
+    standard_deviation: Scalar = quantity(unit=UNIT, meaning="standard deviation", above=0)
 
     def quantile(self, share):
         return self.standard_deviation * ndtri(share)
@@ -41,7 +43,7 @@ class Normal(AbstractDistribution):
 class Uniform(AbstractDistribution):
     """Equally likely within +- half_width of nominal."""
 
-    half_width: Scalar = quantity(unit="as varied", meaning="largest deviation", above=0)
+    half_width: Scalar = quantity(unit=UNIT, meaning="largest deviation", above=0)
 
     def quantile(self, share):
         return self.half_width * (2.0 * share - 1.0)
@@ -56,9 +58,9 @@ class TruncatedNormal(AbstractDistribution):
     """
 
     standard_deviation: Scalar = quantity(
-        unit="as varied", meaning="standard deviation before inspection", above=0
+        unit=UNIT, meaning="standard deviation before inspection", above=0
     )
-    bound: Scalar = quantity(unit="as varied", meaning="largest accepted deviation", above=0)
+    bound: Scalar = quantity(unit=UNIT, meaning="largest accepted deviation", above=0)
 
     def quantile(self, share):
         low = ndtr(-self.bound / self.standard_deviation)

@@ -502,7 +502,7 @@ REFUSED = {
     "most_pivots of Lemke": lambda: Lemke(most_pivots=0),
     "most_steps of SemismoothNewton": lambda: SemismoothNewton(most_steps=0),
     "most_steps of InteriorPoint": lambda: InteriorPoint(most_steps=1.5),
-    "take Lemke": lambda: InteriorPoint(0.0),
+    "InteriorPoint has kappa = 0; it must be above 0": lambda: InteriorPoint(0.0),
     "most_sweeps of ProjectedGaussSeidel": lambda: ProjectedGaussSeidel(most_sweeps=0),
     "over_relaxation": lambda: ProjectedGaussSeidel(over_relaxation=2.0),
 }

@@ -80,7 +80,7 @@ def test_number_of_short_steps_varies_without_compiling_again():
     [
         (
             {"contact_steps": 0},
-            "contact_steps of integrator.FixedStep is 0.0; it must be at least 1",
+            "integrator.FixedStep has contact_steps = 0; it must be at least 1",
         ),
         (
             {"contact_steps": 4, "steps_per_save": 5},

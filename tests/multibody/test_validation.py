@@ -145,9 +145,9 @@ MECHANISMS = {
         'load "s" has start',
     ),
     # numbers
-    "mass": (lambda: rig(body=arm(mass=0.0)), 'body "arm" has mass 0.0'),
-    "mass not a number": (lambda: rig(body=arm(mass=NAN)), 'body "arm" has mass = nan'),
-    "mass without bound": (lambda: rig(body=arm(mass=np.inf)), 'body "arm" has mass = inf'),
+    "mass": (lambda: rig(body=arm(mass=0.0)), "Body has mass = 0 kg; it must be above 0"),
+    "mass not a number": (lambda: rig(body=arm(mass=NAN)), "Body has mass = nan"),
+    "mass without bound": (lambda: rig(body=arm(mass=np.inf)), "Body has mass = inf"),
     "planar inertia": (lambda: rig(body=arm(inertia=-1.0)), 'body "arm" has inertia -1.0'),
     "inertia not definite": (
         lambda: rig(body=arm(inertia=(1, 1, 1, 2, 0, 0))),
@@ -159,21 +159,27 @@ MECHANISMS = {
     ),
     "inertia not a number": (
         lambda: rig(body=arm(inertia=(NAN, 1, 1))),
-        r'body "arm" has inertia\[0\] = nan',
+        r"Body has inertia\[0\] = nan",
     ),
     "centre of four": (
         lambda: rig(body=arm(com=(0, 0, 0, 0))),
         'body "arm" has a centre of mass of 4',
     ),
-    "place not a number": (lambda: rig(at=(NAN, 0, 0)), 'connection "pin" has parent.at.* = nan'),
+    "place not a number": (
+        lambda: rig(at=(NAN, 0, 0)),
+        r"Marker has at\[0\] = nan m; it must be finite",
+    ),
     "force not a number": (
         lambda: rig(loads={"f": jc.load.Force(marker(), (NAN, 0))}),
-        'load "f" has value.* = nan',
+        r"load.Force has value\[0\] = nan N",
     ),
-    "no clearance": (lambda: rig(Bearing(LAW, clearance=0.0)), 'joint "pin" has clearance 0.0'),
+    "no clearance": (
+        lambda: rig(Bearing(LAW, clearance=0.0)),
+        "PlanarJournalBearing has clearance = 0 m",
+    ),
     "negative clearance": (
         lambda: rig(Socket(LAW, clearance=-1e-4)),
-        'joint "pin" has clearance -0.0001',
+        "clearance.BallSocket has clearance = -0.0001 m",
     ),
     "clearance below rounding": (
         lambda: rig(Journal(LAW, clearance=1e-20)),
@@ -188,10 +194,13 @@ MECHANISMS = {
         'joint "pin" has socket_radius',
     ),
     "guide within its clearance": (lambda: rig(Guide(LAW, width=1e-5)), 'joint "pin" has width'),
-    "corner without radius": (lambda: rig(Guide(LAW, corner_radius=0.0)), 'joint "pin": '),
+    "corner without radius": (
+        lambda: rig(Guide(LAW, corner_radius=0.0)),
+        "has corner_radius = 0 m",
+    ),
     "bearing without length": (
         lambda: rig(Bearing(LAW, length=0.0)),
-        'joint "pin" has bearing length 0.0',
+        "PlanarJournalBearing has length = 0 m",
     ),
     "short journal": (
         lambda: rig(Journal(LAW, length=2e-2, journal_length=1e-2)),
@@ -262,7 +271,10 @@ PARTS = {
     "few cells": (lambda: jc.Wearing(jc.wear.Archard(), cells=(3, 1)), "at least 4 cells"),
     "half cells": (lambda: jc.Wearing(jc.wear.Archard(), cells=(12.5, 1)), "whole numbers"),
     "wear by another law": (lambda: jc.Wearing(LAW), "wears by a wear law"),
-    "ramp of no duration": (lambda: jc.drive.RampUp(1.0, 0.0), "RampUp takes 0.0 s"),
+    "ramp of no duration": (
+        lambda: jc.drive.RampUp(1.0, 0.0),
+        "drive.RampUp has duration = 0 s; it must be above 0",
+    ),
     "force by one number": (lambda: jc.load.Force(marker(), 5.0), "several numbers"),
     "force of four": (lambda: jc.load.Force(marker(), (1, 0, 0, 0)), "force has 2 or 3 numbers"),
     "torque of two": (lambda: jc.load.Torque(marker(), (1, 0)), "torque has 1 or 3 numbers"),
@@ -272,14 +284,14 @@ PARTS = {
         lambda: jc.integrator.FixedStep(method="magic"),
         "no fixed-step method 'magic'; there are",
     ),
-    "step": (lambda: jc.integrator.FixedStep(step=0.0), "step of integrator.FixedStep is 0.0"),
+    "step": (lambda: jc.integrator.FixedStep(step=0.0), "integrator.FixedStep has step = 0 s"),
     "tolerance": (
         lambda: jc.integrator.Adaptive(atol=0.0),
-        "tolerance atol of integrator.Adaptive is 0.0",
+        "integrator.Adaptive has atol = 0",
     ),
     "negative tolerance": (
         lambda: jc.integrator.Adaptive(rtol=-1e-3),
-        "tolerance rtol of integrator.Adaptive is -0.001",
+        "integrator.Adaptive has rtol = -0.001",
     ),
 }
 
