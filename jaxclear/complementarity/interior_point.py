@@ -51,9 +51,7 @@ class InteriorPoint(AbstractSolver):
     relaxed solution undetermined, and the iterations are used up.
     """
 
-    kappa: Scalar = quantity(
-        1e-8, "1", "product z_i w_i, in the units of the problem", above=0
-    )
+    kappa: Scalar = quantity(1e-8, "1", "product z_i w_i, in the units of the problem", above=0)
     most_steps: int = eqx.field(static=True, default=100)
 
     def __check_init__(self):
