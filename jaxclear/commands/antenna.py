@@ -4,6 +4,7 @@ for both drives.
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
+import argparse
 import time
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,12 @@ import pandas
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands import antenna_figures as draw
+from jaxclear.commands.arguments import add_out, at_least
 from jaxclear.scenes.antenna import BASE, BEARING_RADIUS, HOLD, JOINTS, KINDS, TIP, antenna
 
+__all__ = ["HELP", "declare", "friction_runs", "friction_table", "motion_table", "run", "study"]
+
+HELP = "antenna on a satellite with clearance and dry friction: motion, errors of the tip"
 # Step of the runs [s]; benchmarks/claims/antenna.py shows what it costs in accuracy.
 STEP = 1e-3
 # A regularised law that nearly holds, with full friction at this slip speed [m/s], beside that of
@@ -29,7 +34,19 @@ EXAGGERATION, CLOSE = 20.0, (0.75, 1.3)
 COULOMB, WIDE, NARROW = "Coulomb (sticks)", "three-zone, 0.1 m/s", "three-zone, 1 mm/s"
 
 
-def run(
+def declare(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `jaxclear antenna`."""
+    add_out(parser, "antenna_study")
+    duration = "simulated time of the periodic drive [s] (default 4)"
+    parser.add_argument("--duration", type=at_least(0.01), default=4.0, help=duration)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Answers `jaxclear antenna`."""
+    study(options.out, options.duration)
+
+
+def _simulate(
     kind: str, drive: str, duration: float, friction: Any = "set_valued", regularised: bool = False
 ) -> Any:
     """A run saved at every step."""
@@ -39,17 +56,12 @@ def run(
 
 
 def friction_runs(duration: float) -> dict[str, Any]:
-    """The step drive with Coulomb's law and with two regularised ones."""
+    """The step drive over `duration` [s] with Coulomb's law and with two regularised ones."""
+    steep = jc.friction.ThreeZone(mu_static=0.15, mu_kinetic=0.1, **STEEP)
     return {
-        COULOMB: run("spatial", "step", duration),
-        NARROW: run(
-            "spatial",
-            "step",
-            duration,
-            jc.friction.ThreeZone(mu_static=0.15, mu_kinetic=0.1, **STEEP),
-            True,
-        ),
-        WIDE: run("spatial", "step", duration, "regularised", True),
+        COULOMB: _simulate("spatial", "step", duration),
+        NARROW: _simulate("spatial", "step", duration, steep, True),
+        WIDE: _simulate("spatial", "step", duration, "regularised", True),
     }
 
 
@@ -62,9 +74,8 @@ def motion_table(runs: dict[str, Any]) -> pandas.DataFrame:
             row[f"{name} swing [rad]"] = np.ptp(np.asarray(found.coordinate(name)))
             if kind != "ideal":
                 contact = found.contact(name)
-                row[f"{name} mean normal force [N]"] = (
-                    np.asarray(contact.normal_force).sum(1).mean()
-                )
+                normal = np.asarray(contact.normal_force).sum(1)
+                row[f"{name} mean normal force [N]"] = normal.mean()
                 row[f"{name} mean friction [N]"] = np.asarray(contact.traction).sum(1).mean()
         rows.append(row)
     return pandas.DataFrame(rows)
@@ -87,42 +98,47 @@ def friction_table(runs: dict[str, Any]) -> pandas.DataFrame:
 
 
 def study(folder: Path, duration: float = 4.0) -> None:
-    """Runs everything and writes it to `folder`."""
+    """Runs everything and writes it to `folder`; `duration` [s] of the periodic drive."""
     begun = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
     print("periodic drive: ideal, planar and spatial joints", flush=True)
-    periodic = {kind: run(kind, "periodic", duration) for kind in reversed(KINDS)}
+    periodic = {kind: _simulate(kind, "periodic", duration) for kind in reversed(KINDS)}
     print("step drive: Coulomb's law and two regularised ones", flush=True)
     stepped = friction_runs(HOLD)
     found = {
         "periodic": jc.pointing_error(periodic["spatial"], TIP, BASE),
         "step": jc.pointing_error(stepped[COULOMB], TIP, BASE),
     }
-    tables = {"motion": motion_table(periodic), "stick_slip": friction_table(stepped)}
-    tables |= {f"pointing_{drive}": error.budget().reset_index() for drive, error in found.items()}
-    tables["switchings_step"] = pandas.concat(
-        [stepped[COULOMB].switchings(name).assign(joint=name) for name in JOINTS], ignore_index=True
-    )
+    tables = _tables(periodic, stepped, found)
     for name, table in tables.items():
         table.to_csv(folder / f"{name}.csv", index=False)
     for name in ("motion", "stick_slip"):
         print(f"\n{tables[name].to_string(index=False, float_format='%.4g')}", flush=True)
     for drive, error in found.items():
         print(f"\n{drive} drive: {error.sentence()}")
-    figures = {
-        "motion": draw.motion(periodic),
-        "stick_slip": draw.stick_slip(stepped, "J1", BEARING_RADIUS, CLOSE),
-        "errors": draw.errors(found),
-        "tip_path": draw.tip_path(
-            periodic["spatial"], found["periodic"], periodic["ideal"], EXAGGERATION
-        ),
-    }
-    figures |= {
-        f"pointing_budget_{drive}": plot.pointing_budget(error) for drive, error in found.items()
-    }
+    figures = _figures(periodic, stepped, found)
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png", dpi=130)
     print(
         f"\n{len(figures)} figures and {len(tables)} tables in {folder.resolve()}, "
         f"{time.perf_counter() - begun:.0f} s"
     )
+
+
+def _tables(periodic: dict, stepped: dict, found: dict) -> dict[str, pandas.DataFrame]:
+    tables = {"motion": motion_table(periodic), "stick_slip": friction_table(stepped)}
+    tables |= {f"pointing_{drive}": error.budget().reset_index() for drive, error in found.items()}
+    parts = [stepped[COULOMB].switchings(name).assign(joint=name) for name in JOINTS]
+    return tables | {"switchings_step": pandas.concat(parts, ignore_index=True)}
+
+
+def _figures(periodic: dict, stepped: dict, found: dict) -> dict[str, Any]:
+    spatial, error = periodic["spatial"], found["periodic"]
+    figures = {
+        "motion": draw.motion(periodic),
+        "stick_slip": draw.stick_slip(stepped, "J1", BEARING_RADIUS, CLOSE),
+        "errors": draw.errors(found),
+        "tip_path": draw.tip_path(spatial, error, periodic["ideal"], EXAGGERATION),
+    }
+    budgets = {f"pointing_budget_{drive}": plot.pointing_budget(e) for drive, e in found.items()}
+    return figures | budgets

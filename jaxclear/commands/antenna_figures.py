@@ -11,11 +11,15 @@ from jaxclear.results.pointing_error import PointingError, shift, turn
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP
 
-MILLI, MICRO = 1e3, 1e6
+__all__ = ["errors", "motion", "stick_slip", "tip_path", "tip_paths"]
+
+MILLI = 1e3
 STYLES = {"ideal": ("k", "--"), "planar": ("C0", "-"), "spatial": ("C3", "-")}
 # Difference of model and exact error below which nothing is drawn on a logarithmic axis, relative
 # to the largest.
 FLOOR = 1e-6
+# Slip slower than this is sticking [m/s].
+STUCK = 1e-12
 
 
 def motion(runs: Mapping[str, Trajectory]) -> Figure:
@@ -57,32 +61,19 @@ def stick_slip(
         time, speed = np.asarray(run.time), np.asarray(run.speed(joint))[:, 0]
         acceleration = np.diff(speed) / np.diff(time)
         friction = np.asarray(run.contact(joint).traction).sum(1)[1:]
+        style = {"color": f"C{number}", "lw": 1.6 if number == 0 else 1.0, "zorder": 3 - number}
         for column in (0, 1):
-            style = {"color": f"C{number}", "lw": 1.6 if number == 0 else 1.0, "zorder": 3 - number}
             axes[0][column].plot(time, MILLI * radius * speed, label=label, **style)
             axes[1][column].plot(time[1:], acceleration, **style)
             axes[2][column].plot(time[1:], friction, **style)
     first = next(iter(runs.values()))
     time, speed = np.asarray(first.time), np.asarray(first.speed(joint))[:, 0]
-    held = np.abs(speed) * radius < 1e-12
+    held = np.abs(speed) * radius < STUCK
     held[0] = False
-    for row in axes:
-        for axis in row:
-            low, high = axis.get_ylim()
-            axis.fill_between(
-                time,
-                0,
-                1,
-                where=held,
-                color="0.88",
-                transform=axis.get_xaxis_transform(),
-                zorder=0,
-                lw=0,
-            )
-            axis.set_ylim(low, high)
-    inside = (time > close[0]) & (time < close[1])
+    for axis in axes.flat:
+        _shade(axis, time, held)
     for axis in axes[:, 1]:
-        _fit(axis, inside)
+        _fit(axis, (time > close[0]) & (time < close[1]))
         axis.set_xlim(*close)
         axis.axhline(0.0, color="0.6", lw=0.6, zorder=1)
     for row, text in enumerate(("slip speed [mm/s]", "acceleration [rad/s²]", "friction [N]")):
@@ -91,13 +82,17 @@ def stick_slip(
         axis.set_xlabel("time [s]")
     axes[0][0].set_title(f"{joint}; grey: sticks by Coulomb's law")
     axes[0][1].set_title("close up")
-    figure.legend(
-        *axes[0][0].get_legend_handles_labels(),
-        ncols=len(runs),
-        fontsize=9,
-        loc="outside lower center",
-    )
+    lines = axes[0][0].get_legend_handles_labels()
+    figure.legend(*lines, ncols=len(runs), fontsize=9, loc="outside lower center")
     return figure
+
+
+def _shade(axis, time, held):
+    """Grey where `held`, over the whole height of the axis."""
+    low, high = axis.get_ylim()
+    whole = axis.get_xaxis_transform()
+    axis.fill_between(time, 0, 1, where=held, color="0.88", transform=whole, zorder=0, lw=0)
+    axis.set_ylim(low, high)
 
 
 def _fit(axis, inside):

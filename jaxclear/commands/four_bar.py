@@ -4,6 +4,7 @@ lengths, and derivatives.
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
+import argparse
 import time
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,12 @@ import pandas
 
 import jaxclear as jc
 from jaxclear import plot
+from jaxclear.commands.arguments import add_out, add_quiet, at_least
 from jaxclear.scenes.four_bar import CLEARANCES, four_bar
 
+__all__ = ["HELP", "declare", "paper_runs", "problem", "run", "run_table", "study"]
+
+HELP = "four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives"
 LARGEST = CLEARANCES[-1]
 # The follower's error is that in the plane of the mechanism; along the bearing's axis the journal
 # has its own play.
@@ -25,6 +30,25 @@ SAVES_PER_SECOND, SAVES_PER_TURN = 400, 100
 TURN = 2 * np.pi / 10.0
 # Tolerances of the study (half of the allowed variation) [m]; assumed, of a usual machining grade.
 CLEARANCE_TOLERANCE, LENGTH_TOLERANCE = 20e-6, 20e-6
+
+
+def declare(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `jaxclear four-bar`."""
+    add_out(parser, "four_bar_study")
+    samples, duration, turns = (
+        "Monte Carlo samples (default 256)",
+        "simulated time of the paper's runs [s] (default 5)",
+        "turns of the crank in the Monte Carlo (default 2)",
+    )
+    parser.add_argument("--samples", type=at_least(16, int), default=256, help=samples)
+    parser.add_argument("--duration", type=at_least(0.01), default=5.0, help=duration)
+    parser.add_argument("--turns", type=at_least(0.01), default=2.0, help=turns)
+    add_quiet(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Answers `jaxclear four-bar`."""
+    study(options.out, options.samples, options.duration, options.turns, not options.quiet)
 
 
 def paper_runs(duration: float, saves: int, show: bool) -> dict[float, Any]:
@@ -72,75 +96,57 @@ def run_table(runs: dict[float, Any]) -> pandas.DataFrame:
     """One row a clearance: how far the follower strays in the plane, what the joint carries, what
     wears.
     """
-    ideal = runs[0.0]
-    reference = np.asarray(ideal.body("follower").com)[:, :2]
+    ideal = runs[0.0].body("follower")
     rows = []
     for clearance, run in runs.items():
-        away = np.linalg.norm(np.asarray(run.body("follower").com)[:, :2] - reference, axis=1)
-        spin = (
-            np.asarray(run.body("follower").spin)[:, 2]
-            - np.asarray(ideal.body("follower").spin)[:, 2]
-        )
+        follower = run.body("follower")
+        away = np.linalg.norm(np.asarray(follower.com - ideal.com)[:, :2], axis=1)
+        spin = np.asarray(follower.spin - ideal.spin)[:, 2]
         row = {
             "radial clearance [mm]": 1e3 * clearance,
             "joint": "spatial" if clearance else "ideal",
-        }
-        row |= {
             "follower error rms [um]": 1e6 * np.sqrt((away**2).mean()),
             "largest [um]": 1e6 * away.max(),
+            "angular velocity deviation rms [rad/s]": np.sqrt((spin**2).mean()),
         }
-        row |= {"angular velocity deviation rms [rad/s]": np.sqrt((spin**2).mean())}
         if clearance:
-            depth = np.asarray(run.worn["B"]["bearing"])
-            row |= {
-                "mean normal force [N]": float(
-                    np.asarray(run.contact("B").normal_force).sum(axis=1).mean()
-                )
-            }
-            row |= {"peak worn depth [um]": 1e6 * depth.max()}
-            share = (depth[:, 0].sum() + depth[:, -1].sum()) / depth.sum()
-            row |= {"share of wear in the two end rows [1]": share}
-        row |= {"steps": int(run.accepted_steps), "result": run.result}
-        rows.append(row)
+            row |= _load_and_wear(run)
+        rows.append(row | {"steps": int(run.accepted_steps), "result": run.result})
     return pandas.DataFrame(rows)
+
+
+def _load_and_wear(run: Any) -> dict[str, float]:
+    force = np.asarray(run.contact("B").normal_force).sum(axis=1)
+    depth = np.asarray(run.worn["B"]["bearing"])
+    return {
+        "mean normal force [N]": force.mean(),
+        "peak worn depth [um]": 1e6 * depth.max(),
+        "share of wear in the two end rows [1]": depth[:, [0, -1]].sum() / depth.sum(),
+    }
 
 
 def study(
     folder: Path, samples: int = 256, duration: float = 5.0, turns: float = 2.0, show: bool = True
 ) -> None:
-    """Runs everything and writes it to `folder`."""
+    """Runs everything and writes it to `folder`: runs of `duration` [s], a Monte Carlo over `turns`
+    of the crank; `show`: progress bars.
+    """
     begun = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
-    runs = paper_runs(duration, int(round(duration * SAVES_PER_SECOND)) + 1, show)
+    runs = paper_runs(duration, round(duration * SAVES_PER_SECOND) + 1, show)
     table = run_table(runs)
     table.to_csv(folder / "runs.csv", index=False)
-    print(
-        f"\n{table.drop(columns='result').to_string(index=False, float_format='%.4g')}\n",
-        flush=True,
-    )
-    figures = _run_figures(runs)
-    question = problem(TURN * turns, int(round(SAVES_PER_TURN * turns)) + 1)
-    print(f"Monte Carlo, {samples} samples over {turns:g} turn(s) of the crank", flush=True)
-    sample = jc.monte_carlo(question, samples, progress_bar=show)
-    sample.table().to_csv(folder / "monte_carlo.csv", index=False)
-    sample.summary().to_csv(folder / "monte_carlo_summary.csv", index=False)
-    print(f"\n{sample.summary().to_string(index=False, float_format='%.4g')}\n", flush=True)
-    for index, sentence in sample.failures().items():
-        print(f"sample {index} failed. {sentence}")
+    _show(table.drop(columns="result"))
+    question = problem(TURN * turns, round(SAVES_PER_TURN * turns) + 1)
+    sample = _monte_carlo(question, samples, folder, show)
     print("derivatives with respect to clearance", flush=True)
     pairs = max(16, samples // 2)
     answers = jc.sensitivity(
         question, "clearance", sample=sample, difference_samples=pairs, progress_bar=show
     )
     answers.table().to_csv(folder / "sensitivity.csv", index=False)
-    for (response, variable), d in answers.derivatives.items():
-        unit = answers.unit(response, variable)
-        print(
-            f"d({response})/d({variable}) = {d.value:.4g} +- {d.error:.2g} {unit} (95 %). "
-            f"{d.verdict}"
-        )
-        for method, e in d.estimates.items():
-            print(f"    {method}: {e.refusal or f'{e.value:.4g} +- {e.error:.2g}'}")
+    _print_derivatives(answers)
+    figures = _run_figures(runs)
     figures |= {"monte_carlo": plot.monte_carlo(sample), "sensitivity": plot.sensitivity(answers)}
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png", dpi=130)
@@ -148,6 +154,30 @@ def study(
         f"\n{len(figures)} figures and 4 tables in {folder.resolve()}, "
         f"{time.perf_counter() - begun:.0f} s"
     )
+
+
+def _show(table: pandas.DataFrame) -> None:
+    print(f"\n{table.to_string(index=False, float_format='%.4g')}\n", flush=True)
+
+
+def _monte_carlo(question: jc.Problem, samples: int, folder: Path, show: bool) -> Any:
+    turns = question.duration / TURN
+    print(f"Monte Carlo, {samples} samples over {turns:g} turn(s) of the crank", flush=True)
+    sample = jc.monte_carlo(question, samples, progress_bar=show)
+    sample.table().to_csv(folder / "monte_carlo.csv", index=False)
+    sample.summary().to_csv(folder / "monte_carlo_summary.csv", index=False)
+    _show(sample.summary())
+    for index, sentence in sample.failures().items():
+        print(f"sample {index} failed. {sentence}")
+    return sample
+
+
+def _print_derivatives(answers: Any) -> None:
+    for (response, variable), d in answers.derivatives.items():
+        value = f"{d.value:.4g} +- {d.error:.2g} {answers.unit(response, variable)} (95 %)"
+        print(f"d({response})/d({variable}) = {value}. {d.verdict}")
+        for method, e in d.estimates.items():
+            print(f"    {method}: {e.refusal or f'{e.value:.4g} +- {e.error:.2g}'}")
 
 
 def _run_figures(runs: dict[float, Any]) -> dict[str, Any]:

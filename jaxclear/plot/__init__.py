@@ -1,17 +1,11 @@
-"""Figures of runs and studies: `jaxclear.plot`."""
+"""Figures of runs and studies: `jaxclear.plot`. Every function returns a matplotlib figure and
+neither shows nor saves it.
+"""
 
-from jaxclear.plot.figures import (
-    angular_velocity,
-    displacement,
-    end_centres,
-    journal_ends,
-    monte_carlo,
-    pointing_budget,
-    sensitivity,
-    wear_surface,
-    wear_unrolled,
-    work_precision,
-)
+from jaxclear.plot.motion import angular_velocity, displacement, end_centres, journal_ends
+from jaxclear.plot.pointing import pointing_budget
+from jaxclear.plot.studies import monte_carlo, sensitivity, work_precision
+from jaxclear.plot.wear import wear_surface, wear_unrolled
 
 __all__ = [
     "angular_velocity",

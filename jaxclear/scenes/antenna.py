@@ -2,11 +2,11 @@
 friction in both revolute joints.
 
 Source: Li, Lyu & Ding 2022, Chin. J. Aeronaut., no. 8, "Dynamics modeling and error analysis for
-antenna pointing mechanisms with frictional spatial revolute joints on SE(3)" (antenna paper 000);
-its tables of geometry, inertia and simulation parameters are lost. Taken from a near relative, Bai
-& Zhao 2020, Int. J. Aerospace Eng., 8846177, table 2: shafts of 0.5 m, bearing 50 mm long with
-radius 10 mm, journal 54 mm, flange radius 14 mm, radial and axial clearance 0.2 mm, mu_s 0.15, mu_d
-0.1, v_s 0.1 m/s, v_d 1 m/s, restitution 0.9, driving torques of 10 and 4 N m.
+antenna pointing mechanisms with frictional spatial revolute joints on SE(3)"; its tables of
+geometry, inertia and simulation parameters are lost. Taken from a near relative, Bai & Zhao 2020,
+Int. J. Aerospace Eng., 8846177, table 2: shafts of 0.5 m, bearing 50 mm long with radius 10 mm,
+journal 54 mm, flange radius 14 mm, radial and axial clearance 0.2 mm, mu_s 0.15, mu_d 0.1, v_s 0.1
+m/s, v_d 1 m/s, restitution 0.9, driving torques of 10 and 4 N m.
 
 Assumed, because no source says: the satellite is a cylinder of 100 kg, radius 0.5 m, height 1 m (a
 small satellite), joint 1 in the middle of its top, turning about its axis; link 1 is a tube of 4 kg
@@ -38,7 +38,7 @@ from jaxclear.multibody.mechanism import Mechanism
 LINK_1, LINK_2 = 0.5, 0.5
 BEARING_RADIUS, BEARING_LENGTH, JOURNAL_LENGTH, FLANGE_RADIUS = 10e-3, 50e-3, 54e-3, 14e-3
 AXIAL_CLEARANCE = 0.2e-3
-STATIC_SPEED, KINETIC_SPEED, RESTITUTION = 0.1, 1.0, 0.9
+MU_KINETIC, MU_STATIC, STATIC_SPEED, KINETIC_SPEED, RESTITUTION = 0.1, 0.15, 0.1, 1.0, 0.9
 TORQUES = (10.0, 4.0)
 # Step drive [s]: joint 1 pushed up to PUSH, braked up to BRAKE; joint 2 driven up to HOLD.
 PUSH, BRAKE, HOLD = 0.2, 0.38, 2.5
@@ -81,8 +81,8 @@ class StepTorque(AbstractQuantified):
 
 
 def driving_torques(drive: str | tuple) -> tuple[Any, Any]:
-    """Torque of each joint's motor: "periodic", "step", or two of one's own, numbers or functions
-    of time.
+    """Torque [N m] of each joint's motor: "periodic", "step", or two of one's own, numbers or
+    functions of time.
     """
     if isinstance(drive, tuple) and len(drive) == 2:
         return drive
@@ -90,32 +90,27 @@ def driving_torques(drive: str | tuple) -> tuple[Any, Any]:
         return tuple(PeriodicTorque(amplitude) for amplitude in TORQUES)
     if drive == "step":
         return StepTorque(TORQUES[0], PUSH, BRAKE), StepTorque(TORQUES[1], HOLD)
-    raise ValueError(
-        f"the drive of the antenna is {', '.join(map(repr, DRIVES))} or two torques, not {drive!r}."
-    )
+    allowed = ", ".join(map(repr, DRIVES))
+    raise ValueError(f"the drive of the antenna is {allowed} or two torques, not {drive!r}.")
 
 
-def friction_law(
-    friction: Any, mu_kinetic: Any = 0.1, mu_static: Any = 0.15
-) -> AbstractFrictionLaw | None:
+def friction_law(friction: Any) -> AbstractFrictionLaw | None:
     """Coulomb's law ("set_valued"), the three-zone law of Bai & Zhao ("regularised"), a law of
     one's own, or None.
     """
     if friction is None or isinstance(friction, AbstractFrictionLaw):
         return friction
-    if friction not in FRICTIONS:
-        raise ValueError(
-            f"the friction of the antenna is {', '.join(map(repr, FRICTIONS))} or a law, not "
-            f"{friction!r}."
-        )
     if friction == "set_valued":
-        return Coulomb(mu_kinetic=mu_kinetic, mu_static=mu_static)
-    return ThreeZone(
-        mu_static=mu_static,
-        mu_kinetic=mu_kinetic,
-        static_speed=STATIC_SPEED,
-        kinetic_speed=KINETIC_SPEED,
-    )
+        return Coulomb(mu_kinetic=MU_KINETIC, mu_static=MU_STATIC)
+    if friction == "regularised":
+        return ThreeZone(
+            mu_static=MU_STATIC,
+            mu_kinetic=MU_KINETIC,
+            static_speed=STATIC_SPEED,
+            kinetic_speed=KINETIC_SPEED,
+        )
+    allowed = ", ".join(map(repr, FRICTIONS))
+    raise ValueError(f"the friction of the antenna is {allowed} or a law, not {friction!r}.")
 
 
 def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
@@ -125,14 +120,17 @@ def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
     if kind == "ideal":
         return Revolute()
     contact = CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=RESTITUTION)
+    shared = {
+        "contact": contact,
+        "friction": rub,
+        "bearing_radius": BEARING_RADIUS,
+        "clearance": clearance,
+        "length": BEARING_LENGTH,
+    }
     if kind == "planar":
-        return clearances.PlanarJournalBearing(
-            contact, rub, BEARING_RADIUS, clearance, BEARING_LENGTH
-        )
-    flange = clearances.Flange(contact, None, FLANGE_RADIUS, AXIAL_CLEARANCE)
-    return clearances.JournalBearing(
-        contact, rub, BEARING_RADIUS, clearance, BEARING_LENGTH, JOURNAL_LENGTH, flange
-    )
+        return clearances.PlanarJournalBearing(**shared)
+    flange = clearances.Flange(contact=contact, radius=FLANGE_RADIUS, clearance=AXIAL_CLEARANCE)
+    return clearances.JournalBearing(**shared, journal_length=JOURNAL_LENGTH, flange=flange)
 
 
 def _bodies(offset: float) -> dict[str, Body]:
@@ -158,8 +156,6 @@ def antenna(
     kind: str = "spatial",
     clearance: float = 0.2e-3,
     *,
-    mu_kinetic: float = 0.1,
-    mu_static: float = 0.15,
     drive: str | tuple = "periodic",
     friction: Any = "set_valued",
     offset: float = OFFSET,
@@ -173,19 +169,19 @@ def antenna(
     kind leaves a journal free to tilt and slide unless its joint always touches: take it with
     integrator.NonColliding only. Everything starts at rest, link 2 level.
     """
-    joint = bearing(kind, clearance, friction_law(friction, mu_kinetic, mu_static))
+    joint = bearing(kind, clearance, friction_law(friction))
     places = {
         "J1": (Marker("satellite", (0.0, 0.0, 0.5 * SATELLITE_HEIGHT)), Marker("link1")),
         "J2": (Marker("link1", (0.0, 0.0, LINK_1), axis="x"), Marker("link2", axis="x")),
     }
     torques = zip(JOINTS, driving_torques(drive), strict=True)
+    base = {"base": Connection(Free(), "ground", "satellite")}
     top = 0.5 * SATELLITE_HEIGHT
     # Held by contacts alone, bodies start by place.
     start = {} if kind == "ideal" else {"link1": (0.0, 0.0, top), "link2": (0.0, 0.0, top + LINK_1)}
     return Mechanism(
         bodies=_bodies(offset),
-        connections={"base": Connection(Free(), "ground", "satellite")}
-        | {name: Connection(joint, *markers) for name, markers in places.items()},
+        connections=base | {name: Connection(joint, *ends) for name, ends in places.items()},
         loads={f"motor {name}": MotorTorque(*places[name], torque) for name, torque in torques},
         start=start,
     )

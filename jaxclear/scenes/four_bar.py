@@ -39,10 +39,13 @@ from jaxclear.multibody.mechanism import Mechanism
 
 # Radial clearances of the paper [m]; the first is the ideal joint.
 CLEARANCES = (0.0, 0.05e-3, 0.1e-3, 0.15e-3, 0.2e-3)
+# Lengths of the links, and their radius of gyration about their own axis [m].
 CRANK, COUPLER, FOLLOWER, GROUND = 0.1, 0.4, 0.3, 0.3
 GYRATION = 8e-3
 FOLLOWER_OFFSET = 20e-3
 AXIAL_CLEARANCE = 1e-3
+# Bearing and journal [m].
+BEARING_RADIUS, BEARING_LENGTH, JOURNAL_LENGTH, COLLAR_RADIUS = 10e-3, 30e-3, 32e-3, 14e-3
 KINDS = ("spatial", "planar", "ideal")
 
 
@@ -53,22 +56,29 @@ def bearing(
     if kind == "ideal":
         return Revolute()
     contact = LankaraniNikravesh(stiffness=HertzStiffness(steel(), steel()), restitution=0.9)
-    rub = (
-        ThreeZone(mu_static=0.15, mu_kinetic=0.1, static_speed=0.1, kinetic_speed=1.0)
-        if friction
-        else None
-    )
+    rub = None
+    if friction:
+        rub = ThreeZone(mu_static=0.15, mu_kinetic=0.1, static_speed=0.1, kinetic_speed=1.0)
     law = Wearing(Archard(wear_coefficient=2e-2, hardness=2.17e9), cells) if wear else None
     if kind == "planar":
-        return clearances.PlanarJournalBearing(contact, rub, 10e-3, clearance, 30e-3, law)
+        return clearances.PlanarJournalBearing(
+            contact=contact,
+            friction=rub,
+            bearing_radius=BEARING_RADIUS,
+            clearance=clearance,
+            length=BEARING_LENGTH,
+            wear=law,
+        )
     return clearances.JournalBearing(
         contact=contact,
         friction=rub,
-        bearing_radius=10e-3,
+        bearing_radius=BEARING_RADIUS,
         clearance=clearance,
-        length=30e-3,
-        journal_length=32e-3,
-        flange=clearances.Flange(contact, rub, 14e-3, AXIAL_CLEARANCE),
+        length=BEARING_LENGTH,
+        journal_length=JOURNAL_LENGTH,
+        flange=clearances.Flange(
+            contact=contact, friction=rub, radius=COLLAR_RADIUS, clearance=AXIAL_CLEARANCE
+        ),
         bearing_wear=law,
     )
 

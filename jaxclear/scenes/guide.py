@@ -1,11 +1,11 @@
 """Crank, slider and rotating guide (quick-return mechanism) with clearance and dry friction between
 slider and guide.
 
-Source: Luo, Qi & Kong, "Non-colliding contact analysis with friction in the planar prismatic joint"
-(paper 004), tables 1 and 2. From the paper: lengths, masses and moments of inertia of crank, slider
+Source: Luo, Qi & Kong, "Non-colliding contact analysis with friction in the planar prismatic
+joint", tables 1 and 2. From the paper: lengths, masses and moments of inertia of crank, slider
 and guide, v_s = 0.0001 m/s of the regularised friction.
 
-The frame's origin is the crank's pivot O; the guide turns about C at (-ground_distance, 0); the
+The frame's origin is the crank's pivot O; the guide turns about C at (-GROUND_DISTANCE, 0); the
 crank's end carries the slider (joint A), which slides in the guide (joint P). Its coordinate is its
 place along the guide from where it starts.
 
@@ -34,9 +34,8 @@ from jaxclear.components.clearance import SliderGuide
 from jaxclear.components.drive import AbstractDrive, ConstantSpeed
 from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.components.load import Gravity, JointTorque
-from jaxclear.ground.quantity import concrete
 from jaxclear.laws.contact import CarvalhoMartins
-from jaxclear.laws.friction import AbstractFrictionLaw, AdamsStep, Coulomb, CoulombTanh
+from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, CoulombTanh
 from jaxclear.laws.material import steel
 from jaxclear.laws.stiffness import HertzStiffness
 from jaxclear.multibody.mechanism import Mechanism
@@ -50,75 +49,78 @@ GUIDE_ARM = 0.5 * GUIDE_LENGTH - 0.05
 GROUND_DISTANCE = 0.8
 CRANK_SPEED = 5.0
 GRAVITY = 9.81
-# v_s of the paper's regularised friction; friction is kinetic from ten times as fast.
-REGULARISING_SPEED, KINETIC_SPEED = 1e-4, 1e-3
+MU = 0.1
+# v_s of the paper's regularised friction.
+REGULARISING_SPEED = 1e-4
+# Radius of the slider's rounded corners [m].
+CORNER_RADIUS = 5e-3
 KINDS = ("guide", "ideal")
 FRICTIONS = ("set_valued", "regularised", None)
 
 
-def friction_law(
-    kind: str | None, mu_kinetic: Any = 0.1, mu_static: Any | None = None
-) -> AbstractFrictionLaw | None:
-    """Friction between slider and guide: "set_valued" for rigid contact, "regularised" with v_s for
-    all others, or None.
+def friction_law(friction: Any) -> AbstractFrictionLaw | None:
+    """Coulomb's law ("set_valued"), its regularisation with v_s ("regularised"), a law of one's
+    own, or None.
     """
-    if kind not in FRICTIONS:
-        raise ValueError(
-            f"the friction of the guide is {', '.join(map(repr, FRICTIONS))}, not {kind!r}."
-        )
-    if kind is None:
-        return None
-    if kind == "set_valued":
-        return Coulomb(mu_kinetic=mu_kinetic, mu_static=mu_static)
-    if mu_static is None:
-        return CoulombTanh(mu_kinetic=mu_kinetic, transition_speed=REGULARISING_SPEED)
-    return AdamsStep(
-        mu_static=mu_static,
-        mu_kinetic=mu_kinetic,
-        static_speed=REGULARISING_SPEED,
-        kinetic_speed=KINETIC_SPEED,
+    if friction is None or isinstance(friction, AbstractFrictionLaw):
+        return friction
+    if friction == "set_valued":
+        return Coulomb(mu_kinetic=MU)
+    if friction == "regularised":
+        return CoulombTanh(mu_kinetic=MU, transition_speed=REGULARISING_SPEED)
+    allowed = ", ".join(map(repr, FRICTIONS))
+    raise ValueError(f"the friction of the guide is {allowed} or a law, not {friction!r}.")
+
+
+def slider_joint(kind: str, clearance: Any, friction: AbstractFrictionLaw | None) -> Any:
+    """The joint of slider and guide: "guide" with a gap of `clearance` [m] on each side, or
+    "ideal".
+    """
+    if kind not in KINDS:
+        allowed = " or ".join(map(repr, KINDS))
+        raise ValueError(f"the joint of slider and guide is {allowed}, not {kind!r}.")
+    if kind == "ideal":
+        return Prismatic()
+    return SliderGuide(
+        contact=CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=0.8),
+        friction=friction,
+        width=WIDTH,
+        length=SLIDER,
+        clearance=clearance,
+        corner_radius=CORNER_RADIUS,
     )
+
+
+def _bodies() -> dict[str, Body]:
+    half = 0.5 * CRANK
+    return {
+        "crank": Body(CRANK_MASS, CRANK_INERTIA - CRANK_MASS * half**2, (half, 0.0)),
+        "slider": Body(SLIDER_MASS, SLIDER_INERTIA),
+        "guide": Body(GUIDE_MASS, GUIDE_INERTIA - GUIDE_MASS * GUIDE_ARM**2, (GUIDE_ARM, 0.0)),
+    }
 
 
 def guide(
     kind: str = "guide",
     clearance: float = 0.1e-3,
     *,
-    mu_kinetic: float = 0.1,
-    mu_static: float | None = None,
-    friction: str | None = "set_valued",
+    friction: Any = "set_valued",
     drive: AbstractDrive | None | str = "constant",
     crank_angle: float = 0.0,
     crank_speed: float = CRANK_SPEED,
     torque: Any | None = None,
     gravity: float | None = GRAVITY,
-    ground_distance: float = GROUND_DISTANCE,
 ) -> Mechanism:
     """The mechanism of the paper, joint "P" between guide and slider being `kind`: "guide" with
     clearance, or "ideal".
 
     `clearance`: gap on each side of the centred slider [m]. `friction`: "set_valued" (NonColliding,
-    MoreauJean), "regularised" (compliant runs; NonColliding takes its coefficients) or None.
-    `drive` of the crank: "constant" from `crank_angle` [rad] with `crank_speed` [rad/s], or your
-    own drive (starting at `crank_angle`), or None: a free crank that starts so, under `torque` [N
-    m] (a number or a function of time). `gravity` [m/s2] along -y, None: absent. `ground_distance`
-    [m] from C to O, more than the crank's 0.5.
+    MoreauJean), "regularised" (compliant runs; NonColliding takes its coefficients), a law, or
+    None. `drive` of the crank: "constant" from `crank_angle` [rad] with `crank_speed` [rad/s], or
+    your own drive (starting at `crank_angle`), or None: a free crank that starts so, under `torque`
+    [N m] (a number or a function of time). `gravity` [m/s2] along -y, None: absent.
     """
-    if kind not in KINDS:
-        raise ValueError(
-            f"the joint of slider and guide is {' or '.join(map(repr, KINDS))}, not {kind!r}."
-        )
-    distance = concrete(ground_distance)
-    if distance is not None and not distance > CRANK:
-        raise ValueError(
-            f"ground_distance of the guide is {distance} m; it must be more than the crank's "
-            f"{CRANK} m."
-        )
-    joint = Prismatic()
-    if kind == "guide":
-        contact = CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=0.8)
-        law = friction_law(friction, mu_kinetic, mu_static)
-        joint = SliderGuide(contact, law, WIDTH, SLIDER, clearance, 5e-3)
+    joint = slider_joint(kind, clearance, friction_law(friction))
     if isinstance(drive, str):
         drive = ConstantSpeed(crank_speed, crank_angle)
     if drive is not None and torque is not None:
@@ -126,26 +128,21 @@ def guide(
             "the crank of the guide is driven and under a torque; give drive=None for the torque "
             "to move it."
         )
-    half = 0.5 * CRANK
     # From C to the crank's end.
-    along, across = ground_distance + CRANK * jnp.cos(crank_angle), CRANK * jnp.sin(crank_angle)
+    along, across = GROUND_DISTANCE + CRANK * jnp.cos(crank_angle), CRANK * jnp.sin(crank_angle)
     reach, tilt = jnp.hypot(along, across), jnp.arctan2(across, along)
+    weight = {} if gravity is None else {"gravity": Gravity((0.0, -gravity))}
+    motor = {} if torque is None else {"torque": JointTorque("O", torque)}
+    free = drive is None
     return Mechanism(
-        bodies={
-            "crank": Body(CRANK_MASS, CRANK_INERTIA - CRANK_MASS * half**2, (half, 0.0)),
-            "slider": Body(SLIDER_MASS, SLIDER_INERTIA),
-            "guide": Body(GUIDE_MASS, GUIDE_INERTIA - GUIDE_MASS * GUIDE_ARM**2, (GUIDE_ARM, 0.0)),
-        },
+        bodies=_bodies(),
         connections={
             "O": Connection(Revolute(drive=drive), "ground", "crank"),
-            "C": Connection(Revolute(), "ground", "guide", at=(-ground_distance, 0.0)),
+            "C": Connection(Revolute(), "ground", "guide", at=(-GROUND_DISTANCE, 0.0)),
             "A": Connection(Revolute(), "crank", "slider", at=(CRANK, 0.0)),
             "P": Connection(joint, Marker("guide", (reach, 0.0), "x"), Marker("slider", axis="x")),
         },
-        loads={
-            **({} if gravity is None else {"gravity": Gravity((0.0, -gravity))}),
-            **({} if torque is None else {"torque": JointTorque("O", torque)}),
-        },
-        start={"C": tilt, "A": tilt - crank_angle} | ({"O": crank_angle} if drive is None else {}),
-        speeds={"O": crank_speed} if drive is None else None,
+        loads=weight | motor,
+        start={"C": tilt, "A": tilt - crank_angle} | ({"O": crank_angle} if free else {}),
+        speeds={"O": crank_speed} if free else None,
     )

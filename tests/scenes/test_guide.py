@@ -116,7 +116,8 @@ def compliant():
 
 
 def free_crank(relaxation=None):
-    rig = jc.scenes.guide(drive=None, crank_angle=RELEASE, crank_speed=0.0, mu_kinetic=MU_FREE)
+    friction = jc.friction.Coulomb(mu_kinetic=MU_FREE)
+    rig = jc.scenes.guide(drive=None, crank_angle=RELEASE, crank_speed=0.0, friction=friction)
     integrator = jc.integrator.NonColliding(FREE_STEP, relaxation=relaxation)
     return jc.simulate(rig, FREE_STEP * (FREE_SAVES - 1), save=FREE_SAVES, integrator=integrator)
 

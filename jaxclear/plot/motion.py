@@ -1,0 +1,116 @@
+"""Figures of one run's motion beside the ideal mechanism's, and of a journal in its bearing."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxclear.plot.canvas import MICRO, MILLI, canvas, setting, shades
+from jaxclear.results.trajectory import Trajectory
+
+__all__ = ["angular_velocity", "displacement", "end_centres", "journal_ends"]
+
+
+def displacement(runs: Mapping[str, Trajectory], ideal: Trajectory, body: str) -> Figure:
+    """Path of a body's centre of mass in x and y for several runs beside the ideal one, and their
+    distance from it.
+    """
+    figure, axes = canvas(3, 1, (8.0, 8.5), sharex=True)
+    reference = np.asarray(ideal.body(body).com)
+    for axis, k, letter in zip(axes[:2], (0, 1), "xy", strict=True):
+        axis.plot(ideal.time, MILLI * reference[:, k], "k--", lw=1.2, label="ideal", zorder=3)
+        for (label, run), shade in zip(runs.items(), shades(len(runs)), strict=True):
+            axis.plot(
+                run.time,
+                MILLI * np.asarray(run.body(body).com)[:, k],
+                color=shade,
+                lw=1.0,
+                label=label,
+            )
+        axis.set_ylabel(f"{body} {letter} [mm]")
+    for (label, run), shade in zip(runs.items(), shades(len(runs)), strict=True):
+        away = np.asarray(run.body(body).com)[:, :2] - reference[:, :2]
+        axes[2].plot(
+            run.time, MICRO * np.linalg.norm(away, axis=1), color=shade, lw=0.8, label=label
+        )
+    axes[2].set_ylabel("distance from ideal [µm]")
+    axes[2].set_xlabel("time [s]")
+    axes[2].set_ylim(bottom=0)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(),
+        ncols=5,
+        fontsize=8,
+        title="radial clearance",
+        loc="outside lower center",
+    )
+    axes[0].set_title(f"Centre of mass of the {body}")
+    return figure
+
+
+def angular_velocity(
+    run: Trajectory, ideal: Trajectory, body: str, label: str = "with clearance"
+) -> Figure:
+    """Angular velocity of a body about z with clearance and without, and their difference."""
+    figure, axes = canvas(2, 1, (8.0, 6.0), sharex=True)
+    own, other = (np.asarray(r.body(body).spin)[:, 2] for r in (run, ideal))
+    axes[0].plot(run.time, own, color="C0", lw=1.2, label=label)
+    axes[0].plot(ideal.time, other, "k--", lw=0.9, label="ideal")
+    axes[0].set_ylabel("angular velocity [rad/s]")
+    axes[0].legend(loc="upper right", fontsize=8)
+    axes[0].set_title(f"Angular velocity of the {body} about the z axis")
+    axes[1].plot(run.time, own - other, color="C0", lw=0.7)
+    axes[1].axhline(0.0, color="k", lw=0.6)
+    axes[1].set_ylabel("difference from ideal [rad/s]")
+    axes[1].set_xlabel("time [s]")
+    return figure
+
+
+def journal_ends(run: Trajectory, joint: str) -> Figure:
+    """Centres of the journal's two ends in the bearing's end planes, with the clearance circle.
+
+    Indentation is of the order of a thousandth of the clearance, so points in contact lie on the
+    circle.
+    """
+    ends = end_centres(run, joint)
+    clearance = float(run.mechanism.connections[joint].joint.clearance)
+    figure, axes = canvas(1, 2, (9.0, 4.8), sharex=True, sharey=True)
+    turn = np.linspace(0, 2 * np.pi, 400)
+    for axis, end, label in zip(
+        axes, ends, ("lower end (z = -L/2)", "upper end (z = L/2)"), strict=True
+    ):
+        axis.plot(
+            MICRO * clearance * np.cos(turn),
+            MICRO * clearance * np.sin(turn),
+            "r-",
+            lw=0.7,
+            label="clearance circle",
+        )
+        axis.set_xlim(-1.15 * MICRO * clearance, 1.15 * MICRO * clearance)
+        axis.plot(
+            MICRO * end[:, 0],
+            MICRO * end[:, 1],
+            ".",
+            ms=3.0,
+            alpha=0.4,
+            color="C0",
+            label="journal centre",
+        )
+        axis.set_aspect("equal")
+        axis.set_title(label)
+        axis.set_xlabel("x in the bearing [µm]")
+    axes[0].set_ylabel("y in the bearing [µm]")
+    figure.suptitle(f"Ends of the journal of {joint}{setting(run, joint)}")
+    axes[1].legend(loc="upper right", fontsize=8)
+    return figure
+
+
+def end_centres(run: Trajectory, joint: str) -> np.ndarray:
+    """Points where the journal's axis pierces the bearing's lower and upper end plane, (2, time, 2)
+    [m].
+    """
+    history = run.contact(joint)
+    bearing = run.mechanism.connections[joint].joint
+    ends = bearing.end_centres(
+        tuple(np.asarray(history.offset).T), (tuple(np.asarray(history.axis).T),)
+    )
+    return np.stack([np.stack(end[:2], axis=-1) for end in ends])

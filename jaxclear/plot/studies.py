@@ -1,0 +1,121 @@
+"""Figures of studies: spread of responses, derivatives with errors, work against precision."""
+
+import matplotlib.ticker
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxclear.plot.canvas import canvas, readable
+from jaxclear.studies.advice.advice import PRESENT, REFERENCE, Advice
+from jaxclear.studies.advice.pilot import describe
+from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.sensitivity import Sensitivity
+
+__all__ = ["monte_carlo", "sensitivity", "work_precision"]
+
+# Trials of an advice that are no rung of the ladder.
+BESIDE = (REFERENCE, PRESENT)
+# An error of ten times the response is drawn no higher.
+LARGEST_ERROR = 10.0
+
+
+def monte_carlo(study: MonteCarlo) -> Figure:
+    """Histogram of every response over the sample, with mean and 5 to 95 % range."""
+    names = list(study.responses)
+    figure, axes = canvas(1, len(names), (4.6 * len(names), 3.8), squeeze=False)
+    for axis, name in zip(axes[0], names, strict=True):
+        values = study.responses[name]
+        values = values[np.isfinite(values)]
+        factor, unit = readable(values, study.problem.units()[name])
+        axis.hist(factor * values, bins="auto", color="C0", alpha=0.8)
+        axis.axvline(factor * values.mean(), color="k", lw=1.2, label="mean")
+        low, high = np.percentile(factor * values, [5, 95])
+        axis.axvspan(low, high, color="C1", alpha=0.25, label="5 to 95 %", zorder=0)
+        axis.set_xlabel(f"{name} [{unit}]")
+        axis.set_ylabel("samples")
+    figure.legend(
+        *axes[0][0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=2
+    )
+    figure.suptitle(f"Monte Carlo, {len(study.values)} samples, {len(study.failed)} failed")
+    return figure
+
+
+def sensitivity(study: Sensitivity) -> Figure:
+    """Every derivative by every method, with its 95 % interval; a method that refused is named, not
+    drawn.
+    """
+    entries = list(study.derivatives.items())
+    figure, axes = canvas(1, len(entries), (4.6 * len(entries), 3.6), squeeze=False)
+    for axis, ((response, variable), derivative) in zip(axes[0], entries, strict=True):
+        labels = [*derivative.estimates, "answer"]
+        answers = [*derivative.estimates.values(), derivative]
+        for row, answer in enumerate(answers):
+            if np.isfinite(answer.value):
+                colour = "k" if row == len(answers) - 1 else "C0"
+                axis.errorbar(
+                    answer.value, -row, xerr=answer.error, fmt="o", color=colour, capsize=4
+                )
+            else:
+                axis.text(
+                    0.5,
+                    -row,
+                    "refused",
+                    transform=axis.get_yaxis_transform(),
+                    ha="center",
+                    va="center",
+                    color="C3",
+                )
+        axis.set_yticks([-row for row in range(len(labels))], labels)
+        axis.set_ylim(-len(labels) + 0.4, 0.6)
+        axis.axvline(0.0, color="0.7", lw=0.8)
+        axis.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
+        axis.set_xlabel(f"d({response}) / d({variable}) [{study.unit(response, variable)}]")
+        axis.set_title(derivative.verdict, fontsize=8, wrap=True)
+    return figure
+
+
+def work_precision(advice: Advice) -> Figure:
+    """Error of every trial against its cost alone, one line a rung, with the accuracy asked and the
+    recommended setting.
+
+    Grey: the reference, and what it cannot tell from no error. Runs that failed are not drawn;
+    errors outside are drawn at the edge, LARGEST_ERROR or the lower end of the grey.
+    """
+    figure, axis = canvas(1, 1, (8.0, 5.4))
+    known = max(rule.trust for rule in advice.standards.values())
+    floor = max(0.3 * min(known, advice.accuracy), 1e-12)
+    table = advice.table()
+    table = table[np.isfinite(table["error"]) & np.isfinite(table["wall s per simulated s"])]
+    table = table.assign(
+        error=table["error"].clip(floor, LARGEST_ERROR), cost=table["wall s per simulated s"]
+    )
+    for index, (name, rung) in enumerate(
+        table[~table["rung"].isin(BESIDE)].groupby("rung", sort=False)
+    ):
+        axis.plot(rung["cost"], rung["error"], "o-", ms=4, lw=1.2, color=f"C{index}", label=name)
+    for name, marker in zip(BESIDE, "Dx", strict=True):
+        rung = table[table["rung"] == name]
+        axis.plot(rung["cost"], rung["error"], marker, ms=6, color="0.35", label=name)
+    best = table[table["recommended"]]
+    axis.plot(
+        best["cost"], best["error"], "o", ms=14, mfc="none", mec="k", mew=1.6, label="recommended"
+    )
+    axis.axhline(
+        advice.accuracy,
+        color="C3",
+        ls="--",
+        lw=1.0,
+        label=f"accuracy asked, {100 * advice.accuracy:g} %",
+    )
+    axis.axhspan(floor, known, color="0.9", zorder=0)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xlabel("computing time per simulated second, one run alone [s]")
+    axis.set_ylabel(
+        "largest error of a response [1]" + (", means over the copies" if advice.means else "")
+    )
+    cheapest = f"cheapest in batches of {advice.batch}" if advice.batch else "cheapest alone"
+    axis.set_title(f"Recommended, {cheapest}: {describe(advice.recommended)}", fontsize=10)
+    figure.legend(
+        *axis.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3
+    )
+    return figure
