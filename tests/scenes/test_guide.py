@@ -412,9 +412,9 @@ def test_energy_balance_closes_with_the_square_of_the_step(driven):
 def test_every_figure_draws(driven, compliant, instants, tmp_path):
     assert len(guide.impacts(compliant, instants)) == len(instants)
     figures = [
-        guide.corner_forces(driven, instants),
-        guide.switching_window(driven, compliant, instants),
-        guide.reactions(driven, compliant, instants),
+        guide.draw.corner_forces(driven, instants),
+        guide.draw.switching_window(driven, compliant, instants),
+        guide.draw.reactions(driven, compliant, instants),
     ]
     for number, figure in enumerate(figures):
         figure.savefig(tmp_path / f"{number}.png")

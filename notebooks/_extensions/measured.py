@@ -1,0 +1,63 @@
+"""Tables of measurements, from the JSON documents that the benchmarks write.
+
+    ```{measured} peers
+    ```
+
+reads `benchmarks/results/peers.json`: {title: [rows]} as `--json` writes it, beside "about" with
+the command, the machine and the date. No number of a table is typed in the book.
+"""
+
+import json
+from pathlib import Path
+
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
+
+
+def cell(value: object) -> str:
+    """A cell's text: numbers with three digits, bars kept out of the table's own."""
+    text = f"{value:.3g}" if isinstance(value, float) else "–" if value is None else str(value)
+    return text.replace("|", "\\|")
+
+
+def table(rows: list[dict]) -> list[str]:
+    """Markdown lines of a table; the first row names the columns."""
+    names = list(rows[0])
+    lines = ["| " + " | ".join(map(cell, names)) + " |", "|" + " --- |" * len(names)]
+    lines += ["| " + " | ".join(cell(row.get(name)) for name in names) + " |" for row in rows]
+    return lines
+
+
+class Measured(SphinxDirective):
+    """`{measured} NAME [TITLE]`: where the numbers come from, then the tables, or the one that
+    TITLE begins the title of.
+    """
+
+    required_arguments = 1
+    optional_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        path = RESULTS / f"{self.arguments[0]}.json"
+        self.env.note_dependency(str(path))
+        document = json.loads(path.read_text())
+        about = document.pop("about", {})
+        lines = [f"`{about['command']}`, {about['machine']}, {about['date']}.", ""] if about else []
+        wanted = self.arguments[1] if len(self.arguments) > 1 else ""
+        chosen = {title: rows for title, rows in document.items() if title.startswith(wanted)}
+        if not chosen:
+            raise self.error(f"no table of {path.name} begins with {wanted!r}")
+        for title, rows in chosen.items():
+            lines += [f"*{title}*", "", *table(rows), ""]
+        found = nodes.container(classes=["measured"])
+        self.state.nested_parse(StringList(lines, str(path)), self.content_offset, found)
+        return [found]
+
+
+def setup(app: Sphinx) -> dict:
+    app.add_directive("measured", Measured)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

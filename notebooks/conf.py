@@ -1,0 +1,38 @@
+"""How the book is built: `python -m sphinx -W --keep-going notebooks build/book`.
+
+Nothing is fetched from a network, neither when the book is built nor when it is read. The cells of
+the notebooks run in the build; what has not changed is taken from the cache beside it.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "_extensions"))
+# Programs that the cells compile are kept between builds.
+os.environ.setdefault(
+    "JAX_COMPILATION_CACHE_DIR", str(HERE.parent / "build" / "compiled_programs")
+)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+
+project = "jaxclear"
+author = "the authors of jaxclear"
+extensions = ["myst_nb", "offline_math", "measured", "reference"]
+exclude_patterns = ["_extensions", "**.ipynb_checkpoints"]
+master_doc = "index"
+
+html_theme = "furo"
+html_title = "jaxclear"
+html_static_path = ["_static"]
+html_css_files = ["book.css"]
+html_math_renderer = "mathml"
+
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+nb_execution_mode = "cache"
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
+nb_execution_show_tb = True
+# Progress bars and compilers write there.
+nb_output_stderr = "remove"
