@@ -27,7 +27,9 @@ from jaxclear import complementarity  # noqa: E402
 from jaxclear import integrators as integrator  # noqa: E402
 from jaxclear.components import clearance, drive, joint, load  # noqa: E402
 from jaxclear.components.body import Body, Connection, Marker  # noqa: E402
-from jaxclear.components.wear_map import Wearing  # noqa: E402
+from jaxclear.components.wear_map import AbstractWearMap, Wearing  # noqa: E402
+from jaxclear.ground import numerics, pose  # noqa: E402
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector  # noqa: E402
 from jaxclear.laws import conformal, contact, friction, material, stiffness, wear  # noqa: E402
 from jaxclear.laws.material import Material  # noqa: E402
 from jaxclear.multibody.assembly import assemble  # noqa: E402
@@ -46,6 +48,8 @@ from jaxclear.studies.sensitivity import sensitivity  # noqa: E402
 from jaxclear import scenes  # noqa: E402  isort: skip
 
 __all__ = [
+    "AbstractQuantified",
+    "AbstractWearMap",
     "Baumgarte",
     "Body",
     "Connection",
@@ -54,6 +58,7 @@ __all__ = [
     "Mechanism",
     "Problem",
     "Projection",
+    "Scalar",
     "SimulationError",
     "Trajectory",
     "Variable",
@@ -72,11 +77,15 @@ __all__ = [
     "load",
     "material",
     "monte_carlo",
+    "numerics",
     "pointing_error",
+    "pose",
+    "quantity",
     "response",
     "scenes",
     "sensitivity",
-    "stiffness",
     "simulate",
+    "stiffness",
+    "vector",
     "wear",
 ]

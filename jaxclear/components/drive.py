@@ -16,6 +16,15 @@ import jax.numpy as jnp
 from jaxclear.ground.numerics import smooth_step
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
+__all__ = [
+    "AbstractDrive",
+    "ConstantSpeed",
+    "Harmonic",
+    "Position",
+    "RampUp",
+    "Speed",
+]
+
 
 class AbstractDrive(AbstractQuantified):
     """A coordinate as a function of time."""

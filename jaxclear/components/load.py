@@ -25,6 +25,22 @@ from jaxclear.ground.quantity import (
     vector,
 )
 
+__all__ = [
+    "AbstractBodyLoad",
+    "AbstractCoordinateLoad",
+    "AbstractLoad",
+    "Action",
+    "Effect",
+    "Force",
+    "Gravity",
+    "JointSpring",
+    "JointTorque",
+    "MarkerMotion",
+    "MotorTorque",
+    "Spring",
+    "Torque",
+]
+
 
 class MarkerMotion(NamedTuple):
     """A marker as a load sees it: pose in the ground frame, velocity and angular velocity in ground

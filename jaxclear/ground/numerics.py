@@ -10,6 +10,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+__all__ = [
+    "inverse_entropy",
+    "positive_part",
+    "power",
+    "rounded_norm",
+    "safe_divide",
+    "safe_sqrt",
+    "smooth_sign",
+    "smooth_step",
+]
+
 # Sums of squares below this count as zero. Far below the square of any length, speed or force of a
 # mechanism, and far enough from the smallest float64 that second derivatives (x^-3/2, and squares
 # of x in denominators) neither overflow nor underflow: a contact's normal is a first derivative

@@ -13,6 +13,21 @@ import numpy as np
 
 from jaxclear.ground import sparse as sp
 
+__all__ = [
+    "AXES",
+    "Pose",
+    "REST",
+    "STILL",
+    "Twist",
+    "frame_with_axis",
+    "quaternion_from_rotation",
+    "quaternion_rate",
+    "rotation_from_quaternion",
+    "rotation_x",
+    "rotation_y",
+    "rotation_z",
+]
+
 
 class Pose(NamedTuple):
     """Rotation R (axes of the child in the parent) and translation p (origin of the child in the

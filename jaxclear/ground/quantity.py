@@ -22,6 +22,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+__all__ = [
+    "AbstractQuantified",
+    "Scalar",
+    "as_number",
+    "as_vector",
+    "check_range",
+    "concrete",
+    "inside",
+    "numbers",
+    "parameters",
+    "public_name",
+    "quantity",
+    "range_in_words",
+    "vector",
+]
+
 Scalar = Float[Array, ""]
 
 

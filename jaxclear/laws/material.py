@@ -6,6 +6,13 @@ beside each factory.
 
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
+__all__ = [
+    "Material",
+    "aluminium",
+    "combined_modulus",
+    "steel",
+]
+
 
 class Material(AbstractQuantified):
     """Linear isotropic elasticity, small strain."""

@@ -15,6 +15,18 @@ from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, concrete, quantity
 from jaxclear.laws.material import Material, combined_modulus
 
+__all__ = [
+    "AbstractFit",
+    "ClearanceOf",
+    "CombinedModulus",
+    "HertzStiffness",
+    "InnerRadiusOf",
+    "LengthOf",
+    "OuterRadiusOf",
+    "Shape",
+    "fitted",
+]
+
 # Hertz: F = 4/3 E* sqrt(R) delta^(3/2) for two spheres (Johnson 1985, eq. 4.23).
 HERTZ_SPHERE = 4 / 3
 

@@ -9,6 +9,12 @@ from abc import abstractmethod
 
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
+__all__ = [
+    "AbstractWearLaw",
+    "Archard",
+    "Fouvry",
+]
+
 
 class AbstractWearLaw(AbstractQuantified):
     """Worn volume per time of one contact point."""

@@ -20,6 +20,18 @@ from jaxclear.integrators.base import COMPLIANT
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
+__all__ = [
+    "AbstractResponse",
+    "FinalCoordinate",
+    "MeanContactForce",
+    "PeakContactForce",
+    "PeakWornDepth",
+    "PointingAngle",
+    "PositionError",
+    "WornVolume",
+    "unit_of",
+]
+
 
 class AbstractResponse(AbstractQuantified):
     """A number drawn from a run; `unit` is that of the number."""

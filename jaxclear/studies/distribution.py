@@ -12,6 +12,13 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
+__all__ = [
+    "AbstractDistribution",
+    "Normal",
+    "TruncatedNormal",
+    "Uniform",
+]
+
 # What a distribution describes tells its unit.
 UNIT = "(in the varied number's unit)"
 
@@ -60,7 +67,7 @@ class TruncatedNormal(AbstractDistribution):
     standard_deviation: Scalar = quantity(
         unit=UNIT, meaning="standard deviation before inspection", above=0
     )
-    bound: Scalar = quantity(unit=UNIT, meaning="largest accepted deviation", above=0)
+    bound: Scalar = quantity(unit=UNIT, meaning="largest accepted deviation", above=0, kw_only=True)
 
     def quantile(self, share):
         low = ndtr(-self.bound / self.standard_deviation)

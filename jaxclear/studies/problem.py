@@ -44,7 +44,9 @@ class Variable(eqx.Module):
             raise ValueError("a variable takes a distribution or a tolerance, one of the two.")
         self.where = where
         self.distribution = (
-            TruncatedNormal(tolerance / 3, tolerance) if distribution is None else distribution
+            TruncatedNormal(tolerance / 3, bound=tolerance)
+            if distribution is None
+            else distribution
         )
 
 

@@ -70,7 +70,7 @@ def test_table_and_summary_tell_the_sample(sample):
     [
         (jc.distribution.Normal(2.0), stats.norm(0, 2)),
         (jc.distribution.Uniform(3.0), stats.uniform(-3, 6)),
-        (jc.distribution.TruncatedNormal(1.0, 1.5), stats.truncnorm(-1.5, 1.5)),
+        (jc.distribution.TruncatedNormal(1.0, bound=1.5), stats.truncnorm(-1.5, 1.5)),
     ],
 )
 def test_distributions_are_scipys(distribution, reference):
