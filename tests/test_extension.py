@@ -8,19 +8,11 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
-from jaxclear.components.joint import AbstractJoint
-from jaxclear.ground.numerics import positive_part, smooth_sign
-from jaxclear.ground.pose import Pose, Twist, rotation_z
-from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.laws.contact import AbstractContactLaw
-from jaxclear.laws.friction import AbstractSlipFriction
-from jaxclear.laws.stiffness import Shape
-from jaxclear.laws.wear import AbstractWearLaw
+from jaxclear import Scalar, quantity
 from tests.laws.contracts import contact_contract, friction_contract, wear_contract
 
 
-class Cushion(AbstractContactLaw):
+class Cushion(jc.contact.AbstractContactLaw):
     """F = K delta + K delta^2 / d: a linear spring that stiffens over the depth d."""
 
     stiffness: Scalar = quantity(1e6, "N/m", "stiffness at touch")
@@ -31,21 +23,21 @@ class Cushion(AbstractContactLaw):
         return self.elastic_force(indentation)
 
     def elastic_force(self, indentation):
-        depth = positive_part(indentation)
+        depth = jc.numerics.positive_part(indentation)
         return self.stiffness * depth * (1 + depth / self.depth)
 
 
-class Saturating(AbstractSlipFriction):
+class Saturating(jc.friction.AbstractSlipFriction):
     """mu v / (v + v_0) made smooth by a tanh at rest."""
 
     mu_kinetic: Scalar = quantity(0.2, "1", "coefficient at high speed")
     transition_speed: Scalar = quantity(1e-3, "m/s", "speed of half the friction")
 
     def coefficient(self, slip_speed):
-        return self.mu_kinetic * smooth_sign(slip_speed, self.transition_speed)
+        return self.mu_kinetic * jc.numerics.smooth_sign(slip_speed, self.transition_speed)
 
 
-class Erosion(AbstractWearLaw):
+class Erosion(jc.wear.AbstractWearLaw):
     """dV/dt = k F v^1, half of what Archard gives."""
 
     wear_coefficient: Scalar = quantity(1e-15, "m^2/N", "worn volume per load and distance")
@@ -54,11 +46,11 @@ class Erosion(AbstractWearLaw):
         return 0.5 * self.wear_coefficient * normal_force * slip_speed
 
 
-class FloorAndCeiling(AbstractClearance):
+class FloorAndCeiling(jc.clearance.AbstractClearance):
     """A point between two planes y = -c and y = c."""
 
     ideal_rows: ClassVar = ("y",)
-    contact: AbstractContactLaw
+    contact: jc.contact.AbstractContactLaw
     friction: Any = None
     clearance: Scalar = quantity(1e-2, "m", "room on either side")
 
@@ -67,15 +59,17 @@ class FloorAndCeiling(AbstractClearance):
         return ()
 
     def contact_laws(self):
-        shape = Shape(1e-2, 1.0, None)
-        return (ContactLaws(self.contact, self.friction, shape, False),) * 2
+        shape = jc.stiffness.Shape(1e-2, 1.0, None)
+        return (jc.clearance.ContactLaws(self.contact, self.friction, shape, False),) * 2
 
     def indentations(self, offset, axes, worn):
         return tuple(side * offset[1] - self.clearance for side in (-1, 1))
 
     def contact_candidates(self, offset, axes, indentations):
         return tuple(
-            ContactCandidate((offset[0], side * self.clearance, 0), (0, side, 0), ((1, 0, 0),))
+            jc.clearance.ContactCandidate(
+                (offset[0], side * self.clearance, 0), (0, side, 0), ((1, 0, 0),)
+            )
             for side in (-1, 1)
         )
 
@@ -86,7 +80,7 @@ class FloorAndCeiling(AbstractClearance):
         raise NotImplementedError
 
 
-class Screw(AbstractJoint):
+class Screw(jc.joint.AbstractJoint):
     """Turns about z and advances by `pitch` per radian: q angle [rad]."""
 
     home: ClassVar = (0.0,)
@@ -96,10 +90,10 @@ class Screw(AbstractJoint):
     pitch: Scalar = quantity(unit="m/rad", meaning="advance per radian")
 
     def motion(self, q):
-        return Pose(rotation_z(q[0]), (0, 0, self.pitch * q[0]))
+        return jc.pose.Pose(jc.pose.rotation_z(q[0]), (0, 0, self.pitch * q[0]))
 
     def columns(self, q):
-        return (Twist((0, 0, self.pitch), (0, 0, 1)),)
+        return (jc.pose.Twist((0, 0, self.pitch), (0, 0, 1)),)
 
     def rate(self, q, v):
         return v
