@@ -33,6 +33,9 @@ class Saturating(jc.friction.AbstractSlipFriction):
     mu_kinetic: Scalar = quantity(0.2, "1", "coefficient at high speed")
     transition_speed: Scalar = quantity(1e-3, "m/s", "speed of half the friction")
 
+    def coulomb(self):
+        return jc.friction.Coulomb(mu_kinetic=self.mu_kinetic)
+
     def coefficient(self, slip_speed):
         return self.mu_kinetic * jc.numerics.smooth_sign(slip_speed, self.transition_speed)
 

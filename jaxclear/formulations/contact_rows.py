@@ -17,9 +17,8 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.pose import STILL, Pose
-from jaxclear.laws.friction import AbstractBristleFriction
 from jaxclear.multibody import constraints, contact_point, dynamics, kinematics, loops
-from jaxclear.multibody.contact_point import BRISTLE_RELEASE, GapFunction, PointState
+from jaxclear.multibody.contact_point import GapFunction, PointState
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.system import System
@@ -206,36 +205,24 @@ def tangent(
     """The laws of a contact about mean rates of its rows over a step from the indentation `depth`
     on.
 
-    The normal force is linear in its own row (Newton). Sliding friction is a damper of the strength
-    that the present speed gives (a secant: it cannot overshoot); bristles are springs and dampers
-    over the step.
+    The normal force is linear in its own row (Newton); what friction is, its law says.
     """
     force, slope = jax.value_and_grad(
         lambda rate: mean_force(pairing, memory, time_step, depth, rate)
     )(jnp.asarray(rates[0], float))
     forces, dampings = [-force], [positive_part(slope)]
-    slip = rates[1:]
-    speed = contact_point.slip_speed(slip)
-    if isinstance(pairing.friction, AbstractBristleFriction):
-        for z, s in zip(memory.bristles, slip, strict=True):
-            move = lambda s, z=z: _bristle(pairing.friction, z, s, speed, time_step)[0]
-            share, slope = jax.jvp(move, (jnp.asarray(s, float),), (jnp.ones(()),))
-            forces.append(-force * share)
-            dampings.append(positive_part(force * slope))
-    elif pairing.friction is not None:
-        strength = force * pairing.friction.coefficient(speed) / speed
-        forces += [sp.mul(-strength, s) for s in slip]
-        dampings += [strength] * len(slip)
+    if pairing.friction is not None:
+        slip = rates[1:]
+        rubbing, resisting = pairing.friction.linearised(
+            force,
+            memory.bristles,
+            slip,
+            contact_point.slip_speed(slip),
+            time_step.length,
+            time_step.bias,
+        )
+        forces, dampings = forces + rubbing, dampings + resisting
     return Tangent(tuple(forces), tuple(dampings))
-
-
-def _bristle(law, start, slip, speed, time_step):
-    """Mean coefficient of friction over a step, and the deflection at its end: that of implicit
-    Euler, which stays in bounds and is exact for laws linear in the deflection."""
-    rate, decay = jax.jvp(lambda z: law.deflection_rate(z, slip, speed), (start,), (jnp.ones(()),))
-    rate = rate / (1 - time_step.length * jnp.minimum(decay, 0.0))
-    end = start + time_step.length * rate
-    return law.coefficient(end - (1 - time_step.bias) / 2 * (end - start), rate, slip), end
 
 
 def approached(
@@ -258,9 +245,6 @@ def bristles_after(
         return ()
     slip = rates[1:]
     speed = contact_point.slip_speed(slip)
-    moved = [
-        _bristle(pairing.friction, z, s, speed, time_step)[1]
-        for z, s in zip(bristles, slip, strict=True)
-    ]
-    straightened = [z / (1 + time_step.length / BRISTLE_RELEASE) for z in bristles]
-    return tuple(jnp.where(normal > 0, m, z) for m, z in zip(moved, straightened, strict=True))
+    return pairing.friction.bristles_after(
+        normal, bristles, slip, speed, time_step.length, time_step.bias
+    )

@@ -20,7 +20,6 @@ from jaxclear.formulations.contact_rows import ContactJacobianRow, TimeStep, alo
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import FLIP
-from jaxclear.laws.friction import AbstractSlipFriction, set_valued
 from jaxclear.multibody import constraints, dynamics, energy, kinematics
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces, add_action_and_reaction, applied_forces
@@ -275,7 +274,7 @@ def _solve(
         if joint.friction is None:
             grips.append(None)
             continue
-        law, slip = set_valued(joint.friction), joint.arm * sliding.at(v)
+        law, slip = joint.friction.coulomb(), joint.arm * sliding.at(v)
         against = joint.grip(law.bound(jnp.abs(slip)))
         caught = against if law.mu_static is None else joint.grip(law.bound(jnp.zeros_like(slip)))
         grips.append((jnp.where(slip > 0, against, caught), jnp.where(slip < 0, against, caught)))
@@ -321,7 +320,7 @@ def _rub(
     joints = [one.joint for one in held]
     for one, joint, speed in zip(held, joints, speeds, strict=True):
         law, slip = joint.friction, joint.arm * speed
-        if law is not None and not isinstance(law, AbstractSlipFriction):
+        if law is not None and (law.set_valued or law.bristles):
             raise ValueError(
                 f'joint "{one.name}" has friction {type(law).__name__}, which is no function of '
                 "the sliding speed; for integrator"

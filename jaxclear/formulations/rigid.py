@@ -28,7 +28,7 @@ from jaxclear.formulations.state_rate import passive_rates
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.contact import Rigid
-from jaxclear.laws.friction import Coulomb, set_valued
+from jaxclear.laws.friction import AbstractSetValuedFriction
 from jaxclear.laws.restitution import restitution
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.contact_point import PointState, Response
@@ -64,7 +64,7 @@ class Side(NamedTuple):
     values: list
     shares: list[list]
     restitution: Any
-    friction: Coulomb | None
+    friction: AbstractSetValuedFriction | None
 
 
 def step(
@@ -149,7 +149,7 @@ class _Settled(NamedTuple):
 def _sides(system: System, free_motion: FreeMotion) -> list[Side]:
     sides = []
     for place, pairing in zip(free_motion.contacts, contact_laws_of(system), strict=True):
-        law = None if pairing.friction is None else set_valued(pairing.friction)
+        law = None if pairing.friction is None else pairing.friction.coulomb()
         slips = [] if law is None else _slips(place)
         rows = [{j: sp.neg(entry) for j, entry in place.rows[0].items()}]
         values, shares = [sp.neg(place.rates[0])], []

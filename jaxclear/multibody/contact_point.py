@@ -15,14 +15,11 @@ from jaxclear.components.clearance import AbstractClearance, ContactCandidate, C
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, rounded_norm, safe_sqrt
 from jaxclear.ground.pose import Pose
-from jaxclear.laws.friction import AbstractBristleFriction
 from jaxclear.multibody.loops import Relative
 
 # Slip speeds are rounded here [m/s]: far below any transition speed, only so that the direction of
 # slip exists at rest.
 SLIP_ROUNDING = 1e-14
-# Time [s] in which the bristles of an open contact straighten.
-BRISTLE_RELEASE = 1e-4
 
 
 class PointState(NamedTuple):
@@ -66,11 +63,8 @@ def memory_template(pairing: ContactLaws, touch: ContactCandidate) -> PointState
     """Initial memory of a contact: nothing remembered, straight bristles; `None` and () where a law
     has no memory.
     """
-    bristles = (
-        (0.0,) * len(touch.tangents)
-        if isinstance(pairing.friction, AbstractBristleFriction)
-        else ()
-    )
+    law = pairing.friction
+    bristles = () if law is None else (0.0,) * (law.bristles * len(touch.tangents))
     return PointState(0.0 if pairing.contact.remembers_impact_speed else None, bristles)
 
 
@@ -235,36 +229,16 @@ def _respond(pairing, indentation, rate, slip, memory) -> Response:
     """The laws at one contact."""
     normal = pairing.contact.normal_force(indentation, rate, memory.impact_speed)
     speed = slip_speed(slip)
-    tractions, bristle_rates = _traction(pairing, normal, slip, speed, memory)
+    law = pairing.friction
+    tractions, bristle_rates = (
+        ((), ()) if law is None else law.tractions(normal, memory.bristles, slip, speed)
+    )
     return Response(
         normal,
         speed,
         tractions,
         PointState(_impact_speed_rate(pairing, indentation, rate, memory), bristle_rates),
     )
-
-
-def _traction(pairing, normal, slip, speed, memory):
-    """Friction on the journal along each sliding direction, and the rates of the bristles."""
-    law = pairing.friction
-    if law is None:
-        return (), ()
-    if isinstance(law, AbstractBristleFriction):
-        law_rates = [
-            law.deflection_rate(z, s, speed) for z, s in zip(memory.bristles, slip, strict=True)
-        ]
-        shares = [
-            law.coefficient(z, r, s)
-            for z, r, s in zip(memory.bristles, law_rates, slip, strict=True)
-        ]
-        rates = tuple(
-            jnp.where(normal > 0, r, -z / BRISTLE_RELEASE)
-            for z, r in zip(memory.bristles, law_rates, strict=True)
-        )
-    else:
-        share = law.coefficient(speed) / speed
-        shares, rates = [sp.mul(share, s) for s in slip], ()
-    return tuple(sp.mul(-normal, share) for share in shares), rates
 
 
 def _impact_speed_rate(pairing, indentation, rate, memory):

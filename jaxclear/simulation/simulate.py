@@ -28,7 +28,6 @@ from jaxclear.integrators.base import (
 )
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.laws.contact import Rigid
-from jaxclear.laws.friction import AbstractBristleFriction, AbstractSlipFriction, set_valued
 from jaxclear.laws.restitution import restitution
 from jaxclear.multibody.assembly import assemble
 from jaxclear.multibody.mechanism import Mechanism
@@ -216,9 +215,7 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any =
                     "integrator.MoreauJean, or a compliant law "
                     "such as contact.CarvalhoMartins."
                 )
-            if law is not None and not isinstance(
-                law, (AbstractSlipFriction, AbstractBristleFriction)
-            ):
+            if law is not None and law.set_valued:
                 raise ValueError(
                     f'joint "{name}" has set-valued friction {type(law).__name__}, which has no '
                     "force law: take "
@@ -252,17 +249,17 @@ def check_set_valued(mechanism: Mechanism, integrator: AbstractIntegrator) -> No
     name_of = f"integrator.{type(integrator).__name__}"
     for name in mechanism.topology.clearances:
         for pairing in mechanism.connections[name].joint.contact_laws():
-            if pairing.friction is not None and set_valued(pairing.friction) is None:
+            if pairing.friction is not None and pairing.friction.coulomb() is None:
                 raise ValueError(
                     f'joint "{name}" has friction {type(pairing.friction).__name__}, of which '
                     f"{name_of} does not know the "
-                    "coefficients; give friction.Coulomb(mu_kinetic, mu_static)."
+                    "coefficients; give friction.Coulomb(mu_kinetic=..., mu_static=...)."
                 )
             if integrator.formulation == RIGID and restitution(pairing.contact) is None:
                 raise ValueError(
                     f'joint "{name}" has contact {type(pairing.contact).__name__}, whose '
                     "restitution depends on mass and speed; "
-                    f"for {name_of} give contact.Rigid(restitution)."
+                    f"for {name_of} give contact.Rigid(restitution=...)."
                 )
 
 

@@ -358,6 +358,9 @@ def test_sentences_name_the_joint():
         jc.simulate(elastic, 0.1, integrator=jc.integrator.MoreauJean())
 
     class Mine(jc.friction.AbstractSlipFriction):
+        def coulomb(self):
+            return None
+
         def coefficient(self, slip_speed):
             return slip_speed
 

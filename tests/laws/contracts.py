@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from jaxclear.laws.friction import AbstractBristleFriction, AbstractSetValuedFriction
 from jaxclear.laws.stiffness import fitted
 from tests.laws.law_family import assert_finite_derivatives, assert_unit_free, evaluate, grid, shape
 
@@ -324,10 +323,10 @@ def friction_contract(law):
     """Zero at rest, opposing, bounded, continuous, differentiable, free of units; a set-valued law
     only declares itself.
     """
-    if isinstance(law, AbstractSetValuedFriction):
-        assert largest_coefficient(law) >= 0
+    if law.set_valued:
+        assert law.coulomb() is law and largest_coefficient(law) >= 0
         return
-    for check in BRISTLE_CHECKS if isinstance(law, AbstractBristleFriction) else SLIP_CHECKS:
+    for check in BRISTLE_CHECKS if law.bristles else SLIP_CHECKS:
         check(law)
 
 

@@ -32,6 +32,9 @@ class LinearRamp(jc.friction.AbstractSlipFriction):
     mu: float
     ramp_speed: float
 
+    def coulomb(self):
+        return jc.friction.Coulomb(mu_kinetic=self.mu)
+
     def coefficient(self, slip_speed):
         return self.mu * jnp.minimum(slip_speed / self.ramp_speed, 1.0)
 

@@ -1,0 +1,91 @@
+"""Sideways: what a friction law must say of itself so that every formulation can use it.
+
+Friction acts along the sliding directions of one contact point, against the sliding velocity and in
+proportion to the normal force [N]. Rigid and permanent contact ask any law for Coulomb's law with
+its coefficients; compliant contact asks for forces, which all but set-valued laws have. Slip laws
+creep under a steady side load at rest; a bristle or set-valued law sticks.
+"""
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+
+
+def mu_static_field():
+    return quantity(0.15, "1", "static friction coefficient mu_s", at_least=0)
+
+
+def mu_kinetic_field():
+    return quantity(0.1, "1", "kinetic friction coefficient mu_d", at_least=0)
+
+
+class AbstractFrictionLaw(AbstractQuantified):
+    """Friction of one contact point. Opposes sliding, never gives energy, in proportion to the
+    normal force.
+    """
+
+    set_valued: eqx.AbstractClassVar[bool]
+    """True: at rest any force up to a bound, so there is no force as a function of the motion."""
+
+    bristles: eqx.AbstractClassVar[int]
+    """How many deflections are remembered for each sliding direction: 0, or 1 for bristles."""
+
+    @abstractmethod
+    def coulomb(self) -> "AbstractSetValuedFriction | None":
+        """The set-valued law that this one stands for, viscous parts left out; None where it is not
+        known. Raises `ValueError` where static friction is below kinetic friction."""
+
+
+class AbstractSetValuedFriction(AbstractFrictionLaw):
+    """Friction that at rest is any force up to a bound: for rigid and permanent contact only."""
+
+    mu_kinetic: eqx.AbstractVar[Scalar]
+    mu_static: eqx.AbstractVar[Scalar | None]
+
+    @abstractmethod
+    def bound(self, slip_speed: Scalar) -> Scalar:
+        """Largest friction over normal force [1], for the sliding speed [m/s] with which an instant
+        begins.
+        """
+
+
+class AbstractForceFriction(AbstractFrictionLaw):
+    """Friction that is a force given by the motion: forces along each sliding direction, for
+    `slip`, the sliding velocity's components [m/s] (structural zeros kept), and its norm
+    `slip_speed`, rounded above 0. `bristles`: deflections [m] of each direction, () without any.
+    """
+
+    @abstractmethod
+    def tractions(
+        self, normal_force: Scalar, bristles: tuple, slip: tuple, slip_speed: Scalar
+    ) -> tuple[tuple[Any, ...], tuple[Scalar, ...]]:
+        """Forces [N] along each sliding direction, and the rates [m/s] of the deflections."""
+
+    @abstractmethod
+    def linearised(
+        self,
+        normal_force: Scalar,
+        bristles: tuple,
+        slip: tuple,
+        slip_speed: Scalar,
+        step: Scalar,
+        bias: Scalar,
+    ) -> tuple[list[Any], list[Scalar]]:
+        """Mean forces [N] along each direction over a step of length `step` [s], and the damping
+        [N s/m] >= 0 with which each falls as its component of the slip grows. `bias`: 0 averages
+        over the step, 1 takes its end."""
+
+    @abstractmethod
+    def bristles_after(
+        self,
+        normal_force: Scalar,
+        bristles: tuple,
+        slip: tuple,
+        slip_speed: Scalar,
+        step: Scalar,
+        bias: Scalar,
+    ) -> tuple[Scalar, ...]:
+        """Deflections [m] at the end of a step; those of an open contact straighten."""

@@ -1,0 +1,163 @@
+"""Friction that remembers: one deflection [m] per sliding direction, 0 when the surfaces are fresh.
+
+A deflected bristle holds a contact at rest; a sliding one yields. Bristles of a contact that has
+opened straighten within RELEASE_TIME.
+"""
+
+from abc import abstractmethod
+
+import jax
+import jax.numpy as jnp
+
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.friction.base import AbstractForceFriction, mu_kinetic_field, mu_static_field
+from jaxclear.laws.friction.coulomb import Coulomb
+from jaxclear.laws.friction.slip import stribeck_level
+
+# Time [s] in which the bristles of an open contact straighten.
+RELEASE_TIME = 1e-4
+# LuGre's bristles yield at a deflection in proportion to the friction level: to no less than this
+# share of the largest, and a largest coefficient below LEAST_FRICTION is no friction.
+LEAST_SHARE = 1e-3
+LEAST_FRICTION = 1e-12
+# a z^2 + t a z w + t w^2 >= 0 for all z, w while t a <= 4: the damping of a bristle that cannot
+# give energy.
+PASSIVE_DAMPING = 4.0
+
+
+class AbstractBristleFriction(AbstractForceFriction):
+    """Friction with one deflection per sliding direction as state: a law says how it moves and
+    which coefficient goes with it.
+    """
+
+    set_valued = False
+    bristles = 1
+
+    @abstractmethod
+    def deflection_rate(self, deflection: Scalar, slip: Scalar, slip_speed: Scalar) -> Scalar:
+        """Rate [m/s] of one direction's deflection [m]; slip: that component of the velocity,
+        slip_speed: all components' norm [m/s].
+        """
+
+    @abstractmethod
+    def coefficient(self, deflection: Scalar, deflection_rate: Scalar, slip: Scalar) -> Scalar:
+        """Signed component [1] of (minus traction) over normal force."""
+
+    def tractions(self, normal_force, bristles, slip, slip_speed):
+        rates = [
+            self.deflection_rate(z, s, slip_speed) for z, s in zip(bristles, slip, strict=True)
+        ]
+        shares = [self.coefficient(z, r, s) for z, r, s in zip(bristles, rates, slip, strict=True)]
+        rates = tuple(
+            jnp.where(normal_force > 0, r, -z / RELEASE_TIME)
+            for z, r in zip(bristles, rates, strict=True)
+        )
+        return tuple(sp.mul(-normal_force, share) for share in shares), rates
+
+    def linearised(self, normal_force, bristles, slip, slip_speed, step, bias):
+        forces, dampings = [], []
+        for z, s in zip(bristles, slip, strict=True):
+            mean = lambda s, z=z: self._over_step(z, s, slip_speed, step, bias)[0]
+            share, slope = jax.jvp(mean, (jnp.asarray(s, float),), (jnp.ones(()),))
+            forces.append(-normal_force * share)
+            dampings.append(positive_part(normal_force * slope))
+        return forces, dampings
+
+    def bristles_after(self, normal_force, bristles, slip, slip_speed, step, bias):
+        moved = [
+            self._over_step(z, s, slip_speed, step, bias)[1]
+            for z, s in zip(bristles, slip, strict=True)
+        ]
+        straightened = [z / (1 + step / RELEASE_TIME) for z in bristles]
+        return tuple(
+            jnp.where(normal_force > 0, m, z) for m, z in zip(moved, straightened, strict=True)
+        )
+
+    def _over_step(self, start, slip, slip_speed, step, bias):
+        """Mean coefficient over a step, and the deflection at its end: that of implicit Euler,
+        which stays in bounds and is exact for laws linear in the deflection."""
+        rate, decay = jax.jvp(
+            lambda z: self.deflection_rate(z, slip, slip_speed), (start,), (jnp.ones(()),)
+        )
+        rate = rate / (1 - step * jnp.minimum(decay, 0.0))
+        end = start + step * rate
+        return self.coefficient(end - (1 - bias) / 2 * (end - start), rate, slip), end
+
+
+class Dahl(AbstractBristleFriction):
+    r""":math:`\dot z = v - |v|\,z/z_0`, coefficient :math:`\mu z/z_0`: a spring that yields at the
+    deflection :math:`z_0`. Sticks, no damping.
+
+    :math:`|z| \le z_0`, so the coefficient never exceeds :math:`\mu`. Rate-independent; where
+    friction falls with speed prefer LuGre.
+
+    Source: Dahl 1968, A solid friction model, Aerospace Corp. TOR-0158(3107-18)-1,
+    doi:10.21236/ADA041920, with exponent 1; :math:`z_0 = \mu/\sigma_0` of the usual notation, so
+    that :math:`\mu = 0` is no friction rather than a division by zero.
+    """
+
+    mu_kinetic: Scalar = mu_kinetic_field()
+    presliding: Scalar = quantity(1e-6, "m", "deflection z_0 at which the bristles yield", above=0)
+
+    def coulomb(self) -> Coulomb:
+        return Coulomb(mu_kinetic=self.mu_kinetic)
+
+    def deflection_rate(self, deflection: Scalar, slip: Scalar, slip_speed: Scalar) -> Scalar:
+        return slip - slip_speed * deflection / self.presliding
+
+    def coefficient(self, deflection: Scalar, deflection_rate: Scalar, slip: Scalar) -> Scalar:
+        return self.mu_kinetic * deflection / self.presliding
+
+
+class LuGre(AbstractBristleFriction):
+    r""":math:`\dot z = v - |v|\,z/(z_0 s(|v|))`, coefficient :math:`\mu\,(z + t(v)\,\dot z)/z_0 +
+    \beta v`, :math:`\mu` the larger of :math:`\mu_s` and :math:`\mu_d`, :math:`\beta` `viscous`.
+
+    :math:`s = (\mu_d + (\mu_s - \mu_d)\exp(-(v/v_S)^2))/\mu`; in the usual notation
+    :math:`\sigma_0 = \mu/z_0`, :math:`\sigma_1 = t\sigma_0`. The damping time fades with speed,
+    :math:`t(v) = t_0/(1 + t_0|v|/(4 z_0 s))`, which makes every motion along one line dissipate
+    (with constant t the original can return energy at high speed). Sticks, hysteresis, break-away;
+    stiff: where sliding dominates prefer Stribeck.
+
+    Source: Canudas de Wit, Olsson, Åström & Lischinsky 1995, IEEE Trans. Autom. Control 40, 419,
+    doi:10.1109/9.376053; damping that fades with speed after Olsson 1996, Control Systems with
+    Friction, thesis, Lund, with a fading chosen here for passivity.
+    """
+
+    mu_static: Scalar = mu_static_field()
+    mu_kinetic: Scalar = mu_kinetic_field()
+    stribeck_speed: Scalar = quantity(
+        1e-2, "m/s", "speed v_S over which friction falls from static to kinetic", above=0
+    )
+    presliding: Scalar = quantity(
+        1e-6, "m", "deflection z_0 at which the bristles yield from rest", above=0
+    )
+    settling_time: Scalar = quantity(
+        1e-4, "s", "damping time t_0 of the bristles at rest", at_least=0
+    )
+    viscous: Scalar | None = quantity(
+        None, "s/m", "viscous coefficient per sliding speed (None: absent)", at_least=0
+    )
+
+    def coulomb(self) -> Coulomb:
+        return Coulomb(mu_kinetic=self.mu_kinetic, mu_static=self.mu_static)
+
+    def deflection_rate(self, deflection: Scalar, slip: Scalar, slip_speed: Scalar) -> Scalar:
+        return slip - slip_speed * deflection / self._yield_deflection(slip_speed)
+
+    def coefficient(self, deflection: Scalar, deflection_rate: Scalar, slip: Scalar) -> Scalar:
+        relaxation = jnp.abs(slip) / self._yield_deflection(jnp.abs(slip))
+        time = self.settling_time / (1 + self.settling_time * relaxation / PASSIVE_DAMPING)
+        friction = self._peak() * (deflection + time * deflection_rate) / self.presliding
+        return friction if self.viscous is None else friction + self.viscous * slip
+
+    def _peak(self) -> Scalar:
+        return jnp.maximum(self.mu_static, self.mu_kinetic)
+
+    def _yield_deflection(self, slip_speed: Scalar) -> Scalar:
+        level = stribeck_level(slip_speed, self.mu_static, self.mu_kinetic, self.stribeck_speed)
+        return self.presliding * jnp.maximum(
+            level / jnp.maximum(self._peak(), LEAST_FRICTION), LEAST_SHARE
+        )
