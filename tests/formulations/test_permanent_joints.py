@@ -110,22 +110,15 @@ def rubbing(order, mu, law=jc.friction.Coulomb):
     guide = jc.clearance.SliderGuide(
         jc.contact.Rigid(restitution=0.0), law(mu_kinetic=mu), clearance=2e-5
     )
-    connections = {
-        "O": jc.Connection(
-            jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"
-        ),
+    base = jc.scenes.slider_crank(planar)
+    connections = base.connections | {
         "A": jc.Connection(planar, "crank", "rod", at=(0.05, 0.0)),
-        "B": jc.Connection(planar, "rod", "slider", at=(0.12, 0.0)),
         "G": jc.Connection(guide, jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")),
     }
     return jc.Mechanism(
-        {
-            "crank": jc.Body(0.3, 1e-4, (0.025, 0.0)),
-            "rod": jc.Body(0.21, 2.5e-4, (0.06, 0.0)),
-            "slider": jc.Body(0.14, 1e-4),
-        },
+        base.bodies,
         {name: connections[name] for name in order},
-        {"gravity": jc.load.Gravity((0.0, -9.81))},
+        base.loads,
         start={"slider": (0.17, 0.0, 0.0)},
     )
 

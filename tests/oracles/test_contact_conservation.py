@@ -161,24 +161,14 @@ def busy_slider_crank():
     bearing = jc.clearance.PlanarJournalBearing(
         law, jc.friction.ThreeZone(mu_static=0.2, mu_kinetic=0.1), clearance=0.2e-3
     )
+    base = jc.scenes.slider_crank(bearing, drive=jc.drive.RampUp(50.0, 0.02))
     return jc.Mechanism(
-        {
-            "crank": jc.Body(0.2, 1e-4, (0.02, 0.0)),
-            "rod": jc.Body(0.21, 2.5e-4, (0.06, 0.0)),
-            "slider": jc.Body(0.14, 1e-4),
-        },
-        {
-            "O": jc.Connection(
-                jc.joint.Revolute(drive=jc.drive.RampUp(50.0, 0.02)), "ground", "crank"
-            ),
-            "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0)),
-            "guide": jc.Connection(jc.joint.Prismatic(), "ground", "slider", axis="x"),
-            "B": jc.Connection(bearing, jc.Marker("rod", (0.12, 0.0)), "slider"),
-        },
-        {
-            "gravity": jc.load.Gravity(),
+        base.bodies,
+        base.connections,
+        base.loads
+        | {
             "elbow": jc.load.JointSpring("A", stiffness=0.5, damping=1e-3),
-            "rail": jc.load.JointSpring("guide", damping=2.0),
+            "rail": jc.load.JointSpring("G", damping=2.0),
             "tie": jc.load.Spring(
                 jc.Marker("ground", (0.3, 0.1)), jc.Marker("slider"), 200.0, 0.1, 1.0
             ),
@@ -187,7 +177,7 @@ def busy_slider_crank():
             ),
             "twist": jc.load.JointTorque("A", lambda time: 0.1 * jnp.cos(40.0 * time)),
         },
-        start={"guide": 0.17},
+        start={"G": 0.17},
     )
 
 

@@ -17,27 +17,6 @@ CLEARANCES = np.array([4e-4, 2e-4, 1e-4])
 CONTACT = {"stiffness": 3e11, "dissipation": 100.0}
 
 
-def slider_crank(pin):
-    """Crank of 0.05 m at 50 rad/s, rod of 0.12 m, the slider's pin as given."""
-    return jc.Mechanism(
-        {
-            "crank": jc.Body(0.3, 1e-4),
-            "rod": jc.Body(0.21, 2.5e-4, (0.06, 0.0)),
-            "slider": jc.Body(0.14, 1e-4),
-        },
-        {
-            "O": jc.Connection(
-                jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"
-            ),
-            "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0)),
-            "guide": jc.Connection(jc.joint.Prismatic(), "ground", "slider", axis="x"),
-            "B": jc.Connection(pin, jc.Marker("rod", (0.12, 0.0)), "slider"),
-        },
-        {"gravity": jc.load.Gravity()},
-        start={"guide": 0.17},
-    )
-
-
 def swinging_bar(pin, inertia=(2e-3, 2e-3, 1e-4)):
     """A bar hung in the joint to be tested, pulled along the joint's axis so that the journal tilts
     as far as it can.
@@ -60,11 +39,13 @@ def observed_order(errors):
 
 def test_slider_crank_with_clearance_tends_to_the_ideal_one():
     law = jc.contact.MarhefkaOrin(**CONTACT)
-    ideal = history(slider_crank(jc.joint.Revolute()), 0.25, "slider")
+    ideal = history(jc.scenes.slider_crank(jc.joint.Revolute()), 0.25, "slider")
     errors = [
         np.abs(
             history(
-                slider_crank(jc.clearance.PlanarJournalBearing(law, clearance=c)), 0.25, "slider"
+                jc.scenes.slider_crank(jc.clearance.PlanarJournalBearing(law, clearance=c)),
+                0.25,
+                "slider",
             )
             - ideal
         ).max()
