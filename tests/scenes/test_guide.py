@@ -18,6 +18,7 @@ from jaxclear.commands import guide
 from jaxclear.commands.cli import main
 from jaxclear.complementarity import HorizontalLCP
 from jaxclear.complementarity.lemke import Lemke
+from tests.rigs.figures import assert_complete
 
 scene = importlib.import_module("jaxclear.scenes.guide")
 MU, SPEED = 0.1, scene.CRANK_SPEED
@@ -409,16 +410,15 @@ def test_energy_balance_closes_with_the_square_of_the_step(driven):
     np.testing.assert_allclose(coarse.input[-1], loss[-1], rtol=1e-3)
 
 
-def test_every_figure_draws(driven, compliant, instants, tmp_path):
+def test_every_figure_is_drawn_and_named(driven, compliant, instants):
     assert len(guide.impacts(compliant, instants)) == len(instants)
     figures = [
         guide.draw.corner_forces(driven, instants),
         guide.draw.switching_window(driven, compliant, instants),
         guide.draw.reactions(driven, compliant, instants),
     ]
-    for number, figure in enumerate(figures):
-        figure.savefig(tmp_path / f"{number}.png")
-        assert all(axis.get_xlabel() or axis.get_shared_x_axes() for axis in figure.axes)
+    for figure in figures:
+        assert_complete(figure)
 
 
 @pytest.mark.slow

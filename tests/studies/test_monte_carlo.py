@@ -110,14 +110,29 @@ def test_all_chunks_share_one_compilation():
     assert len(traced) == 1
 
 
-def test_failed_samples_are_named_and_the_others_go_on():
-    stiff = {
-        "gravity": jc.Variable(
-            lambda r: r.loads["gravity"].acceleration[1], jc.distribution.Uniform(1e9)
-        )
-    }
-    study = jc.monte_carlo(problem(**stiff), 16)
-    assert 0 < len(study.failed) or np.all(np.isfinite(study.responses["swing"]))
+def test_runs_that_end_early_are_named_and_the_others_are_right():
+    """The faster it swings, the more steps it takes: with few allowed, the fast ones fail."""
+    wide = jc.Variable(lambda r: r.loads["gravity"].acceleration[1], jc.distribution.Uniform(9.0))
+    question = jc.Problem(
+        pendulum(),
+        {"swing": swing},
+        {"gravity": wide},
+        duration=1.0,
+        integrator=jc.integrator.Adaptive(most_steps=10),
+        save=3,
+    )
+    study = jc.monte_carlo(question, 32)
+    gravity, fine = -study.values[:, 0], np.setdiff1d(np.arange(32), study.failed)
+    assert 8 <= len(fine) <= 24 and gravity[study.failed].min() > gravity[fine].max()
+    np.testing.assert_allclose(
+        study.responses["swing"][fine], 0.01 * np.cos(np.sqrt(gravity[fine])), atol=2e-7
+    )
+    sentences = study.failures()
+    assert list(sentences) == list(study.failed)
+    assert all("number of steps" in sentence for sentence in sentences.values())
+
+
+def test_responses_that_are_no_numbers_are_failures_and_the_others_go_on():
     broken = {
         "mass": jc.Variable(lambda r: r.bodies["rod"].mass, jc.distribution.Uniform(1.0 + 1e-9))
     }
