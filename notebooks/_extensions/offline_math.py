@@ -4,6 +4,8 @@ MathJax would be fetched from a network when a page is read, and pictures would 
 is built. MathML needs neither. docutils, which Sphinx stands on, brings the translator.
 """
 
+import re
+
 from docutils import nodes
 from docutils.utils.math import MathError, latex2mathml, pick_math_environment
 from sphinx.application import Sphinx
@@ -11,6 +13,7 @@ from sphinx.util import logging
 
 LOG = logging.getLogger(__name__)
 # docutils does not know these; they mean the same.
+SHORT_FRACTION = re.compile(r"\\frac\s*(\d)(\d)")
 SYNONYMS = {r"\operatorname*": r"\operatorname", r"\tfrac": r"\frac", r"\dfrac": r"\frac"}
 
 
@@ -18,6 +21,7 @@ def mathml(tex: str, display: bool) -> str:
     """MathML of a TeX formula; lines parted by a double backslash are aligned at &."""
     for unknown, known in SYNONYMS.items():
         tex = tex.replace(unknown, known)
+    tex = SHORT_FRACTION.sub(r"\\frac{\1}{\2}", tex)
     if display and "\\begin" not in tex and ("\\\\" in tex or "&" in tex):
         environment = pick_math_environment(tex)
         tex = f"\\begin{{{environment}}}{tex}\\end{{{environment}}}"

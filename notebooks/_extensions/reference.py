@@ -47,7 +47,8 @@ def markdown(text: str | None) -> list[str]:
 
 def default_text(field: dataclasses.Field) -> str:
     if field.default is not dataclasses.MISSING:
-        return repr(field.default)
+        given = field.default
+        return f"{given:g}" if isinstance(given, float) else repr(given)
     return "" if field.default_factory is dataclasses.MISSING else "…"
 
 
