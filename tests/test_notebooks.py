@@ -16,6 +16,4 @@ NOTEBOOKS = [p for p in sorted(BOOK.rglob("*.md")) if "file_format: mystnb" in p
 def test_notebook_runs(path):
     notebook = read.read_myst_markdown_notebook(path.read_text(), path=path)
     where = {"metadata": {"path": str(path.parent)}}
-    nbclient.NotebookClient(
-        notebook, timeout=600, kernel_name="python3", resources=where
-    ).execute()
+    nbclient.NotebookClient(notebook, timeout=600, kernel_name="python3", resources=where).execute()
