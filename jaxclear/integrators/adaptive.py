@@ -23,7 +23,7 @@ from jaxclear.integrators.base import (
 )
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas, state_group
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.native.loop import with_fast_loops
+from jaxclear.native import with_fast_loops
 
 # Share of an interval below which a step is given up.
 SMALLEST_STEP = 1e-11

@@ -17,7 +17,7 @@ from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import COMPLIANT, AbstractIntegrator, check_count
 from jaxclear.integrators.stepping import SLIVER, arrived, divide, march
-from jaxclear.native.loop import while_loop
+from jaxclear.native import while_loop
 
 # Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes,
 # weights).

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from jaxclear.integrators.base import Advance
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.native.loop import while_loop
+from jaxclear.native import while_loop
 
 # Share of a step by which rounding may miss the end of an interval.
 SLIVER = 1e-9

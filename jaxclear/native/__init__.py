@@ -1,0 +1,48 @@
+"""Loops over few numbers as machine code. This room knows nothing of mechanics.
+
+Why it exists: XLA runs the body of a loop operation by operation, and an operation on three numbers
+costs more to start than to compute. A time step of a mechanism is some hundred such operations.
+Written as one function of scalars in registers it runs at the speed of C, and several samples of a
+batch run side by side in the lanes of a vector register.
+
+The boundary is two functions, and two that tell what became of the loops:
+
+- `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
+- `with_fast_loops(function)`: a function whose outermost loops a library has written;
+- `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence.
+
+On its way a loop passes through these files:
+
+- `loop`: the loop as a primitive of JAX: how it batches, differentiates and is lowered.
+- `control`, `arithmetic`, `elementary`, `shapes`, `indexing`, `reductions`: one rule for each of
+  JAX's primitives, in the registry of `rules`: what it becomes as LLVM code.
+- `writer`: the text under construction. An array is a NumPy array of register names, so reshaping
+  costs nothing and a sum of three numbers is two instructions.
+- `functions`: sine, cosine and angle for several samples at once.
+- `kernel`: the loop compiled by LLVM; `call_frame`: how XLA calls it.
+- `check`, with `by_numpy`: one turn of each new kernel on random numbers against NumPy, operation
+  by operation, before it is used.
+- `verdicts`: which loops became kernels, and why others did not.
+
+JAX's own loop is taken instead where a primitive has no rule, where the program is long, where the
+check fails, on an accelerator, for derivatives, and with JAXCLEAR_PLAIN_LOOPS=1. Only a fault of
+this room itself warns, once for each loop; the other reasons are in the verdict, and the logger
+`jaxclear.native.loop` gives them at level INFO.
+
+What a kernel holds of its arguments: constants and the first state as one packed row of floats for
+each sample (whole numbers and truth values as floats, exact to 2^53); constant arrays of more than
+64 numbers stay in memory and are read by index. An array in the state always lives in registers.
+
+How it is tested (tests/native): every rule by itself on awkward numbers (zeros of both signs,
+infinities, nan, empty arrays, several lanes) against JAX's own evaluation; a rule without such a
+case fails. Then whole loops, batches of batches, derivatives, a wrong kernel that must be caught,
+another interface of XLA that must be refused.
+
+To add a rule: write the function in the file of its subject, decorate it with `rule("name")`, and
+give it a case in tests/native/test_rules.py.
+"""
+
+from jaxclear.native.loop import while_loop, with_fast_loops
+from jaxclear.native.verdicts import explain, verdict
+
+__all__ = ["explain", "verdict", "while_loop", "with_fast_loops"]

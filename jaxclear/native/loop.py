@@ -22,6 +22,7 @@ from jax.interpreters import ad, batching, mlir
 from jaxclear.native import kernel as kernels
 from jaxclear.native.control import CALLS
 from jaxclear.native.kernel import Program
+from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, tell
 from jaxclear.native.writer import LONGEST_IN_REGISTERS, Unsupported
 
 LOG = logging.getLogger(__name__)
@@ -155,7 +156,7 @@ def _shapes(*avals, program, rank):
 def _batch(values, dims, *, program, rank):
     size = next(v.shape[d] for v, d in zip(values, dims, strict=True) if d is not None)
     moved = [
-        jnp.broadcast_to(v, (size, *v.shape)) if d is None else jnp.moveaxis(v, d, 0)
+        jnp.broadcast_to(v, (size, *jnp.shape(v))) if d is None else jnp.moveaxis(v, d, 0)
         for v, d in zip(values, dims, strict=True)
     ]
     out = loop_p.bind(*moved, program=program, rank=rank + 1)
@@ -203,27 +204,33 @@ def _native(*values, program, rank):
     return out
 
 
-_FALLBACK = mlir.lower_fun(_batched_reference, multiple_results=True)
+def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU):
+    tell(ctx, reason)
+    lower = mlir.lower_fun(_batched_reference, multiple_results=True)
+    return lower(ctx, *values, program=program, rank=rank)
 
 
 def _lower_on_cpu(ctx, *values, program, rank):
-    if os.environ.get("JAXCLEAR_PLAIN_LOOPS", "0") in ("", "0"):
-        try:
-            return mlir.lower_fun(_native, multiple_results=True)(
-                ctx, *values, program=program, rank=rank
-            )
-        except (Unsupported, ImportError) as reason:
-            LOG.info("A loop is left to XLA: there is no machine code for %s.", reason)
-        except (
-            Exception
-        ) as reason:  # The fast path must not cost a run: say so, and let XLA compile the loop.
-            warnings.warn(
-                f"jaxclear could not write a loop as machine code and runs it slowly: {reason!r}.",
-                RuntimeWarning,
-                2,
-            )
-    return _FALLBACK(ctx, *values, program=program, rank=rank)
+    if os.environ.get("JAXCLEAR_PLAIN_LOOPS", "0") not in ("", "0"):
+        return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=SWITCHED_OFF)
+    try:
+        lower = mlir.lower_fun(_native, multiple_results=True)
+        out = lower(ctx, *values, program=program, rank=rank)
+        tell(ctx, None)
+        return out
+    except (Unsupported, ImportError) as missing:
+        reason = f"there is no machine code for {missing}"
+        LOG.info("A loop is left to XLA: %s.", reason)
+    except Exception as failure:
+        # The fast path must not cost a run: say so, and let XLA compile the loop.
+        reason = f"the kernel could not be written: {failure!r}"
+        warnings.warn(
+            f"jaxclear could not write a loop as machine code and runs it slowly: {failure!r}.",
+            RuntimeWarning,
+            2,
+        )
+    return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=reason)
 
 
-mlir.register_lowering(loop_p, _FALLBACK)
+mlir.register_lowering(loop_p, _lower_elsewhere)
 mlir.register_lowering(loop_p, _lower_on_cpu, platform="cpu")

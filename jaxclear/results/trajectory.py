@@ -23,6 +23,7 @@ from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.forces import Forces, applied_forces, contact_reports
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import System, prepare
+from jaxclear.native import explain
 
 
 class BodyHistory(eqx.Module):
@@ -87,7 +88,8 @@ class EnergyHistory(eqx.Module):
 
 class Trajectory(eqx.Module):
     """A simulated run. `states` (time, n) are the raw states; `worn` are depth maps [m] by joint
-    and surface at the end, `read` the worn surfaces as the gaps saw them up to each saving time."""
+    and surface at the end, `read` the worn surfaces as the gaps saw them up to each saving time,
+    `loops` the verdict on the time loops (`stats` says it in words)."""
 
     mechanism: Mechanism
     time: Float[Array, " time"]
@@ -100,6 +102,15 @@ class Trajectory(eqx.Module):
     rejected_steps: Array
     balanced: bool = eqx.field(static=True)
     formulation: str = eqx.field(static=True, default=COMPLIANT)
+    loops: Array | None = None
+
+    @property
+    def stats(self) -> dict[str, Any]:
+        """What the run took: accepted and rejected steps, and whether its time loops ran as machine
+        code, or why not."""
+        told = None if self.loops is None else explain(np.max(self.loops))
+        steps = {"accepted steps": self.accepted_steps, "rejected steps": self.rejected_steps}
+        return {name: np.asarray(count)[()] for name, count in steps.items()} | {"loops": told}
 
     @property
     def succeeded(self) -> Any:

@@ -33,6 +33,7 @@ from jaxclear.multibody.assembly import assemble
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import System, prepare, readings
+from jaxclear.native import verdict
 from jaxclear.results.trajectory import Trajectory, layout_of
 from jaxclear.simulation import progress
 
@@ -152,6 +153,7 @@ def run(
         rejected.sum(),
         balance,
         integrator.formulation,
+        verdict(outcome),
     )
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import control, kernel, loop, rules
-from jaxclear.native.loop import while_loop, with_fast_loops
+from jaxclear.native import while_loop, with_fast_loops
 from jaxclear.native.writer import Unsupported
 
 # The same operations in another order, fused multiply-adds: rounding of a few turns.

@@ -1,0 +1,87 @@
+"""What became of a program's loops: machine code, or XLA and why. The program itself tells.
+
+Only while a program is lowered for its platform is it decided whether a loop becomes a kernel. Each
+loop then leaves a word in the module being lowered, and `verdict` becomes a constant of that same
+module: a number that stands for a sentence. So it travels with the compiled program, through caches
+and threads, and a second run says what the first one said.
+"""
+
+import zlib
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+KERNELS = "The time loops ran as machine code."
+NO_LOOPS = "No time loop asked for machine code: derivatives and fixed numbers of steps do not."
+SWITCHED_OFF = "the kernels are switched off by JAXCLEAR_PLAIN_LOOPS"
+NOT_A_CPU = "kernels are for CPUs"
+# Under this name loops leave their words in the dictionary of the module that is being lowered.
+PLACE = "jaxclear: what became of the loops"
+# The number of a sentence depends on it alone, so that programs compare equal between processes.
+SENTENCES: dict[int, str] = {}
+
+verdict_p = Primitive("jaxclear_verdict")
+
+
+def verdict(after: Any) -> Any:
+    """A number that `explain` turns into a sentence: how the loops of this program are run.
+
+    `after`: any array that comes out of the last of the loops; loops behind it are not counted.
+    """
+    return verdict_p.bind(jnp.asarray(after))
+
+
+def explain(number: int) -> str:
+    """The sentence that a verdict stands for."""
+    return SENTENCES.get(int(number), "The time loops were compiled by another process.")
+
+
+def tell(context: Any, reason: str | None) -> None:
+    """A loop of the module under way becomes a kernel (None), or is left to XLA for this reason."""
+    context.module_context.cached_primitive_lowerings.setdefault(PLACE, []).append(reason)
+
+
+def _number(sentence: str) -> int:
+    """A whole number of 31 bits."""
+    number = zlib.crc32(sentence.encode()) >> 1
+    SENTENCES[number] = sentence
+    return number
+
+
+def _sentence(words: list[str | None]) -> str:
+    reasons = sorted({word for word in words if word is not None})
+    if not reasons:
+        return KERNELS if words else NO_LOOPS
+    left = f"{len(words) - words.count(None)} of {len(words)} time loops ran through XLA"
+    return f"{left}: {'; '.join(reasons)}."
+
+
+def _lower(context, _):
+    words = context.module_context.cached_primitive_lowerings.get(PLACE, [])
+    return [mlir.ir_constant(jnp.int32(_number(_sentence(words))))]
+
+
+@verdict_p.def_impl
+def _alone(after):
+    return jax.jit(verdict_p.bind)(after)
+
+
+@verdict_p.def_abstract_eval
+def _shape(after):
+    return jax.core.ShapedArray((), jnp.int32)
+
+
+def _batch(values, dims):
+    return verdict_p.bind(*values), None  # the same for every sample
+
+
+def _differentiate(values, tangents):
+    return verdict_p.bind(*values), ad.Zero(jax.core.ShapedArray((), jax.dtypes.float0))
+
+
+batching.primitive_batchers[verdict_p] = _batch
+ad.primitive_jvps[verdict_p] = _differentiate
+mlir.register_lowering(verdict_p, _lower)
