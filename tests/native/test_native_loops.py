@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import jaxclear  # noqa: F401  (float64)
-from jaxclear.native import control, kernel, loop, rules
-from jaxclear.native import while_loop, with_fast_loops
+from jaxclear.native import control, kernel, loop, rules, while_loop, with_fast_loops
 from jaxclear.native.writer import Unsupported
 
 # The same operations in another order, fused multiply-adds: rounding of a few turns.
