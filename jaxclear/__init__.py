@@ -43,7 +43,7 @@ from jaxclear.studies import distribution  # noqa: E402
 from jaxclear.studies.advice.choice import advise  # noqa: E402
 from jaxclear.studies.monte_carlo import monte_carlo  # noqa: E402
 from jaxclear.studies.problem import Problem, Variable  # noqa: E402
-from jaxclear.studies.sensitivity import sensitivity  # noqa: E402
+from jaxclear.studies.sensitivity.sensitivity import sensitivity  # noqa: E402
 
 from jaxclear import scenes  # noqa: E402  isort: skip
 

@@ -8,7 +8,7 @@ from jaxclear.plot.canvas import canvas, readable
 from jaxclear.studies.advice.advice import PRESENT, REFERENCE, Advice
 from jaxclear.studies.advice.pilot import describe
 from jaxclear.studies.monte_carlo import MonteCarlo
-from jaxclear.studies.sensitivity import Sensitivity
+from jaxclear.studies.sensitivity.derivative import Sensitivity
 
 __all__ = ["monte_carlo", "sensitivity", "work_precision"]
 

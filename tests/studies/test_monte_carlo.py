@@ -190,17 +190,21 @@ def test_pathwise_derivatives_of_adaptive_runs_are_refused(sample):
 
 
 def test_methods_that_disagree_say_so():
-    from jaxclear.studies.sensitivity import Estimate, judge
+    from jaxclear.studies.sensitivity.derivative import Estimate, confirmed
 
-    apart = judge("r", "v", {"regression": Estimate(1.0, 0.1), "differences": Estimate(2.0, 0.1)})
+    apart = confirmed(
+        "r", "v", {"regression": Estimate(1.0, 0.1), "differences": Estimate(2.0, 0.1)}
+    )
     assert not apart.trustworthy and abs(apart.value - 1.5) < 1e-12 and apart.error >= 0.5
-    vague = judge("r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(5.0, 100.0)})
+    vague = confirmed(
+        "r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(5.0, 100.0)}
+    )
     assert not vague.trustworthy
-    nought = judge(
+    nought = confirmed(
         "r", "v", {"regression": Estimate(-1e-3, 1e-2), "differences": Estimate(0.0, 0.0)}
     )
     assert "Agreed by differences and regression" in nought.verdict
-    alone = judge(
+    alone = confirmed(
         "r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(np.nan, np.nan, "no")}
     )
     assert "Unconfirmed" in alone.verdict and alone.value == 1.0

@@ -1,0 +1,132 @@
+"""A derivative as an answer: a value, its error, the method that gave it, and a verdict.
+
+At least two methods agree within their errors, or the verdict says that they do not. An error is
+half the width of a 95 % interval, in the derivative's own unit.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.studies.monte_carlo import MonteCarlo
+
+# An answer this many times less certain than another is large agrees with anything, and confirms
+# nothing.
+VAGUE = 3.0
+
+
+class Estimate(NamedTuple):
+    """A derivative by one method. `error` is half the width of its 95 % interval, bias included;
+    `refusal` says why a method has no answer (then value and error are nan)."""
+
+    value: float
+    error: float
+    refusal: str = ""
+
+
+def refused(why: str) -> Estimate:
+    """No answer, and the sentence that says why."""
+    return Estimate(np.nan, np.nan, why)
+
+
+class Derivative(eqx.Module):
+    """Derivative of the mean of a response over the tolerances with respect to one variable, with
+    its 95 % error.
+
+    `estimates` are the methods' own answers, `verdict` is a sentence that says whether they agree,
+    and `trustworthy` whether at least two do.
+    """
+
+    response: str = eqx.field(static=True)
+    variable: str = eqx.field(static=True)
+    value: float
+    error: float
+    method: str = eqx.field(static=True)
+    verdict: str = eqx.field(static=True)
+    trustworthy: bool = eqx.field(static=True)
+    estimates: dict[str, Estimate]
+
+
+class Sensitivity(eqx.Module):
+    """Derivatives by (response, variable), and the sample behind them."""
+
+    derivatives: dict[tuple[str, str], Derivative]
+    sample: MonteCarlo
+
+    def unit(self, response: str, variable: str) -> str:
+        """Unit of a derivative, "(response)/(variable)"."""
+        problem = self.sample.problem
+        below = problem.variable_units[problem.names.index(variable)]
+        return f"({problem.units()[response]})/({below})"
+
+    def table(self) -> Any:
+        """A pandas table: one row a derivative, with each method's answer and the verdict."""
+        import pandas
+
+        rows = []
+        for (response, variable), found in self.derivatives.items():
+            row = {
+                "response": response,
+                "variable": variable,
+                "unit": self.unit(response, variable),
+                "derivative": found.value,
+                "error (95 %)": found.error,
+                "method": found.method,
+                "verdict": found.verdict,
+            }
+            for name, estimate in found.estimates.items():
+                row[name] = estimate.value
+                row[f"{name} error"] = estimate.error
+                row[f"{name} refusal"] = estimate.refusal
+            rows.append(row)
+        return pandas.DataFrame(rows)
+
+
+def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> Derivative:
+    """One answer from the methods' answers: the most certain one that another method confirms."""
+
+    def answer(value, error, method, verdict, trustworthy=False):
+        return Derivative(response, variable, value, error, method, verdict, trustworthy, estimates)
+
+    order = _by_certainty(estimates)
+    for name in order:
+        best = estimates[name]
+        partners = [other for other in order if other != name and _agree(best, estimates[other])]
+        if partners:
+            verdict = _agreement(best, name, partners, order)
+            return answer(best.value, best.error, name, verdict, trustworthy=True)
+    if not order:
+        return answer(np.nan, np.nan, "none", "No method has an answer.")
+    if len(order) == 1:
+        best = estimates[order[0]]
+        verdict = f"Unconfirmed: only {order[0]} has an answer."
+        return answer(best.value, best.error, order[0], verdict)
+    values = [estimates[name].value for name in order]
+    middle, spread = 0.5 * (max(values) + min(values)), 0.5 * (max(values) - min(values))
+    spread += max(estimates[name].error for name in order)
+    return answer(middle, spread, "spread of methods", "The methods disagree.")
+
+
+def _by_certainty(estimates: dict[str, Estimate]) -> list[str]:
+    """The methods with an answer that is not vague beside the most certain one, which is first."""
+    answers = {name: e for name, e in estimates.items() if np.isfinite(e.value + e.error)}
+    order = sorted(answers, key=lambda name: answers[name].error)
+    if not order:
+        return []
+    largest = VAGUE * (abs(answers[order[0]].value) + answers[order[0]].error)
+    # An exact zero makes no other answer vague.
+    return [name for name in order if largest == 0 or answers[name].error <= largest]
+
+
+def _agree(a: Estimate, b: Estimate) -> bool:
+    return bool(abs(a.value - b.value) <= np.hypot(a.error, b.error))
+
+
+def _agreement(best: Estimate, name: str, partners: list[str], order: list[str]) -> str:
+    others = [other for other in order if other != name and other not in partners]
+    verdict = f"Agreed by {name} and {' and '.join(partners)}"
+    verdict += f"; not by {' and '.join(others)}." if others else "."
+    if best.error > abs(best.value):
+        verdict += " Not distinguishable from zero."
+    return verdict

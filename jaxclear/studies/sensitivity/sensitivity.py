@@ -1,0 +1,74 @@
+"""Derivatives of responses with respect to what varies: `jaxclear.sensitivity`.
+
+Each variable is differentiated by several methods (`methods`) on shared samples; their answers meet
+in one (`derivative`).
+"""
+
+from collections.abc import Sequence
+
+from jaxclear.studies.monte_carlo import MonteCarlo, draw, monte_carlo
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.sensitivity.derivative import Sensitivity, confirmed
+from jaxclear.studies.sensitivity.methods import differences, pathwise, regression
+
+METHODS = ("regression", "differences", "pathwise")
+
+
+def sensitivity(
+    problem: Problem,
+    variables: str | Sequence[str] | None = None,
+    *,
+    sample: MonteCarlo | int = 256,
+    difference_samples: int = 128,
+    width: float | None = None,
+    methods: Sequence[str] = ("regression", "differences"),
+    seed: int = 0,
+    progress_bar: bool = False,
+) -> Sensitivity:
+    """Derivatives of the mean of every response with respect to `variables` (names; all by
+    default).
+
+    `sample`: a Monte Carlo sample to read slopes from, or how many samples to draw for it. `width`:
+    how far `differences` moves a variable [its unit], by default one standard deviation of its
+    distribution: a response with kinks has another slope at every scale, and the one wanted is that
+    over the tolerance. `methods`: any of "regression", "differences", "pathwise" (fixed-step
+    integrators only; the cheapest while contact persists, refused where its tangents explode).
+    Raises `ValueError` with a sentence for a name that there is not.
+    """
+    unknown = [method for method in methods if method not in METHODS]
+    if unknown:
+        raise ValueError(f"no method {unknown[0]!r}; there are {', '.join(METHODS)}.")
+    wanted = _wanted(problem, variables)
+    if not isinstance(sample, MonteCarlo):
+        sample = monte_carlo(problem, sample, seed=seed, progress_bar=progress_bar)
+    shared = draw(problem, difference_samples, seed + 1)
+    derivatives = {}
+    for name in wanted:
+        place = problem.names.index(name)
+        answers = {}
+        if "regression" in methods:
+            answers["regression"] = {r: regression(sample, r, place) for r in problem.response}
+        if "differences" in methods:
+            deviation = problem.variables[name].distribution.deviation()
+            step = float(deviation) if width is None else width
+            answers["differences"] = differences(
+                problem, shared, place, step, progress_bar=progress_bar
+            )
+        if "pathwise" in methods:
+            answers["pathwise"] = pathwise(problem, shared, place, progress_bar=progress_bar)
+        for response in problem.response_names:
+            estimates = {method: found[response] for method, found in answers.items()}
+            derivatives[response, name] = confirmed(response, name, estimates)
+    return Sensitivity(derivatives, sample)
+
+
+def _wanted(problem: Problem, variables: str | Sequence[str] | None) -> list[str]:
+    """The names asked for. Raises `ValueError` for one that the problem does not have."""
+    if variables is None:
+        return list(problem.names)
+    wanted = [variables] if isinstance(variables, str) else list(variables)
+    for name in wanted:
+        if name not in problem.names:
+            known = ", ".join(map(repr, problem.names))
+            raise ValueError(f'no variable "{name}" in this problem; there are {known}.')
+    return wanted
