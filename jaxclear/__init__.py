@@ -41,6 +41,7 @@ from jaxclear.results.trajectory import Trajectory  # noqa: E402
 from jaxclear.simulation.simulate import SimulationError, simulate  # noqa: E402
 from jaxclear.studies import distribution  # noqa: E402
 from jaxclear.studies.advice.choice import advise  # noqa: E402
+from jaxclear.studies.advice.pilot import PilotSettings  # noqa: E402
 from jaxclear.studies.monte_carlo import monte_carlo  # noqa: E402
 from jaxclear.studies.problem import Problem, Variable  # noqa: E402
 from jaxclear.studies.sensitivity.sensitivity import sensitivity  # noqa: E402
@@ -56,6 +57,7 @@ __all__ = [
     "Marker",
     "Material",
     "Mechanism",
+    "PilotSettings",
     "Problem",
     "Projection",
     "Scalar",

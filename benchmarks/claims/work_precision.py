@@ -22,7 +22,7 @@ STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)
 COPIES = 8
 
 
-def ladder(shortest: float, touching: bool) -> dict[str, list]:
+def candidates(shortest: float, touching: bool) -> dict[str, list]:
     """Every kind of integrator, coarse to fine; `touching`: also the one whose joints always
     touch."""
     kinds = jc.integrator
@@ -104,12 +104,16 @@ def main() -> None:
     options = parser.parse_args()
     options.figures.mkdir(parents=True, exist_ok=True)
     for name, (problem, touching) in questions(options.quick).items():
-        rungs = ladder(5e-5 if options.quick else 2e-6, touching)
+        tried = candidates(5e-5 if options.quick else 2e-6, touching)
         advice = jc.advise(
-            problem, 0.01, copies=COPIES, pilot=float(problem.duration), means=True, ladder=rungs
+            problem,
+            0.01,
+            candidates=tried,
+            pilot=jc.PilotSettings(copies=COPIES, duration=float(problem.duration)),
+            means=True,
         )
         print(advice.sentence())
-        report(f"{name}: error and cost, rung by rung", rows_of(advice), options)
+        report(f"{name}: error and cost, method by method", rows_of(advice), options)
         figure = plot.work_precision(advice)
         figure.savefig(options.figures / f"work_precision_{name.replace('-', '_')}.png", dpi=110)
 

@@ -5,14 +5,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxclear.plot.canvas import canvas, readable
-from jaxclear.studies.advice.advice import PRESENT, REFERENCE, Advice
+from jaxclear.studies.advice.advice import Advice
+from jaxclear.studies.advice.curve import PRESENT, REFERENCE
 from jaxclear.studies.advice.pilot import describe
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sensitivity.derivative import Sensitivity
 
 __all__ = ["monte_carlo", "sensitivity", "work_precision"]
 
-# Trials of an advice that are no rung of the ladder.
+# Trials of an advice that are no candidates.
 BESIDE = (REFERENCE, PRESENT)
 # An error of ten times the response is drawn no higher.
 LARGEST_ERROR = 10.0
@@ -74,46 +75,51 @@ def sensitivity(study: Sensitivity) -> Figure:
 
 
 def work_precision(advice: Advice) -> Figure:
-    """Error of every trial against its cost alone, one line a rung, with the accuracy asked and the
-    recommended setting.
+    """Error of every trial against its cost alone, one line a method, with the accuracy asked and
+    the recommended setting.
 
     Grey: the reference, and what it cannot tell from no error. Runs that failed are not drawn;
     errors outside are drawn at the edge, LARGEST_ERROR or the lower end of the grey.
     """
     figure, axis = canvas(1, 1, (8.0, 5.4))
-    known = max(rule.trust for rule in advice.standards.values())
-    floor = max(0.3 * min(known, advice.accuracy), 1e-12)
+    known = max(criterion.trust for criterion in advice.comparison.criteria.values())
+    floor = max(0.3 * min(known, advice.comparison.accuracy), 1e-12)
     table = advice.table()
     table = table[np.isfinite(table["error"]) & np.isfinite(table["wall s per simulated s"])]
     table = table.assign(
         error=table["error"].clip(floor, LARGEST_ERROR), cost=table["wall s per simulated s"]
     )
-    for index, (name, rung) in enumerate(
-        table[~table["rung"].isin(BESIDE)].groupby("rung", sort=False)
+    for index, (name, rows) in enumerate(
+        table[~table["method"].isin(BESIDE)].groupby("method", sort=False)
     ):
-        axis.plot(rung["cost"], rung["error"], "o-", ms=4, lw=1.2, color=f"C{index}", label=name)
+        axis.plot(rows["cost"], rows["error"], "o-", ms=4, lw=1.2, color=f"C{index}", label=name)
     for name, marker in zip(BESIDE, "Dx", strict=True):
-        rung = table[table["rung"] == name]
-        axis.plot(rung["cost"], rung["error"], marker, ms=6, color="0.35", label=name)
+        rows = table[table["method"] == name]
+        axis.plot(rows["cost"], rows["error"], marker, ms=6, color="0.35", label=name)
     best = table[table["recommended"]]
     axis.plot(
         best["cost"], best["error"], "o", ms=14, mfc="none", mec="k", mew=1.6, label="recommended"
     )
     axis.axhline(
-        advice.accuracy,
+        advice.comparison.accuracy,
         color="C3",
         ls="--",
         lw=1.0,
-        label=f"accuracy asked, {100 * advice.accuracy:g} %",
+        label=f"accuracy asked, {100 * advice.comparison.accuracy:g} %",
     )
     axis.axhspan(floor, known, color="0.9", zorder=0)
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.set_xlabel("computing time per simulated second, one run alone [s]")
     axis.set_ylabel(
-        "largest error of a response [1]" + (", means over the copies" if advice.means else "")
+        "largest error of a response [1]"
+        + (", means over the copies" if advice.comparison.means else "")
     )
-    cheapest = f"cheapest in batches of {advice.batch}" if advice.batch else "cheapest alone"
+    cheapest = (
+        f"cheapest in batches of {advice.comparison.batch}"
+        if advice.comparison.batch
+        else "cheapest alone"
+    )
     axis.set_title(f"Recommended, {cheapest}: {describe(advice.recommended)}", fontsize=10)
     figure.legend(
         *axis.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3

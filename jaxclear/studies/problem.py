@@ -51,7 +51,7 @@ class Variable(eqx.Module):
 
 
 class SampleResult(eqx.Module):
-    """Responses of one sample by name, and how its run ended (`integrator.Outcome`) and when [s]."""
+    """Responses of one sample by name, how its run ended (`integrator.Outcome`), and when [s]."""
 
     responses: dict[str, Array]
     outcome: Array

@@ -28,12 +28,12 @@ SLACK_OF_MEANS, SLACK_OF_RUNS = 2.0, 3.0
 TAIL = 0.975
 
 
-class Standard(NamedTuple):
+class Criterion(NamedTuple):
     """How one response is judged: the reference's answers (copies,), their size, whether means are
     compared, how far the reference can be trusted, the largest error that passes and the accuracy
     asked, these three as shares of the size."""
 
-    truth: np.ndarray
+    reference: np.ndarray
     size: float
     by_means: bool
     trust: float
@@ -41,110 +41,120 @@ class Standard(NamedTuple):
     accuracy: float
 
 
-class Score(NamedTuple):
+class MeasuredError(NamedTuple):
     """Error of one response as a share of its size, and how far off that may be."""
 
     error: float
     uncertainty: float
 
 
-def difference(a: np.ndarray, b: np.ndarray, size: float, by_means: bool) -> Score:
+def difference(a: np.ndarray, b: np.ndarray, size: float, by_means: bool) -> MeasuredError:
     """Largest difference between runs, or difference of the means with its 95 % error."""
     gap = (a - b) / size
     if not by_means:
-        return Score(float(np.max(np.abs(gap))), 0.0)
+        return MeasuredError(float(np.max(np.abs(gap))), 0.0)
     width = stats.t.ppf(TAIL, len(gap) - 1) * gap.std(ddof=1) / np.sqrt(len(gap))
-    return Score(float(abs(gap.mean())), float(width))
+    return MeasuredError(float(abs(gap.mean())), float(width))
 
 
-def standard(
+def criterion(
     loose: np.ndarray,
     tight: np.ndarray,
     accuracy: float,
     size: float | None = None,
     means: bool = False,
-) -> Standard:
+) -> Criterion:
     """What two runs of the reference demand of a response at this accuracy; its size is its root
     mean square unless given.
     """
     size = float(np.sqrt(np.mean(tight**2))) if size is None else size
     trust = difference(loose, tight, size, False).error
     if trust <= TRUSTED * accuracy and not (means and len(tight) >= FEWEST):
-        return Standard(tight, size, False, trust, accuracy, accuracy)
+        return Criterion(tight, size, False, trust, accuracy, accuracy)
     if len(tight) < FEWEST:
-        return Standard(tight, size, False, trust, max(accuracy, SLACK_OF_RUNS * trust), accuracy)
+        return Criterion(tight, size, False, trust, max(accuracy, SLACK_OF_RUNS * trust), accuracy)
     trust = sum(difference(loose, tight, size, True))
-    return Standard(
+    return Criterion(
         0.5 * (loose + tight), size, True, trust, max(accuracy, SLACK_OF_MEANS * trust), accuracy
     )
 
 
-def standards(
+def criteria(
     reference: tuple[Trial, Trial],
     names: tuple[str, ...],
     accuracy: float,
     sizes: Mapping[str, float],
     means: bool,
-) -> dict[str, Standard]:
+) -> dict[str, Criterion]:
     """How each response is judged by the reference, looser and tight; `sizes` are those given by
     the user.
     """
     loose, tight = (trial.responses for trial in reference)
     return {
-        name: standard(loose[name], tight[name], accuracy, sizes.get(name), means) for name in names
+        name: criterion(loose[name], tight[name], accuracy, sizes.get(name), means)
+        for name in names
     }
 
 
-def score(answers: np.ndarray, rule: Standard) -> Score:
+def error_of(answers: np.ndarray, criterion: Criterion) -> MeasuredError:
     """Error of a response by its standard; nan where a run failed."""
     if not np.all(np.isfinite(answers)):
-        return Score(np.nan, np.nan)
-    found = difference(answers, rule.truth, rule.size, rule.by_means)
-    return found if rule.by_means else Score(found.error, rule.trust)
+        return MeasuredError(np.nan, np.nan)
+    found = difference(answers, criterion.reference, criterion.size, criterion.by_means)
+    return found if criterion.by_means else MeasuredError(found.error, criterion.trust)
 
 
-def scores(trial: Trial, rules: dict[str, Standard]) -> dict[str, Score]:
+def errors(trial: Trial, criteria: dict[str, Criterion]) -> dict[str, MeasuredError]:
     """Scores of all responses."""
-    return {name: score(trial.responses[name], rule) for name, rule in rules.items()}
+    return {
+        name: error_of(trial.responses[name], criterion) for name, criterion in criteria.items()
+    }
 
 
-def worst(trial: Trial, rules: dict[str, Standard]) -> tuple[str, float]:
+def worst(trial: Trial, criteria: dict[str, Criterion]) -> tuple[str, float]:
     """The response nearest to or furthest beyond its limit, and its error with uncertainty as a
     multiple of that limit.
     """
-    shares = {name: sum(found) / rules[name].limit for name, found in scores(trial, rules).items()}
+    shares = {
+        name: sum(found) / criteria[name].limit for name, found in errors(trial, criteria).items()
+    }
     name = max(shares, key=lambda n: np.inf if np.isnan(shares[n]) else shares[n])
     return name, np.inf if np.isnan(shares[name]) else shares[name]
 
 
-def passes(trial: Trial, rules: dict[str, Standard]) -> bool:
+def passes(trial: Trial, criteria: dict[str, Criterion]) -> bool:
     """True where every response, its uncertainty added, is within its limit."""
-    return worst(trial, rules)[1] <= 1.0
+    return worst(trial, criteria)[1] <= 1.0
 
 
-def undecided(trial: Trial, rules: dict[str, Standard]) -> bool:
+def undecided(trial: Trial, criteria: dict[str, Criterion]) -> bool:
     """True where a trial does not pass only because the copies are too few to tell its means from
     the reference's.
     """
-    found = scores(trial, rules)
-    return not passes(trial, rules) and all(
-        sum(one) <= rules[name].limit or (rules[name].by_means and one.error <= one.uncertainty)
+    found = errors(trial, criteria)
+    return not passes(trial, criteria) and all(
+        sum(one) <= criteria[name].limit
+        or (criteria[name].by_means and one.error <= one.uncertainty)
         for name, one in found.items()
     )
 
 
-def copies_to_decide(trial: Trial, rules: dict[str, Standard]) -> int:
+def copies_to_decide(trial: Trial, criteria: dict[str, Criterion]) -> int:
     """Copies with which an undecided trial could pass: an uncertainty falls with the root of their
     number.
     """
-    found = scores(trial, rules)
-    excess = max(sum(found[name]) / rule.accuracy for name, rule in rules.items() if rule.by_means)
+    found = errors(trial, criteria)
+    excess = max(
+        sum(found[name]) / criterion.accuracy
+        for name, criterion in criteria.items()
+        if criterion.by_means
+    )
     return int(np.ceil(len(trial.outcome) * excess**2))
 
 
-def coarsest(trials: tuple[Trial, ...], rules: dict[str, Standard]) -> int | None:
-    """The first trial of a rung that passes and whose finer neighbour passes too: one that passes
+def coarsest(trials: tuple[Trial, ...], criteria: dict[str, Criterion]) -> int | None:
+    """The first trial of a method that passes and whose finer neighbour passes too: one that passes
     alone may do so by luck.
     """
-    good = [passes(trial, rules) for trial in trials]
+    good = [passes(trial, criteria) for trial in trials]
     return next((i for i in range(len(good) - 1) if good[i] and good[i + 1]), None)

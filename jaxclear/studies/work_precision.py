@@ -12,7 +12,8 @@ import numpy as np
 from jaxclear.integrators import AbstractIntegrator, Adaptive, FixedStep, ImplicitStep
 from jaxclear.studies.problem import Problem
 
-Ladder = Mapping[str, Sequence[AbstractIntegrator]]
+# Integrators by the name of their method, each from coarse to fine.
+Candidates = Mapping[str, Sequence[AbstractIntegrator]]
 
 # Tolerances of the reference, and how much looser the run is that tells how far it can be trusted.
 REFERENCE_RTOL, REFERENCE_ATOL, LOOSER = 1e-10, 1e-12, 10.0
@@ -27,8 +28,8 @@ SHORT_STEPS = 20.0
 DECADES = 7
 
 
-def reference() -> Adaptive:
-    """The default reference."""
+def tight_reference() -> Adaptive:
+    """What is taken for the truth by default."""
     return Adaptive(rtol=REFERENCE_RTOL, atol=REFERENCE_ATOL)
 
 
@@ -47,40 +48,38 @@ def steps(longest: float) -> Iterator[float]:
                 yield float(f"{digit}e{power}")
 
 
-def default_ladder(problem: Problem, tight: Adaptive) -> dict[str, list[AbstractIntegrator]]:
+def default_candidates(problem: Problem, tight: Adaptive) -> dict[str, list[AbstractIntegrator]]:
     """The kinds that jaxclear has, coarse to fine. Without clearances nothing has a contact to take
     short steps in.
     """
-    lengths = list(steps(min(LONGEST, float(np.max(np.diff(problem.shares * problem.duration))))))
-    ladder: dict[str, list[AbstractIntegrator]] = {
+    interval = float(np.max(np.diff(problem.shares * problem.duration)))
+    lengths = list(steps(min(LONGEST, interval)))
+    candidates: dict[str, list[AbstractIntegrator]] = {
         "Adaptive": [loosened(tight, 10.0**decade) for decade in range(DECADES, 0, -1)],
         "FixedStep rk4": [FixedStep(step) for step in lengths],
         "ImplicitStep": [ImplicitStep(step) for step in lengths],
         "FixedStep semi_implicit": [FixedStep(step, method="semi_implicit") for step in lengths],
     }
     if problem.mechanism.topology.clearances:
-        ladder["FixedStep contact_steps"] = [
+        candidates["FixedStep contact_steps"] = [
             FixedStep(step, contact_steps=SHORT_STEPS) for step in lengths
         ]
-    return ladder
+    return candidates
 
 
-def check_ladder(ladder: Ladder, reserved: tuple[str, ...]) -> None:
-    """Raises `ValueError` with a sentence for what cannot be climbed, and for `reserved` names."""
-    if not isinstance(ladder, Mapping) or not ladder:
+def check_candidates(candidates: Candidates, reserved: tuple[str, ...]) -> None:
+    """Raises `ValueError` with a sentence for what cannot be tried, and for `reserved` names."""
+    if not isinstance(candidates, Mapping) or not candidates:
         raise ValueError(
-            f"the ladder is {ladder!r}; it must name one or more sequences of integrators, coarse "
-            "to fine."
+            f"candidates is {candidates!r}; it must name one or more sequences of integrators, "
+            "coarse to fine."
         )
-    for name, rung in ladder.items():
+    for name, settings in candidates.items():
         if name in reserved:
-            raise ValueError(f'no rung may be called "{name}"; the advice has one of that name.')
-        if (
-            not isinstance(rung, Sequence)
-            or not rung
-            or not all(isinstance(i, AbstractIntegrator) for i in rung)
-        ):
+            raise ValueError(f'no method may be called "{name}"; the advice has one of that name.')
+        known = isinstance(settings, Sequence) and settings
+        if not known or not all(isinstance(i, AbstractIntegrator) for i in settings):
             raise ValueError(
-                f'rung "{name}" of the ladder is {rung!r}; it must be a sequence of integrators, '
+                f'candidates["{name}"] is {settings!r}; it must be a sequence of integrators, '
                 "coarse to fine."
             )

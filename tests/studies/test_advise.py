@@ -9,9 +9,9 @@ import pytest
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.studies import verdict
-from jaxclear.studies.advice.advice import REFERENCE
+from jaxclear.studies.advice.curve import REFERENCE
 from jaxclear.studies.advice.pilot import Trial, describe, evaluate_one, pilot_of
-from jaxclear.studies.work_precision import default_ladder, loosened, reference, steps
+from jaxclear.studies.work_precision import default_candidates, loosened, steps, tight_reference
 
 STEPS = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 
@@ -86,18 +86,20 @@ def explicit(*methods, scale=1.0):
     }
 
 
-LADDER = explicit("rk4") | {
-    "Adaptive": [loosened(reference(), 10.0**decade) for decade in (6, 5, 4, 3, 2, 1)]
+CANDIDATES = explicit("rk4") | {
+    "Adaptive": [loosened(tight_reference(), 10.0**decade) for decade in (6, 5, 4, 3, 2, 1)]
 }
 
 
 @pytest.fixture(scope="module")
 def advice():
-    return jc.advise(falls(), 1e-3, copies=3, pilot=0.05, ladder=LADDER)
+    return jc.advise(
+        falls(), 1e-3, pilot=jc.PilotSettings(copies=3, duration=0.05), candidates=CANDIDATES
+    )
 
 
 def truth(problem, values):
-    """Steps far below those of any rung: the same equations, none of the reference's error
+    """Steps far below those of any candidate: the same equations, none of the reference's error
     control."""
     fine = eqx.tree_at(lambda p: p.integrator, problem, jc.integrator.FixedStep(1e-6))
     return evaluate_one(fine, jnp.asarray(values)).responses
@@ -107,7 +109,7 @@ def truth(problem, values):
 def test_the_recommended_setting_keeps_its_word(advice, accuracy):
     found = advice.at(accuracy)
     assert found.met and f"meets {100 * accuracy:g} %" in found.sentence()
-    for values in advice.pilot.values:
+    for values in advice.comparison.pilot.values:
         exact = truth(advice.asked, values)
         answer = evaluate_one(found.problem, jnp.asarray(values)).responses
         for name, value in answer.items():
@@ -116,10 +118,12 @@ def test_the_recommended_setting_keeps_its_word(advice, accuracy):
 
 def test_errors_told_are_errors_made(advice):
     """The table's errors against runs that know nothing of the reference."""
-    exact = [truth(advice.asked, values) for values in advice.pilot.values]
+    exact = [truth(advice.asked, values) for values in advice.comparison.pilot.values]
     table = advice.table()
     for row, trial in zip(
-        table[table["rung"] == "rk4"].itertuples(), advice.climbs["rk4"].trials, strict=True
+        table[table["method"] == "rk4"].itertuples(),
+        advice.comparison.curves["rk4"].trials,
+        strict=True,
     ):
         if not trial.failure:
             gaps = [
@@ -138,11 +142,11 @@ def test_less_accuracy_is_never_dearer(advice):
 def test_the_problem_comes_back_with_the_recommended_integrator(advice):
     assert describe(advice.problem.integrator) == describe(advice.recommended)
     assert describe(advice.asked.integrator) == "FixedStep(step=2e-05)" in advice.sentence()
-    assert set(advice.why_not()) == {"rk4", "Adaptive"} - {advice.choice.rung}
+    assert set(advice.why_not()) == {"rk4", "Adaptive"} - {advice.comparison.choice.method}
 
 
 def test_steps_too_long_are_rows_with_a_sentence(advice):
-    first = advice.climbs["rk4"].trials[0]
+    first = advice.comparison.curves["rk4"].trials[0]
     assert "too long" in first.failure and np.all(np.isnan(first.responses["force"]))
     table = advice.table()
     assert table["remark"][table["setting"] == describe(first.integrator)].item() == first.failure
@@ -152,11 +156,16 @@ def test_an_unstable_rung_is_reported():
     """A damper that stops the rod within a microsecond: steps of a hundred are refused by the
     numbers themselves.
     """
-    ladder = {"long": [jc.integrator.FixedStep(step) for step in (1e-4, 5e-5)]}
-    found = jc.advise(swings(damping=2e6, duration=1e-2), 0.01, pilot=1e-2, ladder=ladder)
+    candidates = {"long": [jc.integrator.FixedStep(step) for step in (1e-4, 5e-5)]}
+    found = jc.advise(
+        swings(damping=2e6, duration=1e-2),
+        0.01,
+        pilot=jc.PilotSettings(duration=1e-2),
+        candidates=candidates,
+    )
     assert "became infinite" in found.table()["remark"].tolist()[-1]
     assert "became infinite" in found.why_not()["long"]
-    assert found.choice.rung == REFERENCE and found.met
+    assert found.comparison.choice.method == REFERENCE and found.met
 
 
 @pytest.mark.slow
@@ -166,16 +175,20 @@ def test_chaos_is_said():
         "place": jc.response.FinalCoordinate("journal", unit="m"),
     }
     question = jc.Problem(rattling(), response, CLEARANCE, duration=0.8, save=81)
-    ladder = {"rk4": [jc.integrator.FixedStep(step) for step in (5e-5, 2e-5)]}
-    found = jc.advise(question, 0.01, copies=4, pilot=0.8, ladder=ladder)
-    assert not found.met and found.standards["place"].by_means
+    candidates = {"rk4": [jc.integrator.FixedStep(step) for step in (5e-5, 2e-5)]}
+    found = jc.advise(
+        question, 0.01, pilot=jc.PilotSettings(copies=4, duration=0.8), candidates=candidates
+    )
+    assert not found.met and found.comparison.criteria["place"].by_means
     sentence = found.sentence()
     assert (
         "Single runs do not converge" in sentence
         and "No setting can be shown to meet 1 %" in sentence
     )
-    assert "copies" in sentence and found.standards["place"].limit > 0.01
-    alone = jc.advise(question, 0.01, copies=1, pilot=0.8, ladder=ladder)
+    assert "copies" in sentence and found.comparison.criteria["place"].limit > 0.01
+    alone = jc.advise(
+        question, 0.01, pilot=jc.PilotSettings(copies=1, duration=0.8), candidates=candidates
+    )
     assert not alone.met and "at least 3 copies" in alone.sentence()
 
 
@@ -187,26 +200,39 @@ def test_each_kind_of_integrator_compiles_once():
         return last_angle(run)
 
     question = swings(counted, MASS)
-    found = jc.advise(question, 1e-7, copies=2, ladder=explicit("rk4", scale=200.0))
-    assert len(found.climbs["rk4"].trials) > 2
-    # One program for both references, one for the rung and the problem's own.
+    found = jc.advise(
+        question, 1e-7, pilot=jc.PilotSettings(copies=2), candidates=explicit("rk4", scale=200.0)
+    )
+    assert len(found.comparison.curves["rk4"].trials) > 2
+    # One program for both references, one for the method and the problem's own.
     assert len(traced) == 2
-    jc.advise(question, 1e-3, copies=3, seed=1, ladder=explicit("rk4", scale=100.0))
+    jc.advise(
+        question,
+        1e-3,
+        pilot=jc.PilotSettings(copies=3, seed=1),
+        candidates=explicit("rk4", scale=100.0),
+    )
     assert len(traced) == 2
 
 
 def test_in_batches_the_cheapest_there_is_taken(advice):
-    found = jc.advise(advice.asked, 0.05, copies=2, pilot=0.05, batch=4, ladder=explicit("rk4"))
-    assert np.isfinite(found.trial(found.choice).cost_in_batch) and found.cost == pytest.approx(
-        found.trial(found.choice).cost_in_batch
+    found = jc.advise(
+        advice.asked,
+        0.05,
+        pilot=jc.PilotSettings(copies=2, duration=0.05),
+        batch=4,
+        candidates=explicit("rk4"),
     )
+    assert np.isfinite(
+        found.comparison.trial(found.comparison.choice).cost_in_batch
+    ) and found.cost == pytest.approx(found.comparison.trial(found.comparison.choice).cost_in_batch)
     assert "in batches of 4" in found.sentence()
 
 
 def test_a_pilot_is_the_start_of_the_problem():
     path = jnp.linspace(0, 1, 26)[:, None] * jnp.ones(3)
     question = falls({"stray": jc.response.PositionError("journal", path)})
-    piece = pilot_of(question, 1, 0.019, 0)
+    piece = pilot_of(question, jc.PilotSettings(copies=1, duration=0.019))
     assert piece.duration == pytest.approx(0.02) and piece.whole == 0.05
     np.testing.assert_allclose(
         piece.problem.shares * piece.duration, (question.shares * 0.05)[:11], atol=1e-15
@@ -215,8 +241,13 @@ def test_a_pilot_is_the_start_of_the_problem():
 
 
 def test_copies_that_no_integrator_can_run_are_left_out():
-    found = jc.advise(swings(variables=MASS), 0.01, copies=8, ladder=explicit("rk4", scale=100.0))
-    assert 1 < len(found.pilot.values) < 8 and np.all(found.pilot.values > 0)
+    found = jc.advise(
+        swings(variables=MASS),
+        0.01,
+        pilot=jc.PilotSettings(copies=8),
+        candidates=explicit("rk4", scale=100.0),
+    )
+    assert 1 < len(found.comparison.pilot.values) < 8 and np.all(found.comparison.pilot.values > 0)
 
 
 def trial(error, cost=1.0):
@@ -231,60 +262,65 @@ def trial(error, cost=1.0):
 
 
 def test_a_setting_that_passes_by_luck_is_not_taken():
-    rules = {"r": verdict.standard(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0]), 0.01)}
+    criteria = {"r": verdict.criterion(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0]), 0.01)}
     assert (
-        verdict.coarsest((trial(0.5), trial(0.001), trial(0.1), trial(0.004), trial(0.001)), rules)
+        verdict.coarsest(
+            (trial(0.5), trial(0.001), trial(0.1), trial(0.004), trial(0.001)), criteria
+        )
         == 3
     )
-    assert verdict.coarsest((trial(0.5), trial(0.001)), rules) is None
+    assert verdict.coarsest((trial(0.5), trial(0.001)), criteria) is None
 
 
 def test_means_are_compared_where_runs_do_not_repeat():
     noise = np.random.default_rng(0).normal(1.0, 0.1, (3, 40_000))
-    rule = verdict.standard(noise[0], noise[1], 0.01)
-    error, uncertainty = verdict.score(noise[2], rule)
+    criterion = verdict.criterion(noise[0], noise[1], 0.01)
+    error, uncertainty = verdict.error_of(noise[2], criterion)
     # The difference from a mean of two: 0.1 sqrt(1 + 1/2) / 200, times 1.96, as a share of 1.005.
     assert (
-        rule.by_means
-        and rule.limit == 0.01
+        criterion.by_means
+        and criterion.limit == 0.01
         and uncertainty == pytest.approx(0.1 * 1.5**0.5 / 200 * 1.96, rel=0.05)
     )
     assert error < 2 * uncertainty
-    assert sum(verdict.score(noise[2] * 1.02, rule)) > 0.01
+    assert sum(verdict.error_of(noise[2] * 1.02, criterion)) > 0.01
     # Runs that repeat are compared by means where that is asked for.
-    assert verdict.standard(noise[0], noise[0], 0.01, means=True).by_means
-    assert not verdict.standard(noise[0], noise[0], 0.01).by_means
-    few = verdict.standard(noise[0, :8], noise[1, :8], 0.01)
+    assert verdict.criterion(noise[0], noise[0], 0.01, means=True).by_means
+    assert not verdict.criterion(noise[0], noise[0], 0.01).by_means
+    few = verdict.criterion(noise[0, :8], noise[1, :8], 0.01)
     assert few.by_means and few.limit > 0.01
 
 
 def test_an_undecided_setting_asks_for_copies():
     one, other = np.random.default_rng(1).normal(1.0, 0.1, (2, 16))
-    rules = {"r": verdict.standard(one, one + 1e-9, 0.01, means=True)}
+    criteria = {"r": verdict.criterion(one, one + 1e-9, 0.01, means=True)}
     vague = eqx.tree_at(
         lambda t: (t.responses, t.outcome), trial(0.0), ({"r": other}, np.zeros(16, int))
     )
-    assert verdict.undecided(vague, rules) and not verdict.passes(vague, rules)
+    assert verdict.undecided(vague, criteria) and not verdict.passes(vague, criteria)
     # 95 % of 0.1 sqrt(2) within 0.01 takes (1.96 x 0.14 / 0.01)^2 = 770 copies, give or take the
     # chance of 16.
-    assert 200 < verdict.copies_to_decide(vague, rules) < 4000
+    assert 200 < verdict.copies_to_decide(vague, criteria) < 4000
     wrong = eqx.tree_at(lambda t: t.responses, trial(0.0), {"r": other + 1.0})
-    assert not verdict.undecided(wrong, rules)
+    assert not verdict.undecided(wrong, criteria)
 
 
 def test_means_are_judged_where_they_are_asked_for(advice):
     means = advice.of_means()
-    assert all(rule.by_means for rule in means.standards.values())
+    assert all(criterion.by_means for criterion in means.comparison.criteria.values())
     assert "Judged are means" in means.sentence() and "Judged are means" not in advice.sentence()
 
 
-def test_the_default_ladder_goes_from_the_saving_interval_down():
-    ladder = default_ladder(falls(), reference())
-    assert float(ladder["FixedStep rk4"][0].step) == 2e-3 and "FixedStep contact_steps" in ladder
-    assert "FixedStep contact_steps" not in default_ladder(swings(), reference())
+def test_the_default_candidates_go_from_the_saving_interval_down():
+    candidates = default_candidates(falls(), tight_reference())
+    assert (
+        float(candidates["FixedStep rk4"][0].step) == 2e-3
+        and "FixedStep contact_steps" in candidates
+    )
+    assert "FixedStep contact_steps" not in default_candidates(swings(), tight_reference())
     assert list(steps(3e-8)) == [2e-8, 1e-8]
-    assert eqx.tree_equal(ladder["Adaptive"][-1], loosened(reference(), 10.0))
-    tolerances = [float(i.rtol) for i in ladder["Adaptive"]]
+    assert eqx.tree_equal(candidates["Adaptive"][-1], loosened(tight_reference(), 10.0))
+    tolerances = [float(i.rtol) for i in candidates["Adaptive"]]
     assert tolerances == sorted(tolerances, reverse=True) and tolerances[0] == pytest.approx(1e-3)
 
 
@@ -305,22 +341,28 @@ def test_the_figure_shows_every_rung(advice):
         (lambda: jc.advise(falls(), 1.0), "the accuracy is 1.0"),
         (lambda: jc.advise(falls(), "high"), "the accuracy is 'high'"),
         (lambda: jc.advise(falls(), 0.0), "above 0 and below 1"),
-        (lambda: jc.advise(falls(), copies=0), "copies is 0"),
+        (lambda: jc.PilotSettings(copies=0), "copies is 0"),
         (lambda: jc.advise(falls(), batch=1.5), "batch is 1.5"),
-        (lambda: jc.advise(falls(), pilot=1.0), "the pilot is 1.0 s"),
         (
-            lambda: jc.advise(falls(), reference=jc.integrator.FixedStep()),
+            lambda: jc.advise(falls(), pilot=jc.PilotSettings(duration=1.0)),
+            "the pilot's duration is 1.0 s",
+        ),
+        (
+            lambda: jc.PilotSettings(reference=jc.integrator.FixedStep()),
             "must be an integrator.Adaptive",
         ),
         (lambda: jc.advise(falls(), scales={"speed": 1.0}), 'no response "speed"'),
         (lambda: jc.advise(falls(), scales={"force": 0.0}), 'the scale of response "force"'),
-        (lambda: jc.advise(falls(), ladder={}), "the ladder is"),
-        (lambda: jc.advise(falls(), copies=2, means=True), "means need at least 3 copies"),
+        (lambda: jc.advise(falls(), candidates={}), "candidates is"),
         (
-            lambda: jc.advise(falls(), ladder={"reference": [jc.integrator.FixedStep()]}),
-            'no rung may be called "reference"',
+            lambda: jc.advise(falls(), pilot=jc.PilotSettings(copies=2), means=True),
+            "means need at least 3 copies",
         ),
-        (lambda: jc.advise(falls(), ladder={"steps": [1e-4]}), 'rung "steps" of the ladder'),
+        (
+            lambda: jc.advise(falls(), candidates={"reference": [jc.integrator.FixedStep()]}),
+            'no method may be called "reference"',
+        ),
+        (lambda: jc.advise(falls(), candidates={"steps": [1e-4]}), r'candidates\["steps"\]'),
         (lambda: jc.advise(swings(lambda run: run.time)), "it must be one number"),
         (lambda: jc.advise(swings(lambda run: run.time[-1] * jnp.nan)), "not finite"),
         (
@@ -329,7 +371,7 @@ def test_the_figure_shows_every_rung(advice):
         ),
         (
             lambda: jc.advise(swings(lambda run: (run.time - np.linspace(0, 1, 11)).sum())),
-            "give pilot=1",
+            r"give pilot=jaxclear.PilotSettings\(duration=1\)",
         ),
     ],
 )

@@ -1,37 +1,46 @@
 """Which integrator and which step for this problem, at an accuracy in its responses, and what it
 costs.
 
-A pilot (the first part of the problem, nominal and a few copies within the tolerances) is run on
-every rung of the ladder of integrators, coarse to fine, and compared with a tight adaptive
-reference. Recommended is the cheapest setting whose error, with its uncertainty, is below the
-accuracy and whose next finer neighbour's is too. What is found holds for the pilot: errors that
-grow with time are larger at the end of a longer run.
+A pilot (the first part of the problem, nominal and a few copies within the tolerances) is run with
+every candidate, coarse to fine, and compared with a tight adaptive reference. Recommended is the
+cheapest setting whose error, with its uncertainty, is below the accuracy and whose next finer
+neighbour's is too. What is found holds for the pilot: errors that grow with time are larger at the
+end of a longer run.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import numpy as np
 from tqdm import tqdm
 
-from jaxclear.integrators import Adaptive, Outcome
+from jaxclear.integrators import AbstractIntegrator, Adaptive, Outcome
 from jaxclear.studies import verdict
-from jaxclear.studies.advice.advice import (
-    PRESENT,
-    REFERENCE,
-    Advice,
-    Climb,
-    check_means,
-    checked_accuracy,
+from jaxclear.studies.advice.advice import Advice, checked_accuracy
+from jaxclear.studies.advice.comparison import Comparison, check_means
+from jaxclear.studies.advice.curve import PRESENT, REFERENCE, Curve
+from jaxclear.studies.advice.pilot import (
+    Pilot,
+    PilotSettings,
+    Trial,
+    check_count,
+    describe,
+    measure,
+    pilot_of,
+    time_in_batch,
 )
-from jaxclear.studies.advice.pilot import Pilot, Trial, describe, measure, pilot_of, time_in_batch
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.verdict import Standard
-from jaxclear.studies.work_precision import LOOSER, Ladder, check_ladder, default_ladder, loosened
-from jaxclear.studies.work_precision import reference as default_reference
+from jaxclear.studies.verdict import Criterion
+from jaxclear.studies.work_precision import (
+    LOOSER,
+    Candidates,
+    check_candidates,
+    default_candidates,
+    loosened,
+)
 
-# A rung is climbed until its error is this share of the accuracy: the figure shows how it falls.
+# A curve is followed until its error is this share of the accuracy: the figure shows how it falls.
 FAR_BELOW = 0.1
 # It is left where a finer setting would be this many times as dear as the reference, or as the
 # cheapest that meets the accuracy already. In a batch costs change places: adaptive steps wait for
@@ -46,66 +55,65 @@ def advise(
     problem: Problem,
     accuracy: float = 0.01,
     *,
-    copies: int = 8,
-    pilot: float | None = None,
+    candidates: Candidates | None = None,
+    pilot: PilotSettings | None = None,
+    scales: Mapping[str, float] | None = None,
     means: bool = False,
     batch: int | None = None,
-    reference: Adaptive | None = None,
-    ladder: Ladder | None = None,
-    scales: Mapping[str, float] | None = None,
-    seed: int = 0,
     progress_bar: bool = False,
 ) -> Advice:
     """The cheapest integrator that meets `accuracy` in every response of a problem; see `Advice`.
 
     `accuracy`: largest error as a share of a response's root mean square over the copies, or of its
-    size in `scales` (for a response about zero). `copies`: nominal and perturbed runs; more of them
-    where the answer says that motion is chaotic. `pilot`: duration [s], a quarter of the problem's
-    by default. `means`: not every run must meet the accuracy but the mean over the copies, as a
-    Monte Carlo study wants it. `batch`: samples run together as `monte_carlo` does; the recommended
-    setting is then the cheapest there. `reference`: an `Adaptive` trusted as the truth, checked
-    against itself at ten times its tolerances. `ladder`: integrators to try instead of all that
-    jaxclear has, by rung, coarse to fine. Every rung compiles once. Raises `ValueError` with a
-    sentence for what cannot be asked and for a reference that fails.
+    size in `scales` (for a response about zero). `candidates`: integrators to try instead of all
+    that jaxclear has, by method, coarse to fine; every method compiles once. `pilot`: the short
+    runs that are made, their number and length. `means`: not every run must meet the accuracy but
+    the mean over the copies, as a Monte Carlo study wants it. `batch`: samples run together as
+    `monte_carlo` does; the recommended setting is then the cheapest there. Raises `ValueError` with
+    a sentence for what cannot be asked and for a reference that fails.
     """
-    accuracy = checked_accuracy(accuracy)
-    tight = default_reference() if reference is None else reference
-    scales = dict(scales or {})
-    _check(problem, copies, pilot, batch, tight, scales)
-    piece = pilot_of(problem, int(copies), pilot, seed)
-    rungs = default_ladder(piece.problem, tight) if ladder is None else ladder
-    check_ladder(rungs, (REFERENCE, PRESENT))
+    accuracy, scales = checked_accuracy(accuracy), dict(scales or {})
+    settings = PilotSettings() if pilot is None else pilot
+    _check(problem, settings, batch, scales)
+    short = pilot_of(problem, settings)
+    tried = (
+        default_candidates(short.problem, settings.reference) if candidates is None else candidates
+    )
+    check_candidates(tried, (REFERENCE, PRESENT))
     if means:
-        check_means(len(piece.values))
-    with tqdm(total=len(rungs) + 2, desc="advice", disable=not progress_bar) as bar:
-        piece, known = _reference(piece, tight, scales)
+        check_means(len(short.values))
+    with tqdm(total=len(tried) + 2, desc="advice", disable=not progress_bar) as bar:
+        short, known = _reference(short, settings.reference, scales)
         bar.update(1)
-        climbs = {PRESENT: Climb((measure(piece, problem.integrator),), "")}
+        curves = {PRESENT: Curve((measure(short, problem.integrator),), "")}
         bar.update(1)
-        rules = verdict.standards(known.trials, problem.response_names, accuracy, scales, means)
-        run = _once(piece, (*known.trials, *climbs[PRESENT].trials))
-        for name, settings in rungs.items():
-            climbs[name] = _climb(
-                run, settings, rules, known.trials[-1].cost, _allowance(climbs, rules, batch)
-            )
+        criteria = verdict.criteria(known.trials, problem.response_names, accuracy, scales, means)
+        run = _once(short, (*known.trials, *curves[PRESENT].trials))
+        for name, ordered in tried.items():
+            most = (known.trials[-1].cost, _allowance(curves, criteria, batch))
+            curves[name] = _follow(run, ordered, criteria, *most)
             bar.update(1)
     if batch is not None:
-        climbs = {
-            name: _timed_in_batch(piece, climb, rules, batch) for name, climb in climbs.items()
-        }
-    return Advice(problem, accuracy, piece, {REFERENCE: known} | climbs, scales, means, batch)
+        for name, curve in curves.items():
+            curves[name] = _timed_in_batch(short, curve, criteria, batch)
+    names = problem.response_names
+    found = Comparison(accuracy, short, {REFERENCE: known} | curves, scales, names, means, batch)
+    return Advice(problem, found)
 
 
-def _allowance(climbs: Mapping[str, Climb], rules: dict[str, Standard], batch: int | None) -> float:
+def _allowance(
+    curves: Mapping[str, Curve], criteria: dict[str, Criterion], batch: int | None
+) -> float:
     """Largest cost worth a trial: some times that of what already meets the accuracy."""
-    places = {name: verdict.coarsest(climb.trials, rules) for name, climb in climbs.items()}
-    meeting = [
-        climbs[name].trials[place].cost for name, place in places.items() if place is not None
-    ]
+    meeting = []
+    for curve in curves.values():
+        place = verdict.coarsest(curve.trials, criteria)
+        if place is not None:
+            meeting.append(curve.trials[place].cost)
     return (TOO_DEAR if batch is None else TOO_DEAR_IN_BATCH) * min(meeting, default=np.inf)
 
 
-def _once(pilot: Pilot, known: tuple[Trial, ...]) -> Callable:
+def _once(pilot: Pilot, known: tuple[Trial, ...]) -> Callable[[AbstractIntegrator], Trial]:
     """Measures an integrator, unless it is among the trials that are known."""
 
     def run(integrator):
@@ -115,28 +123,29 @@ def _once(pilot: Pilot, known: tuple[Trial, ...]) -> Callable:
     return run
 
 
-def _climb(
-    run: Callable,
-    settings: Any,
-    rules: dict[str, Standard],
+def _follow(
+    run: Callable[[AbstractIntegrator], Trial],
+    ordered: Sequence[AbstractIntegrator],
+    criteria: dict[str, Criterion],
     reference_cost: float,
     allowance: float,
-) -> Climb:
-    """Trials of one rung until they are good enough or too dear."""
+) -> Curve:
+    """Trials of one method, coarse to fine, until they are good enough or too dear."""
     trials: list[Trial] = []
-    for integrator in settings:
+    for integrator in ordered:
         expected = _expected_cost(trials)
         if expected > DEARER_THAN_REFERENCE * reference_cost:
-            return Climb(tuple(trials), "Finer settings would cost more than the reference.")
+            return Curve(tuple(trials), "Finer settings would cost more than the reference.")
         if expected > allowance:
-            return Climb(
+            return Curve(
                 tuple(trials),
                 "Finer settings would cost several times what meets the accuracy already.",
             )
         trials.append(run(integrator))
-        if verdict.coarsest(tuple(trials), rules) is not None and _is_far_below(trials[-1], rules):
-            return Climb(tuple(trials), "")
-    return Climb(tuple(trials), "The rung has no finer settings.")
+        good = verdict.coarsest(tuple(trials), criteria) is not None
+        if good and _is_far_below(trials[-1], criteria):
+            return Curve(tuple(trials), "")
+    return Curve(tuple(trials), "The method has no finer settings.")
 
 
 def _expected_cost(trials: list[Trial]) -> float:
@@ -147,26 +156,28 @@ def _expected_cost(trials: list[Trial]) -> float:
     return costs[-1] * float(np.clip(costs[-1] / costs[-2], 1.0, MOST_GROWTH))
 
 
-def _is_far_below(trial: Trial, rules: dict[str, Standard]) -> bool:
-    found = verdict.scores(trial, rules)
+def _is_far_below(trial: Trial, criteria: dict[str, Criterion]) -> bool:
+    found = verdict.errors(trial, criteria)
     return all(
-        one.error <= max(FAR_BELOW * rules[name].limit, one.uncertainty)
+        one.error <= max(FAR_BELOW * criteria[name].limit, one.uncertainty)
         for name, one in found.items()
     )
 
 
-def _timed_in_batch(pilot: Pilot, climb: Climb, rules: dict[str, Standard], samples: int) -> Climb:
-    """The climb, the first of its settings that is good enough timed in a batch."""
-    place = verdict.coarsest(climb.trials, rules)
+def _timed_in_batch(
+    pilot: Pilot, curve: Curve, criteria: dict[str, Criterion], samples: int
+) -> Curve:
+    """The curve, the first of its settings that is good enough timed in a batch."""
+    place = verdict.coarsest(curve.trials, criteria)
     if place is None:
-        return climb
-    timed = time_in_batch(pilot, climb.trials[place], samples)
-    return Climb((*climb.trials[:place], timed, *climb.trials[place + 1 :]), climb.stopped)
+        return curve
+    timed = time_in_batch(pilot, curve.trials[place], samples)
+    return Curve((*curve.trials[:place], timed, *curve.trials[place + 1 :]), curve.stopped)
 
 
 def _reference(
     pilot: Pilot, integrator: Adaptive, scales: Mapping[str, float]
-) -> tuple[Pilot, Climb]:
+) -> tuple[Pilot, Curve]:
     """The reference, looser and tight, and the pilot without copies that no integrator could
     run."""
     tight = measure(pilot, integrator)
@@ -182,47 +193,46 @@ def _reference(
         if not np.any(answers) and name not in scales:
             raise ValueError(
                 f'response "{name}" is 0 in every copy of the pilot ({pilot.duration:.3g} s), '
-                "which gives an error no measure: "
-                "take a longer pilot, or give its size in `scales`."
+                "which gives an error no measure: take a longer pilot, or give its size in "
+                "`scales`."
             )
-    return pilot, Climb((loose, tight), "")
+    return pilot, Curve((loose, tight), "")
 
 
-def _why_no_reference(pilot, trial):
+def _why_no_reference(pilot: Pilot, trial: Trial) -> str:
     text = (
         f"the reference {describe(trial.integrator)} fails on the pilot, so there is nothing to "
         f"compare with: {trial.failure}"
     )
     if pilot.duration < pilot.whole:
-        text += f" If a response needs the whole run, give pilot={pilot.whole:.6g}."
+        text += (
+            " If a response needs the whole run, give "
+            f"pilot=jaxclear.PilotSettings(duration={pilot.whole:.6g})."
+        )
     return (
         text + " If the mechanism is stiff, give an Adaptive with an implicit diffrax solver as "
         "reference."
     )
 
 
-def _check(problem, copies, pilot, batch, reference, scales):
+def _check(
+    problem: Any, pilot: PilotSettings, batch: int | None, scales: Mapping[str, float]
+) -> None:
     if not isinstance(problem, Problem):
         raise ValueError(f"advice is given on a jaxclear.Problem, not on {problem!r}.")
-    for name, count in (("copies", copies), ("batch", 1 if batch is None else batch)):
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
-            raise ValueError(f"{name} is {count!r}; it must be a whole number, at least 1.")
+    if not isinstance(pilot, PilotSettings):
+        raise ValueError(f"the pilot is {pilot!r}; it must be a jaxclear.PilotSettings.")
+    check_count("batch", 1 if batch is None else batch)
     whole = float(problem.duration)
-    if pilot is not None and not 0 < pilot <= whole:
+    if pilot.duration is not None and not 0 < pilot.duration <= whole:
         raise ValueError(
-            f"the pilot is {pilot!r} s; it must be above 0 and at most the problem's {whole:.6g} s."
-        )
-    if not isinstance(reference, Adaptive):
-        raise ValueError(
-            f"the reference is {reference!r}; it must be an integrator.Adaptive, whose tolerances "
-            "can be varied."
+            f"the pilot's duration is {pilot.duration!r} s; it must be above 0 and at most the "
+            f"problem's {whole:.6g} s."
         )
     for name, size in scales.items():
         if name not in problem.response_names:
-            raise ValueError(
-                f'no response "{name}" in this problem; there are '
-                f"{', '.join(map(repr, problem.response_names))}."
-            )
+            known = ", ".join(map(repr, problem.response_names))
+            raise ValueError(f'no response "{name}" in this problem; there are {known}.')
         if not 0 < size < np.inf:
             raise ValueError(
                 f'the scale of response "{name}" is {size!r}; it must be positive and finite, in '

@@ -8,6 +8,7 @@ Steps and tolerances are numbers, so each kind of integrator compiles once.
 
 import dataclasses
 import time
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,11 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.integrators import AbstractIntegrator, Outcome
+from jaxclear.integrators import AbstractIntegrator, Adaptive, Outcome
 from jaxclear.simulation.simulate import check_run
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.monte_carlo import draw
 from jaxclear.studies.problem import Problem, SampleResult
+from jaxclear.studies.work_precision import tight_reference
 
 # Share of the problem's duration that a pilot runs unless told otherwise.
 SHARE = 0.25
@@ -30,6 +32,35 @@ TIMING, MOST_TIMINGS = 0.2, 40
 MOST_TAKEN_OFF = 0.95
 # What decides accuracy is said of an integrator even where it is the default.
 ALWAYS_SAID = ("step", "rtol", "atol")
+
+
+class PilotSettings(eqx.Module):
+    """Which short runs an advice is founded on.
+
+    `copies`: nominal and perturbed runs; more of them where the answer says that motion is chaotic.
+    `duration` [s]: how long they are, a quarter of the problem's by default. `seed` draws the
+    copies. `reference`: an `Adaptive` trusted as the truth, checked against itself at ten times its
+    tolerances.
+    """
+
+    copies: int = eqx.field(static=True, default=8)
+    duration: float | None = eqx.field(static=True, default=None)
+    seed: int = eqx.field(static=True, default=0)
+    reference: Adaptive = eqx.field(default_factory=tight_reference)
+
+    def __check_init__(self):
+        check_count("copies", self.copies)
+        if not isinstance(self.reference, Adaptive):
+            raise ValueError(
+                f"the reference is {self.reference!r}; it must be an integrator.Adaptive, whose "
+                "tolerances can be varied."
+            )
+
+
+def check_count(name: str, count: Any) -> None:
+    """Raises `ValueError` for what is no whole number, at least 1."""
+    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+        raise ValueError(f"{name} is {count!r}; it must be a whole number, at least 1.")
 
 
 class Pilot(eqx.Module):
@@ -72,18 +103,16 @@ def evaluate_one(problem: Problem, values: Float[Array, " variables"]) -> Sample
     return problem.evaluate(values)
 
 
-def pilot_of(problem: Problem, copies: int, duration: float | None, seed: int) -> Pilot:
-    """The pilot of a problem: as long as asked for [s], rounded up to a saving time (None: SHARE of
-    the problem).
-    """
+def pilot_of(problem: Problem, settings: PilotSettings) -> Pilot:
+    """The pilot of a problem: as long as asked for, rounded up to a saving time."""
     whole = float(problem.duration)
-    wanted = SHARE * whole if duration is None else duration
+    wanted = SHARE * whole if settings.duration is None else settings.duration
     shares = np.asarray(problem.shares)
     saves = int(np.searchsorted(shares, wanted / whole * (1 - 1e-9))) + 1
     piece = problem if saves >= len(shares) else _up_to(problem, saves)
     values = np.asarray(problem.nominal())[None] if problem.names else np.zeros((1, 0))
-    if problem.names and copies > 1:
-        values = np.concatenate([values, draw(problem, copies - 1, seed)])
+    if problem.names and settings.copies > 1:
+        values = np.concatenate([values, draw(problem, settings.copies - 1, settings.seed)])
     return Pilot(piece, values, whole)
 
 
