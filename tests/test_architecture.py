@@ -1,11 +1,13 @@
-"""The rules of the house that a program can read: who imports whom, what may be subclassed, how
-long a file may be.
+"""The rules of the house that a program can read: who imports whom, what may be subclassed, who may
+ask what of whom, how long things may be.
 """
 
 import ast
 import importlib
 import inspect
 import pkgutil
+from graphlib import CycleError, TopologicalSorter
+from itertools import chain
 from pathlib import Path
 
 import equinox as eqx
@@ -14,24 +16,37 @@ import pytest
 import jaxclear
 
 ROOT = Path(jaxclear.__file__).parent
-# From below; `scenes` holds ready mechanisms, and uses the package as a user would.
-ROOMS = (
-    "native",
-    "ground",
-    "complementarity",
-    "laws",
-    "components",
-    "multibody",
-    "formulations",
-    "integrators",
-    "results",
-    "simulation",
-    "studies",
-    "plot",
-    "scenes",
-    "commands",
+# Floors from below; rooms on one floor do not import each other.
+FLOORS = (
+    ("native", "ground"),
+    ("laws", "complementarity"),
+    ("components",),
+    ("multibody",),
+    ("formulations",),
+    ("integrators", "scenes"),
+    ("results",),
+    ("simulation",),
+    ("studies",),
+    ("plot",),
+    ("commands",),
 )
-LONGEST_FILE = 500
+FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS, LONGEST_LINE = 500, 110, 10, 130
+# Libraries that a run does without: loaded when a table, a data set or a kernel is asked for.
+LATE = {"pandas", "xarray", "matplotlib", "llvmlite", "scipy"}
+CIRCLE = {"jaxclear.results.trajectory"}
+# Not yet done; each owner takes his own out.
+OWED = {
+    "components/drive.py",
+    "results/trajectory.py",
+    "formulations/permanent_joints.py",
+    "multibody/assembly.py",
+    "multibody/mechanism.py",
+    "multibody/system.py",
+    "simulation/simulate.py",
+}
+# The one class that its kind does not describe: gravity acts on every body, not on markers.
+ASKED_BY_NAME = {"Gravity"}
 NOTHING_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "core", "manager"}
 FILES = sorted(ROOT.rglob("*.py"))
 
@@ -58,7 +73,7 @@ def imports(path):
 
 def room(module):
     parts = module.split(".")
-    return parts[1] if parts[0] == "jaxclear" and len(parts) > 1 and parts[1] in ROOMS else None
+    return parts[1] if parts[0] == "jaxclear" and len(parts) > 1 and parts[1] in FLOOR else None
 
 
 def identify(path):
@@ -77,12 +92,44 @@ def test_imports_point_downward(path):
         return
     for module in imports(path):
         there = room(module)
-        assert there is None or ROOMS.index(there) <= ROOMS.index(here), (
+        assert there in (None, here) or FLOOR[there] < FLOOR[here], (
             f"{identify(path)} imports {module}"
         )
-        assert module != "jaxclear" or here in ("scenes", "commands"), (
+        assert module != "jaxclear" or here == "commands", (
             f"{identify(path)} imports the whole package"
         )
+
+
+def test_no_circle_of_imports():
+    """Neither between rooms nor within one."""
+    known = {module_name(path): path for path in FILES}
+    wants = {}
+    for name, path in known.items():
+        found = {m for m in imports(path) if m in known} - {name}
+        # `from room import file` is the file, not the room's own face
+        wants[name] = {m for m in found if not any(o.startswith(f"{m}.") for o in found)}
+    wants |= {name: set() for name in CIRCLE}
+    try:
+        TopologicalSorter(wants).prepare()
+    except CycleError as error:
+        pytest.fail(" imports ".join(reversed(error.args[1])))
+
+
+@pytest.mark.parametrize("path", FILES, ids=identify)
+def test_no_import_within_a_function(path):
+    """But of libraries that most runs do without."""
+    if identify(path) in OWED:
+        return
+    for function in functions(path):
+        for node in ast.walk(function):
+            if isinstance(node, ast.Import):
+                named = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                named = [node.module or ""]
+            else:
+                continue
+            late = {name.split(".")[0] for name in named}
+            assert late <= LATE, f"{function.name} imports {', '.join(late)}"
 
 
 def outside(path):
@@ -92,7 +139,7 @@ def outside(path):
 @pytest.mark.parametrize("path", FILES, ids=identify)
 def test_solvers_stay_in_their_rooms(path):
     here = room(module_name(path))
-    if here in ROOMS[: ROOMS.index("integrators")]:
+    if FLOOR.get(here, 0) < FLOOR["integrators"]:
         assert "diffrax" not in outside(path)
     if identify(path) != "studies/design.py":
         assert "optax" not in outside(path)
@@ -100,8 +147,25 @@ def test_solvers_stay_in_their_rooms(path):
 
 @pytest.mark.parametrize("path", FILES, ids=identify)
 def test_file_is_short_and_well_named(path):
-    assert len(path.read_text().splitlines()) <= LONGEST_FILE
+    lines = path.read_text().splitlines()
+    assert len(lines) <= LONGEST_FILE
+    assert max(map(len, lines), default=0) <= LONGEST_LINE
     assert not set(path.relative_to(ROOT).with_suffix("").parts) & NOTHING_NAMES
+
+
+def functions(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            yield node
+
+
+@pytest.mark.parametrize("path", FILES, ids=identify)
+def test_function_is_short_and_takes_few_arguments(path):
+    for function in functions(path):
+        assert function.end_lineno - function.lineno < LONGEST_FUNCTION, function.name
+        given = function.args
+        arguments = [a.arg for a in chain(given.posonlyargs, given.args, given.kwonlyargs)]
+        assert len(set(arguments) - {"self", "cls"}) <= MOST_ARGUMENTS, function.name
 
 
 @pytest.mark.parametrize("path", FILES, ids=identify)
@@ -156,3 +220,33 @@ def test_no_super_and_no_hasattr(path):
     assert [name for name in called if name in ("super", "hasattr")] == lines.get(
         identify(path), []
     )
+
+
+def members(room_name):
+    """Names of the laws or joints that are defined in a room: final classes of a family."""
+    return {
+        kind.__name__
+        for kind in CLASSES.values()
+        if kind.__module__.startswith(f"jaxclear.{room_name}.")
+        and kind.__mro__[1].__name__.startswith("Abstract")
+        and kind.__mro__[1].__module__.startswith(f"jaxclear.{room_name}.")
+        and not kind.__name__.startswith("Abstract")
+    }
+
+
+@pytest.mark.parametrize("path", FILES, ids=identify)
+def test_members_of_a_family_are_not_told_apart_elsewhere(path):
+    """What a formulation wants of a law or a joint is a method of its family: a new member is one
+    file.
+    """
+    for room_name in ("laws", "components"):
+        if room(module_name(path)) == room_name:
+            continue
+        if identify(path) in OWED:
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.Call) or ast.unparse(node.func) != "isinstance":
+                continue
+            asked = {ast.unparse(n).split(".")[-1] for n in ast.walk(node.args[1])}
+            named = asked & members(room_name) - ASKED_BY_NAME
+            assert not named, f"line {node.lineno} asks for {', '.join(named)}"
