@@ -26,6 +26,13 @@ DOI = re.compile(r"doi:\s?(10\.\d+/[^\s,;]*[^\s,;.)])")
 ROLE = re.compile(r":math:`([^`]*)`", re.DOTALL)
 
 
+def module_at(path: str) -> ModuleType:
+    """The module that a user reaches as `path`, which may be an attribute and no file."""
+    parent, _, last = path.rpartition(".")
+    found = getattr(importlib.import_module(parent), last, None) if parent else None
+    return importlib.import_module(path) if found is None else found
+
+
 def public_names(module: ModuleType) -> list[str]:
     """What the module offers: `__all__`, or classes and functions of the package defined there."""
     if hasattr(module, "__all__"):
@@ -131,10 +138,7 @@ class Reference(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         path = self.arguments[0]
-        # jaxclear.contact is an attribute, not a file.
-        parent, _, last = path.rpartition(".")
-        module = getattr(importlib.import_module(parent), last) if parent else None
-        module = module if module is not None else importlib.import_module(path)
+        module = module_at(path)
         chosen = self.arguments[1].split() if len(self.arguments) > 1 else public_names(module)
         self.env.note_dependency(module.__file__)
         lines = [] if len(self.arguments) > 1 else [*markdown(module.__doc__), ""]
