@@ -116,7 +116,8 @@ def described(path: str, value: object) -> list[str]:
     """Markdown of one public name."""
     if isinstance(value, ModuleType):
         return []
-    if not callable(value):
+    own = (getattr(value, "__module__", None) or "").startswith("jaxclear")
+    if not callable(value) or not own:
         return [f"::::{{py:data}} {path}", "::::", ""]
     what = "class" if inspect.isclass(value) else "function"
     lines = [f":::::{{py:{what}}} {path}{signature(value)}", "", *markdown(value.__doc__), ""]
