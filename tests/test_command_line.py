@@ -7,7 +7,7 @@ from jaxclear.commands.cli import main
 
 
 @pytest.mark.slow
-def test_four_bar_study_writes_figures_and_tables(tmp_path, capsys):
+def test_four_bar_study_writes_figures_and_tables(tmp_path, capsys, keep_settings):
     main(
         [
             "four-bar",
@@ -30,7 +30,7 @@ def test_four_bar_study_writes_figures_and_tables(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_antenna_study_writes_figures_and_tables(tmp_path, capsys):
+def test_antenna_study_writes_figures_and_tables(tmp_path, capsys, keep_settings):
     main(["antenna", "--out", str(tmp_path), "--duration", "0.5"])
     names = {path.name for path in tmp_path.iterdir()}
     assert {
@@ -44,7 +44,7 @@ def test_antenna_study_writes_figures_and_tables(tmp_path, capsys):
     assert str(tmp_path) in capsys.readouterr().out
 
 
-def test_parameters_are_listed_with_units(capsys):
+def test_parameters_are_listed_with_units(capsys, keep_settings):
     main(["parameters"])
     printed = capsys.readouterr().out
     assert 'connections["B"].joint.clearance' in printed and "kg m^2" in printed

@@ -422,7 +422,7 @@ def test_every_figure_is_drawn_and_named(driven, compliant, instants):
 
 
 @pytest.mark.slow
-def test_the_command_writes_figures_and_tables(tmp_path, capsys):
+def test_the_command_writes_figures_and_tables(tmp_path, capsys, keep_settings):
     main(["guide", "--out", str(tmp_path), "--quiet"])
     assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".csv"} and len(
         list(tmp_path.iterdir())
