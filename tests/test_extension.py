@@ -83,13 +83,13 @@ class FloorAndCeiling(jc.clearance.AbstractClearance):
         raise NotImplementedError
 
 
-class Screw(jc.joint.AbstractJoint):
+class Screw(jc.joint.AbstractVectorJoint):
     """Turns about z and advances by `pitch` per radian: q angle [rad]."""
 
     home: ClassVar = (0.0,)
     units: ClassVar = ("rad",)
     rows: ClassVar = ("x", "y", "x.z", "y.z")
-    reversible: ClassVar = True
+    reversal: ClassVar = jc.joint.FLIP
     pitch: Scalar = quantity(unit="m/rad", meaning="advance per radian")
 
     def motion(self, q):
@@ -98,11 +98,14 @@ class Screw(jc.joint.AbstractJoint):
     def columns(self, q):
         return (jc.pose.Twist((0, 0, self.pitch), (0, 0, 1)),)
 
-    def rate(self, q, v):
-        return v
-
     def bias(self, q, v):
         return None
+
+    def coordinates_at(self, pose):
+        return (pose.translation[2] / self.pitch,)
+
+    def speeds_at(self, pose, velocity, spin):
+        return (spin[2],)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +119,7 @@ def test_law_passes_its_contract(contract, law):
 
 def test_outsiders_run_in_a_bearing():
     joint = jc.clearance.PlanarJournalBearing(
-        Cushion(1e7), Saturating(), wear=jc.Wearing(Erosion(), cells=(12, 1))
+        Cushion(1e7), Saturating(), bearing_wear=jc.Wearing(Erosion(), cells=(12, 1))
     )
     ring = jc.Mechanism(
         {"ring": jc.Body(1.0, 1e-3)},

@@ -56,7 +56,7 @@ def bearing(variant: Variant, clearance: Any = CLEARANCE) -> Any:
     wear = jc.Wearing(jc.wear.Archard(wear_coefficient=2e-2)) if variant.wear else None
     if variant.kind == "planar":
         return jc.clearance.PlanarJournalBearing(
-            contact, friction, clearance=clearance, length=0.03, wear=wear
+            contact, friction, clearance=clearance, length=0.03, bearing_wear=wear
         )
     return jc.clearance.JournalBearing(
         contact, friction, clearance=clearance, length=0.03, bearing_wear=wear

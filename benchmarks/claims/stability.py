@@ -62,7 +62,9 @@ def journal(stiffness: float, clearance: float, lossless: bool = False) -> jc.Me
         bodies={"journal": jc.Body(MASS, INERTIA)},
         connections={
             "B": jc.Connection(
-                jc.clearance.PlanarJournalBearing(contact, friction, RADIUS, clearance),
+                jc.clearance.PlanarJournalBearing(
+                    contact, friction, bearing_radius=RADIUS, clearance=clearance
+                ),
                 "ground",
                 "journal",
             )

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from jaxclear.components.permanent import SITUATIONS
+from jaxclear.components.clearance import SITUATIONS
 from jaxclear.scenes.guide import CRANK_SPEED
 
 __all__ = ["corner_forces", "reactions", "switching_window"]

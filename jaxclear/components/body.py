@@ -8,6 +8,8 @@ tracing.
 from typing import Any
 
 import equinox as eqx
+import jax
+import numpy as np
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import AXES, Pose, frame_with_axis, rotation_from_quaternion
@@ -21,6 +23,8 @@ from jaxclear.ground.quantity import (
 )
 
 GROUND = "ground"
+# By how much, relatively, a thin plate's moments may miss their sum through rounding.
+ROUNDING = 1e-9
 
 
 def _inertia(value: Any) -> Any:
@@ -50,6 +54,32 @@ class Body(AbstractQuantified):
         metadata={"unit": "kg m^2", "meaning": "inertia about the centre of mass, body axes"},
     )
     com: tuple | None = vector(None, "m", "centre of mass in the body frame")
+
+    def __check_init__(self):
+        if self.com is not None and len(self.com) not in (2, 3):
+            raise ValueError(
+                f"a Body has a centre of mass of {len(self.com)} numbers; give 2 (planar) or 3."
+            )
+        values = [concrete(value) for value in self.inertia]
+        if None in values or not np.all(np.isfinite(values)):
+            return
+        if len(values) == 1:
+            if values[0] <= 0:
+                raise ValueError(
+                    f"a Body has inertia {values[0]} kg m2 about z; it must be positive."
+                )
+            return
+        moments = np.linalg.eigvalsh(np.array(jax.tree.map(float, self.inertia_matrix())))
+        if moments[0] <= 0:
+            raise ValueError(
+                f"a Body has principal moments of inertia {moments.round(9)} kg m2; all three must "
+                "be positive (the matrix must be positive definite)."
+            )
+        if moments[0] + moments[1] < moments[2] * (1 - ROUNDING):
+            raise ValueError(
+                f"a Body has principal moments of inertia {moments} kg m2; no body has one larger "
+                "than the sum of the other two."
+            )
 
     def inertia_matrix(self) -> sp.Mat:
         """Inertia about the centre of mass as a sparse matrix; what is not given is structurally
@@ -143,7 +173,7 @@ class Connection(eqx.Module):
     ):
         if at is not None and isinstance(parent, Marker):
             raise ValueError(
-                f'a connection on "{parent.body}" gives `at` beside a marker; put the place into '
+                f'a joint on "{parent.body}" gives `at` beside a marker; put the place into '
                 "the marker."
             )
         self.joint = joint

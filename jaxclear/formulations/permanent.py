@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxclear.components.joint import AbstractGroupJoint
-from jaxclear.components.permanent import AbstractPermanentJoint, load_of
+from jaxclear.components.clearance import AbstractPermanentJoint, carried_load
 from jaxclear.formulations.contact_rows import ContactJacobianRow, TimeStep, along
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
@@ -105,29 +104,20 @@ def slip_of(system: System, motions: tuple, held: PermanentJoint, speeds: list) 
     """How a joint's speed follows from the mechanism's `speeds`, at which the motions are taken."""
     if held.loop is None:
         return Slip({system.topology.branches[held.link].speeds.start: 1}, 0)
-    rates = lambda pose, velocity, spin: (held.joint.along(velocity, spin),)
+    rates = held.joint.speeds_at
     closure = system.closures[held.loop]
     _, pose, relative = kinematics.relative_motion(closure, motions)
     (row,) = kinematics.relative_jacobian(system, motions, closure, pose, rates)
-    return Slip(row, sp.sub(held.joint.along(relative.velocity, relative.spin), along(row, speeds)))
+    (speed,) = held.joint.speeds_at(*relative)
+    return Slip(row, sp.sub(speed, along(row, speeds)))
 
 
-def displace(system: System, q: list, at: list, speeds: list, h: Any) -> list:
-    """Coordinates after speeds have been held for `h`: groups by their exponential, others by rates
-    taken `at` some place.
-    """
+def displace(system: System, q: list, speeds: list, h: Any) -> list:
+    """Coordinates after speeds have been held for `h` [s], by the joints' exponential maps."""
     out: list[Any] = []
-    own_q, own_v = unpack_motion(system, [*q, *speeds])
-    own_at = unpack_motion(system, [*at, *speeds])[0]
-    for link, place, middle, v in zip(system.links, own_q, own_at, own_v, strict=True):
-        if not place:
-            continue
-        if isinstance(link.joint, AbstractGroupJoint):
+    for link, place, v in zip(system.links, *unpack_motion(system, [*q, *speeds]), strict=True):
+        if place:
             out.extend(link.joint.moved(place, tuple(h * x for x in v)))
-        else:
-            out.extend(
-                x + h * rate for x, rate in zip(place, link.joint.rate(middle, v), strict=True)
-            )
     return out
 
 
@@ -146,7 +136,7 @@ def step(
     h = time_step.length
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
     middle = [x + 0.5 * h * a for x, a in zip(v, last[:-1], strict=True)]
-    halfway = displace(system, q, q, v, 0.5 * h)
+    halfway = displace(system, q, v, 0.5 * h)
     at = unpack_motion(system, [*halfway, *middle])
     time = time_step.start + 0.5 * h
     motions = kinematics.link_motions(system, *at, time)
@@ -170,7 +160,7 @@ def step(
     found = _at(none, units, friction)
     after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
     mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
-    state = [*displace(system, q, halfway, mean, h), *after]
+    state = [*displace(system, q, mean, h), *after]
     for k, reaction in enumerate(found.reactions):
         state += [
             entries[len(state) + i] + h * x
@@ -200,7 +190,7 @@ def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
             continue
         closure = system.closures[held.loop]
         pose = kinematics.relative_motion(closure, forces.motions)[1]
-        add_action_and_reaction(wrenches, closure, pose, *held.joint.push(friction[k]))
+        add_action_and_reaction(wrenches, closure, pose, *held.joint.friction_wrench(friction[k]))
     return forces._replace(wrenches=tuple(wrenches), coordinate_forces=tuple(coordinate_forces))
 
 
@@ -255,7 +245,7 @@ def _total(joint, reaction, friction, total):
     """Sum of the sizes of the forces that a joint carries, with the last such sum to tell their
     share of friction.
     """
-    return load_of(joint.carried(*reaction, safe_divide(friction, total)))
+    return carried_load(joint.carrying_ends(*reaction, safe_divide(friction, total)))
 
 
 def _solve(
@@ -275,8 +265,12 @@ def _solve(
             grips.append(None)
             continue
         law, slip = joint.friction.coulomb(), joint.arm * sliding.at(v)
-        against = joint.grip(law.bound(jnp.abs(slip)))
-        caught = against if law.mu_static is None else joint.grip(law.bound(jnp.zeros_like(slip)))
+        against = joint.friction_ratio(law.bound(jnp.abs(slip)))
+        caught = (
+            against
+            if law.mu_static is None
+            else joint.friction_ratio(law.bound(jnp.zeros_like(slip)))
+        )
         grips.append((jnp.where(slip > 0, against, caught), jnp.where(slip < 0, against, caught)))
 
     # Speeds at the step's end without friction, and what friction in each joint adds to each
@@ -330,7 +324,7 @@ def _rub(
         shares.append(
             jnp.zeros(())
             if law is None
-            else -jnp.sign(slip) * joint.grip(law.coefficient(jnp.abs(slip)))
+            else -jnp.sign(slip) * joint.friction_ratio(law.coefficient(jnp.abs(slip)))
         )
 
     def improve(carry):

@@ -2,13 +2,12 @@
 contact."""
 
 import jax.numpy as jnp
-import jaxlie
 
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.components.permanent import AbstractPermanentJoint, PermanentRevolute, permanent_joint
-from jaxclear.ground import sparse as sp
+from jaxclear.components.joint import AbstractJoint
 from jaxclear.multibody import assembly, kinematics
+from jaxclear.multibody.loops import reverse
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import prepare
@@ -28,12 +27,10 @@ def fit(mechanism: Mechanism) -> Mechanism:
     connections = {}
     for name, connection in mechanism.connections.items():
         joint = connection.joint
-        held = permanent_joint(name, joint) if isinstance(joint, AbstractClearance) else joint
-        connections[name] = Connection(held, connection.parent, connection.child)
-    branches = {
-        branch.connection or branch.body: branch
-        for branch in grow(mechanism.bodies, connections).branches
-    }
+        if name in mechanism.topology.clearances:
+            joint = permanent_joint(name, joint)
+        connections[name] = Connection(joint, connection.parent, connection.child)
+    branches = {branch.name: branch for branch in grow(mechanism.bodies, connections).branches}
     start, speeds = (
         {n: g for n, g in given.items() if n in branches}
         for given in (mechanism.start, mechanism.speeds)
@@ -67,25 +64,25 @@ def _carried_over(mechanism: Mechanism, branches: list[Branch]) -> dict[str, tup
     out: dict[str, tuple[tuple, tuple]] = {}
     for branch in branches:
         bearing = system.bearings[branch.connection]
-        _, pose, relative = kinematics.relative_motion(bearing.closure, motions)
+        relative = kinematics.relative_motion(bearing.closure, motions)[2]
         joint = permanent_joint(branch.connection, bearing.joint)
-        if not isinstance(joint, AbstractPermanentJoint):
-            out[branch.connection] = _ball(pose.rotation, relative.spin, branch.reversed)
-            continue
-        place = pose.translation[2]
-        if isinstance(joint, PermanentRevolute):
-            place = jnp.arctan2(*(jnp.asarray(pose.rotation[i][0], float) for i in (1, 0)))
-        out[branch.connection] = (place,), (joint.along(relative.velocity, relative.spin),)
-    return {
-        name: tuple(tuple(jnp.asarray(x, float) for x in part) for part in pair)
-        for name, pair in out.items()
-    }
+        if branch.reversed:
+            relative = reverse(relative, joint.reversal)
+        parts = (joint.coordinates_at(relative.pose), joint.speeds_at(*relative))
+        out[branch.connection] = tuple(tuple(jnp.asarray(x, float) for x in p) for p in parts)
+    return out
 
 
-def _ball(rotation: sp.Mat, spin: sp.Vec, turned: bool) -> tuple[tuple, tuple]:
-    """Quaternion and speeds of a ball, whose axes are those of the tree's outer side; `turned`:
-    that is the parent's.
+def permanent_joint(name: str, joint: AbstractClearance) -> AbstractJoint:
+    """The joint as which the clearance joint `name` moves while it always touches. Raises
+    `ValueError` where none is known.
     """
-    matrix, spin = jnp.stack([sp.stack(row) for row in rotation]), sp.stack(spin)
-    matrix, speeds = (matrix.T, -spin) if turned else (matrix, matrix.T @ spin)
-    return tuple(jaxlie.SO3.from_matrix(matrix).wxyz), tuple(speeds)
+    if joint.maps():
+        raise ValueError(
+            f'joint "{name}" wears, which integrator.NonColliding does not follow; leave its wear '
+            "out, or take a compliant integrator such as ImplicitStep."
+        )
+    try:
+        return joint.permanent_form()
+    except ValueError as error:
+        raise ValueError(f'joint "{name}" {error}') from None

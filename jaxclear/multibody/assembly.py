@@ -11,12 +11,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.joint import Free, Spherical
-from jaxclear.components.permanent import AbstractPermanentJoint
+from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import constraints, kinematics
@@ -46,35 +44,11 @@ def guess(mechanism: Mechanism) -> tuple[Array, Array]:
     q, v = [], []
     system = prepare(mechanism)
     for branch, link in zip(system.topology.branches, system.links, strict=True):
-        name = branch.connection or branch.body
-        count = branch.coordinates.stop - branch.coordinates.start
-        q.extend(_coordinates(name, link.joint, mechanism.start.get(name)) if count else [])
-        width = branch.speeds.stop - branch.speeds.start
-        given = mechanism.speeds.get(name, (0.0,) * width)
-        if len(given) != width:
-            raise ValueError(f'speeds of "{name}" need {width} numbers, not {len(given)}.')
-        v.extend(given)
+        if branch.coordinate_count:
+            given = mechanism.start.get(branch.name)
+            q.extend(link.joint.home if given is None else link.joint.start(given))
+        v.extend(mechanism.speeds.get(branch.name, (0.0,) * branch.speed_count))
     return sp.stack(q), sp.stack(v)
-
-
-def _coordinates(name, joint, given):
-    home = joint.home
-    if given is None:
-        return home
-    if len(given) == len(home):
-        return given
-    if isinstance(joint, Spherical) and len(given) in (1, 3):
-        vector = (
-            jnp.stack([*([0.0] * (3 - len(given))), *given])
-            if len(given) == 1
-            else jnp.stack(given)
-        )
-        return tuple(jaxlie.SO3.exp(vector).wxyz)
-    if isinstance(joint, Free) and len(given) == 3:
-        return (*given, *home[3:])
-    raise ValueError(
-        f'start of "{name}" needs {len(home)} numbers {joint.units}, not {len(given)}.'
-    )
 
 
 def retract(system: System, q: Array, step: Array) -> Array:
@@ -83,13 +57,7 @@ def retract(system: System, q: Array, step: Array) -> Array:
     own_q, own_step = unpack_motion(system, list(q) + list(step))
     for link, coordinates, move in zip(system.links, own_q, own_step, strict=True):
         if coordinates:
-            moved = [
-                a + b for a, b in zip(coordinates, link.joint.rate(coordinates, move), strict=True)
-            ]
-            if isinstance(link.joint, (Spherical, Free)):
-                length = jnp.sqrt(sum(x * x for x in moved[-4:]))
-                moved = moved[:-4] + [x / length for x in moved[-4:]]
-            parts.extend(moved)
+            parts.extend(link.joint.retracted(coordinates, move))
     return sp.stack(parts)
 
 

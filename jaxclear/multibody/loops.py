@@ -58,6 +58,21 @@ class Relative(NamedTuple):
     spin: sp.Vec
 
 
+def reverse(relative: Relative, turn: sp.Mat) -> Relative:
+    """The parent's marker as seen from the child's, both markers turned by the columns of `turn`."""
+    (rotation, _), velocity, spin = relative
+    pose = relative.pose.inverse()
+    # Seen from the child the parent goes the other way, and turns about it.
+    back = sp.minus(sp.cross(spin, relative.pose.translation), velocity)
+    turned = sp.product(sp.transpose(turn), sp.product(pose.rotation, turn))
+    into = lambda vector: sp.apply_transposed(turn, sp.apply_transposed(rotation, vector))
+    return Relative(
+        Pose(turned, sp.apply_transposed(turn, pose.translation)),
+        into(back),
+        tuple(sp.neg(x) for x in into(spin)),
+    )
+
+
 class Sides(NamedTuple):
     """Marker frames of a closure at an instant: poses in the ground, twists and accelerations in
     their own axes.

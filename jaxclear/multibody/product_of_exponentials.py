@@ -21,8 +21,8 @@ import jaxlie
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND, Marker
+from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.components.joint import AbstractJoint
-from jaxclear.components.permanent import AbstractPermanentJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose, rotation_z

@@ -209,12 +209,10 @@ def impact_speed_places(layout: Layout) -> tuple[int | None, ...]:
 def names(system: System, layout: Layout) -> list[str]:
     """A name for each entry of the state."""
     topology, out = system.topology, []
-    for branch, _link in zip(topology.branches, system.links, strict=True):
-        label = branch.connection or branch.body
-        out += [f"{label}.q{i}" for i in range(branch.coordinates.stop - branch.coordinates.start)]
     for branch in topology.branches:
-        label = branch.connection or branch.body
-        out += [f"{label}.v{i}" for i in range(branch.speeds.stop - branch.speeds.start)]
+        out += [f"{branch.name}.q{i}" for i in range(branch.coordinate_count)]
+    for branch in topology.branches:
+        out += [f"{branch.name}.v{i}" for i in range(branch.speed_count)]
     for name, kinds in layout.memories:
         for k, (remembers, bristles) in enumerate(kinds):
             out += [f"{name}.impact_speed{k}"] * remembers + [

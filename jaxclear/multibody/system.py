@@ -11,10 +11,9 @@ import equinox as eqx
 
 from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
-from jaxclear.components.joint import Universal
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.pose import FLIP, REST, Pose
+from jaxclear.ground.pose import REST, Pose
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
@@ -43,11 +42,6 @@ class System(eqx.Module):
     load_markers: dict[str, tuple[tuple[int | None, Pose], ...]]
     gravity: sp.Vec
     topology: Topology = eqx.field(static=True)
-
-
-# A universal joint that starts at the child turns about the child's y axis first, then about the
-# parent's x axis.
-EXCHANGE: sp.Mat = ((0, -1, 0), (1, 0, 0), (0, 0, 1))
 
 
 def _turned(pose: Pose, turn: sp.Mat) -> Pose:
@@ -105,10 +99,7 @@ def _link(mechanism: Mechanism, position: int, subtree: tuple[int, ...], links: 
         connection = mechanism.connections[branch.connection]
         base, outer = connection.parent.pose(), connection.child.pose()
         if branch.reversed:
-            base, outer = outer, base
-            if joint.reversible or isinstance(joint, Universal):
-                turn = FLIP if joint.reversible else EXCHANGE
-                base, outer = _turned(base, turn), _turned(outer, turn)
+            base, outer = _turned(outer, joint.reversal), _turned(base, joint.reversal)
     parent = topology.index(branch.parent)
     if parent is not None:
         base = links[parent].frame.after(base)

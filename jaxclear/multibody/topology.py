@@ -10,9 +10,8 @@ hold floats free. All of it is static: names and counts, no numbers.
 from dataclasses import dataclass
 
 from jaxclear.components.body import GROUND, Body, Connection
-from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
 from jaxclear.components.joint import AbstractJoint, Free, Planar, drive_of
-from jaxclear.components.permanent import AbstractPermanentJoint
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,21 @@ class Branch:
     connection: str | None
     parent: str
     reversed: bool
-    coordinates: slice | None
-    speeds: slice | None
+    coordinates: slice
+    speeds: slice
+
+    @property
+    def name(self) -> str:
+        """What its coordinates go by: the connection's name, or that of the floating body."""
+        return self.connection or self.body
+
+    @property
+    def coordinate_count(self) -> int:
+        return self.coordinates.stop - self.coordinates.start
+
+    @property
+    def speed_count(self) -> int:
+        return self.speeds.stop - self.speeds.start
 
 
 @dataclass(frozen=True)

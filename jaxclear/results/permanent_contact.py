@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.components.permanent import (
+from jaxclear.components.clearance import (
     SITUATIONS,
     AbstractPermanentJoint,
     CarryingEnd,
-    load_of,
+    carried_load,
     situation,
 )
 from jaxclear.formulations import permanent
@@ -63,10 +63,12 @@ def _means(joint: AbstractPermanentJoint, parts: Any, speed: Any) -> IntervalMea
     def improve(_, ratio):
         # Half the way: friction that adds to the forces more than the forces to friction would
         # overshoot.
-        return 0.5 * (ratio + safe_divide(friction, load_of(joint.carried(force, torque, ratio))))
+        return 0.5 * (
+            ratio + safe_divide(friction, carried_load(joint.carrying_ends(force, torque, ratio)))
+        )
 
     ratio = jax.lax.fori_loop(0, PASSES, improve, jnp.zeros(()))
-    return IntervalMeans(parts[:3], parts[3:6], joint.carried(force, torque, ratio), speed)
+    return IntervalMeans(parts[:3], parts[3:6], joint.carrying_ends(force, torque, ratio), speed)
 
 
 def _over_means(run: Trajectory, name: str, function: Any) -> Any:
@@ -87,7 +89,7 @@ def _speed(run: Trajectory, name: str) -> Float[Array, " time"]:
     def one(now):
         closure = now.system.closures[now.system.topology.loops.index(name)]
         relative = kinematics.relative_motion(closure, now.motions)[2]
-        return joint.along(relative.velocity, relative.spin)
+        return joint.speeds_at(*relative)[0]
 
     return over_time(run, one)
 
@@ -98,17 +100,15 @@ def contact(run: Trajectory, name: str) -> ContactHistory:
     joint = run.mechanism.connections[name].joint
 
     def one(now):
-        found = sorted(
-            (entry for end in now.ends for entry in end.contacts), key=lambda entry: entry[0]
-        )
-        places = jnp.stack([sp.stack(place) for *_, place in found])
-        normal = sp.stack([entry[1] for entry in found])
-        traction = jnp.abs(sp.stack([entry[2] for entry in found]))
+        found = sorted((c for end in now.ends for c in end.contacts), key=lambda c: c.index)
+        places = jnp.stack([sp.stack(contact.place) for contact in found])
+        normal = sp.stack([contact.normal_force for contact in found])
+        traction = jnp.abs(sp.stack([contact.friction for contact in found]))
         slip = jnp.full(len(found), jnp.abs(joint.arm * now.speed))
-        shifts = jnp.stack([sp.stack(end.shift) for end in now.ends])
-        offset, lean = jnp.mean(shifts, 0), jnp.zeros(3)
+        offsets = jnp.stack([sp.stack(end.offset) for end in now.ends])
+        offset, lean = jnp.mean(offsets, 0), jnp.zeros(3)
         if len(now.ends) == 2:
-            lean = (shifts[1] - shifts[0]) / joint.gap.length
+            lean = (offsets[1] - offsets[0]) / (now.ends[1].height - now.ends[0].height)
         axis = (lean + jnp.array([0.0, 0.0, 1.0])) / jnp.sqrt(1 + lean @ lean)
         return ContactHistory(
             offset,

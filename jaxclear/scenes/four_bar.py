@@ -67,7 +67,7 @@ def bearing(
             bearing_radius=BEARING_RADIUS,
             clearance=clearance,
             length=BEARING_LENGTH,
-            wear=law,
+            bearing_wear=law,
         )
     return clearances.JournalBearing(
         contact=contact,

@@ -48,7 +48,9 @@ def bearing(
         friction = Ambrosio(mu_kinetic=0.03) if friction else None
     if isinstance(wear, bool):
         wear = Wearing(Archard()) if wear else None
-    return PlanarJournalBearing(contact, friction, BEARING_RADIUS, clearance, wear=wear)
+    return PlanarJournalBearing(
+        contact, friction, bearing_radius=BEARING_RADIUS, clearance=clearance, bearing_wear=wear
+    )
 
 
 def slider_crank(

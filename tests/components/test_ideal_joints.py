@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.components.clearance import PermanentPrismatic, PermanentRevolute
 from jaxclear.components.joint import AbstractJoint
-from jaxclear.components.permanent import PermanentPrismatic, PermanentRevolute
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST
 from jaxclear.multibody import constraints, kinematics, loops
@@ -95,6 +95,43 @@ def test_bias_is_the_change_of_the_columns(kind):
     change = jax.jvp(lambda q: slide(joint, q, v), (q,), (coordinate_rate(joint, q, v),))[1]
     bias = joint.bias(tuple(q), tuple(v))
     np.testing.assert_allclose(np.zeros(6) if bias is None else arrays(bias), change, atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", JOINTS, ids=by_name)
+def test_coordinates_and_speeds_follow_from_the_motion(kind):
+    """Inverse kinematics, also as seen from the child's side."""
+    rng, joint = np.random.default_rng(5), built(kind)
+    q = coordinates(kind, rng)
+    v = speeds(joint, q, rng)
+    pose = joint.motion(tuple(q))
+    twist = np.split(np.asarray(slide(joint, q, v)), 2)
+    velocity, spin = (tuple(sp.apply(pose.rotation, tuple(part))) for part in twist)
+    seen = loops.Relative(pose, velocity, spin)
+    assert_same_motion(joint, q, v, seen)
+    there_and_back = loops.reverse(
+        loops.reverse(seen, joint.reversal), sp.transpose(joint.reversal)
+    )
+    assert_same_motion(joint, q, v, there_and_back)
+
+
+def assert_same_motion(joint, q, v, seen):
+    # rounding
+    found = sp.stack(joint.speeds_at(*seen))
+    np.testing.assert_allclose(found, v, atol=1e-14)
+    there, wanted = (matrix(joint.motion(tuple(x))) for x in (joint.coordinates_at(seen.pose), q))
+    for a, b in zip(there, wanted, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", JOINTS, ids=by_name)
+def test_moved_and_retracted_go_with_the_rate(kind):
+    rng, joint = np.random.default_rng(6), built(kind)
+    q = coordinates(kind, rng)
+    v = speeds(joint, q, rng)
+    for way in (joint.moved, joint.retracted):
+        along = lambda h, way=way: sp.stack(way(tuple(q), tuple(h * x for x in v)))
+        _, change = jax.jvp(along, (jnp.zeros(()),), (jnp.ones(()),))
+        np.testing.assert_allclose(change, coordinate_rate(joint, q, v), atol=1e-14)
 
 
 @pytest.mark.parametrize("kind", JOINTS, ids=by_name)

@@ -24,7 +24,7 @@ WEAR = jc.Wearing(jc.wear.Archard(), cells=(9, 3))
 def joints(friction):
     collar = jc.clearance.Flange(LAW, friction, clearance=1e-5)
     return {
-        "PlanarJournalBearing": jc.clearance.PlanarJournalBearing(LAW, friction, wear=WEAR),
+        "PlanarJournalBearing": jc.clearance.PlanarJournalBearing(LAW, friction, bearing_wear=WEAR),
         "JournalBearing": jc.clearance.JournalBearing(
             LAW, friction, flange=collar, bearing_wear=WEAR, journal_wear=WEAR
         ),

@@ -118,7 +118,7 @@ class Unsound(jc.wear.AbstractWearLaw):
 
 def test_quantity_without_tolerance_that_is_no_number_ends_the_run():
     joint = jc.clearance.PlanarJournalBearing(
-        jc.contact.Hertz(stiffness=1e9), wear=jc.Wearing(Unsound(), cells=(8, 1))
+        jc.contact.Hertz(stiffness=1e9), bearing_wear=jc.Wearing(Unsound(), cells=(8, 1))
     )
     rig = jc.Mechanism({"ring": jc.Body(1.0, 1e-3)}, {"B": jc.Connection(joint, "ground", "ring")})
     end = jc.simulate(rig, 1e-3, save=3, throw=False)

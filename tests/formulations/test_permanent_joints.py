@@ -13,9 +13,11 @@ RIGID = jc.contact.Rigid(restitution=0.5)
 HALF = 0.4
 QUATERNION = (np.cos(HALF), 0.6 * np.sin(HALF), 0.0, 0.8 * np.sin(HALF))
 UPRIGHT = (np.cos(HALF), 0.0, 0.0, np.sin(HALF))
-PLANAR = jc.clearance.PlanarJournalBearing(RIGID, None, 10e-3, 1e-4)
+PLANAR = jc.clearance.PlanarJournalBearing(RIGID, None, bearing_radius=10e-3, clearance=1e-4)
 GUIDE = jc.clearance.SliderGuide(RIGID, clearance=1e-4)
-SPATIAL = jc.clearance.JournalBearing(RIGID, None, 10e-3, 1e-4, 30e-3, 32e-3)
+SPATIAL = jc.clearance.JournalBearing(
+    RIGID, None, bearing_radius=10e-3, clearance=1e-4, length=30e-3, journal_length=32e-3
+)
 BALL = jc.clearance.BallSocket(RIGID, clearance=1e-4)
 CASES = {
     "planar": (PLANAR, 0.01, (0.0, 0.0, -1.0), (0.0, 0.0, 3.0), None),
@@ -105,7 +107,7 @@ def rubbing(order, mu, law=jc.friction.Coulomb):
     closes its loop.
     """
     planar = jc.clearance.PlanarJournalBearing(
-        jc.contact.Rigid(restitution=0.0), law(mu_kinetic=mu), 10e-3, 2e-5
+        jc.contact.Rigid(restitution=0.0), law(mu_kinetic=mu), bearing_radius=10e-3, clearance=2e-5
     )
     guide = jc.clearance.SliderGuide(
         jc.contact.Rigid(restitution=0.0), law(mu_kinetic=mu), clearance=2e-5

@@ -202,7 +202,7 @@ def test_energy_balance_closes():
 
 def falling(clearance, integrator):
     """Height of a journal after its first bounces, with friction and without wear."""
-    rig = eqx.tree_at(lambda m: m.connections["B"].joint.wear, touching_journal(), None)
+    rig = eqx.tree_at(lambda m: m.connections["B"].joint.bearing_wear, touching_journal(), None)
     rig = eqx.tree_at(lambda m: m.connections["B"].joint.clearance, rig, clearance)
     q, v = guess(rig)
     return run(rig, q, v, jnp.linspace(0.0, 0.02, 3), integrator).states[-1, 1]

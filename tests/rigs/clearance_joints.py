@@ -44,7 +44,12 @@ def planar(p):
         kinetic_speed=10 * p["transition_speed"],
     )
     return jc.clearance.PlanarJournalBearing(
-        law, friction, RADIUS, p["clearance"], LENGTH, wear=_wearing()
+        law,
+        friction,
+        bearing_radius=RADIUS,
+        clearance=p["clearance"],
+        length=LENGTH,
+        bearing_wear=_wearing(),
     )
 
 
@@ -53,9 +58,9 @@ def planar_conformal(p):
     return jc.clearance.PlanarJournalBearing(
         law,
         jc.friction.Dahl(mu_kinetic=p["mu"], presliding=p["transition_speed"] * 1e-3),
-        RADIUS,
-        p["clearance"],
-        LENGTH,
+        bearing_radius=RADIUS,
+        clearance=p["clearance"],
+        length=LENGTH,
     )
 
 
@@ -67,7 +72,9 @@ def journal(p):
         stribeck_speed=10 * p["transition_speed"],
         transition_speed=p["transition_speed"],
     )
-    return jc.clearance.JournalBearing(law, friction, RADIUS, p["clearance"], LENGTH)
+    return jc.clearance.JournalBearing(
+        law, friction, bearing_radius=RADIUS, clearance=p["clearance"], length=LENGTH
+    )
 
 
 def journal_that_wears(p):
@@ -76,9 +83,9 @@ def journal_that_wears(p):
     return jc.clearance.JournalBearing(
         law,
         friction,
-        RADIUS,
-        p["clearance"],
-        LENGTH,
+        bearing_radius=RADIUS,
+        clearance=p["clearance"],
+        length=LENGTH,
         bearing_wear=_wearing(),
         journal_wear=_wearing(),
     )
@@ -95,10 +102,12 @@ def journal_with_collars(p):
     collar = jc.clearance.Flange(
         law,
         jc.friction.CoulombTanh(mu_kinetic=p["mu"], transition_speed=p["transition_speed"]),
-        1.4 * RADIUS,
-        p["clearance"],
+        radius=1.4 * RADIUS,
+        clearance=p["clearance"],
     )
-    return jc.clearance.JournalBearing(law, friction, RADIUS, p["clearance"], LENGTH, flange=collar)
+    return jc.clearance.JournalBearing(
+        law, friction, bearing_radius=RADIUS, clearance=p["clearance"], length=LENGTH, flange=collar
+    )
 
 
 def ball(p):
@@ -109,7 +118,9 @@ def ball(p):
         peak_speed=p["transition_speed"],
         decay=1 / p["transition_speed"],
     )
-    return jc.clearance.BallSocket(law, friction, RADIUS, p["clearance"], socket_wear=_wearing())
+    return jc.clearance.BallSocket(
+        law, friction, socket_radius=RADIUS, clearance=p["clearance"], socket_wear=_wearing()
+    )
 
 
 def ball_with_bristles(p):
@@ -120,7 +131,7 @@ def ball_with_bristles(p):
         stribeck_speed=10 * p["transition_speed"],
         presliding=1e-3 * p["transition_speed"],
     )
-    return jc.clearance.BallSocket(law, friction, RADIUS, p["clearance"])
+    return jc.clearance.BallSocket(law, friction, socket_radius=RADIUS, clearance=p["clearance"])
 
 
 def guide(p):
@@ -131,7 +142,9 @@ def guide(p):
         static_speed=p["transition_speed"],
         kinetic_speed=10 * p["transition_speed"],
     )
-    return jc.clearance.SliderGuide(law, friction, RADIUS, LENGTH, p["clearance"])
+    return jc.clearance.SliderGuide(
+        law, friction, width=RADIUS, length=LENGTH, clearance=p["clearance"]
+    )
 
 
 JOINTS = {

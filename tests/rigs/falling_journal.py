@@ -11,7 +11,7 @@ def touching_journal():
         jc.contact.Flores(stiffness=1e8, restitution=0.5),
         jc.friction.CoulombTanh(mu_kinetic=0.1, transition_speed=1e-2),
         clearance=1e-3,
-        wear=jc.Wearing(jc.wear.Archard()),
+        bearing_wear=jc.Wearing(jc.wear.Archard()),
     )
     return jc.Mechanism(
         {"journal": jc.Body(1.0, 1e-4)},

@@ -9,7 +9,7 @@ def full_loop(speed=10.0):
     """
     law = jc.contact.CarvalhoMartins(stiffness=1e8, restitution=0.8)
     wear = jc.Wearing(jc.wear.Archard(wear_coefficient=1e-4, hardness=2e9), cells=(12, 1))
-    bearing = jc.clearance.PlanarJournalBearing(law, jc.friction.LuGre(), wear=wear)
+    bearing = jc.clearance.PlanarJournalBearing(law, jc.friction.LuGre(), bearing_wear=wear)
     marker = jc.Marker("coupler", (0.1, 0.0))
     return jc.Mechanism(
         {name: jc.Body(0.5, 1e-3, (0.1, 0.01)) for name in ("crank", "coupler", "rocker", "blade")},

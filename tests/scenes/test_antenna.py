@@ -87,8 +87,8 @@ def test_sticking_planar_joint_equals_an_independent_solution():
     bearing = jc.clearance.PlanarJournalBearing(
         jc.contact.Rigid(restitution=0.5),
         jc.friction.Coulomb(mu_kinetic=0.4, mu_static=0.6),
-        30e-3,
-        0.1e-3,
+        bearing_radius=30e-3,
+        clearance=0.1e-3,
     )
     rig = jc.Mechanism(
         bodies={"link": jc.Body(mass=2.0, inertia=0.02, com=(0.2, 0.0))},

@@ -1,0 +1,40 @@
+"""Joints with clearance, one file each: where the parts touch, and what they become in each
+formulation.
+
+A joint of one's own derives from `AbstractClearance`; with a permanent form of its own also from
+`AbstractPermanentJoint`.
+"""
+
+from jaxclear.components.clearance.ball import BallSocket
+from jaxclear.components.clearance.base import AbstractClearance, ContactCandidate, ContactLaws
+from jaxclear.components.clearance.guide import PermanentPrismatic, SliderGuide
+from jaxclear.components.clearance.journal import Flange, JournalBearing, PlanarJournalBearing
+from jaxclear.components.clearance.journal_base import AbstractJournalBearing, PermanentRevolute
+from jaxclear.components.clearance.permanent import (
+    SITUATIONS,
+    AbstractPermanentJoint,
+    CarriedContact,
+    CarryingEnd,
+    carried_load,
+    situation,
+)
+
+__all__ = [
+    "SITUATIONS",
+    "AbstractClearance",
+    "AbstractJournalBearing",
+    "AbstractPermanentJoint",
+    "BallSocket",
+    "CarriedContact",
+    "CarryingEnd",
+    "ContactCandidate",
+    "ContactLaws",
+    "Flange",
+    "JournalBearing",
+    "PermanentPrismatic",
+    "PermanentRevolute",
+    "PlanarJournalBearing",
+    "SliderGuide",
+    "carried_load",
+    "situation",
+]

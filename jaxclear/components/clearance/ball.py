@@ -1,0 +1,72 @@
+"""Ball and socket: one contact, at the point of the socket towards which the ball lies."""
+
+from typing import ClassVar
+
+import equinox as eqx
+
+from jaxclear.components.clearance.base import (
+    AbstractClearance,
+    ContactCandidate,
+    ContactLaws,
+    check_clearance,
+    direction,
+    norm,
+)
+from jaxclear.components.joint import Spherical
+from jaxclear.components.wear_map import SphereMap, Wearing
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.contact import AbstractNormalLaw
+from jaxclear.laws.friction import AbstractFrictionLaw
+from jaxclear.laws.stiffness import Shape
+
+
+class BallSocket(AbstractClearance):
+    r"""Ball in a hollow socket: one contact, :math:`\delta = |e| - c`."""
+
+    ideal_rows: ClassVar = ("x", "y", "z")
+    contact: AbstractNormalLaw
+    friction: AbstractFrictionLaw | None = None
+    socket_radius: Scalar = quantity(10e-3, "m", "radius of the socket", above=0, kw_only=True)
+    clearance: Scalar = quantity(
+        0.1e-3, "m", "radial clearance, socket radius - ball radius", above=0, kw_only=True
+    )
+    socket_wear: Wearing | None = eqx.field(default=None, kw_only=True)
+
+    def __check_init__(self):
+        check_clearance(self, "socket_radius")
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        return ()
+
+    def contact_laws(self):
+        shape = Shape(self.socket_radius - self.clearance, self.socket_radius, None)
+        return (ContactLaws(self.contact, self.friction, shape, True),)
+
+    def indentations(self, offset, axes, worn):
+        overlap = norm(offset) - self.clearance
+        if "socket" in worn:
+            overlap = overlap - self.maps()["socket"][0].depth_towards(worn["socket"], *offset)
+        return (overlap,)
+
+    def contact_candidates(self, offset, axes, indentations):
+        normal = direction(offset, 3)
+        place = sp.scale(self.socket_radius + 0.5 * indentations[0], normal)
+        return (ContactCandidate(place, normal, sp.IDENTITY),)
+
+    def maps(self):
+        if self.socket_wear is None:
+            return {}
+        return {"socket": (SphereMap(self.socket_wear.cells, self.socket_radius), self.socket_wear)}
+
+    def features(self, surface, offset, axes, indentations, index):
+        return direction(offset, 3)
+
+    def permanent_form(self):
+        if self.friction is not None:
+            raise ValueError(
+                "is a BallSocket with friction, which has no form in permanent contact; leave the "
+                "friction out, or take an integrator that lets parts separate."
+            )
+        return Spherical()

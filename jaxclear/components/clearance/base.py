@@ -1,0 +1,125 @@
+"""What a joint with clearance says of itself: where its parts may touch, by which laws, what wears,
+and what joint it is while it always touches. Forces are the laws' business.
+
+Everything is written in the frame of the bearing (socket, guide), whose marker is the connection's
+parent; the child carries the journal (ball, slider). `offset` goes from the bearing's centre to the
+journal's [m], `axes` are those axes of the journal's marker on which the gap depends. Indentations
+are positive in contact. Normals, rates and moments follow from the indentations by differentiation,
+so contact forces do exactly the work that the indentation tells.
+"""
+
+from abc import abstractmethod
+from math import inf
+from typing import Any, NamedTuple
+
+import equinox as eqx
+
+from jaxclear.components.joint import AbstractJoint
+from jaxclear.components.wear_map import AbstractWearMap, Wearing
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete
+from jaxclear.laws.contact import AbstractNormalLaw
+from jaxclear.laws.friction import AbstractFrictionLaw
+from jaxclear.laws.stiffness import Shape
+
+
+class ContactCandidate(NamedTuple):
+    """One possible contact: its place in the bearing's frame [m], the direction of its normal, and
+    the directions in which it may slide: one, two, or the three axes of the bearing (no pole then
+    disturbs what bristles remember; the part along the normal is removed).
+    """
+
+    place: sp.Vec
+    normal: sp.Vec
+    tangents: tuple[sp.Vec, ...]
+
+    def tangential(self, vector: sp.Vec) -> sp.Vec:
+        """The part of a vector across the normal, where the sliding directions include it."""
+        if len(self.tangents) < 3:
+            return vector
+        return sp.minus(vector, sp.scale(sp.dot(vector, self.normal), self.normal))
+
+
+class ContactLaws(NamedTuple):
+    """The laws at one possible contact, the shape from which stiffnesses are fitted, and whether
+    its wear is mapped."""
+
+    contact: AbstractNormalLaw
+    friction: AbstractFrictionLaw | None
+    shape: Shape
+    wears: bool
+
+
+class AbstractClearance(AbstractQuantified):
+    """A joint with clearance. `ideal_rows` close the joint it turns into as the clearance vanishes;
+    `axes`: which axes of the journal's marker the gap depends on.
+
+    A joint that can wear adds `maps` and `features`, one that can stay in contact `permanent_form`.
+    """
+
+    ideal_rows: eqx.AbstractClassVar[tuple[str, ...]]
+    axes: eqx.AbstractVar[tuple[int, ...]]
+
+    @abstractmethod
+    def contact_laws(self) -> tuple[ContactLaws, ...]:
+        """Laws of each possible contact."""
+
+    @abstractmethod
+    def indentations(
+        self, offset: sp.Vec, axes: tuple[sp.Vec, ...], worn: dict[str, Any]
+    ) -> tuple[Scalar, ...]:
+        """Overlap at each possible contact [m]. `worn` holds readings of depth maps by surface;
+        empty where nothing wears.
+        """
+
+    @abstractmethod
+    def contact_candidates(
+        self, offset: sp.Vec, axes: tuple[sp.Vec, ...], indentations: tuple
+    ) -> tuple[ContactCandidate, ...]:
+        """Place and sliding directions of each possible contact."""
+
+    def maps(self) -> dict[str, tuple[AbstractWearMap, Wearing]]:
+        """Wear map and law of each surface that wears, by the surface's name; none unless
+        overridden."""
+        return {}
+
+    def features(
+        self, surface: str, offset: sp.Vec, axes: tuple, indentations: tuple, index: int
+    ) -> tuple:
+        """Location of contact `index` on a surface that wears, as its map reads it."""
+        raise NotImplementedError(f"a {type(self).__name__} has no wear map for its {surface}.")
+
+    def permanent_form(self) -> AbstractJoint:
+        """The ideal joint as which this one moves while it always touches; one whose friction is
+        followed is an `AbstractPermanentJoint`.
+
+        Raises `ValueError`, with a sentence that goes behind the joint's name, where there is none.
+        """
+        raise ValueError(
+            f"is a {type(self).__name__}, which has no form in permanent contact; take an "
+            "integrator that lets parts separate, such as ImplicitStep or MoreauJean."
+        )
+
+
+def check_clearance(joint: Any, outer: str) -> None:
+    """Raises `ValueError` unless the clearance [m] is smaller than the part around it, the field
+    `outer` [m]; numbers that are being traced were checked before."""
+    size, clearance = concrete(getattr(joint, outer)), concrete(joint.clearance)
+    if size is not None and clearance is not None and 0 < size <= clearance < inf:
+        raise ValueError(
+            f"a {type(joint).__name__} has {outer} {size:g} m; it must be larger than the "
+            f"clearance, {clearance:g} m."
+        )
+
+
+def norm(vector) -> Any:
+    """Length of a sparse vector, with zero derivative at zero length."""
+    squares = sp.dot(vector, vector)
+    return 0 if sp.is_zero(squares) else safe_sqrt(squares)
+
+
+def direction(vector: sp.Vec, dimensions: int) -> tuple:
+    """Unit vector of the first components, zero at zero length."""
+    inverse = safe_divide(1.0, norm(vector[:dimensions]))
+    return tuple(sp.mul(inverse, component) for component in vector[:dimensions])

@@ -1,0 +1,255 @@
+"""Journal in a bearing: in the plane one contact, in space one at each end plane of the bearing and
+the axial stop of the collars.
+
+Source of the gap of a tilted journal: geometry, to second order in the tilt (tests compare it with
+discretised cylinders).
+"""
+
+from typing import ClassVar
+
+import equinox as eqx
+
+from jaxclear.components.clearance.base import (
+    ContactCandidate,
+    ContactLaws,
+    check_clearance,
+    direction,
+    norm,
+)
+from jaxclear.components.clearance.journal_base import AbstractJournalBearing
+from jaxclear.components.wear_map import CylinderMap, Wearing
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
+from jaxclear.laws.contact import AbstractNormalLaw
+from jaxclear.laws.friction import AbstractFrictionLaw
+from jaxclear.laws.stiffness import Shape
+
+
+class PlanarJournalBearing(AbstractJournalBearing):
+    r"""Journal in a bearing, both axes parallel: one contact, in the plane of the bearing.
+
+    :math:`\delta = |e| - c`. Prefer `JournalBearing` where the journal's axis can tilt or slide along the
+    bearing.
+    """
+
+    ideal_rows: ClassVar = ("x", "y")
+    contact: AbstractNormalLaw
+    friction: AbstractFrictionLaw | None = None
+    bearing_radius: Scalar = quantity(
+        10e-3, "m", "radius of the bearing's hole", above=0, kw_only=True
+    )
+    clearance: Scalar = quantity(
+        0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0, kw_only=True
+    )
+    length: Scalar = quantity(20e-3, "m", "length of the bearing", above=0, kw_only=True)
+    bearing_wear: Wearing | None = eqx.field(default=None, kw_only=True)
+
+    def __check_init__(self):
+        check_clearance(self, "bearing_radius")
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        return ()
+
+    def contact_laws(self):
+        shape = Shape(self.bearing_radius - self.clearance, self.bearing_radius, self.length)
+        return (ContactLaws(self.contact, self.friction, shape, True),)
+
+    def indentations(self, offset, axes, worn):
+        depth = 0
+        if "bearing" in worn:
+            depth = self.maps()["bearing"][0].depth_at_end(
+                worn["bearing"], offset[0], offset[1], -1
+            )
+        return (sp.sub(norm(offset[:2]) - self.clearance, depth),)
+
+    def contact_candidates(self, offset, axes, indentations):
+        x, y = direction(offset, 2)
+        reach = self.bearing_radius + 0.5 * indentations[0]
+        return (ContactCandidate((reach * x, reach * y, 0), (x, y, 0), ((-y, x, 0),)),)
+
+    def maps(self):
+        if self.bearing_wear is None:
+            return {}
+        # The whole length carries alike: one row of cells, whatever the number along.
+        cells = (self.bearing_wear.cells[0], 1)
+        cylinder = CylinderMap(cells, self.bearing_radius, self.length)
+        return {"bearing": (cylinder, self.bearing_wear)}
+
+    def features(self, surface, offset, axes, indentations, index):
+        return (*direction(offset, 2), 1.0, -1.0)
+
+    def end_forces(self, force, torque):
+        return (((force[0], force[1], 0), 0),)
+
+
+class Flange(AbstractQuantified):
+    """Collars on the journal that stop it along the bearing: the rim point nearest the bearing's
+    face may touch it.
+
+    A stiffness fitted from materials takes the radii of journal and bore, for want of better; give
+    a number where the axial stiffness matters.
+    """
+
+    contact: AbstractNormalLaw
+    friction: AbstractFrictionLaw | None = None
+    radius: Scalar = quantity(14e-3, "m", "outer radius of the collar", above=0, kw_only=True)
+    clearance: Scalar = quantity(
+        0.2e-3, "m", "axial clearance at each collar, journal centred", above=0, kw_only=True
+    )
+
+
+class JournalBearing(AbstractJournalBearing):
+    r"""Journal in a bearing, the axis free to tilt: contact at both end planes of the bearing, axial
+    stop at the collars.
+
+    At :math:`z_k = \mp L/2` the journal's axis pierces the plane at :math:`c_k`, and
+    :math:`\delta_k = |c_k| - c + r_J (t \cdot n_k)^2 / 2`, :math:`n_k = c_k / |c_k|`, t the slope
+    of the journal's axis; the last term is the ellipse of a tilted cylinder. No contact, one point, two opposite points and line
+    contact (both ends on one side, sharing the load) all follow. The contact law acts at each end:
+    a law for a line contact needs half of the length. The journal must reach through the bearing;
+    without `flange` nothing holds it along the axis.
+    """
+
+    ideal_rows: ClassVar = ("x", "y", "z", "x.z", "y.z")
+    contact: AbstractNormalLaw
+    friction: AbstractFrictionLaw | None = None
+    bearing_radius: Scalar = quantity(
+        10e-3, "m", "radius of the bearing's hole", above=0, kw_only=True
+    )
+    clearance: Scalar = quantity(
+        0.1e-3, "m", "radial clearance, bearing radius - journal radius", above=0, kw_only=True
+    )
+    length: Scalar = quantity(20e-3, "m", "length of the bearing", above=0, kw_only=True)
+    journal_length: Scalar | None = quantity(
+        None, "m", "length of the journal, at least that of the bearing", above=0, kw_only=True
+    )
+    flange: Flange | None = eqx.field(default=None, kw_only=True)
+    bearing_wear: Wearing | None = eqx.field(default=None, kw_only=True)
+    journal_wear: Wearing | None = eqx.field(default=None, kw_only=True)
+
+    def __check_init__(self):
+        check_clearance(self, "bearing_radius")
+        length, journal = concrete(self.length), concrete(self.journal_length)
+        if length is not None and journal is not None and 0 < journal < length:
+            raise ValueError(
+                f"a JournalBearing has a journal of length {journal:g} m in a bearing of "
+                f"{length:g} m; the journal must reach through the bearing, because contact is "
+                "evaluated at the bearing's two end planes."
+            )
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        return (2,) if self.journal_wear is None else (2, 0)
+
+    @property
+    def journal_radius(self) -> Scalar:
+        return self.bearing_radius - self.clearance
+
+    def contact_laws(self):
+        half = Shape(self.journal_radius, self.bearing_radius, 0.5 * self.length)
+        contact_laws = (ContactLaws(self.contact, self.friction, half, True),) * 2
+        if self.flange is None:
+            return contact_laws
+        collar = ContactLaws(self.flange.contact, self.flange.friction, half, False)
+        return (*contact_laws, collar, collar)
+
+    def end_centres(self, offset, axes) -> tuple[sp.Vec, sp.Vec]:
+        """Points where the journal's axis pierces the bearing's lower and upper end plane."""
+        slope = _slope(axes[0])
+        centres = []
+        for height in (-0.5 * self.length, 0.5 * self.length):
+            rise = sp.sub(height, offset[2])
+            x, y = (sp.add(offset[i], sp.mul(rise, slope[i])) for i in (0, 1))
+            centres.append((x, y, height))
+        return tuple(centres)
+
+    def indentations(self, offset, axes, worn):
+        slope = _slope(axes[0])
+        overlaps = []
+        for end, centre in zip((-1, 1), self.end_centres(offset, axes), strict=True):
+            x, y = direction(centre, 2)
+            lean = sp.add(sp.mul(slope[0], x), sp.mul(slope[1], y))
+            overlap = norm(centre[:2]) - self.clearance
+            if not sp.is_zero(lean):
+                overlap = overlap + 0.5 * self.journal_radius * lean * lean
+            for surface in worn:
+                place = (x, y) if surface == "bearing" else _seen_by(axes[1], x, y)
+                overlap = overlap - self.maps()[surface][0].depth_at_end(worn[surface], *place, end)
+            overlaps.append(overlap)
+        if self.flange is not None:
+            overlaps += [overlap for overlap, _ in self._flange_contacts(offset, axes)]
+        return tuple(overlaps)
+
+    def _flange_contacts(self, offset, axes):
+        """(indentation, place) of the collars at the lower and upper face."""
+        axis = axes[0]
+        sideways = safe_sqrt(sp.dot(axis[:2], axis[:2]))
+        reach = 0.5 * self.length + self.flange.clearance
+        for end in (-1, 1):
+            centre = sp.plus(offset, sp.scale(end * reach, axis))
+            # The rim's direction of steepest descent to the face; straight down the slope of the
+            # tilted collar.
+            x, y = (safe_divide(end * axis[2] * axis[i], sideways) for i in (0, 1))
+            place = sp.plus(centre, sp.scale(self.flange.radius, (x, y, -end * sideways)))
+            yield 0.5 * self.length - end * place[2], place
+
+    def contact_candidates(self, offset, axes, indentations):
+        candidates = []
+        ends = zip(self.end_centres(offset, axes), indentations[:2], strict=True)
+        for centre, indentation in ends:
+            x, y = direction(centre, 2)
+            reach = self.bearing_radius + 0.5 * indentation
+            place, tangents = (reach * x, reach * y, centre[2]), ((-y, x, 0), (0, 0, 1))
+            candidates.append(ContactCandidate(place, (x, y, 0), tangents))
+        if self.flange is not None:
+            for end, (_, place) in zip((-1, 1), self._flange_contacts(offset, axes), strict=True):
+                candidates.append(ContactCandidate(place, (0, 0, -end), ((1, 0, 0), (0, 1, 0))))
+        return tuple(candidates)
+
+    def maps(self):
+        surfaces = {}
+        if self.bearing_wear is not None:
+            cylinder = CylinderMap(self.bearing_wear.cells, self.bearing_radius, self.length)
+            surfaces["bearing"] = (cylinder, self.bearing_wear)
+        if self.journal_wear is not None:
+            cylinder = CylinderMap(self.journal_wear.cells, self.journal_radius, self.length)
+            surfaces["journal"] = (cylinder, self.journal_wear)
+        return surfaces
+
+    def features(self, surface, offset, axes, indentations, index):
+        centres = self.end_centres(offset, axes)
+        x, y = direction(centres[index], 2)
+        # Overlap of the other end on this side of the wall: the line through both tells over what
+        # length they touch.
+        other = centres[1 - index]
+        opposite = sp.add(sp.mul(other[0], x), sp.mul(other[1], y)) - self.clearance
+        here = indentations[index]
+        share = safe_divide(here, here + positive_part(-opposite))
+        place = (x, y) if surface == "bearing" else _seen_by(axes[1], x, y)
+        return (*place, self.length * share, float(2 * index - 1))
+
+    def end_forces(self, force, torque):
+        # About y a torque pairs forces along x, about x the opposite ones along y.
+        pair = (sp.mul(1 / self.length, torque[1]), sp.mul(-1 / self.length, torque[0]))
+        ends = []
+        for side in (-1, 1):
+            x, y = (sp.add(sp.mul(0.5, force[i]), sp.mul(side, pair[i])) for i in (0, 1))
+            ends.append(((x, y, 0), sp.mul(0.5 * side, self.length)))
+        return tuple(ends)
+
+
+def _slope(axis) -> tuple:
+    """Slope (dx/dz, dy/dz) of the journal's axis."""
+    if isinstance(axis[2], int):
+        return axis[:2]
+    inverse = 1.0 / axis[2]
+    return tuple(sp.mul(inverse, component) for component in axis[:2])
+
+
+def _seen_by(journal_x, x, y) -> tuple:
+    """A direction of the bearing's plane in the axes of the (turned) journal."""
+    length = norm(journal_x[:2])
+    cosine, sine = safe_divide(journal_x[0], length), safe_divide(journal_x[1], length)
+    return (cosine * x + sine * y, cosine * y - sine * x)

@@ -1,0 +1,201 @@
+"""What a mechanism is refused for, in sentences that name the body, joint or load and say what would
+be right.
+
+A part checks itself when it is built; here is what needs the other parts: names, what a slot holds,
+numbers that were changed afterwards, drives, loads and starts that fit the tree.
+"""
+
+import dataclasses
+from types import UnionType
+from typing import Any, get_args
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxclear.components.body import GROUND, Body, Connection
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.joint import AbstractJoint, drive_of
+from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, AbstractLoad, Gravity
+from jaxclear.ground.quantity import check_range, numbers
+from jaxclear.laws.stiffness import fitted
+from jaxclear.multibody.topology import Topology, joint_of
+
+
+def expect(thing: Any, kind: Any, what: str, wanted: str) -> None:
+    """Raises `ValueError` unless the thing is of a kind."""
+    if not isinstance(thing, kind):
+        raise ValueError(f"{what} is {thing!r}; it must be {wanted}.")
+
+
+def check_parts(bodies: dict, connections: dict, loads: dict) -> None:
+    """Types must be what the slots expect, names refer to something, numbers be possible, and every
+    body be held.
+    """
+    if not bodies:
+        raise ValueError("a mechanism needs at least one body.")
+    if GROUND in bodies:
+        raise ValueError(
+            f'"{GROUND}" is the fixed frame and cannot be a body; choose another name.'
+        )
+    for name, body in bodies.items():
+        expect(body, Body, f'body "{name}"', "a jaxclear.Body")
+        check_values(f'body "{name}"', body)
+    for name, connection in connections.items():
+        _check_connection(name, connection, bodies)
+    for name, load in loads.items():
+        _check_load(name, load, bodies, connections)
+    if sum(isinstance(load, Gravity) for load in loads.values()) > 1:
+        raise ValueError("a mechanism has more than one load.Gravity; give one.")
+    _check_reach(bodies, connections)
+
+
+def _check_connection(name: str, connection: Any, bodies: dict) -> None:
+    expect(connection, Connection, f'joint "{name}"', "a jaxclear.Connection")
+    joint = connection.joint
+    wanted = "one of jaxclear.joint or jaxclear.clearance"
+    expect(joint, (AbstractJoint, AbstractClearance), f'joint "{name}"', wanted)
+    _check_slots(f'joint "{name}"', joint)
+    check_values(f'joint "{name}"', joint)
+    for side, marker in (("parent", connection.parent), ("child", connection.child)):
+        _check_body(f'joint "{name}" refers to', marker.body, bodies)
+        check_values(f'the {side} marker of joint "{name}"', marker)
+    if connection.parent.body == connection.child.body:
+        raise ValueError(
+            f'joint "{name}" joins "{connection.parent.body}" to itself; it needs two bodies.'
+        )
+    if isinstance(joint, AbstractClearance):
+        try:
+            for laws in joint.contact_laws():
+                fitted(laws.contact, laws.shape)
+        except ValueError as error:
+            raise ValueError(f'joint "{name}": {error}') from None
+
+
+def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
+    expect(load, AbstractLoad, f'load "{name}"', "a jaxclear.load")
+    _check_slots(f'load "{name}"', load)
+    check_values(f'load "{name}"', load)
+    if isinstance(load, AbstractBodyLoad):
+        for marker in load.markers():
+            _check_body(f'load "{name}" acts on', marker.body, bodies)
+    if isinstance(load, AbstractCoordinateLoad):
+        joint = connections[load.connection].joint if load.connection in connections else None
+        if not isinstance(joint, AbstractJoint) or len(joint.home) != 1:
+            raise ValueError(
+                f'load "{name}" acts on the coordinate of joint "{load.connection}", which must be '
+                "an ideal revolute or prismatic joint of this mechanism."
+            )
+
+
+def _check_body(what: str, body: str, bodies: dict) -> None:
+    if body not in bodies and body != GROUND:
+        raise ValueError(
+            f'{what} body "{body}", which does not exist: the bodies are '
+            f"{', '.join(map(repr, bodies))} and '{GROUND}'."
+        )
+
+
+def _check_reach(bodies: dict, connections: dict) -> None:
+    reached, frontier = {GROUND}, [GROUND]
+    while frontier:
+        body = frontier.pop()
+        for connection in connections.values():
+            ends = [connection.parent.body, connection.child.body]
+            if body in ends:
+                other = ends[1 - ends.index(body)]
+                if other not in reached:
+                    reached.add(other)
+                    frontier.append(other)
+    lost = [body for body in bodies if body not in reached]
+    if lost:
+        raise ValueError(
+            f"no chain of joints leads from the ground to {', '.join(map(repr, lost))}; connect "
+            'it, or let it float with jaxclear.joint.Free() from "ground".'
+        )
+
+
+def _check_slots(what: str, module: eqx.Module) -> None:
+    """Slots for laws, drives, markers and the like must hold one of their family."""
+    for field in dataclasses.fields(module):
+        kinds = get_args(field.type) if isinstance(field.type, UnionType) else (field.type,)
+        if not all(isinstance(kind, type) and kind is not Any for kind in kinds):
+            continue
+        families = [kind for kind in kinds if issubclass(kind, eqx.Module)]
+        value = getattr(module, field.name)
+        if value is None and field.default is not None and type(None) not in kinds:
+            raise ValueError(f"{what} has {field.name} None; it needs one.")
+        if families and set(kinds) <= {*families, type(None)}:
+            if not isinstance(value, kinds):
+                names = ["None" if kind is type(None) else kind.__name__ for kind in kinds]
+                raise ValueError(
+                    f"{what} has {field.name} {value!r}; it must be {' or '.join(names)}."
+                )
+            if value is not None:
+                _check_slots(f"{what}, {field.name},", value)
+
+
+def check_values(what: str, part: Any) -> None:
+    """Numbers must be finite and within their ranges, also where one was changed after its part was
+    built.
+    """
+    check_finite(what, part)
+    for path, leaf, metadata in numbers(part):
+        check_range(lambda: what, path, leaf, metadata)
+
+
+def check_finite(what: str, part: Any) -> None:
+    """Numbers must be finite; those that are being traced are not known."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(part):
+        if not eqx.is_array(leaf) or isinstance(leaf, jax.core.Tracer):
+            continue
+        if not np.all(np.isfinite(leaf)):
+            name = jax.tree_util.keystr(path).removeprefix(".")
+            raise ValueError(f"{what} has {name} = {leaf}; it must be a finite number.")
+
+
+def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
+    """Drives and loads on coordinates must fit the tree."""
+    for name in topology.loops:
+        if drive_of(connections[name].joint) is not None:
+            raise ValueError(
+                f'joint "{name}" is driven but closes a loop of driven joints; a loop can follow '
+                "one of them only."
+            )
+    for name, load in loads.items():
+        if isinstance(load, AbstractCoordinateLoad) and (
+            topology.branch_of(load.connection) is None
+            or drive_of(connections[load.connection].joint) is not None
+        ):
+            raise ValueError(
+                f'load "{name}" acts on joint "{load.connection}", whose coordinate is driven or '
+                "cut to close a loop; put the load on markers (jaxclear.load.Torque) or on another "
+                "joint."
+            )
+
+
+def check_start(
+    topology: Topology, bodies: dict, connections: dict, start: dict, speeds: dict
+) -> None:
+    """Starting coordinates and speeds must be given for what has some, in the right number."""
+    branches = {branch.name: branch for branch in topology.branches}
+    for what, given in (("start", start), ("speeds", speeds)):
+        for name in given:
+            if name not in branches:
+                raise ValueError(
+                    f'{what} names "{name}", which carries no coordinates; those that do are '
+                    f"{', '.join(map(repr, branches))}."
+                )
+            if branches[name].coordinate_count == 0:
+                raise ValueError(
+                    f'{what} names "{name}", whose motion is prescribed or fixed; leave it out.'
+                )
+    for name, given in start.items():
+        try:
+            joint_of(branches[name], bodies, connections).start(given)
+        except ValueError as error:
+            raise ValueError(f'start of "{name}" {error}') from None
+    for name, given in speeds.items():
+        width = branches[name].speed_count
+        if len(given) != width:
+            raise ValueError(f'speeds of "{name}" need {width} numbers, not {len(given)}.')
