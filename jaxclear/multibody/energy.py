@@ -4,7 +4,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxclear.components.joint import drive_of
+from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import dynamics, kinematics, tree
 from jaxclear.multibody.dynamics import Solution

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
-from jaxclear.components.joint import AbstractJoint, Free, Planar, drive_of
+from jaxclear.components.joint import AbstractJoint, Free, Planar
+from jaxclear.components.joint.base import drive_of
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
-from jaxclear.components.joint import AbstractJoint, drive_of
+from jaxclear.components.joint import AbstractJoint
+from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.ground.quantity import Scalar

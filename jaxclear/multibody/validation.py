@@ -15,7 +15,8 @@ import numpy as np
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
-from jaxclear.components.joint import AbstractJoint, drive_of
+from jaxclear.components.joint import AbstractJoint
+from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, AbstractLoad, Gravity
 from jaxclear.ground.quantity import check_range, numbers
 from jaxclear.laws.stiffness import fitted

@@ -5,7 +5,6 @@ from jaxclear.components.joint.base import (
     AbstractGroupJoint,
     AbstractJoint,
     AbstractVectorJoint,
-    drive_of,
 )
 from jaxclear.components.joint.group import Free, Planar, Spherical
 from jaxclear.components.joint.vector import Cylindrical, Fixed, Prismatic, Revolute, Universal
