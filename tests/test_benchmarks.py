@@ -6,9 +6,9 @@ import pytest
 
 pytest.importorskip("numba")
 
-from benchmarks.by_hand import evaluation  # noqa: E402
-from benchmarks.claims import equations  # noqa: E402
-from benchmarks.claims import four_bar_variants as scenes  # noqa: E402
+from benchmarks.by_hand import evaluation
+from benchmarks.claims import equations
+from benchmarks.claims import four_bar_variants as scenes
 
 
 def test_programs_stay_within_their_budget():

@@ -40,7 +40,7 @@ def chain(joints: int) -> jc.Mechanism:
     link = jc.Body(MASS, MASS * LENGTH**2 / 12, (LENGTH / 2, 0.0))
     ends = [jc.Marker("ground")] + [jc.Marker(name, (LENGTH, 0.0)) for name in names[:-1]]
     return jc.Mechanism(
-        bodies={name: link for name in names},
+        bodies=dict.fromkeys(names, link),
         connections={
             f"joint {i}": jc.Connection(bearing(), ends[i - 1], name)
             for i, name in enumerate(names, 1)

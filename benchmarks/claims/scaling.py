@@ -396,16 +396,9 @@ def _both_loops(
                 "samples": samples,
                 "asked for": "XLA" if plain else "own",
             }
-            row |= {
-                key: "-"
-                for key in (
-                    "loop",
-                    "compile CPU [s]",
-                    "wall [ns/step/sample]",
-                    "own is faster",
-                    "result",
-                )
-            }
+            row |= dict.fromkeys(
+                ("loop", "compile CPU [s]", "wall [ns/step/sample]", "own is faster", "result"), "-"
+            )
             rows.append(row)
             key = (samples, plain)
             try:

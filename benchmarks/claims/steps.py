@@ -35,7 +35,7 @@ def alone(steps: int):
         compiled = eqx.filter_jit(run)
         program = lambda f=compiled, i=integrator: f(
             mechanism, start.coordinates, start.speeds, times, i
-        )  # noqa: E731
+        )
         name = f"{type(integrator).__name__}, alone"
         programs[name] = lambda p=program: p().states
         found = program()
@@ -64,7 +64,7 @@ def batches(samples: int, steps: int, chunks: tuple[int, ...]):
         with ThreadPoolExecutor(threads) as pool:
             work = lambda c: jax.block_until_ready(
                 chunk_of(numbers, start.coordinates, start.speeds, c)
-            )  # noqa: E731
+            )
             return list(pool.map(work, pieces))
 
     programs = {}

@@ -210,7 +210,7 @@ def main() -> None:
     report(
         "stiffness limit: compliant against rigid contact", limit_rows(stiffnesses, grid), options
     )
-    steps = tuple(grid / 2**k for k in range(0, 4 if options.quick else 5))
+    steps = tuple(grid / 2**k for k in range(4 if options.quick else 5))
     report(
         "stiffness limit: step of Moreau and Jean", refinement_rows(steps, grid, FINEST), options
     )

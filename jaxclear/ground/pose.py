@@ -15,9 +15,9 @@ from jaxclear.ground import sparse as sp
 
 __all__ = [
     "AXES",
-    "Pose",
     "REST",
     "STILL",
+    "Pose",
     "Twist",
     "frame_with_axis",
     "quaternion_from_rotation",

@@ -164,10 +164,10 @@ def public_name(kind: type) -> str:
         place = getattr(package, name, None)
         if place is kind:
             return name
-        if isinstance(place, ModuleType) and getattr(place, kind.__name__, None) is kind:
-            # a module also holds the names that it imports for its own use
-            if kind.__name__ in getattr(place, "__all__", ()) or place.__name__ == kind.__module__:
-                return f"{name}.{kind.__name__}"
+        # a module also holds the names that it imports for its own use
+        offered = kind.__name__ in getattr(place, "__all__", ())
+        if isinstance(place, ModuleType) and offered and getattr(place, kind.__name__) is kind:
+            return f"{name}.{kind.__name__}"
     return kind.__qualname__
 
 

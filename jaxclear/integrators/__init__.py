@@ -28,7 +28,7 @@ __all__ = [
     "GroupTerm",
     "ImplicitStep",
     "MoreauJean",
-    "NonColliding",
     "MuntheKaas",
+    "NonColliding",
     "Outcome",
 ]

@@ -314,7 +314,26 @@ def _absolute(writer, x):
     )
 
 
-@rule(*"exp exp2 expm1 log log1p tan tanh sinh cosh asin acos asinh acosh atanh erf cbrt".split())
+@rule(
+    *[
+        "exp",
+        "exp2",
+        "expm1",
+        "log",
+        "log1p",
+        "tan",
+        "tanh",
+        "sinh",
+        "cosh",
+        "asin",
+        "acos",
+        "asinh",
+        "acosh",
+        "atanh",
+        "erf",
+        "cbrt",
+    ]
+)
 def _from_library(writer, equation, a):
     return each(lambda x: writer.library(equation.primitive.name, x), a)
 

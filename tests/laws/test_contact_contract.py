@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from jaxclear.laws import conformal, contact, hysteresis  # noqa: F401 (conformal: its laws join the family)
+from jaxclear.laws import conformal, contact, hysteresis
 from jaxclear.laws.material import Material, combined_modulus, steel
 from jaxclear.laws.stiffness import HertzStiffness, LengthOf, Shape, fitted
 from tests.laws.contracts import CONTACT_CHECKS, contact_contract, contact_never_pulls, rebound
