@@ -77,9 +77,8 @@ def wear_surface(
     axis.set_xlabel("x [mm]")
     axis.set_ylabel("y [mm]")
     axis.set_zlabel("z [mm]")
-    axis.set_title(
-        f"Worn {surface} of {joint} seen from outside, depth × {factor:.0f}{setting(run, joint)}"
-    )
+    title = f"Worn {surface} of {joint} seen from outside, depth × {factor:.0f}"
+    axis.set_title(title + setting(run, joint), fontsize=10)
     axis.set_box_aspect((1, 1, 1.2))
     deepest = np.degrees(float(wear_map.angles()[int(depth.max(axis=1).argmax())]))
     axis.view_init(elev=22.0, azim=deepest + 25.0)
