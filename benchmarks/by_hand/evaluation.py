@@ -47,13 +47,14 @@ def case(count: int, seed: int = 0) -> Case:
     mechanism = build(FULL)
     rng = np.random.default_rng(seed)
     tables = tuple(
-        jnp.asarray(rng.uniform(0, WORN, t.shape)) for t in field_of(mechanism).worn["B"]["bearing"]
+        jnp.asarray(rng.uniform(0, WORN, t.shape))
+        for t in field_of(mechanism).model.worn["B"]["bearing"]
     )
     clearances = np.linspace(0.25, 1.25, count) * CLEARANCE
     stiffness = jax.vmap(
-        lambda c: by_hand.parameters(field_of(with_clearance(mechanism, c)).system).stiffness
+        lambda c: by_hand.parameters(field_of(with_clearance(mechanism, c)).model.system).stiffness
     )
-    numbers = by_hand.parameters(field_of(mechanism).system)
+    numbers = by_hand.parameters(field_of(mechanism).model.system)
     return Case(
         samples(mechanism, count, seed),
         clearances,

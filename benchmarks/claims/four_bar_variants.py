@@ -13,11 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
+from jaxclear.formulations.compliant import CompliantContact
+from jaxclear.formulations.model import Model
 from jaxclear.laws.stiffness import HertzStiffness
 from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.state import Layout, lay_out, unpack_motion
 from jaxclear.multibody.system import System, prepare, readings
-from jaxclear.simulation.simulate import Field, unworn
+from jaxclear.simulation.wear import unworn
 
 CLEARANCE = 2e-4
 WEAR_FIELDS = {"planar": "wear", "spatial": "bearing_wear"}
@@ -114,11 +116,20 @@ def parts(mechanism: jc.Mechanism) -> tuple[System, Layout, dict]:
     return system, lay_out(system), readings(system, unworn(system))
 
 
+class Field(eqx.Module):
+    """The rate of the state as a function of time and state."""
+
+    model: Model
+
+    def __call__(self, time, state):
+        return CompliantContact().rate(self.model, time, state)[0]
+
+
 def field_of(mechanism: jc.Mechanism, read: dict | None = None) -> Field:
     """The rate of the state as `simulate` integrates it; surfaces are new unless `read` gives
     them."""
     system, layout, new = parts(mechanism)
-    return Field(system, new if read is None else read, mechanism.stabilisation, layout)
+    return Field(Model(system, new if read is None else read, mechanism.stabilisation, layout))
 
 
 def start_of(mechanism: jc.Mechanism) -> jax.Array:

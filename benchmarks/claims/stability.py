@@ -137,7 +137,7 @@ def rungs() -> dict[str, Any]:
         )
         for rebound in REBOUNDS
     }
-    solved = jc.integrator.ImplicitStep(LONGEST, newton=MANY, capture_impacts=True)
+    solved = jc.integrator.ImplicitStep(LONGEST, newton_iterations=MANY, capture_impacts=True)
     return (
         explicit
         | {f"rk4, {CONTACT_STEPS} in contact": short}

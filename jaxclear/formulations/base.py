@@ -1,184 +1,108 @@
-"""The state's rate as an integrator sees it, and what more an integrator may ask of the mechanism
-at an instant.
+"""What a formulation is: how contact enters the equations of motion.
 
-Everything is a function of (time, state) over the worn surfaces of the current interval; an
-integrator never sees a joint. Possible contacts are numbered through all clearance joints, in the
-order of the state.
+A formulation says what it asks of the laws, how it sees the mechanism, which impulses its states
+hold, and what forces and contacts a saved state tells of. How it steps is between it and the
+integrators that hold it. A new one is one file: the formulation and its integrator.
 """
 
-import dataclasses
-from typing import Any
+from abc import abstractmethod
+from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
 
-from jaxclear.formulations import closing, compliant, permanent, rigid, state_rate
-from jaxclear.formulations.compliant import WarmStart
-from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.components.clearance import CarryingEnd
+from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part
-from jaxclear.multibody.loops import Baumgarte
-from jaxclear.multibody.state import Layout, impact_speed_places, unpack_motion
-from jaxclear.multibody.system import System
+from jaxclear.multibody.contact_point import JointReport
+from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import lay_out
+from jaxclear.multibody.system import System, prepare
 
-State = Float[Array, " n"]
 
+class ContactReport(NamedTuple):
+    """A joint with contacts at an instant, in the axes of its bearing (the parent's marker); SI
+    units.
 
-class Field(eqx.Module):
-    """The state's rate as a function of time and state; `worn` are the current interval's worn
-    surfaces as read.
-
-    `captured`: remembered impact speeds stand still, because the integrator sets them where
-    contacts close. `projects`: loops are to be closed anew after every step.
+    `offset` from the bearing's centre to the journal's and `axis`, the journal's z axis; per
+    contact the `indentation` (positive in contact), `normal_force`, `slip_speed`, `traction`
+    (magnitude of friction) and `place` of touch; `force` and `torque` on the journal (the child),
+    about its marker. `ends`: where the gap carries, of a joint that always touches.
     """
 
-    system: System
-    worn: dict
-    stabilisation: Baumgarte | None
-    layout: Layout = eqx.field(static=True)
-    captured: bool = eqx.field(static=True, default=False)
-    projects: bool = eqx.field(static=True, default=False)
+    offset: Any
+    axis: Any
+    indentation: Any
+    normal_force: Any
+    slip_speed: Any
+    traction: Any
+    place: Any
+    force: Any
+    torque: Any
+    ends: tuple[CarryingEnd, ...] = ()
 
-    def __call__(self, time: Any, state: State) -> State:
-        return self.with_contacts(time, state)[0]
 
-    def with_contacts(
-        self, time: Any, state: State
-    ) -> tuple[State, Float[Array, " c"], Float[Array, " c"]]:
-        """The rate, and of every possible contact the indentation [m] and its rate [m/s], from one
-        evaluation.
+class AbstractFormulation(eqx.Module):
+    """How contact enters the equations of motion. An integrator holds one.
+
+    `forces_are_means`: the forces of contacts are no functions of the state; states hold their
+    impulses, and what is reported are means over the saving intervals.
+    """
+
+    forces_are_means: eqx.AbstractClassVar[bool]
+
+    @abstractmethod
+    def check(self, mechanism: Mechanism, integrator: str, step: Any | None) -> None:
+        """Raises `ValueError` with a sentence where a law cannot serve this formulation.
+
+        `integrator`: its name for the sentence. `step`: length [s] over which an impact speed
+        relaxes explicitly; None where any length is stable, or not known.
         """
-        args = (self.system, self.layout, self.stabilisation, self.worn, time, self._entries(state))
-        rates, reports = state_rate.evaluate(*args)
-        if self.captured:
-            for place in impact_speed_places(self.layout):
-                if place is not None:
-                    rates[place] = 0
-        return sp.stack(rates), *_depths(reports)
 
-    def contacts(self, time: Any, state: State) -> tuple[Float[Array, " c"], Float[Array, " c"]]:
-        """Indentation [m] and its rate [m/s] of every possible contact."""
-        return _depths(
-            state_rate.reports_at(self.system, self.layout, self.worn, time, self._entries(state))
-        )
+    @abstractmethod
+    def seen(self, mechanism: Mechanism) -> Mechanism:
+        """The mechanism as it is in this formulation (clearance joints taken for ideal ones, say)."""
 
-    def coordinate_rates(self, state: State) -> Float[Array, " q"]:
-        """Rates of the coordinates alone: they follow from coordinates and speeds."""
-        return sp.stack(
-            state_rate.coordinate_rates(
-                self.system, *unpack_motion(self.system, self._entries(state))
-            )
-        )
+    @abstractmethod
+    def impulses(self, system: System) -> tuple[tuple[str, int], ...]:
+        """Joints whose impulses since the start the state holds [N s, N m s], each with how many
+        components; () where forces follow from the state."""
 
-    def remember(
-        self, state: State, wanted: Bool[Array, " c"], approach: Float[Array, " c"]
-    ) -> State:
-        """The state with the remembered impact speed set to max(approach, 0) [m/s] at those
-        contacts that are `wanted`.
-        """
-        entries = self._entries(state)
-        for i, place in enumerate(impact_speed_places(self.layout)):
-            if place is not None:
-                entries[place] = jnp.where(wanted[i], positive_part(approach[i]), entries[place])
-        return sp.stack(entries)
+    @abstractmethod
+    def contact_joints(self, mechanism: Mechanism) -> tuple[str, ...]:
+        """Joints of whose contacts it tells."""
 
-    def closed(self, time: Any, state: State) -> State:
-        """The state at the end of a step, its loops closed anew where they are to be."""
-        return (
-            sp.stack(closing.close(self.system, self.layout, time, self._entries(state)))
-            if self.projects
-            else state
-        )
+    @abstractmethod
+    def forces(self, instant: Instant) -> Forces:
+        """Everything that acts at a saved instant."""
 
-    def implicit_step(
-        self, time_step: TimeStep, state: State, warm_start: Float[Array, " h"], iterations: int
-    ) -> tuple[State, Float[Array, " h"]]:
-        """The state after an implicit step, and what it hands on to the next; see
-        `scene.contact_step`.
-        """
-        count = self.layout.speeds
-        numbers = [warm_start[i] for i in range(len(warm_start))]
-        last = WarmStart(numbers[:count], numbers[count : 2 * count], numbers[2 * count :])
-        args = (
-            self.system,
-            self.layout,
-            self.stabilisation,
-            self.worn,
-            time_step,
-            self._entries(state),
-            last,
-        )
-        after, now = compliant.step(*args, iterations, self.captured)
-        return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths])
-
-    def rigid_step(
-        self,
-        time_step: TimeStep,
-        state: State,
-        last: Float[Array, " h"],
-        rules: rigid.MoreauJeanSettings,
-    ) -> tuple[State, Float[Array, " h"]]:
-        """The state after a step with rigid contacts, and what it hands on: free accelerations,
-        percussions, and a residual.
-        """
-        numbers = [last[i] for i in range(len(last))]
-        args = (
-            self.system,
-            self.layout,
-            self.stabilisation,
-            self.worn,
-            time_step,
-            self._entries(state),
-            numbers,
-            rules,
-        )
-        after, free = rigid.step(*args)
-        return sp.stack(after), sp.stack(free)
-
-    def permanent_step(
-        self,
-        time_step: TimeStep,
-        state: State,
-        last: Float[Array, " h"],
-        rules: permanent.NonCollidingSettings,
-    ) -> tuple[State, Float[Array, " h"]]:
-        """The state after a step with joints that always touch, and what it hands on:
-        accelerations, and a residual.
-        """
-        numbers = [last[i] for i in range(len(last))]
-        args = (
-            self.system,
-            self.layout,
-            self.stabilisation,
-            time_step,
-            self._entries(state),
-            numbers,
-            rules,
-        )
-        after, free = permanent.step(*args)
-        return sp.stack(after), sp.stack(free)
-
-    def implicit_warm_start(self, time: Any, state: State) -> Float[Array, " h"]:
-        """What the first implicit step is handed: no accelerations, and the contacts as they
-        are."""
-        return jnp.concatenate([jnp.zeros(2 * self.layout.speeds), self.contacts(time, state)[0]])
-
-    @property
-    def remembers(self) -> bool:
-        """True where some contact remembers its impact speed."""
-        return any(place is not None for place in impact_speed_places(self.layout))
-
-    def when_captured(self) -> "Field":
-        """The same field, impact speeds standing still."""
-        return dataclasses.replace(self, captured=True)
-
-    def _entries(self, state):
-        return [state[i] for i in range(self.layout.size)]
+    @abstractmethod
+    def contact(self, instant: Instant, name: str) -> ContactReport:
+        """The contacts of a joint at a saved instant."""
 
 
-def _depths(reports):
-    points = [point for report in reports.values() for point in report.points]
-    return sp.stack([point.indentation for point in points]), sp.stack(
-        [point.rate for point in points]
+def clearance_contact(instant: Instant, report: JointReport, name: str) -> ContactReport:
+    """The contacts of a clearance joint, from its report."""
+    pose = instant.pose(name)
+    points = report.points
+    return ContactReport(
+        pose.translation,
+        sp.transpose(pose.rotation)[2],
+        tuple(point.indentation for point in points),
+        tuple(point.normal_force for point in points),
+        tuple(point.slip_speed for point in points),
+        tuple(point.traction for point in points),
+        tuple(point.place for point in points),
+        report.force,
+        report.torque,
     )
+
+
+def model_of(
+    mechanism: Mechanism, formulation: AbstractFormulation, balance: bool = False
+) -> Model:
+    """The model of a mechanism whose surfaces are new, in a formulation; `balance`: with the
+    energies of its balance in the state."""
+    system = prepare(mechanism)
+    layout = lay_out(system, balance, formulation.impulses(system))
+    return Model(system, {}, mechanism.baumgarte, layout, mechanism.projects)

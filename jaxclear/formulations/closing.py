@@ -4,39 +4,41 @@ metric of the masses.
 
 from typing import Any
 
-from jaxclear.formulations.compliant import drift
-from jaxclear.formulations.contact_rows import ContactJacobianRow, along
-from jaxclear.formulations.contact_solve import by_subtrees
+from jaxclear.formulations.contact_rows import along
+from jaxclear.formulations.delassus import by_subtrees
+from jaxclear.formulations.model import Model, State
+from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import constraints, kinematics, tree
-from jaxclear.multibody.state import Layout, unpack_motion
-from jaxclear.multibody.system import System
+from jaxclear.multibody.state import unpack_motion
 
 
-def close(system: System, layout: Layout, time: Any, entries: list) -> list:
-    """The state's entries with coordinates and speeds on the closures, to the square of how far off
-    they were.
+def closed(model: Model, time: Any, state: State) -> State:
+    """The state at the end of a step, its loops closed anew where they are to be: to the square of
+    how far off they were.
     """
+    if not model.projects:
+        return state
+    system, layout, entries = model.system, model.layout, model.entries(state)
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
     motions = kinematics.link_motions(system, *unpack_motion(system, [*q, *v]), time)
     found = [constraints.constraint_rows(system, motions, closure) for closure in system.closures]
-    rows: list[ContactJacobianRow] = [row for closure in found for row in closure.jacobian]
+    rows = [row for closure in found for row in closure.jacobian]
     subtrees = (
         kinematics.by_subtree(subtree, system.links, motions)
         for subtree in system.topology.subtrees
     )
     respond = by_subtrees([tree.mass_matrix(*subtree) for subtree in subtrees])
-    answers = [respond([row.get(j, 0) for j in range(len(v))]) for row in rows]
-    schur = factorisation.factor([[along(row, answer) for answer in answers] for row in rows])
+    columns = [respond([row.get(j, 0) for j in range(len(v))]) for row in rows]
+    schur = factorisation.factor([[along(row, column) for column in columns] for row in rows])
 
     def change(residuals):
         multipliers = factorisation.solve(schur, tuple(residuals))
-        return [sp.neg(sp.dot(multipliers, column)) for column in zip(*answers, strict=True)]
+        return [sp.neg(sp.dot(multipliers, entries)) for entries in zip(*columns, strict=True)]
 
-    values, rates = (
-        [x for closure in found for x in part(closure)]
-        for part in (lambda c: c.residuals, lambda c: c.rates)
-    )
+    residuals = [x for closure in found for x in closure.residuals]
+    rates = [x for closure in found for x in closure.rates]
     v = [sp.add(x, d) for x, d in zip(v, change(rates), strict=True)]
-    return [*drift(system, q, q, change(values), 1.0), *v, *entries[layout.memory_start :]]
+    q = drift(system, q, q, change(residuals), 1.0)
+    return sp.stack([*q, *v, *entries[layout.memory_start :]])

@@ -1,388 +1,171 @@
-"""One step of a whole mechanism whose clearance joints are rigid: theta method for the motion,
-percussions for the contacts.
+r"""Rigid contact: bodies do not overlap, forces are percussions over time steps.
 
-The equations are evaluated once, half a step ahead along the speeds; contacts that the step would
-close are asked for Newton's law of impact and Coulomb's law of friction at the velocities of its
-end. What overlaps then, and would not part within a step by itself, is moved apart: projection in
-the metric of the masses. Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean
-1999, Comput. Methods Appl. Mech. Eng. 177, 235; Acary & Brogliato 2008, Numerical Methods for
-Nonsmooth Dynamical Systems, ch. 10.
+Moreau's time stepping with the theta method: the equations are evaluated once, half a step ahead
+along the speeds, $M (v^{k+1} - v^k) = h f + G^T p$, percussions $p$ by the laws of impact and
+friction at the velocities of the step's end (`unilateral`), $q^{k+1} = q^k + h\,\dot q(\theta
+v^{k+1} + (1 - \theta) v^k)$; what overlaps then, and would not part within a step by itself, is
+moved apart. Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1,
+doi:10.1007/978-3-7091-2624-0_1; Acary & Brogliato 2008, Numerical Methods for Nonsmooth Dynamical
+Systems, ch. 10, doi:10.1007/978-3-540-75392-6.
 """
 
-from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from jaxclear.complementarity import percussion
-from jaxclear.formulations import contact_rows, contact_solve
-from jaxclear.formulations.compliant import by_joint, contact_laws_of, drift
-from jaxclear.formulations.contact_rows import (
-    ContactJacobianRow,
-    ContactPoint,
-    FreeMotion,
-    TimeStep,
-    along,
+from jaxclear.formulations.base import AbstractFormulation, clearance_contact
+from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, middle_of_step
+from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
+from jaxclear.formulations.joint_reports import reports_of_means, rigid_reports
+from jaxclear.formulations.model import Model, State
+from jaxclear.formulations.state_rate import link_accelerations, passive_rates
+from jaxclear.formulations.unilateral import (
+    MoreauJeanSettings,
+    Percussions,
+    Projected,
+    percussions,
+    project,
+    unilateral_contacts,
 )
-from jaxclear.formulations.state_rate import passive_rates
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
-from jaxclear.laws.contact import Rigid
-from jaxclear.laws.friction import AbstractSetValuedFriction
 from jaxclear.laws.restitution import restitution
-from jaxclear.multibody import contact_point, kinematics
-from jaxclear.multibody.contact_point import PointState, Response
-from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody import kinematics
 from jaxclear.multibody.forces import applied_forces
-from jaxclear.multibody.loops import Baumgarte
-from jaxclear.multibody.state import Layout, component_count, unpack_motion
-from jaxclear.multibody.system import System
-
-# Indentation [m] below which a contact's extent is read as at this one: wear of a rigid contact
-# needs some.
-TOUCHING = 1e-9
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import contact_components, unpack_motion
 
 
-class MoreauJeanSettings(NamedTuple):
-    """How a step is made: weight `theta` of its end in the mean speed, share `gamma` of the step
-    after which a contact counts as closed, most sweeps over the contacts and the residual at which
-    they end, whether overlaps are moved apart."""
+class RigidContact(AbstractFormulation):
+    """Unilateral contact with Newton's law of impact and set-valued Coulomb friction; of a contact
+    law only its coefficient of restitution is taken, of a friction law its coefficients."""
 
-    theta: Any
-    gamma: Any
-    most_sweeps: Any
-    tolerance: Any
-    project: bool
+    forces_are_means: ClassVar = True
+
+    def check(self, mechanism, integrator, step):
+        check_friction(mechanism, integrator)
+        for name in mechanism.topology.clearances:
+            for laws in mechanism.connections[name].joint.contact_laws():
+                if restitution(laws.contact) is None:
+                    raise ValueError(
+                        f'joint "{name}" has contact {type(laws.contact).__name__}, whose '
+                        "restitution depends on mass and speed; "
+                        f"for {integrator} give contact.Rigid(restitution=...)."
+                    )
+
+    def seen(self, mechanism):
+        return mechanism
+
+    def impulses(self, system):
+        return contact_components(system)
+
+    def contact_joints(self, mechanism):
+        return mechanism.topology.clearances
+
+    def forces(self, instant):
+        reports = reports_of_means(instant)
+        system, motions = instant.model.system, instant.motions
+        return applied_forces(system, motions, reports, instant.q, instant.v, instant.time)
+
+    def contact(self, instant, name):
+        return clearance_contact(instant, reports_of_means(instant)[name], name)
+
+    def warm_start(self, model: Model) -> Float[Array, " h"]:
+        """What the first step is handed: no accelerations, no percussions."""
+        components = sum(count for _, count in model.layout.impulses)
+        return jnp.zeros(model.layout.speeds + components + 1)
+
+    def step(
+        self,
+        model: Model,
+        time_step: TimeStep,
+        state: State,
+        last: Float[Array, " h"],
+        settings: MoreauJeanSettings,
+    ) -> tuple[State, Float[Array, " h"]]:
+        """The state after a step, and what the next is handed as `last`: the free accelerations,
+        the percussions in the state's order, then the largest residual of the contact laws so
+        far."""
+        handed = [last[i] for i in range(len(last))]
+        entries, h, count = model.entries(state), time_step.length, model.layout.speeds
+        middle = middle_of_step(model, time_step, entries, handed[:count])
+        contacts = unilateral_contacts(middle.free_motion.contacts)
+        rows = [row for contact in contacts for row in contact.rows]
+        delassus = delassus_operator(middle.free_motion, rows)
+        impact = Percussions([], [0] * count, (), 0.0)
+        if contacts:
+            impact = percussions(middle, contacts, delassus, handed[count:-1], h, settings)
+        v = [x + h * k + p for x, k, p in zip(middle.v, delassus.free, impact.changes, strict=True)]
+        mean = [
+            settings.theta * b + (1 - settings.theta) * a for a, b in zip(middle.v, v, strict=True)
+        ]
+        end = Projected(middle.end(model, mean, h), [0] * count, 0)
+        if settings.project and contacts:
+            before = (end.coordinates, v)
+            end = project(model, time_step, middle, contacts, delassus, before, settings)
+        after = [*end.coordinates, *v, *_memories(model, entries)]
+        passive = _passive(model, time_step, middle, delassus, impact, mean, end)
+        after += [x + change for x, change in zip(entries[len(after) :], passive, strict=True)]
+        flat = [part for own in impact.by_contact for part in own]
+        residual = jnp.maximum(handed[-1], impact.residual)
+        return sp.stack(after), sp.stack([*delassus.free, *flat, residual])
 
 
-class Side(NamedTuple):
-    """A contact as percussions see it: rows of the opening speed and of two or fewer slips, their
-    values at the middle speeds, and for each direction of the joint's own slip its shares in these
-    slips."""
-
-    rows: list[ContactJacobianRow]
-    values: list
-    shares: list[list]
-    restitution: Any
-    friction: AbstractSetValuedFriction | None
+def _memories(model: Model, entries: list) -> list:
+    """What compliant laws would remember; nothing reads it here."""
+    layout = model.layout
+    return entries[layout.memory_start : layout.memory_start + layout.memory_count]
 
 
-def step(
-    system: System,
-    layout: Layout,
-    stabilisation: Baumgarte | None,
-    worn: dict,
+def check_friction(mechanism: Mechanism, integrator: str) -> None:
+    """Raises `ValueError` for friction that does not say which coefficients it regularises."""
+    for name in mechanism.topology.clearances:
+        for laws in mechanism.connections[name].joint.contact_laws():
+            if laws.friction is not None and laws.friction.coulomb() is None:
+                raise ValueError(
+                    f'joint "{name}" has friction {type(laws.friction).__name__}, of which '
+                    f"{integrator} does not know the "
+                    "coefficients; give friction.Coulomb(mu_kinetic=..., mu_static=...)."
+                )
+
+
+def _passive(
+    model: Model,
     time_step: TimeStep,
-    entries: list,
-    last: list,
-    settings: MoreauJeanSettings,
-) -> tuple[list, list]:
-    """Entries of the state after the step, and what the next is handed as `last`: the free
-    accelerations, the percussions in the state's order, then the largest residual of the contact
-    laws so far."""
-    h = time_step.length
-    q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
-    accelerations, before = last[: len(v)], last[len(v) : -1]
-    middle = [x + 0.5 * h * a for x, a in zip(v, accelerations, strict=True)]
-    halfway = drift(system, q, q, v, 0.5 * h)
-    motion = unpack_motion(system, [*halfway, *middle])
-    free_motion = contact_rows.free_motion(
-        system, stabilisation, worn, time_step.start + 0.5 * h, *motion
-    )
-    sides = _sides(system, free_motion)
-    found = contact_solve.answer(free_motion, [row for side in sides for row in side.rows])
-    push = (
-        _impacts(free_motion, sides, found, v, middle, before, h, settings)
-        if sides
-        else _Push([], [0] * len(v), (), 0.0)
-    )
-    after = [x + h * k + p for x, k, p in zip(v, found.free, push.changes, strict=True)]
-    mean = [settings.theta * b + (1 - settings.theta) * a for a, b in zip(v, after, strict=True)]
-    moved = drift(system, q, drift(system, q, halfway, mean, 0.5 * h), mean, h)
-    change = [sp.sub(a, b) for a, b in zip(mean, middle, strict=True)]
-    settled = _Settled(moved, [0] * len(v), 0)
-    if settings.project and sides:
-        settled = _settle(
-            system, worn, time_step, moved, after, middle, free_motion.right, sides, found, settings
-        )
-    state = [
-        *settled.coordinates,
-        *after,
-        *entries[layout.memory_start : layout.memory_start + layout.memory_count],
-    ]
-    travelled = [sp.add(x, sp.mul(1 / h, m)) for x, m in zip(mean, settled.moved, strict=True)]
-    average = unpack_motion(system, [*halfway, *travelled])
-    passive = _passive(
-        system, layout, free_motion, push, settled.energy, found, change, average, time_step
-    )
-    return [
-        *state,
-        *(x + change for x, change in zip(entries[len(state) :], passive, strict=True)),
-    ], [
-        *found.free,
-        *(part for own in push.percussions for part in own),
-        jnp.maximum(last[-1], push.residual),
-    ]
-
-
-class _Push(NamedTuple):
-    """Percussions per contact (normal, then along the joint's own slip directions), changes of
-    speeds, closure impulses, and the residual of the contact laws relative to the largest
-    velocity."""
-
-    percussions: list
-    changes: list
-    multipliers: tuple
-    residual: Any
-
-
-class _Settled(NamedTuple):
-    """After projection: coordinates, by how much they were moved (in terms of speeds), energy that
-    this put in [J].
-    """
-
-    coordinates: list
-    moved: list
-    energy: Any
-
-
-def _sides(system: System, free_motion: FreeMotion) -> list[Side]:
-    sides = []
-    for place, pairing in zip(free_motion.contacts, contact_laws_of(system), strict=True):
-        law = None if pairing.friction is None else pairing.friction.coulomb()
-        slips = [] if law is None else _slips(place)
-        rows = [{j: sp.neg(entry) for j, entry in place.rows[0].items()}]
-        values, shares = [sp.neg(place.rates[0])], []
-        for weights in slips:
-            rows.append(_combined(place.rows[1:], weights))
-            values.append(sp.dot(weights, place.rates[1:]))
-        for k in range(0 if law is None else len(place.rows) - 1):
-            shares.append([weights[k] for weights in slips])
-        sides.append(Side(rows, values, shares, restitution(pairing.contact), law))
-    return sides
-
-
-def _slips(place: ContactPoint) -> list[tuple]:
-    """Weights of the joint's slip directions in each direction that percussions use: those that can
-    move; of a whole basis the two across the normal."""
-    count = len(place.rows) - 1
-    if count < 3:
-        return [tuple(int(i == k) for i in range(count)) for k in range(count) if place.rows[1 + k]]
-    normal = tuple(jnp.asarray(x, float) for x in place.gap_function.touch.normal)
-    steep = jnp.abs(normal[0]) > 0.7
-    aside = (jnp.where(steep, 0.0, 1.0), jnp.where(steep, 1.0, 0.0), 0)
-    first = sp.cross(normal, aside)
-    first = sp.scale(safe_divide(1.0, safe_sqrt(sp.dot(first, first))), first)
-    return [first, sp.cross(normal, first)]
-
-
-def _combined(rows: tuple[ContactJacobianRow, ...], weights: tuple) -> ContactJacobianRow:
-    out: ContactJacobianRow = {}
-    for row, weight in zip(rows, weights, strict=True):
-        for j, entry in row.items():
-            out[j] = sp.add(out.get(j, 0), sp.mul(weight, entry))
-    return {j: entry for j, entry in out.items() if not sp.is_zero(entry)}
-
-
-def _impacts(free_motion: FreeMotion, sides, found, v, middle, last, h, settings) -> _Push:
-    """Percussions of the step, searched from the `last` ones."""
-    rows = [row for side in sides for row in side.rows]
-    matrix = [
-        sp.stack([along(row, accelerations) for accelerations, _ in found.answers]) for row in rows
-    ]
-    start = [sp.sub(a, b) for a, b in zip(v, middle, strict=True)]
-    free = [sp.add(s, h * k) for s, k in zip(start, found.free, strict=True)]
-    # At the step's start all speeds of each contact, at its end as if nothing touched.
-    before, unhindered = (
-        [
-            [
-                sp.add(value, along(row, change))
-                for value, row in zip(side.values, side.rows, strict=True)
-            ]
-            for side in sides
-        ]
-        for change in (start, free)
-    )
-    opening = sp.stack([speeds[0] for speeds in before])
-    depths = (
-        sp.stack([contact.gap_function.indentation for contact in free_motion.contacts])
-        + (0.5 - settings.gamma) * h * opening
-    )
-    if settings.project:
-        # A resting contact that rounding has opened falls shut within the step: it has not opened.
-        pressed = positive_part(opening - sp.stack([speeds[0] for speeds in unhindered]))
-        depths = depths + jnp.where(
-            jnp.abs(opening) < pressed, 0.5 * h * settings.gamma**2 * pressed, 0.0
-        )
-    bounds = [
-        0 if side.friction is None else side.friction.bound(_size(b[1:]))
-        for side, b in zip(sides, before, strict=True)
-    ]
-    sizes = [len(side.rows) for side in sides]
-    solved = percussion.impact(
-        _split(matrix, sizes),
-        [sp.stack(speeds) for speeds in unhindered],
-        opening,
-        depths >= 0,
-        sp.stack([side.restitution for side in sides]),
-        sp.stack(bounds),
-        _guesses(sides, last),
-        most_sweeps=settings.most_sweeps,
-        tolerance=settings.tolerance,
-    )
-    flat = [solved.percussion[i] for i in range(len(rows))]
-    changes, multipliers = (
-        [
-            sp.dot(flat, column)
-            for column in zip(*[answer[part] for answer in found.answers], strict=True)
-        ]
-        for part in (0, 1)
-    )
-    own = []
-    for side, (normal, *tangents) in zip(sides, _split(flat, sizes), strict=True):
-        own.append((normal, *[sp.dot(weights, tangents) for weights in side.shares]))
-    return _Push(own, changes, tuple(multipliers), solved.residual)
-
-
-def _guesses(sides: list[Side], last: list) -> list:
-    """From components in the state's order to those of percussions, contact by contact."""
-    out = []
-    for side, (normal, *own) in zip(
-        sides, _split(last, [1 + len(side.shares) for side in sides]), strict=True
-    ):
-        slips = [
-            sp.dot([share[k] for share in side.shares], own) for k in range(len(side.rows) - 1)
-        ]
-        out.append(sp.stack([normal, *slips]))
-    return out
-
-
-def _split(flat: list, sizes: list[int]) -> list[list]:
-    """The parts of a list, one after the other."""
-    rest = iter(flat)
-    return [list(islice(rest, size)) for size in sizes]
-
-
-def _size(slips: list) -> Any:
-    return safe_sqrt(sp.total(sp.mul(slip, slip) for slip in slips) + 0.0)
-
-
-def _settle(system, worn, time_step, q, v, middle, forces, sides, found, settings) -> _Settled:
-    """Contacts overlap by no more than they would leave or fall in a step: one at rest stays closed
-    whatever rounding and the turning of its normal do, and what strikes and rebounds undoes its
-    overlap itself; moving it would give it energy."""
-    h = time_step.length
-    depths = contact_rows.depths(
-        system, worn, time_step.start + h, *unpack_motion(system, [*q, *v])
-    )
-    answers = _split(list(found.answers), [len(side.rows) for side in sides])
-    normals = [(side.rows[0], own[0][0]) for side, own in zip(sides, answers, strict=True)]
-    change = [sp.sub(a, b) for a, b in zip(v, middle, strict=True)]
-    opening = sp.stack(
-        [
-            sp.add(side.values[0], along(row, change))
-            for side, (row, _) in zip(sides, normals, strict=True)
-        ]
-    )
-    # What a contact gains in closing speed within a step if nothing holds it.
-    pressed = h * sp.stack([positive_part(sp.neg(along(row, found.free))) for row, _ in normals])
-    none = jnp.zeros(len(sides))
-    shifts = percussion.impact(
-        [[sp.stack([along(row, answer) for _, answer in normals])] for row, _ in normals],
-        [(h * (pressed[i] + jnp.abs(opening[i])) - depth)[None] for i, depth in enumerate(depths)],
-        none,
-        none == 0,
-        none,
-        none,
-        most_sweeps=settings.most_sweeps,
-        tolerance=settings.tolerance,
-    ).percussion
-    columns = zip(*[answer for _, answer in normals], strict=True)
-    moved = [sp.dot([shifts[i] for i in range(len(sides))], column) for column in columns]
-    return _Settled(drift(system, q, q, moved, 1.0), moved, sp.neg(sp.dot(forces, moved)))
-
-
-def _passive(system, layout, free_motion, push, settling, found, change, mean, time_step) -> list:
+    middle: MiddleOfStep,
+    delassus: DelassusOperator,
+    impact: Percussions,
+    mean: list,
+    end: Projected,
+) -> list:
     """Changes of what only follows the motion: worn volumes, impulses, energies."""
-    h = time_step.length
-    impulses = [part for own in push.percussions for part in own]
+    system, layout, h = model.system, model.layout, time_step.length
+    impulses = [part for own in impact.by_contact for part in own]
     if not layout.wear and not layout.energies:
         return impulses
-    forces = [tuple(sp.mul(1 / h, part) for part in own) for own in push.percussions]
-    reports = reports_of(system, free_motion.poses, free_motion.contacts, forces, change)
+    free_motion = middle.free_motion
+    forces = [tuple(sp.mul(1 / h, part) for part in own) for own in impact.by_contact]
+    change = middle.change_to(mean)
+    reports = rigid_reports(system, free_motion.poses, free_motion.contacts, forces, change)
     acting = free_motion.forces._replace(reports=reports)
     if layout.energies:
         # Loads work along the mean speeds: those of the middle know nothing of the impulses against
         # which the loads press.
-        middle = time_step.start + 0.5 * h
-        acting = applied_forces(
-            system, kinematics.link_motions(system, *mean, middle), reports, *mean, middle
-        )
-    total = [sp.add(k, sp.mul(1 / h, c)) for k, c in zip(found.free, push.changes, strict=True)]
-    multipliers = tuple(
-        sp.add(a, sp.mul(1 / h, b))
-        for a, b in zip(found.multipliers, push.multipliers, strict=True)
-    )
-    solution = Solution(
-        tuple(tuple(total[b.speeds]) for b in system.topology.branches), multipliers
-    )
+        travelled = [sp.add(x, sp.mul(1 / h, m)) for x, m in zip(mean, end.moved, strict=True)]
+        motion = unpack_motion(system, [*middle.halfway, *travelled])
+        motions = kinematics.link_motions(system, *motion, time_step.middle)
+        acting = applied_forces(system, motions, reports, *motion, time_step.middle)
+    total = _add_rates(delassus.free, impact.changes, h)
+    multipliers = tuple(_add_rates(delassus.multipliers, impact.multipliers, h))
+    solution = link_accelerations(system, total, multipliers)
     rates = [sp.mul(h, rate) for rate in passive_rates(system, layout, acting, solution)]
     worn = len(rates) - len(layout.energies)
     for name in ("contact_work", "contact_loss") if layout.energies else ():
         place = worn + layout.energies.index(name)
-        rates[place] = sp.sub(rates[place], settling)
+        rates[place] = sp.sub(rates[place], end.energy)
     return [*rates[:worn], *impulses, *rates[worn:]]
 
 
-def reports_of(
-    system: System,
-    poses: dict,
-    contacts: tuple[ContactPoint, ...],
-    forces: list[tuple],
-    change: list,
-) -> dict:
-    """Reports of the clearance joints for given forces (normal, then friction along each slip
-    direction), at the contacts' rates with the speeds changed by `change`."""
-    reports = {}
-    parts = by_joint(system, list(zip(contacts, forces, strict=True)))
-    for (name, bearing), own in zip(system.bearings.items(), parts, strict=True):
-        gap_functions = tuple(
-            contact.gap_function._replace(
-                indentation=jnp.maximum(contact.gap_function.indentation, TOUCHING)
-            )
-            for contact, _ in own
-        )
-        contact_laws = tuple(pairing._replace(contact=Rigid()) for pairing in bearing.contact_laws)
-        speeds, responses = [], []
-        for contact, force in own:
-            rate, *slip = (
-                sp.add(r, along(row, change))
-                for r, row in zip(contact.rates, contact.rows, strict=True)
-            )
-            speeds.append((rate, tuple(slip)))
-            memory = PointState(None, ())
-            responses.append(
-                Response(force[0], contact_point.slip_speed(tuple(slip)), force[1:], memory)
-            )
-        report = contact_point.assemble(
-            bearing.joint, contact_laws, poses[name], gap_functions, speeds, responses
-        )
-        points = tuple(
-            point._replace(indentation=contact.gap_function.indentation)
-            for point, (contact, _) in zip(report.points, own, strict=True)
-        )
-        reports[name] = report._replace(points=points)
-    return reports
-
-
-def reports_at(system: System, motions: tuple, worn: dict, components: list) -> dict:
-    """Reports of the clearance joints at an instant, for given components of their contacts'
-    forces, in the state's order.
-    """
-    poses, contacts = contact_rows.contact_points(system, motions, worn)
-    counts = [
-        component_count(pairing, p.gap_function.touch)
-        for p, pairing in zip(contacts, contact_laws_of(system), strict=True)
-    ]
-    forces = [tuple(own) for own in _split(components, counts)]
-    return reports_of(system, poses, contacts, forces, [0] * system.topology.speed_count)
+def _add_rates(free: Any, impulses: Any, h: Any) -> list:
+    """What acts all the time and what impulses amount to over a step h [s]."""
+    return [sp.add(k, sp.mul(1 / h, p)) for k, p in zip(free, impulses, strict=True)]

@@ -1,48 +1,14 @@
-"""From a state and a time to the rate of every entry of the state, in the state's order."""
+"""Rates of what only follows the motion: coordinates from speeds, worn volumes and energies from
+forces."""
 
 from typing import Any
 
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import dynamics, energy, kinematics
-from jaxclear.multibody.contact_point import JointReport
+from jaxclear.multibody import energy
 from jaxclear.multibody.dynamics import Solution
-from jaxclear.multibody.forces import Forces, applied_forces, contact_reports
-from jaxclear.multibody.loops import Baumgarte
-from jaxclear.multibody.state import Layout, pack_memories, unpack_memories, unpack_motion
+from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.state import Layout, unpack_motion
 from jaxclear.multibody.system import System
-
-
-def reports_at(
-    system: System, layout: Layout, worn: dict, time: Any, entries: Any
-) -> dict[str, JointReport]:
-    """Report of every clearance joint, without the equations of motion."""
-    motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
-    return contact_reports(system, motions, unpack_memories(layout, entries), worn)
-
-
-def evaluate(
-    system: System,
-    layout: Layout,
-    stabilisation: Baumgarte | None,
-    worn: dict,
-    time: Any,
-    entries: Any,
-) -> tuple[list, dict[str, JointReport]]:
-    """Rate of every entry of the state as a list of scalars, and the reports of the clearance
-    joints.
-    """
-    q, v = unpack_motion(system, entries)
-    motions = kinematics.link_motions(system, q, v, time)
-    reports = contact_reports(system, motions, unpack_memories(layout, entries), worn)
-    forces = applied_forces(system, motions, reports, q, v, time)
-    solution = dynamics.forward_dynamics(system, forces, stabilisation)
-    rates = [
-        *coordinate_rates(system, q, v),
-        *(a for accelerations in solution.accelerations for a in accelerations),
-        *pack_memories(layout, {name: report.memory_rates for name, report in reports.items()}),
-        *passive_rates(system, layout, forces, solution),
-    ]
-    return rates, reports
 
 
 def coordinate_rates(system: System, q: tuple, v: tuple) -> list:
@@ -52,6 +18,12 @@ def coordinate_rates(system: System, q: tuple, v: tuple) -> list:
         if own_q:
             out.extend(link.joint.rate(own_q, own_v))
     return out
+
+
+def drift(system: System, start: list, at: list, speeds: list, h: Any) -> list:
+    """Coordinates a time `h` [s] after `start`, their rates taken `at` some coordinates."""
+    rates = coordinate_rates(system, *unpack_motion(system, [*at, *speeds]))
+    return [x + h * rate for x, rate in zip(start, rates, strict=True)]
 
 
 def passive_rates(system: System, layout: Layout, forces: Forces, solution: Solution) -> list:
@@ -66,3 +38,9 @@ def passive_rates(system: System, layout: Layout, forces: Forces, solution: Solu
     if layout.energies:
         out.extend(energy.powers(system, forces, solution))
     return out
+
+
+def link_accelerations(system: System, flat: Any, multipliers: tuple) -> Solution:
+    """Free accelerations, one after the other, as those of the links."""
+    own = tuple(tuple(flat[branch.speeds]) for branch in system.topology.branches)
+    return Solution(own, multipliers)

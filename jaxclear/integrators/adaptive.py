@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import optimistix
 
+from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.integrators.base import (
-    COMPLIANT,
     AbstractIntegrator,
     Advance,
     check_count,
@@ -53,7 +53,7 @@ class Adaptive(AbstractIntegrator):
     """
 
     pathwise: ClassVar = False
-    formulation: ClassVar = COMPLIANT
+    projects: ClassVar = False
     solver: diffrax.AbstractSolver = eqx.field(default_factory=diffrax.Tsit5)
     rtol: Scalar = quantity(1e-7, "1", "relative local error of coordinates and speeds", at_least=0)
     atol: Scalar = quantity(
@@ -73,33 +73,43 @@ class Adaptive(AbstractIntegrator):
         check_count(self.most_steps, "most_steps of integrator.Adaptive")
         check_count(self.most_impacts, "most_impacts of integrator.Adaptive")
 
+    @property
+    def formulation(self):
+        return CompliantContact(self.capture_impacts)
+
     def relaxing_step(self, interval):
         return None
 
-    def first_warm_start(self, field, start, state):
+    def first_warm_start(self, model, start, state):
         """A typical step [s]; 0: not known."""
         return jnp.zeros(())
 
-    def advance(self, field, start, stop, state, warm_start, weights, running):
-        stop = jnp.where(running, stop, start)
-        if not self.capture_impacts or not field.remembers:
-            found = self._solve(field, start, stop, state, warm_start, weights, None)
-            return Advance(
-                found.state, found.accepted, found.rejected, found.typical(start), found.outcome
-            )
-        return self._through_impacts(field.when_captured(), start, stop, state, warm_start, weights)
+    def advance(self, model, interval, state, warm_start):
+        interval = interval._replace(
+            stop=jnp.where(interval.running, interval.stop, interval.start)
+        )
+        if self.capture_impacts and self.formulation.remembers(model):
+            return self._through_impacts(model, interval, state, warm_start)
+        found = self._solve(model, interval, state, warm_start, None)
+        return Advance(
+            found.state,
+            found.accepted,
+            found.rejected,
+            found.typical(interval.start),
+            found.outcome,
+        )
 
-    def _through_impacts(self, field, start, stop, state, step, weights):
+    def _through_impacts(self, model, interval, state, step):
         """Segments between touches and releases."""
 
         def one(carry):
             begun, state, closed, step, accepted, rejected, impacts, _ = carry
-            found = self._solve(field, begun, stop, state, step, weights, closed)
-            depth, closing = field.contacts(found.time, found.state)
+            found = self._solve(model, interval._replace(start=begun), state, step, closed)
+            depth, closing = self.formulation.contacts(model, found.time, found.state)
             beyond = _beyond(depth, closed)
             fired = found.stopped & ((beyond > -0.5 * HYSTERESIS) | (beyond == jnp.max(beyond)))
             touched = fired & ~closed
-            state = field.remember(found.state, touched, closing)
+            state = self.formulation.remember(model, found.state, touched, closing)
             impacts = impacts + jnp.any(touched)
             outcome = jnp.where(
                 (impacts > self.most_impacts) & (found.outcome == Outcome.REACHED),
@@ -110,39 +120,31 @@ class Adaptive(AbstractIntegrator):
             return found.time, state, closed ^ fired, found.typical(begun), *counts, outcome
 
         def unfinished(carry):
-            return (carry[0] < stop) & (carry[-1] == Outcome.REACHED)
+            return (carry[0] < interval.stop) & (carry[-1] == Outcome.REACHED)
 
-        depth, _ = field.contacts(start, state)
-        none = jnp.zeros((), int)
-        first = (
-            start,
-            state,
-            depth > 0.5 * HYSTERESIS,
-            step,
-            none,
-            none,
-            none,
-            jnp.asarray(Outcome.REACHED),
-        )
+        depth, _ = self.formulation.contacts(model, interval.start, state)
+        counts = (jnp.zeros((), int),) * 3
+        closed = depth > 0.5 * HYSTERESIS
+        first = (interval.start, state, closed, step, *counts, jnp.asarray(Outcome.REACHED))
         _, state, _, step, accepted, rejected, _, outcome = jax.lax.while_loop(
             unfinished, one, first
         )
         return Advance(state, accepted, rejected, step, outcome)
 
-    def _solve(self, field, start, stop, state, step, weights, closed) -> "Segment":
-        """One solve, to `stop` or (where `closed` flags are given) to the first contact that closes
-        or opens before.
+    def _solve(self, model, interval, state, step, closed) -> "Segment":
+        """One solve, to the interval's end or (where `closed` flags are given) to the first contact
+        that closes or opens before.
         """
-        arrays, rest = eqx.partition(field, eqx.is_array)
+        arrays, rest = eqx.partition(model, eqx.is_array)
 
         def solve(*numbers):
             return self._solve_in_jax(rest, *numbers)
 
-        return Segment(*with_fast_loops(solve)(arrays, start, stop, state, step, weights, closed))
+        return Segment(*with_fast_loops(solve)(arrays, interval, state, step, closed))
 
-    def _solve_in_jax(self, rest, arrays, start, stop, state, step, weights, closed) -> tuple:
-        interval = stop - start
-        controller = diffrax.PIDController(
+    def _controller(self, interval):
+        weights = interval.error_weights
+        return diffrax.PIDController(
             rtol=self.rtol,
             atol=self.atol,
             # diffrax reports a failed implicit stage as an infinite error of all entries: 0 times
@@ -150,36 +152,45 @@ class Adaptive(AbstractIntegrator):
             norm=lambda error: jnp.max(
                 jnp.where(weights > 0, jnp.abs(weights * error), 0.0), initial=0.0
             ),
-            dtmin=SMALLEST_STEP * jnp.maximum(interval, SMALLEST_STEP),
+            dtmin=SMALLEST_STEP * jnp.maximum(interval.stop - interval.start, SMALLEST_STEP),
             dtmax=self.largest_step,
             force_dtmin=False,
         )
 
+    def _term(self, model, rates):
+        """The equations as diffrax asks for them."""
+        term = diffrax.ODETerm(lambda time, y, args: rates(args[0], jnp.asarray(time, float), y))
+        if not isinstance(self.solver, MuntheKaas):
+            return term
+        group, field_of = state_group(model), term.vector_field
+        return GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
+
+    def _solve_in_jax(self, rest, arrays, interval, state, step, closed) -> tuple:
+        formulation, (start, stop) = self.formulation, interval[:2]
+        length = stop - start
+
         # Traced once, however often diffrax asks.
-        rates = jax.jit(lambda arrays, time, y: eqx.combine(arrays, rest)(time, y))
+        @jax.jit
+        def rates(arrays, time, y):
+            return formulation.rate(eqx.combine(arrays, rest), time, y)[0]
 
         # Falls through zero where a contact changes. diffrax 0.7 puts the time left in its place
         # for the samples of a batch without an event, which falls too; a function that rises would
-        # lose them (tests/time/test_captured_impacts.py).
+        # lose them (tests/integrators/test_captured_impacts.py).
         def crossing(t, y, args, **_):
-            return -jnp.max(
-                _beyond(eqx.combine(args[0], rest).contacts(t, y)[0], args[1]), initial=-1.0
-            )
+            depth, _ = formulation.contacts(eqx.combine(args[0], rest), t, y)
+            return -jnp.max(_beyond(depth, args[1]), initial=-1.0)
 
-        term = diffrax.ODETerm(lambda time, y, args: rates(args[0], jnp.asarray(time, float), y))
-        if isinstance(self.solver, MuntheKaas):
-            group, field_of = state_group(eqx.combine(arrays, rest)), term.vector_field
-            term = GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
         finder = optimistix.Bisection(rtol=0.0, atol=EVENT_TOLERANCE, flip=True)
         solution = diffrax.diffeqsolve(
-            term,
+            self._term(eqx.combine(arrays, rest), rates),
             self.solver,
             start,
             stop,
-            jnp.where(step > 0, jnp.minimum(step, interval), 1e-2 * interval),
+            jnp.where(step > 0, jnp.minimum(step, length), 1e-2 * length),
             state,
             args=(arrays, closed),
-            stepsize_controller=controller,
+            stepsize_controller=self._controller(interval),
             saveat=diffrax.SaveAt(t1=True),
             max_steps=self.most_steps,
             event=None if closed is None else diffrax.Event(crossing, finder, direction=False),

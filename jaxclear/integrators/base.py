@@ -1,61 +1,67 @@
 """How a state is carried from one saving time to the next: what every integrator is asked, and how
 it answers.
 
-An integrator sees a `Field` (the state's rate and views of its contacts) and an interval. Outcomes
-are numbers while the program runs and sentences when a user reads them.
+An integrator holds a formulation, which knows how contact enters the equations of motion, and sees
+a `Model` (the mechanism) and an interval. Outcomes are numbers while the program runs and sentences
+when a user reads them.
 """
 
 from abc import abstractmethod
 from typing import Any, NamedTuple
 
 import equinox as eqx
+from jaxtyping import Array, Bool, Float, Int
 
-from jaxclear.formulations.base import Field
+from jaxclear.formulations.base import AbstractFormulation
+from jaxclear.formulations.model import Model, State
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 
-# Forces that follow from the state; percussions of rigid contacts; reactions of joints that are
-# always in contact.
-FORMULATIONS = COMPLIANT, RIGID, PERMANENT = ("compliant", "rigid", "permanent")
+
+class Interval(NamedTuple):
+    """From one saving time `start` [s] to the next, `stop` [s].
+
+    `error_weights` scale each entry's error for an error control; 0 where an entry only follows the
+    others. Where `running` is False the run has ended before and the outcome will be ignored: an
+    integrator may then save the work.
+    """
+
+    start: Scalar
+    stop: Scalar
+    error_weights: Float[Array, " n"]
+    running: Bool[Array, ""]
 
 
 class Advance(NamedTuple):
     """Outcome of one interval: state at its end, steps accepted and rejected, what helps the next
     interval to start, `Outcome`."""
 
-    state: Any
-    accepted: Any
-    rejected: Any
+    state: State
+    accepted: Int[Array, ""]
+    rejected: Int[Array, ""]
     warm_start: Any
-    outcome: Any
+    outcome: Int[Array, ""]
 
 
 class AbstractIntegrator(AbstractQuantified):
-    """Carries a state over an interval. `pathwise` tells whether forward-mode derivatives through
-    its steps are those of the discrete run, `formulation` what contact is to it: one of
-    `FORMULATIONS`."""
+    """Carries a state over an interval.
+
+    `formulation`: how contact enters the equations. `pathwise`: whether forward-mode derivatives
+    through its steps are those of the discrete run. `projects`: whether loops can be closed anew
+    after its steps.
+    """
 
     pathwise: eqx.AbstractClassVar[bool]
-    formulation: eqx.AbstractClassVar[str]
+    projects: eqx.AbstractClassVar[bool]
+    formulation: eqx.AbstractVar[AbstractFormulation]
 
     @abstractmethod
-    def first_warm_start(self, field: Field, start: Scalar, state: Any) -> Any:
-        """What the first interval is handed in place of the hint of an interval before."""
+    def first_warm_start(self, model: Model, start: Scalar, state: State) -> Any:
+        """What the first interval is handed in place of what an interval before it left."""
 
     @abstractmethod
-    def advance(
-        self,
-        field: Field,
-        start: Scalar,
-        stop: Scalar,
-        state: Any,
-        warm_start: Any,
-        weights: Any,
-        running: Any,
-    ) -> Advance:
-        """From `start` to `stop` [s]; `hint` is what the last interval left to this one. `weights`
-        (n,) scale each entry's error for the error control; 0 where an entry only follows the
-        others. Where `running` is False the run has ended before and the outcome will be ignored:
-        an integrator may then save the work."""
+    def advance(self, model: Model, interval: Interval, state: State, warm_start: Any) -> Advance:
+        """The state at the end of an interval; `warm_start` is what the last interval left to this
+        one."""
 
     @abstractmethod
     def relaxing_step(self, interval: Scalar | None) -> Scalar | None:

@@ -6,6 +6,7 @@ One loop of few small arrays, the stages a loop within it: on a CPU it becomes o
 own time.
 """
 
+import functools
 from typing import ClassVar
 
 import equinox as eqx
@@ -13,10 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.formulations.closing import closed
+from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.integrators import munthe_kaas
-from jaxclear.integrators.base import COMPLIANT, AbstractIntegrator, check_count
-from jaxclear.integrators.stepping import SLIVER, arrived, divide, march
+from jaxclear.integrators.base import AbstractIntegrator, check_count
+from jaxclear.integrators.stepping import SLIVER, arrived, divide
 from jaxclear.native import while_loop
 
 # Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes,
@@ -50,7 +53,7 @@ class FixedStep(AbstractIntegrator):
     """
 
     pathwise: ClassVar = True
-    formulation: ClassVar = COMPLIANT
+    projects: ClassVar = True
     step: Scalar = quantity(2e-5, "s", "largest step", above=0)
     method: str = eqx.field(static=True, default="rk4")
     steps_per_save: int | None = eqx.field(static=True, default=None)
@@ -80,52 +83,35 @@ class FixedStep(AbstractIntegrator):
             return None if interval is None else interval / self.steps_per_save
         return self.step
 
-    def first_warm_start(self, field, start, state):
+    @property
+    def formulation(self):
+        return CompliantContact(self.capture_impacts)
+
+    def first_warm_start(self, model, start, state):
         return ()
 
-    def advance(self, field, start, stop, state, warm_start, weights, running):
-        field = field.when_captured() if self.capture_impacts else field
-        steps, h = divide(start, stop, self.step, self.steps_per_save)
-        if self.contact_steps is None:
-            end = self._equal_steps(field, start, h, steps, state)
-        else:
-            end, steps = self._steps_that_meet_contacts(field, start, stop, h, state)
-        return arrived(end, steps, ())
+    def advance(self, model, interval, state, warm_start):
+        steps, h = divide(interval, self.step, self.steps_per_save)
+        if self.contact_steps is not None:
+            end, steps = self._steps_that_meet_contacts(model, interval, h, state)
+            return arrived(end, steps, ())
 
-    def _equal_steps(self, field, start, h, steps, state):
-        def one(index, y, warm_start):
-            y = self._whole_step(field, start + index * h, lambda depth, closing: h, h, y)[1]
-            return field.closed(start + (index + 1) * h, y), warm_start
+        def turn(carry):
+            index, y = carry
+            y = self._step(model, interval.start + index * h, lambda *_: h, h, y)[1]
+            return index + 1, closed(model, interval.start + (index + 1) * h, y)
 
         if self.steps_per_save is None:
-            return march(one, steps, state, ())[0]
-        turns = jnp.arange(self.steps_per_save)
-        return jax.lax.scan(lambda y, index: (one(index, y, ())[0], None), state, turns)[0]
+            first = (jnp.zeros((), int), state)
+            end = while_loop(lambda carry: carry[0] < steps, turn, first)[1]
+        else:
+            turns = jnp.arange(self.steps_per_save)
+            end = jax.lax.scan(lambda y, index: (turn((index, y))[1], None), state, turns)[0]
+        return arrived(end, steps, ())
 
-    def _whole_step(self, field, time, length, h, y):
-        """The length and the end of a step. Stages are a loop: the equations stand in the program
-        once.
-        """
-        if self.method in ON_GROUPS:
-            return self._step_on_group(field, time, length, h, y)
-        stages = np.arange(len(CHAINS[self.method][0]))
-        carry = (h, y, y, jnp.zeros_like(y))
-        (h, y, _, _), _ = jax.lax.scan(
-            lambda c, stage: (self._stage(field, stage, time, length, *c), None), carry, stages
-        )
-        return h, y
-
-    def _step_on_group(self, field, time, length, h, y):
-        """As `_whole_step`; the contacts are looked at beforehand, where something depends on
-        them."""
-        if self.capture_impacts or self.contact_steps is not None:
-            depth, closing = field.contacts(time, y)
-            h = length(depth, closing)
-            y = field.remember(y, depth < 0, closing) if self.capture_impacts else y
-        return h, munthe_kaas.fixed_step(field, ON_GROUPS[self.method], time, h, y)
-
-    def _steps_that_meet_contacts(self, field, start, stop, longest, state):
+    def _steps_that_meet_contacts(self, model, interval, longest, state):
         """Every sample at its own pace."""
+        stop = interval.stop
 
         def choose(left):
             def length(depth, closing):
@@ -137,32 +123,62 @@ class FixedStep(AbstractIntegrator):
 
         def one(carry):
             time, steps, y = carry
-            h, y = self._whole_step(field, time, choose(stop - time), longest, y)
+            h, y = self._step(model, time, choose(stop - time), longest, y)
             # The step that was cut to what was left ends exactly at the end.
             time = jnp.where(h == stop - time, stop, time + h)
-            return time, steps + 1, field.closed(time, y)
+            return time, steps + 1, closed(model, time, y)
 
         _, steps, end = while_loop(
-            lambda carry: carry[0] < stop, one, (start, jnp.zeros((), int), state)
+            lambda carry: carry[0] < stop, one, (interval.start, jnp.zeros((), int), state)
         )
         return end, steps
 
-    def _stage(self, field, stage, time, length, h, y, total, slope):
-        """One stage of the step from (time, y); its first one decides the step's `length` from the
-        contacts it sees.
+    def _step(self, model, time, length, h, y):
+        """The length and the end of a step. `length(depths, closing speeds)` chooses it [s] by the
+        contacts at its start; `h` is the longest. Stages are a loop: the equations stand in the
+        program once.
         """
+        if self.method in ON_GROUPS:
+            return self._step_on_group(model, time, length, h, y)
+        stages = np.arange(len(CHAINS[self.method][0]))
+        stage = functools.partial(self._stage, model, time, length)
+        (h, y, _, _), _ = jax.lax.scan(stage, (h, y, y, jnp.zeros_like(y)), stages)
+        return h, y
+
+    def _stage(self, model, time, length, carry, stage):
+        """One stage of a step; its first one decides the step's `length` from the contacts it
+        sees."""
+        h, y, total, slope = carry
         nodes, weights = (jnp.asarray(part) for part in CHAINS[self.method])
-        slope, depth, closing = field.with_contacts(
-            time + nodes[stage] * h, y + (h * nodes[stage]) * slope
+        slope, depth, closing = self.formulation.rate(
+            model, time + nodes[stage] * h, y + (h * nodes[stage]) * slope
         )
         opens = stage == 0
         h = jnp.where(opens, length(depth, closing), h)
         if self.capture_impacts:
             caught = opens & (depth < 0)
-            y, total = (field.remember(part, caught, closing) for part in (y, total))
+            y, total = (
+                self.formulation.remember(model, part, caught, closing) for part in (y, total)
+            )
         total = total + (h * weights[stage]) * slope
         if self.method == "semi_implicit":
-            n = field.layout.coordinates
+            n = model.layout.coordinates
             kicked = jnp.concatenate([y[:n], total[n:]])
-            total = jnp.concatenate([y[:n] + h * field.coordinate_rates(kicked), total[n:]])
-        return h, jnp.where(stage == len(CHAINS[self.method][0]) - 1, total, y), total, slope
+            rates = self.formulation.coordinate_rates(model, kicked)
+            total = jnp.concatenate([y[:n] + h * rates, total[n:]])
+        y = jnp.where(stage == len(CHAINS[self.method][0]) - 1, total, y)
+        return (h, y, total, slope), None
+
+    def _step_on_group(self, model, time, length, h, y):
+        """As `_step`; the contacts are looked at beforehand, where something depends on them."""
+        if self.capture_impacts or self.contact_steps is not None:
+            depth, closing = self.formulation.contacts(model, time, y)
+            h = length(depth, closing)
+            if self.capture_impacts:
+                y = self.formulation.remember(model, y, depth < 0, closing)
+
+        def rate(time, y):
+            return self.formulation.rate(model, time, y)[0]
+
+        order = ON_GROUPS[self.method]
+        return h, munthe_kaas.fixed_step(munthe_kaas.state_group(model), rate, order, time, h, y)

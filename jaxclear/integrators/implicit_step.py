@@ -6,9 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxclear.formulations.closing import closed
+from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.integrators.base import COMPLIANT, AbstractIntegrator, check_count
+from jaxclear.integrators.base import AbstractIntegrator, check_count
 from jaxclear.integrators.stepping import arrived, divide, march
 
 
@@ -18,10 +20,10 @@ class ImplicitStep(AbstractIntegrator):
 
     Order 2 in free motion. Over a step a contact force does the work that its law says (discrete
     gradient) or takes more energy out, so stiff contacts do not make motion explode, as long as the
-    iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s three iterations gain energy, `newton=30` does
+    iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s three iterations gain energy, `newton_iterations=30` does
     not. An impact that the steps resolve ends with the restitution of its law, one within a step
     with `rebound`: choose the restitution itself where stiff impacts decide. One evaluation a step;
-    `newton` iterations on the contact laws alone, in the contact directions (2 are enough but for
+    `newton_iterations` on the contact laws alone, in the contact directions (2 are enough but for
     bristles).
 
     `rebound` sets the numerical dissipation: with theta = 1 / (1 + rebound), a linear contact mode
@@ -44,7 +46,7 @@ class ImplicitStep(AbstractIntegrator):
     """
 
     pathwise: ClassVar = True
-    formulation: ClassVar = COMPLIANT
+    projects: ClassVar = True
     step: Scalar = quantity(1e-4, "s", "largest step", above=0)
     rebound: Scalar = quantity(
         0.95,
@@ -53,30 +55,34 @@ class ImplicitStep(AbstractIntegrator):
         at_least=0,
         at_most=1,
     )
-    newton: int = eqx.field(static=True, default=3)
+    newton_iterations: int = eqx.field(static=True, default=3)
     steps_per_save: int | None = eqx.field(static=True, default=None)
     capture_impacts: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        check_count(self.newton, "newton of integrator.ImplicitStep")
+        check_count(self.newton_iterations, "newton_iterations of integrator.ImplicitStep")
         check_count(self.steps_per_save, "steps_per_save of integrator.ImplicitStep")
+
+    @property
+    def formulation(self):
+        return CompliantContact(self.capture_impacts)
 
     def relaxing_step(self, interval):
         return None
 
-    def first_warm_start(self, field, start, state):
-        return field.implicit_warm_start(start, state)
+    def first_warm_start(self, model, start, state):
+        return self.formulation.warm_start(model, start, state)
 
-    def advance(self, field, start, stop, state, warm_start, weights, running):
-        field = field.when_captured() if self.capture_impacts else field
-        steps, h = divide(start, stop, self.step, self.steps_per_save)
+    def advance(self, model, interval, state, warm_start):
+        steps, h = divide(interval, self.step, self.steps_per_save)
         bias = (1 - self.rebound) / (1 + self.rebound)
 
-        def one(index, state, warm_start):
-            end, warm_start = field.implicit_step(
-                TimeStep(start + index * h, h, bias), state, warm_start, self.newton
+        def one(index, state, last):
+            time_step = TimeStep(interval.start + index * h, h)
+            end, last = self.formulation.implicit_step(
+                model, time_step, state, last, bias, self.newton_iterations
             )
-            return field.closed(start + (index + 1) * h, end), warm_start
+            return closed(model, interval.start + (index + 1) * h, end), last
 
         if self.steps_per_save is None:
             end, warm_start = march(one, steps, state, warm_start)

@@ -4,12 +4,13 @@ sticks."""
 from typing import ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 
+from jaxclear.formulations.closing import closed
 from jaxclear.formulations.contact_rows import TimeStep
-from jaxclear.formulations.rigid import MoreauJeanSettings
+from jaxclear.formulations.rigid import RigidContact
+from jaxclear.formulations.unilateral import MoreauJeanSettings
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.integrators.base import RIGID, AbstractIntegrator
+from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.stepping import divide, solved
 
 # Residual of the contact laws, relative to the largest velocity, beyond which they are not met.
@@ -34,7 +35,7 @@ class MoreauJean(AbstractIntegrator):
     clearance, for light bodies above all), and with a restitution near 1 turning bodies gain energy
     unless step x spin is well below 1 - restitution.
 
-    Forces are impulses: `Trajectory.contact` gives the means over each saving interval. `sweeps`
+    Forces are impulses: `Trajectory.contact` gives the means over each saving interval. `most_sweeps`
     over the contacts at most, until the laws hold to `tolerance` of the largest velocity; where
     they end far from that, the run ends and says so. Derivatives are those of the contacts' present
     states: an impact's instant does not move with them, so do not differentiate through impacts.
@@ -44,7 +45,7 @@ class MoreauJean(AbstractIntegrator):
     """
 
     pathwise: ClassVar = False
-    formulation: ClassVar = RIGID
+    projects: ClassVar = True
     step: Scalar = quantity(1e-4, "s", "largest step", above=0)
     theta: Scalar = quantity(
         0.5, "1", "weight of a step's end in its mean speed", at_least=0, at_most=1
@@ -52,26 +53,31 @@ class MoreauJean(AbstractIntegrator):
     gamma: Scalar = quantity(
         0.5, "1", "share of a step within which a gap must close to count as closed", at_least=0
     )
-    sweeps: Scalar = quantity(200.0, "1", "most sweeps over the contacts in a step", above=0)
+    most_sweeps: Scalar = quantity(200.0, "1", "most sweeps over the contacts in a step", above=0)
     tolerance: Scalar = quantity(
         1e-12, "1", "residual of the contact laws, relative to the largest velocity", above=0
     )
     project: bool = eqx.field(static=True, default=True)
 
+    @property
+    def formulation(self):
+        return RigidContact()
+
     def relaxing_step(self, interval):
         return None
 
-    def first_warm_start(self, field, start, state):
-        return jnp.zeros(field.layout.speeds + sum(count for _, count in field.layout.impulses) + 1)
+    def first_warm_start(self, model, start, state):
+        return self.formulation.warm_start(model)
 
-    def advance(self, field, start, stop, state, warm_start, weights, running):
-        steps, h = divide(start, stop, self.step)
+    def advance(self, model, interval, state, warm_start):
+        steps, h = divide(interval, self.step)
         settings = MoreauJeanSettings(
-            self.theta, self.gamma, self.sweeps, self.tolerance, self.project
+            self.theta, self.gamma, self.most_sweeps, self.tolerance, self.project
         )
 
         def one(index, state, last):
-            end, last = field.rigid_step(TimeStep(start + index * h, h, 0.0), state, last, settings)
-            return field.closed(start + (index + 1) * h, end), last
+            time_step = TimeStep(interval.start + index * h, h)
+            end, last = self.formulation.step(model, time_step, state, last, settings)
+            return closed(model, interval.start + (index + 1) * h, end), last
 
         return solved(one, steps, state, warm_start, LOOSE)

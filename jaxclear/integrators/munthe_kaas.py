@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.joint import AbstractGroupJoint
-from jaxclear.formulations.base import Field
+from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import concrete
 
@@ -83,7 +83,7 @@ class AbstractGroup(eqx.Module):
         """Change of y to first order in the increment, in which errors are measured."""
 
 
-class TimeStep(NamedTuple):
+class Span(NamedTuple):
     """A piece of the state: where its coordinates, its increments and (of a group) its speeds
     begin, and how many there are.
     """
@@ -102,7 +102,7 @@ class StateGroup(AbstractGroup):
     """
 
     joints: tuple[AbstractGroupJoint, ...]
-    spans: tuple[TimeStep, ...] = eqx.field(static=True)
+    spans: tuple[Span, ...] = eqx.field(static=True)
 
     def moved(self, y, increment):
         return self._each(
@@ -161,23 +161,23 @@ def _entries(values, start, count):
     return tuple(values[start + i] for i in range(count))
 
 
-def state_group(field: Field) -> StateGroup:
-    """The group of a field's states."""
-    topology, joints, spans = field.system.topology, [], []
+def state_group(model: Model) -> StateGroup:
+    """The group of a model's states."""
+    topology, joints, spans = model.system.topology, [], []
     done = used = 0
 
     def plain_until(end):
         nonlocal done, used
         if end > done:
-            spans.append(TimeStep(None, done, used, 0, end - done, end - done))
+            spans.append(Span(None, done, used, 0, end - done, end - done))
             done, used = end, used + end - done
 
-    for branch, link in zip(topology.branches, field.system.links, strict=True):
+    for branch, link in zip(topology.branches, model.system.links, strict=True):
         size, width = (part.stop - part.start for part in (branch.coordinates, branch.speeds))
         if isinstance(link.joint, AbstractGroupJoint) and size:
             plain_until(branch.coordinates.start)
             spans.append(
-                TimeStep(
+                Span(
                     len(joints),
                     done,
                     used,
@@ -188,7 +188,7 @@ def state_group(field: Field) -> StateGroup:
             )
             joints.append(link.joint)
             done, used = done + size, used + width
-    plain_until(field.layout.size)
+    plain_until(model.layout.size)
     return StateGroup(tuple(joints), tuple(spans))
 
 
@@ -295,14 +295,15 @@ def group_of(term: Any) -> AbstractGroup:
 
 
 def fixed_step(
-    field: Field, order: int, time: Any, h: Any, y: Float[Array, " n"]
+    group: StateGroup, rate_of: Callable, order: int, time: Any, h: Any, y: Float[Array, " n"]
 ) -> Float[Array, " n"]:
-    """The state after a step h [s], without an estimate of its error."""
-    group, table = state_group(field), TABLEAUS[order]
+    """The state after a step h [s], without an estimate of its error; `rate_of(time, y)`: the
+    state's rate."""
+    table = TABLEAUS[order]
     unknown = jnp.zeros(sum(span.width for span in group.spans))
 
     def rate(share, y):
-        return group.rates(y, field(time + share * h, y))
+        return group.rates(y, rate_of(time + share * h, y))
 
     slopes, _, _ = _stages(group, rate, table, range(len(table.nodes) - 1), h, y, unknown)
     return group.moved(y, h * _combined(table.matrix[-1], slopes))

@@ -5,12 +5,13 @@ friction that sticks.
 from typing import ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 
+from jaxclear.formulations.closing import closed
 from jaxclear.formulations.contact_rows import TimeStep
-from jaxclear.formulations.permanent import NonCollidingSettings
+from jaxclear.formulations.permanent import PermanentContact
+from jaxclear.formulations.permanent_friction import NonCollidingSettings
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.integrators.base import PERMANENT, AbstractIntegrator
+from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.stepping import divide, solved
 
 # Last change of friction in a search, relative to its bound, beyond which it may be far from the
@@ -29,7 +30,7 @@ class NonColliding(AbstractIntegrator):
     friction law gives its coefficients. Midpoint rule, order 2 in smooth motion and 1 across stick
     and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
 
-    `sweeps` over the joints at most, until friction changes by less than `tolerance` of its bound;
+    `most_sweeps` over the joints at most, until friction changes by less than `tolerance` of its bound;
     where they end far from that (a guide about to lock itself), the run ends and says so.
     `relaxation` rounds Coulomb's law over this share of the bound: a joint then creeps, and the
     error is of its order (None: exact). `regularised` takes a friction law as the function of the
@@ -40,9 +41,9 @@ class NonColliding(AbstractIntegrator):
     """
 
     pathwise: ClassVar = True
-    formulation: ClassVar = PERMANENT
+    projects: ClassVar = True
     step: Scalar = quantity(1e-3, "s", "largest step", above=0)
-    sweeps: Scalar = quantity(1000.0, "1", "most sweeps over the joints in a step", above=0)
+    most_sweeps: Scalar = quantity(1000.0, "1", "most sweeps over the joints in a step", above=0)
     tolerance: Scalar = quantity(
         1e-13,
         "1",
@@ -54,22 +55,25 @@ class NonColliding(AbstractIntegrator):
     )
     regularised: bool = eqx.field(static=True, default=False)
 
+    @property
+    def formulation(self):
+        return PermanentContact()
+
     def relaxing_step(self, interval):
         return None
 
-    def first_warm_start(self, field, start, state):
-        return jnp.zeros(field.layout.speeds + 1)
+    def first_warm_start(self, model, start, state):
+        return self.formulation.warm_start(model)
 
-    def advance(self, field, start, stop, state, warm_start, weights, running):
-        steps, h = divide(start, stop, self.step)
+    def advance(self, model, interval, state, warm_start):
+        steps, h = divide(interval, self.step)
         settings = NonCollidingSettings(
-            self.sweeps, self.tolerance, self.relaxation, self.regularised
+            self.most_sweeps, self.tolerance, self.relaxation, self.regularised
         )
 
         def one(index, state, last):
-            end, last = field.permanent_step(
-                TimeStep(start + index * h, h, 0.0), state, last, settings
-            )
-            return field.closed(start + (index + 1) * h, end), last
+            time_step = TimeStep(interval.start + index * h, h)
+            end, last = self.formulation.step(model, time_step, state, last, settings)
+            return closed(model, interval.start + (index + 1) * h, end), last
 
         return solved(one, steps, state, warm_start, LOOSE)

@@ -7,7 +7,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxclear.integrators.base import Advance
+from jaxclear.integrators.base import Advance, Interval
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.native import while_loop
 
@@ -15,10 +15,11 @@ from jaxclear.native import while_loop
 SLIVER = 1e-9
 
 
-def divide(start: Any, stop: Any, step: Any, fixed: int | None = None) -> tuple[Any, Any]:
+def divide(interval: Interval, step: Any, fixed: int | None = None) -> tuple[Any, Any]:
     """(number of steps, their length [s]): the fewest equal ones no longer than `step`, or the
     `fixed` number.
     """
+    start, stop = interval.start, interval.stop
     count = jnp.maximum(jnp.ceil((stop - start) / step * (1 - SLIVER)), 1.0)
     count = count if fixed is None else jnp.asarray(float(fixed))
     return count.astype(int), (stop - start) / count
@@ -27,7 +28,8 @@ def divide(start: Any, stop: Any, step: Any, fixed: int | None = None) -> tuple[
 def march(
     one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, warm_start: Any
 ) -> tuple[Any, Any]:
-    """State and hint after `steps` turns of (index, state, hint) -> (state, hint), in one loop."""
+    """State and warm start after `steps` turns of (index, state,
+    warm start) -> (state, warm start), in one loop."""
     turn = lambda carry: (carry[0] + 1, *one(*carry))
     _, state, warm_start = while_loop(
         lambda carry: carry[0] < steps, turn, (jnp.zeros((), int), state, warm_start)
@@ -45,7 +47,7 @@ def solved(
     one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, warm_start: Any, loose: float
 ) -> Advance:
     """The answer of steps each of which searches for percussions or friction; the last entry of the
-    hint is the largest residual with which a search has ended, and beyond `loose` the laws are not
+    warm start is the largest residual with which a search has ended, and beyond `loose` the laws are not
     met."""
     end, warm_start = march(one, steps, state, warm_start.at[-1].set(0.0))
     found = arrived(end, steps, warm_start)

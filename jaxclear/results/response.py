@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
-from jaxclear.integrators.base import COMPLIANT
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
@@ -119,7 +118,7 @@ class MeanContactForce(AbstractResponse):
 
     def __call__(self, run):
         force = jnp.sum(run.contact(self.joint).normal_force, axis=-1)
-        if run.formulation == COMPLIANT:
+        if not run.formulation.forces_are_means:
             return jnp.mean(force)
         return jnp.sum(force[1:] * jnp.diff(run.time)) / (run.time[-1] - run.time[0])
 

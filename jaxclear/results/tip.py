@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.body import Marker
-from jaxclear.integrators.base import PERMANENT
 from jaxclear.multibody.product_of_exponentials import (
     Chain,
     ChainConfiguration,
@@ -63,7 +62,7 @@ def settings(trajectory: Trajectory, links: Chain) -> ChainConfiguration:
 
 def _lean(trajectory: Trajectory, name: str) -> Any:
     """Twists by which a joint that always touches leans in its gap."""
-    if trajectory.formulation != PERMANENT:
+    if name not in trajectory.formulation.contact_joints(trajectory.mechanism):
         return None
     history = trajectory.contact(name)
     tilt = jnp.stack(

@@ -6,6 +6,7 @@ time: wear is slow, the motion is fast, and a map that is constant within an int
 equations of motion nothing but its reading.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -14,30 +15,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.formulations.base import Field
-from jaxclear.formulations.permanent_joints import fit
-from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide
-from jaxclear.ground.quantity import concrete
+from jaxclear.formulations.base import model_of
+from jaxclear.formulations.model import Model
 from jaxclear.integrators.adaptive import Adaptive
-from jaxclear.integrators.base import (
-    COMPLIANT,
-    PERMANENT,
-    RIGID,
-    AbstractIntegrator,
-)
+from jaxclear.integrators.base import AbstractIntegrator, Interval
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.laws.contact import Rigid
-from jaxclear.laws.restitution import restitution
 from jaxclear.multibody.assembly import assemble
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
-from jaxclear.multibody.system import System, prepare, readings
+from jaxclear.multibody.system import readings
 from jaxclear.native import verdict
-from jaxclear.results.trajectory import Trajectory, layout_of
+from jaxclear.results.state_history import StateHistory
+from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation import progress
+from jaxclear.simulation.wear import Worn, deposit, unworn
 
-Worn = dict[str, dict[str, Array]]
 # Weight of the laws' memories in the error control: they need not be exact, but a step longer than
 # their time constant would make them explode (tests/oracles/test_contact_conservation.py has a long
 # flight that failed with weight 0).
@@ -54,37 +46,6 @@ class SimulationError(RuntimeError):
         self.trajectory = trajectory
 
 
-def unworn(system: System) -> Worn:
-    """Depth maps of new surfaces, by joint and surface."""
-    return {
-        name: {
-            surface: jnp.zeros(wear_map.cells)
-            for surface, (wear_map, _) in bearing.joint.maps().items()
-        }
-        for name, bearing in system.bearings.items()
-        if bearing.joint.maps()
-    }
-
-
-def deposit(system: System, layout: Layout, worn: Worn, before: Array, after: Array) -> Worn:
-    """Depth maps after what was lost between two states."""
-    worn = {name: dict(surfaces) for name, surfaces in worn.items()}
-    for slot in layout.wear:
-        wear_map = system.bearings[slot.bearing].joint.maps()[slot.surface][0]
-        entries = slice(slot.start, slot.start + 1 + len(slot.averaged))
-        change = after[entries] - before[entries]
-        features: list[Any] = [0.0] * slot.feature_count
-        for place, i in enumerate(slot.averaged):
-            features[i] = safe_divide(change[1 + place], change[0])
-        for i, value in slot.constants:
-            features[i] = value
-        old = worn[slot.bearing][slot.surface]
-        worn[slot.bearing][slot.surface] = wear_map.deposit(
-            old, change[:1], sp.stack(features)[None]
-        )
-    return worn
-
-
 def run(
     mechanism: Mechanism,
     coordinates: Array,
@@ -98,23 +59,20 @@ def run(
     """The pure core of `simulate`: from consistent coordinates and speeds to a trajectory; maps and
     differentiates.
     """
-    system = prepare(mechanism)
-    layout = layout_of(system, balance, integrator.formulation)
+    formulation = integrator.formulation
+    model = model_of(mechanism, formulation, balance)
+    system, layout = model.system, model.layout
     state = jnp.concatenate([coordinates, speeds, jnp.zeros(layout.size - layout.memory_start)])
     worn = unworn(system) if worn is None else worn
-    rest = layout.size - layout.memory_start - layout.memory_count
-    weights = jnp.repeat(
-        jnp.array([1.0, MEMORY_WEIGHT, 0.0]),
-        np.array([layout.memory_start, layout.memory_count, rest]),
-    )
+    weights = _error_weights(layout)
 
     def interval(carry, span):
         state, worn, warm_start, outcome, ended = carry
         start, stop, share = span
         running = outcome == Outcome.REACHED
-        read = readings(system, worn)
-        field = Field(system, read, mechanism.baumgarte, layout, projects=mechanism.projects)
-        result = integrator.advance(field, start, stop, state, warm_start, weights, running)
+        now = model_of_worn(model, worn)
+        piece = Interval(start, stop, weights, running)
+        result = integrator.advance(now, piece, state, warm_start)
         sound = jnp.all(jnp.isfinite(result.state))
         kept = jnp.where(running & sound, result.state, state)
         worn = deposit(system, layout, worn, state, kept)
@@ -122,39 +80,35 @@ def run(
             jax.debug.callback(progress.advance, share)
         # What is not held to a tolerance (memories, worn volumes) can be lost while the steps still
         # succeed.
-        found = jnp.where(
-            sound | (result.outcome != Outcome.REACHED), result.outcome, Outcome.NOT_FINITE
-        )
+        lost = ~sound & (result.outcome == Outcome.REACHED)
+        found = jnp.where(lost, Outcome.NOT_FINITE, result.outcome)
         outcome = jnp.where(running, found, outcome)
         ended = jnp.where(running & (outcome == Outcome.REACHED), stop, ended)
         counts = (jnp.where(running, result.accepted, 0), jnp.where(running, result.rejected, 0))
-        return (kept, worn, result.warm_start, outcome, ended), (kept, read, counts)
+        return (kept, worn, result.warm_start, outcome, ended), (kept, now.worn, counts)
 
     spans = (times[:-1], times[1:], (times[1:] - times[:-1]) / (times[-1] - times[0]))
-    begun = Field(
-        system, readings(system, worn), mechanism.baumgarte, layout, projects=mechanism.projects
-    )
+    begun = model_of_worn(model, worn)
     warm_start = integrator.first_warm_start(begun, times[0], state)
     first = (state, worn, warm_start, jnp.asarray(Outcome.REACHED), times[0])
-    (_, worn, _, outcome, ended), (states, read, (accepted, rejected)) = jax.lax.scan(
-        interval, first, spans
-    )
+    (_, worn, _, outcome, ended), (states, read, counts) = jax.lax.scan(interval, first, spans)
     states = jnp.concatenate([state[None], states])
     read = jax.tree.map(lambda x: jnp.concatenate([x[:1], x]), read)
-    return Trajectory(
-        mechanism,
-        times,
-        states,
-        worn,
-        read,
-        outcome,
-        ended,
-        accepted.sum(),
-        rejected.sum(),
-        balance,
-        integrator.formulation,
-        verdict(outcome),
-    )
+    history = StateHistory(mechanism, formulation, times, states, read, balance)
+    stats = RunStats(*(count.sum() for count in counts), verdict(outcome))
+    return Trajectory(history, worn, outcome, ended, stats)
+
+
+def model_of_worn(model: Model, worn: Worn) -> Model:
+    """The model with its gaps reading surfaces of these depths."""
+    return dataclasses.replace(model, worn=readings(model.system, worn))
+
+
+def _error_weights(layout: Layout) -> Float[Array, " n"]:
+    """Weights of the state's entries in an error control."""
+    rest = layout.size - layout.memory_start - layout.memory_count
+    counts = np.array([layout.memory_start, layout.memory_count, rest])
+    return jnp.repeat(jnp.array([1.0, MEMORY_WEIGHT, 0.0]), counts)
 
 
 _run = eqx.filter_jit(run)
@@ -181,15 +135,10 @@ def saving_times(duration: Any, save: Any) -> Array:
     return jnp.asarray(times if times[-1] == duration else np.concatenate([times, [duration]]))
 
 
-# Steps per time constant of a law's memory below which an explicit method lets it explode (2 for
-# Euler and Heun, 2.8 for rk4).
-MEMORY_STEPS = 2.0
-
-
 def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any = None) -> None:
-    """Laws must suit compliant contact, and explicit steps must resolve their memories; where the
-    number of steps between saving times is fixed, `times` tell their length. Raises `ValueError`
-    with a sentence."""
+    """Whether a mechanism suits an integrator and its formulation; where the number of steps
+    between saving times is fixed, `times` tell their length. Raises `ValueError` with a sentence.
+    """
     if not isinstance(mechanism, Mechanism):
         raise ValueError(f"what is simulated is {mechanism!r}; it must be a jaxclear.Mechanism.")
     if not isinstance(integrator, AbstractIntegrator):
@@ -197,72 +146,17 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any =
             f"the integrator is {integrator!r}; it must be one of jaxclear.integrator, such as "
             "Adaptive()."
         )
-    known = times is not None and not isinstance(times, jax.core.Tracer)
-    step = concrete(integrator.relaxing_step(np.max(np.diff(times)) if known else None))
-    if mechanism.projects and isinstance(integrator, Adaptive):
+    name = f"integrator.{type(integrator).__name__}"
+    if mechanism.projects and not integrator.projects:
         raise ValueError(
             f'the loop through joint "{mechanism.topology.loops[0]}" is to be closed by '
-            "projection, which integrator.Adaptive "
+            f"projection, which {name} "
             "would take for an error; give stabilisation=jaxclear.Baumgarte(), or take an "
             "integrator with fixed steps."
         )
-    if integrator.formulation != COMPLIANT:
-        return check_set_valued(mechanism, integrator)
-    for name in mechanism.topology.clearances:
-        for pairing in mechanism.connections[name].joint.contact_laws():
-            law = pairing.friction
-            if isinstance(pairing.contact, Rigid):
-                raise ValueError(
-                    f'joint "{name}" has contact.Rigid, which has no force law: take '
-                    "integrator.MoreauJean, or a compliant law "
-                    "such as contact.CarvalhoMartins."
-                )
-            if law is not None and law.set_valued:
-                raise ValueError(
-                    f'joint "{name}" has set-valued friction {type(law).__name__}, which has no '
-                    "force law: take "
-                    "integrator.MoreauJean or NonColliding, or a regularised law such as "
-                    "friction.ThreeZone or friction.LuGre."
-                )
-            memory = (
-                concrete(pairing.contact.memory_time)
-                if pairing.contact.remembers_impact_speed
-                else None
-            )
-            if step is not None and memory is not None and step > MEMORY_STEPS * memory:
-                raise ValueError(
-                    f'steps of {step:.6g} s are too long for joint "{name}": its contact law '
-                    "remembers the impact speed with "
-                    f"memory_time {memory} s and would explode; take steps below "
-                    f"{MEMORY_STEPS * memory:.3g} s, a "
-                    "longer memory_time, or capture_impacts=True."
-                )
-
-
-def seen_by(mechanism: Mechanism, integrator: AbstractIntegrator) -> Mechanism:
-    """The mechanism in the integrator's formulation: fitted, where its clearance joints always
-    touch.
-    """
-    return fit(mechanism) if integrator.formulation == PERMANENT else mechanism
-
-
-def check_set_valued(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
-    """Laws must say what they are without compliance. Raises `ValueError` with a sentence."""
-    name_of = f"integrator.{type(integrator).__name__}"
-    for name in mechanism.topology.clearances:
-        for pairing in mechanism.connections[name].joint.contact_laws():
-            if pairing.friction is not None and pairing.friction.coulomb() is None:
-                raise ValueError(
-                    f'joint "{name}" has friction {type(pairing.friction).__name__}, of which '
-                    f"{name_of} does not know the "
-                    "coefficients; give friction.Coulomb(mu_kinetic=..., mu_static=...)."
-                )
-            if integrator.formulation == RIGID and restitution(pairing.contact) is None:
-                raise ValueError(
-                    f'joint "{name}" has contact {type(pairing.contact).__name__}, whose '
-                    "restitution depends on mass and speed; "
-                    f"for {name_of} give contact.Rigid(restitution=...)."
-                )
+    known = times is not None and not isinstance(times, jax.core.Tracer)
+    step = integrator.relaxing_step(np.max(np.diff(times)) if known else None)
+    integrator.formulation.check(mechanism, name, step)
 
 
 def check_duration(duration: Any) -> Any:
@@ -298,7 +192,7 @@ def simulate(
     integrator = Adaptive() if integrator is None else integrator
     times = saving_times(duration, save)
     check_run(mechanism, integrator, times)
-    mechanism = seen_by(mechanism, integrator)
+    mechanism = integrator.formulation.seen(mechanism)
     start = assemble(mechanism, start_concentric)
     with progress.bar(progress_bar, "simulating"):
         trajectory = _run(

@@ -18,7 +18,7 @@ from jaxclear.integrators import AbstractIntegrator, FixedStep, Outcome
 from jaxclear.multibody.assembly import CLOSED, assemble_arrays
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.response import unit_of
-from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times, seen_by
+from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 
 
@@ -139,7 +139,7 @@ class Problem(eqx.Module):
 
     def evaluate(self, values: Float[Array, " variables"]) -> SampleResult:
         """Assemble, run and take the responses for one set of values; pure."""
-        mechanism = seen_by(self.with_values(values), self.integrator)
+        mechanism = self.integrator.formulation.seen(self.with_values(values))
         start = assemble_arrays(mechanism)
         trajectory = run(
             mechanism, start.coordinates, start.speeds, self.shares * self.duration, self.integrator

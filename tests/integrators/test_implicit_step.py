@@ -38,7 +38,7 @@ def test_linear_contact_is_damped_as_by_the_theta_method(rebound, angle):
         loads={"gravity": jc.load.Gravity((9.81, 0.0))},
         start={"journal": (1e-4 + 1.2 * depth, 0.0, 0.0)},
     )
-    integrator = jc.integrator.ImplicitStep(STEP, rebound, newton=2)
+    integrator = jc.integrator.ImplicitStep(STEP, rebound, newton_iterations=2)
     path = np.asarray(
         jc.simulate(rig, 8 * STEP, save=9, integrator=integrator, start_concentric=False).states[
             :, 0
@@ -214,8 +214,8 @@ def test_derivatives_are_those_of_the_discrete_run():
     """
     at = jnp.asarray(1e-3)
     loop, scan = (
-        jc.integrator.ImplicitStep(newton=2),
-        jc.integrator.ImplicitStep(newton=2, steps_per_save=100),
+        jc.integrator.ImplicitStep(newton_iterations=2),
+        jc.integrator.ImplicitStep(newton_iterations=2, steps_per_save=100),
     )
     value, slope = jax.jit(lambda c: jax.jvp(lambda c: falling(c, loop), (c,), (jnp.ones(()),)))(at)
     backward = jax.jit(jax.grad(lambda c: falling(c, scan)))(at)
@@ -275,7 +275,7 @@ def test_steps_far_longer_than_a_memory_are_stable():
             "integrator.ImplicitStep has rebound = 1.1; it must be at least 0",
         ),
         (
-            lambda: jc.integrator.ImplicitStep(newton=0),
+            lambda: jc.integrator.ImplicitStep(newton_iterations=0),
             "newton of integrator.ImplicitStep is 0; it must be a positive whole",
         ),
         (

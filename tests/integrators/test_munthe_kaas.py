@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxclear as jc
 from jaxclear.components.joint import AbstractGroupJoint
-from jaxclear.formulations.base import Field
+from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
 from jaxclear.integrators.munthe_kaas import TABLEAUS, state_group
 from jaxclear.multibody.state import lay_out
@@ -424,7 +424,7 @@ def test_scene_without_groups_traces_none():
         {"rod": jc.Body(1.0, 0.1)}, {"hold": jc.Connection(jc.joint.Revolute(), "ground", "rod")}
     )
     system = prepare(hinge)
-    group = state_group(Field(system, {}, None, lay_out(system)))
+    group = state_group(Model(system, {}, None, lay_out(system)))
     assert group.joints == () and group.bracket(jnp.ones(2), jnp.ones(2)) is None
     program = jax.make_jaxpr(group.moved)(jnp.ones(2), jnp.ones(2))
     assert {equation.primitive.name for equation in program.eqns} <= {"slice", "add", "concatenate"}

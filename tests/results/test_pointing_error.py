@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxclear as jc
 from jaxclear import plot
+from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.product_of_exponentials import (
     ChainConfiguration,
@@ -22,6 +23,8 @@ from jaxclear.multibody.product_of_exponentials import (
     tip_error,
     tip_pose,
 )
+from jaxclear.results.state_history import StateHistory
+from jaxclear.results.trajectory import RunStats
 
 LAW = jc.contact.Flores(stiffness=1e8, restitution=0.5)
 BODY = jc.Body(1.0, (1e-2, 1e-2, 1e-2))
@@ -107,8 +110,9 @@ def trajectory(mechanism, poses):
     )
     states = jnp.asarray(np.concatenate([coordinates, np.zeros((len(poses), 12))], axis=1))
     time = jnp.linspace(0.0, 1.0, len(poses))
-    numbers = (jnp.asarray(Outcome.REACHED), time[-1], jnp.asarray(0), jnp.asarray(0))
-    return jc.Trajectory(mechanism, time, states, {}, {}, *numbers, False)
+    history = StateHistory(mechanism, CompliantContact(), time, states, {}, False)
+    stats = RunStats(*[jnp.asarray(0)] * 3)
+    return jc.Trajectory(history, {}, jnp.asarray(Outcome.REACHED), time[-1], stats)
 
 
 def posed(q, deviations, turned=False):

@@ -12,10 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
+from jaxclear.formulations.compliant import CompliantContact
+from jaxclear.formulations.model import Model
 from jaxclear.laws import conformal
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare, readings
-from jaxclear.simulation.simulate import Field, unworn
+from jaxclear.simulation.wear import unworn
 
 RADIUS, LENGTH = 20e-3, 30e-3
 # Parameters of a rig, with a value that nobody would call extreme.
@@ -206,7 +208,8 @@ def rate(kind, p, state):
     mechanism = build(kind, p)
     system = prepare(mechanism)
     worn = jax.tree.map(lambda depth: p["worn_depth"] * pattern(depth.shape), unworn(system))
-    return Field(system, readings(system, worn), None, lay_out(system))(jnp.asarray(0.1), state)
+    model = Model(system, readings(system, worn), None, lay_out(system))
+    return CompliantContact().rate(model, jnp.asarray(0.1), state)[0]
 
 
 def pose(kind, *, eccentricity, direction, height, tilt, tilt_direction, turn):

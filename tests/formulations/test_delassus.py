@@ -5,8 +5,8 @@ equations written as arrays.
 import numpy as np
 import pytest
 
-from jaxclear.formulations import contact_solve
-from jaxclear.formulations.contact_rows import FreeMotion, Place
+from jaxclear.formulations import delassus
+from jaxclear.formulations.contact_rows import ContactPoint, FreeMotion
 
 LIMBS = (2, 3)
 
@@ -21,7 +21,7 @@ def equations(rows, closures, seed=1):
     size = sum(LIMBS)
     jacobian, held = random.normal(size=(rows, size)), random.normal(size=(closures, size))
     as_rows = lambda matrix: [dict(enumerate(row)) for row in matrix]
-    contacts = tuple(Place(None, (0.0,), (row,), 1) for row in as_rows(jacobian))
+    contacts = tuple(ContactPoint(None, None, (0.0,), (row,), 1) for row in as_rows(jacobian))
     right, wanted = random.normal(size=size), random.normal(size=closures)
     apart = FreeMotion(
         None,
@@ -56,18 +56,19 @@ def solved(mass, jacobian, held, right, wanted, reach, unmoved, forces, dampings
     ("rows", "closures", "limit"), [(6, 0, 8), (6, 0, 4), (2, 0, 8), (6, 2, 8), (2, 1, 8)], ids=str
 )
 def test_every_way_gives_the_solution_of_the_whole_system(rows, closures, limit, monkeypatch):
-    monkeypatch.setattr(contact_solve.linear, "LARGEST_WRITTEN_OUT", limit)
+    monkeypatch.setattr(delassus.factorisation, "LARGEST_WRITTEN_OUT", limit)
     apart, arrays, random = equations(rows, closures)
     unmoved, forces, about = random.normal(size=(3, rows))
     dampings = random.uniform(0.0, 1e3, rows) * (np.arange(rows) != 1)
-    split = contact_solve.prepare(apart)
-    push = split.push(0.1, *map(list, (unmoved, forces, dampings, about)))
+    free_equations = delassus.implicit_contact(apart)
+    laws = delassus.LinearLaws(*map(list, (forces, dampings, about)))
+    found = free_equations.solve(0.1, list(unmoved), laws)
     free, total = solved(*arrays, 0.1, unmoved, forces, dampings, about)
-    np.testing.assert_allclose(np.array(split.free), free, rtol=1e-10)
-    np.testing.assert_allclose(np.array(push.accelerations), total - free, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(np.array(free_equations.free), free, rtol=1e-10)
+    np.testing.assert_allclose(np.array(found.accelerations), total - free, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(
-        np.array(push.rates), unmoved + 0.1 * arrays[1] @ (total - free), atol=1e-10
+        np.array(found.rates), unmoved + 0.1 * arrays[1] @ (total - free), atol=1e-10
     )
-    law = forces + dampings * (about - np.array(push.rates))
+    law = forces + dampings * (about - np.array(found.rates))
     # sqrt(D) and back: forces of hundreds of newtons to rounding.
-    np.testing.assert_allclose(np.array(push.forces), law, atol=1e-8)
+    np.testing.assert_allclose(np.array(found.forces), law, atol=1e-8)

@@ -1,0 +1,243 @@
+r"""How the contacts of a mechanism answer forces: Delassus' operator, and what contact laws that are
+linear in the rates of their rows do to the motion.
+
+With $M \dot v = f + J^T p$ and loops closed by $C \dot v = w$, forces $p$ along the rows $J$ change
+the accelerations by $M^{-1} J^T p$ (within the closures) and the rows' by $W p$, $W = J M^{-1} J^T$.
+Source: Delassus 1917, Annales scientifiques de l'ENS 34, 95, doi:10.24033/asens.701; Acary &
+Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, doi:10.1007/978-3-540-75392-6.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.scipy.linalg as jsl
+
+from jaxclear.formulations.contact_rows import ContactJacobianRow, FreeMotion, along
+from jaxclear.ground import factorisation
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_sqrt
+
+
+class DelassusOperator(NamedTuple):
+    """Free accelerations and closure multipliers without contact (`free`, `multipliers`), and what
+    a unit force along each of the rows adds to them (`responses`: columns of M^-1 J^T, each with
+    its multipliers).
+    """
+
+    rows: list[ContactJacobianRow]
+    free: list
+    multipliers: tuple
+    responses: list[tuple[list, tuple]]
+
+    def matrix(self) -> list[list]:
+        """W = J M^-1 J^T: how each row's rate answers a unit force along each."""
+        return [[along(row, columns) for columns, _ in self.responses] for row in self.rows]
+
+    def under(self, forces: list) -> tuple[list, tuple]:
+        """Accelerations and closure multipliers that forces (or impulses) along the rows add."""
+        columns, multipliers = zip(*self.responses, strict=True)
+        return (
+            [sp.dot(forces, entries) for entries in zip(*columns, strict=True)],
+            tuple(sp.dot(forces, entries) for entries in zip(*multipliers, strict=True)),
+        )
+
+
+class LinearLaws(NamedTuple):
+    """Forces along the rows as functions of their rates: forces - dampings (rates - about)."""
+
+    forces: Any
+    dampings: Any
+    about: Any
+
+    def at(self, rates: Any) -> list:
+        """The forces at given rates."""
+        return [
+            sp.add(f, sp.mul(d, sp.sub(a, r)))
+            for f, d, a, r in zip(self.forces, self.dampings, self.about, rates, strict=True)
+        ]
+
+
+class ContactSolution(NamedTuple):
+    """A solution: rates of the contact rows, forces along them, the accelerations and closure
+    multipliers these cause.
+    """
+
+    rates: list
+    forces: list
+    accelerations: list
+    multipliers: tuple
+
+
+class ImplicitContact(NamedTuple):
+    """Free accelerations and closure multipliers without contact, and `solve(reach, unmoved,
+    laws)`: what contact adds where rates = unmoved + reach J k, k the accelerations it causes."""
+
+    free: list
+    multipliers: tuple
+    solve: Callable[[Any, list, LinearLaws], ContactSolution]
+
+
+def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -> DelassusOperator:
+    """How the mechanism of an instant moves without contact, and how it answers forces along the
+    rows.
+    """
+    respond, constrain = _inverse(free_motion)
+    free, multipliers = constrain(respond(free_motion.right), free_motion.wanted)
+    size, still = len(free_motion.right), [0] * len(multipliers)
+    responses = [constrain(respond([row.get(j, 0) for j in range(size)]), still) for row in rows]
+    return DelassusOperator(rows, free, multipliers, responses)
+
+
+def implicit_contact(free_motion: FreeMotion) -> ImplicitContact:
+    """The equations of an instant, solved without contact and ready to be solved with it.
+
+    Two ways to one solution, in the fewest unknowns: in the free speeds, (M + reach J^T D J) k =
+    J^T p(unmoved), where these are no more than the rows; otherwise in the rows, (1 + reach sqrt(D)
+    W sqrt(D)) z = sqrt(D) (about - ...).
+    """
+    rows = [row for contact in free_motion.contacts for row in contact.rows[: contact.active]]
+    size = len(free_motion.right)
+    if rows and not free_motion.closure_rows and len(rows) >= size:
+        operator = delassus_operator(free_motion, [])
+        mass = _whole(free_motion.masses)
+        way = _in_speeds if size <= factorisation.LARGEST_WRITTEN_OUT else _in_many_speeds
+        return ImplicitContact(operator.free, operator.multipliers, way(mass, rows))
+    operator = delassus_operator(free_motion, rows)
+    if rows:
+        return ImplicitContact(operator.free, operator.multipliers, _in_rows(operator))
+    nothing = ContactSolution([], [], [0] * size, (0,) * len(operator.multipliers))
+    return ImplicitContact(operator.free, operator.multipliers, lambda *_: nothing)
+
+
+def by_subtrees(masses: list) -> Callable:
+    """Accelerations under generalised forces, by the mass matrix of each subtree; structurally zero
+    where no force acts.
+    """
+    factors = [factorisation.factor(mass) if mass else None for mass in masses]
+
+    def respond(forces):
+        out, start = [], 0
+        for mass, factor in zip(masses, factors, strict=True):
+            part = tuple(forces[start : start + len(mass)])
+            out += part if all(map(sp.is_zero, part)) else factorisation.solve(factor, part)
+            start += len(mass)
+        return out
+
+    return respond
+
+
+def _inverse(free_motion: FreeMotion) -> tuple[Callable, Callable]:
+    """(accelerations under generalised forces, the same corrected to what the closures want with
+    its multipliers).
+    """
+    respond = by_subtrees(free_motion.masses)
+    closures, size = free_motion.closure_rows, len(free_motion.right)
+    carried = [respond([row.get(j, 0) for j in range(size)]) for row in closures]
+    held = (
+        factorisation.factor([[along(row, other) for other in carried] for row in closures])
+        if closures
+        else None
+    )
+
+    def constrain(accelerations, wanted):
+        if not closures:
+            return accelerations, ()
+        lacking = tuple(
+            sp.sub(w, along(row, accelerations)) for w, row in zip(wanted, closures, strict=True)
+        )
+        multipliers = factorisation.solve(held, lacking)
+        pulls = [sp.dot(multipliers, column) for column in zip(*carried, strict=True)]
+        return [sp.add(a, p) for a, p in zip(accelerations, pulls, strict=True)], multipliers
+
+    return respond, constrain
+
+
+def _whole(masses: list) -> list[list]:
+    """Mass matrices of the subtrees as one."""
+    size = sum(len(mass) for mass in masses)
+    out: list[list[Any]] = [[0] * size for _ in range(size)]
+    start = 0
+    for mass in masses:
+        for i, row in enumerate(mass):
+            out[start + i][start : start + len(mass)] = row
+        start += len(mass)
+    return out
+
+
+def _in_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
+    """Scalars throughout."""
+    size = len(mass)
+    # Products of each row with itself, the lower half: they do not change while the laws are
+    # iterated upon.
+    squares = [{(i, j): sp.mul(row[i], row[j]) for i in row for j in row if j <= i} for row in rows]
+
+    def solve(reach, unmoved, laws):
+        matrix, right = [list(line) for line in mass], [0] * size
+        for square, damping in zip(squares, laws.dampings, strict=True):
+            weight = reach * damping
+            for (i, j), entry in square.items():
+                matrix[i][j] = sp.add(matrix[i][j], sp.mul(entry, weight))
+        for row, force in zip(rows, laws.at(unmoved), strict=True):
+            for j, entry in row.items():
+                right[j] = sp.add(right[j], sp.mul(entry, force))
+        found = list(factorisation.solve(factorisation.factor(matrix), tuple(right)))
+        rates = [
+            sp.add(u, sp.mul(along(row, found), reach))
+            for u, row in zip(unmoved, rows, strict=True)
+        ]
+        return ContactSolution(rates, laws.at(rates), found, ())
+
+    return solve
+
+
+def _in_many_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
+    """The same as arrays."""
+    mass = factorisation.to_array(tuple(map(tuple, mass)))
+    jacobian = factorisation.to_array(
+        tuple(tuple(row.get(j, 0) for j in range(len(mass))) for row in rows)
+    )
+
+    def solve(reach, unmoved, laws):
+        unmoved = sp.stack(unmoved)
+        forces, dampings, about = (sp.stack(part) for part in laws)
+        factor = jsl.cho_factor(mass + (reach * jacobian.T * dampings) @ jacobian, lower=True)
+        found = jsl.cho_solve(factor, jacobian.T @ (forces + dampings * (about - unmoved)))
+        rates = unmoved + reach * (jacobian @ found)
+        final = forces + dampings * (about - rates)
+        return ContactSolution(list(rates), list(final), list(found), ())
+
+    return solve
+
+
+def _in_rows(operator: DelassusOperator) -> Callable:
+    """In the forces along the rows, made symmetric by the roots of their dampings."""
+    gains = operator.matrix()
+    count = len(gains)
+
+    def moved(unmoved, reach, forces):
+        return [
+            sp.add(u, sp.mul(reach, sp.dot(line, forces)))
+            for u, line in zip(unmoved, gains, strict=True)
+        ]
+
+    def solve(reach, unmoved, laws):
+        roots = [safe_sqrt(damping) for damping in laws.dampings]
+        matrix = [
+            [
+                sp.add(sp.mul(gains[i][j], reach * roots[i] * roots[j]), int(i == j))
+                for j in range(count)
+            ]
+            for i in range(count)
+        ]
+        held = moved(unmoved, reach, laws.forces)
+        right = tuple(
+            root * sp.sub(a, u) for root, a, u in zip(roots, laws.about, held, strict=True)
+        )
+        shares = factorisation.solve(factorisation.factor(matrix), right)
+        final = [
+            sp.add(f, root * share)
+            for f, root, share in zip(laws.forces, roots, shares, strict=True)
+        ]
+        return ContactSolution(moved(unmoved, reach, final), final, *operator.under(final))
+
+    return solve

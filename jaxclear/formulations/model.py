@@ -1,0 +1,67 @@
+"""The mechanism as a formulation works on it during a saving interval, and a saved state made ready
+to be read.
+
+Worn surfaces enter the gaps as they were at the last saving time: wear is slow, the motion is fast.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from jaxclear.ground.pose import Pose
+from jaxclear.multibody import kinematics
+from jaxclear.multibody.loops import Baumgarte
+from jaxclear.multibody.state import Layout
+from jaxclear.multibody.system import System
+from jaxclear.multibody.tree import Motion
+
+State = Float[Array, " n"]
+
+
+class Model(eqx.Module):
+    """Equations of motion without the time and the state: the prepared mechanism, worn surfaces as
+    the gaps read them, the stabilisation of its loops, and where everything sits in the state.
+
+    `projects`: loops are closed anew after every step.
+    """
+
+    system: System
+    worn: dict[str, dict[str, Any]]
+    stabilisation: Baumgarte | None
+    layout: Layout = eqx.field(static=True)
+    projects: bool = eqx.field(static=True, default=False)
+
+    def entries(self, state: State) -> list:
+        """The numbers of a state, one by one."""
+        return [state[i] for i in range(self.layout.size)]
+
+
+class Instant(NamedTuple):
+    """A saved state made ready: what is read from it are functions of this.
+
+    `means`: components of forces that are no functions of the state [N, N m], as means over the
+    saving interval that ends here; in the order of `layout.impulses`.
+    """
+
+    model: Model
+    motions: tuple[Motion, ...]
+    q: tuple
+    v: tuple
+    time: Any
+    entries: list
+    means: list
+
+    def means_of(self, name: str) -> list:
+        """Those of the means that belong to a joint."""
+        start = 0
+        for joint, count in self.model.layout.impulses:
+            if joint == name:
+                return self.means[start : start + count]
+            start += count
+        raise KeyError(name)
+
+    def pose(self, name: str) -> Pose:
+        """A clearance joint's journal as seen from its bearing."""
+        closure = self.model.system.bearings[name].closure
+        return kinematics.relative_motion(closure, self.motions)[1]

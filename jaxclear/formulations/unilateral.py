@@ -1,0 +1,245 @@
+r"""Unilateral contacts of a time step: percussions by Newton's law of impact and Coulomb's cones, and
+what overlaps moved apart.
+
+Local velocities $u = G v$ of a contact: the opening speed $u_N = \dot g_N$, then the slips $u_T$.
+Over a step $u^{+} = W p + u_{free}$ with Delassus' operator $W = G M^{-1} G^T$ and percussions $p$
+[N s]. A contact whose gap is forecast to be closed, $g_N + \gamma h u_N^{-} \le 0$, obeys
+
+$$0 \le u_N^{+} + e\,u_N^{-} \perp p_N \ge 0, \qquad |p_T| \le \mu p_N,\ -p_T \text{ along } u_T^{+}$$
+
+where it slides. Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1,
+doi:10.1007/978-3-7091-2624-0_1; Jean 1999, Comput. Methods Appl. Mech. Eng. 177, 235,
+doi:10.1016/S0045-7825(98)00383-1; Acary & Brogliato 2008, Numerical Methods for Nonsmooth Dynamical
+Systems, ch. 10, doi:10.1007/978-3-540-75392-6.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxclear.complementarity import percussion
+from jaxclear.formulations import contact_rows
+from jaxclear.formulations.contact_rows import (
+    ContactJacobianRow,
+    ContactPoint,
+    MiddleOfStep,
+    TimeStep,
+    along,
+    split,
+)
+from jaxclear.formulations.delassus import DelassusOperator
+from jaxclear.formulations.model import Model
+from jaxclear.formulations.state_rate import drift
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.laws.friction import AbstractSetValuedFriction
+from jaxclear.laws.restitution import restitution
+from jaxclear.multibody.state import unpack_motion
+
+
+class MoreauJeanSettings(NamedTuple):
+    """How a step is made: weight `theta` of its end in the mean speed, share `gamma` of the step
+    after which a contact counts as closed, most sweeps over the contacts and the residual at which
+    they end, whether overlaps are moved apart."""
+
+    theta: Any
+    gamma: Any
+    most_sweeps: Any
+    tolerance: Any
+    project: bool
+
+
+class UnilateralContact(NamedTuple):
+    """A contact as percussions see it: its rows of G (opening, then two or fewer slips), the local
+    velocities at the predicted speeds, for each direction of the joint's own slip its shares in
+    these slips, and its laws."""
+
+    rows: list[ContactJacobianRow]
+    velocities: list
+    shares: list[list]
+    restitution: Any
+    friction: AbstractSetValuedFriction | None
+
+    def velocities_at(self, change: list) -> list:
+        """Local velocities where the speeds are changed from the predicted ones."""
+        return [
+            sp.add(value, along(row, change))
+            for value, row in zip(self.velocities, self.rows, strict=True)
+        ]
+
+
+class Percussions(NamedTuple):
+    """What contacts do in a step: percussions per contact (normal, then along the joint's own slip
+    directions), changes of the speeds, closure impulses, and the residual of the contact laws
+    relative to the largest velocity."""
+
+    by_contact: list[tuple]
+    changes: list
+    multipliers: tuple
+    residual: Any
+
+
+class Projected(NamedTuple):
+    """After projection: coordinates, by how much they were moved (in terms of speeds), energy that
+    this put in [J].
+    """
+
+    coordinates: list
+    moved: list
+    energy: Any
+
+
+def unilateral_contacts(points: tuple[ContactPoint, ...]) -> list[UnilateralContact]:
+    """Every possible contact as percussions see it."""
+    contacts = []
+    for point in points:
+        friction = None if point.laws.friction is None else point.laws.friction.coulomb()
+        slips = [] if friction is None else _slip_directions(point)
+        rows = [{j: sp.neg(entry) for j, entry in point.rows[0].items()}]
+        velocities = [sp.neg(point.rates[0])]
+        for weights in slips:
+            rows.append(_combined(point.rows[1:], weights))
+            velocities.append(sp.dot(weights, point.rates[1:]))
+        own = 0 if friction is None else len(point.rows) - 1
+        shares = [[weights[k] for weights in slips] for k in range(own)]
+        law = restitution(point.laws.contact)
+        contacts.append(UnilateralContact(rows, velocities, shares, law, friction))
+    return contacts
+
+
+def _slip_directions(point: ContactPoint) -> list[tuple]:
+    """Weights of the joint's slip directions in each direction that percussions use: those that can
+    move; of a whole basis the two across the normal."""
+    count = len(point.rows) - 1
+    if count < 3:
+        return [tuple(int(i == k) for i in range(count)) for k in range(count) if point.rows[1 + k]]
+    normal = tuple(jnp.asarray(x, float) for x in point.gap_function.touch.normal)
+    steep = jnp.abs(normal[0]) > 0.7
+    aside = (jnp.where(steep, 0.0, 1.0), jnp.where(steep, 1.0, 0.0), 0)
+    first = sp.cross(normal, aside)
+    first = sp.scale(safe_divide(1.0, safe_sqrt(sp.dot(first, first))), first)
+    return [first, sp.cross(normal, first)]
+
+
+def _combined(rows: tuple[ContactJacobianRow, ...], weights: tuple) -> ContactJacobianRow:
+    out: ContactJacobianRow = {}
+    for row, weight in zip(rows, weights, strict=True):
+        for j, entry in row.items():
+            out[j] = sp.add(out.get(j, 0), sp.mul(weight, entry))
+    return {j: entry for j, entry in out.items() if not sp.is_zero(entry)}
+
+
+def percussions(
+    middle: MiddleOfStep,
+    contacts: list[UnilateralContact],
+    delassus: DelassusOperator,
+    last: list,
+    h: Any,
+    settings: MoreauJeanSettings,
+) -> Percussions:
+    """Percussions of a step of length h [s], searched from the `last` ones."""
+    # u-: at the step's start; u_free: at its end as if nothing touched.
+    start = middle.change_to(middle.v)
+    free = [sp.add(s, h * k) for s, k in zip(start, delassus.free, strict=True)]
+    before = [contact.velocities_at(start) for contact in contacts]
+    unhindered = [contact.velocities_at(free) for contact in contacts]
+    opening = sp.stack([velocities[0] for velocities in before])
+    mu = [
+        0 if contact.friction is None else contact.friction.bound(_size(velocities[1:]))
+        for contact, velocities in zip(contacts, before, strict=True)
+    ]
+    sizes = [len(contact.rows) for contact in contacts]
+    found = percussion.impact(
+        split([sp.stack(line) for line in delassus.matrix()], sizes),
+        [sp.stack(velocities) for velocities in unhindered],
+        opening,
+        _forecast_closed(middle, opening, unhindered, h, settings),
+        sp.stack([contact.restitution for contact in contacts]),
+        sp.stack(mu),
+        _first_guess(contacts, last),
+        most_sweeps=settings.most_sweeps,
+        tolerance=settings.tolerance,
+    )
+    flat = [found.percussion[i] for i in range(sum(sizes))]
+    by_contact = []
+    for contact, (normal, *slips) in zip(contacts, split(flat, sizes), strict=True):
+        by_contact.append((normal, *[sp.dot(shares, slips) for shares in contact.shares]))
+    return Percussions(by_contact, *delassus.under(flat), found.residual)
+
+
+def _forecast_closed(
+    middle: MiddleOfStep, opening: Any, unhindered: list, h: Any, settings: MoreauJeanSettings
+) -> Any:
+    """Which contacts count as closed: g_N + gamma h u_N <= 0, the gap being known half a step
+    ahead."""
+    indentations = sp.stack([c.gap_function.indentation for c in middle.free_motion.contacts])
+    depths = indentations + (0.5 - settings.gamma) * h * opening
+    if settings.project:
+        # A resting contact that rounding has opened falls shut within the step: it has not opened.
+        pressed = positive_part(opening - sp.stack([velocities[0] for velocities in unhindered]))
+        depths = depths + jnp.where(
+            jnp.abs(opening) < pressed, 0.5 * h * settings.gamma**2 * pressed, 0.0
+        )
+    return depths >= 0
+
+
+def _first_guess(contacts: list[UnilateralContact], last: list) -> list:
+    """From components in the state's order to those of percussions, contact by contact."""
+    counts = [1 + len(contact.shares) for contact in contacts]
+    out = []
+    for contact, (normal, *own) in zip(contacts, split(last, counts), strict=True):
+        slips = [
+            sp.dot([shares[k] for shares in contact.shares], own)
+            for k in range(len(contact.rows) - 1)
+        ]
+        out.append(sp.stack([normal, *slips]))
+    return out
+
+
+def _size(slips: list) -> Any:
+    return safe_sqrt(sp.total(sp.mul(slip, slip) for slip in slips) + 0.0)
+
+
+def project(
+    model: Model,
+    time_step: TimeStep,
+    middle: MiddleOfStep,
+    contacts: list[UnilateralContact],
+    delassus: DelassusOperator,
+    end: tuple[list, list],
+    settings: MoreauJeanSettings,
+) -> Projected:
+    """Coordinates at the `end` (q, v) of a step, moved apart in the metric of the masses until
+    contacts overlap by no more than they would leave or fall in a step: one at rest stays closed
+    whatever rounding and the turning of its normal do, and what strikes and rebounds undoes its
+    overlap itself; moving it would give it energy."""
+    (q, v), h = end, time_step.length
+    motion = unpack_motion(model.system, [*q, *v])
+    depths = contact_rows.indentations(model, time_step.end, *motion)
+    responses = split(delassus.responses, [len(contact.rows) for contact in contacts])
+    normals = DelassusOperator(
+        [contact.rows[0] for contact in contacts],
+        delassus.free,
+        delassus.multipliers,
+        [own[0] for own in responses],
+    )
+    change = middle.change_to(v)
+    opening = sp.stack([sp.add(c.velocities[0], along(c.rows[0], change)) for c in contacts])
+    # What a contact gains in closing speed within a step if nothing holds it.
+    pressed = h * sp.stack(
+        [positive_part(sp.neg(along(row, delassus.free))) for row in normals.rows]
+    )
+    none = jnp.zeros(len(contacts))
+    shifts = percussion.impact(
+        [[sp.stack(line)] for line in normals.matrix()],
+        [(h * (pressed[i] + jnp.abs(opening[i])) - depth)[None] for i, depth in enumerate(depths)],
+        none,
+        none == 0,
+        none,
+        none,
+        most_sweeps=settings.most_sweeps,
+        tolerance=settings.tolerance,
+    ).percussion
+    moved, _ = normals.under([shifts[i] for i in range(len(contacts))])
+    energy = sp.neg(sp.dot(middle.free_motion.right, moved))
+    return Projected(drift(model.system, q, q, moved, 1.0), moved, energy)

@@ -1,0 +1,211 @@
+"""What is read from the states of a run, by name: bodies, contacts, reactions, drift, energies.
+
+Everything is computed from the saved states when asked for, so a run pays for none of it.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import quaternion_from_rotation
+from jaxclear.multibody import constraints, dynamics, energy, kinematics
+from jaxclear.results.state_history import StateHistory, check_known, columns, over_time
+
+
+class BodyHistory(eqx.Module):
+    """Motion of a body in the ground frame: `com` place [m] and `velocity` [m/s] of its centre of
+    mass, `rotation` its axes in the ground's (time, 3, 3), `spin` angular velocity [rad/s] in
+    ground axes, `origin` place of the body frame [m]."""
+
+    com: Float[Array, "time 3"]
+    rotation: Float[Array, "time 3 3"]
+    velocity: Float[Array, "time 3"]
+    spin: Float[Array, "time 3"]
+    origin: Float[Array, "time 3"]
+
+    @property
+    def quaternion(self) -> np.ndarray:
+        """Orientation as unit quaternions, scalar first."""
+        return quaternion_from_rotation(np.asarray(self.rotation))
+
+
+class ContactHistory(eqx.Module):
+    """A clearance joint over time, in the bearing's axes (the parent's marker); one column per
+    possible contact. SI units.
+
+    `offset` from the bearing's centre to the journal's and `axis`, the journal's z axis; per
+    contact the `indentation` (positive in contact), `normal_force`, `slip_speed`, `traction`
+    (magnitude of friction) and `place` of touch; `force` and `torque` on the journal (the child),
+    about its marker.
+    """
+
+    offset: Float[Array, "time 3"]
+    axis: Float[Array, "time 3"]
+    indentation: Float[Array, "time contacts"]
+    normal_force: Float[Array, "time contacts"]
+    slip_speed: Float[Array, "time contacts"]
+    traction: Float[Array, "time contacts"]
+    place: Float[Array, "time contacts 3"]
+    force: Float[Array, "time 3"]
+    torque: Float[Array, "time 3"]
+
+
+class ReactionHistory(eqx.Module):
+    """Force [N] and torque [N m] that the child receives from the parent at the child's marker, in
+    ground axes.
+    """
+
+    force: Float[Array, "time 3"]
+    torque: Float[Array, "time 3"]
+
+
+class EnergyHistory(eqx.Module):
+    """Energy balance [J]: kinetic + potential + contact_stored + losses = start + input + error."""
+
+    kinetic: Float[Array, " time"]
+    potential: Float[Array, " time"]
+    contact_stored: Float[Array, " time"]
+    contact_loss: Float[Array, " time"]
+    friction_loss: Float[Array, " time"]
+    damping_loss: Float[Array, " time"]
+    input: Float[Array, " time"]
+    error: Float[Array, " time"]
+
+
+def body(history: StateHistory, name: str) -> BodyHistory:
+    """Motion of a body."""
+    check_known(name, history.mechanism.bodies, "body")
+    return _body(history, name)
+
+
+@eqx.filter_jit
+def _body(history, name):
+    com = sp.vec3(history.mechanism.bodies[name].com)
+
+    def one(now):
+        index = now.model.system.topology.index(name)
+        link, motion = now.model.system.links[index], now.motions[index]
+        pose = motion.pose.after(link.frame)
+        inner = link.frame.point(com)
+        velocity = sp.plus(motion.twist.linear, sp.cross(motion.twist.angular, inner))
+        rotation = motion.pose.rotation
+        return (
+            pose.point(com),
+            pose.rotation,
+            sp.apply(rotation, velocity),
+            sp.apply(rotation, motion.twist.angular),
+            pose.translation,
+        )
+
+    return BodyHistory(*map(columns, over_time(history, one)))
+
+
+def contact(history: StateHistory, name: str) -> ContactHistory:
+    """Forces and gaps of a joint with clearance, as the formulation tells of them."""
+    check_contact_joint(history, name)
+    return _contact(history, name)
+
+
+def check_contact_joint(history: StateHistory, name: str) -> None:
+    """Raises `ValueError` where the formulation tells of no contacts in a joint."""
+    check_known(name, history.formulation.contact_joints(history.mechanism), "clearance joint")
+
+
+@eqx.filter_jit
+def _contact(history, name):
+    found = over_time(history, lambda now: history.formulation.contact(now, name)[:-1])
+    return ContactHistory(*map(columns, found))
+
+
+def reaction(history: StateHistory, name: str) -> ReactionHistory:
+    """Force and torque in a connection."""
+    check_known(name, history.mechanism.connections, "connection")
+    return _reaction(history, name)
+
+
+@eqx.filter_jit
+def _reaction(history, name):
+    def one(now):
+        forces = history.formulation.forces(now)
+        solution = dynamics.forward_dynamics(now.model.system, forces, now.model.stabilisation)
+        if now.model.system.topology.branch_of(name) is not None:
+            return _branch_reaction(now, forces, solution, name)
+        return _closure_reaction(now, forces, solution, name)
+
+    return ReactionHistory(*map(columns, over_time(history, one)))
+
+
+def _branch_reaction(now, forces, solution, name):
+    """Of a connection of the tree."""
+    system = now.model.system
+    branch = system.topology.branch_of(name)
+    index = system.topology.branches.index(branch)
+    wrench = dynamics.joint_wrenches(system, forces, solution)[index]
+    rotation = now.motions[index].pose.rotation
+    force, torque = sp.apply(rotation, wrench.force), sp.apply(rotation, wrench.torque)
+    if branch.reversed:
+        force, torque = (tuple(sp.neg(x) for x in part) for part in (force, torque))
+    return force, torque
+
+
+def _closure_reaction(now, forces, solution, name):
+    """Of a clearance joint, or one that closes a loop."""
+    system, topology = now.model.system, now.model.system.topology
+    if name in topology.clearances:
+        closure, report = system.bearings[name].closure, forces.reports[name]
+        force, torque = report.force, report.torque
+    else:
+        wanted = system.closures[topology.loops.index(name)]
+        found = constraints.constraint_wrenches(system, now.motions, solution.multipliers)
+        closure, force, torque, _ = next(entry for entry in found if entry[0] is wanted)
+    rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
+    return sp.apply(rotation, force), sp.apply(rotation, torque)
+
+
+@eqx.filter_jit
+def drift(history: StateHistory) -> dict[str, Float[Array, " time"]]:
+    """Largest residual [m, 1] of each loop closure, by the joint that closes the loop."""
+
+    def one(now):
+        system = now.model.system
+        largest = {}
+        for name, closure in zip(system.topology.loops, system.closures, strict=True):
+            rows = constraints.constraint_rows(system, now.motions, closure)
+            largest[name] = jnp.max(jnp.abs(sp.stack(rows.residuals)), initial=0.0)
+        return largest
+
+    return over_time(history, one)
+
+
+def energies(history: StateHistory) -> EnergyHistory:
+    """Energies over time; of a run with `balance=True`."""
+    if not history.balanced:
+        raise ValueError("this run did not track energies; simulate with balance=True.")
+    return _energies(history)
+
+
+@eqx.filter_jit
+def _energies(history):
+    def one(now):
+        return (
+            *energy.mechanical_energy(now.model.system, history.formulation.forces(now)),
+            *now.entries[now.model.layout.energy_start :],
+        )
+
+    kinetic, potential, supplied, contact_work, contact_loss, friction_loss, damping_loss = (
+        over_time(history, one)
+    )
+    stored = contact_work - contact_loss
+    total = kinetic + potential + contact_work + friction_loss + damping_loss
+    error = total - total[0] - supplied
+    return EnergyHistory(
+        kinetic, potential, stored, contact_loss, friction_loss, damping_loss, supplied, error
+    )
+
+
+def worn_volume(history: StateHistory, joint: str, surface: str) -> Float[Array, " time"]:
+    """Volume lost by a surface of a joint over time [m3]; 0 where it does not wear."""
+    slots = [s for s in history.layout().wear if (s.bearing, s.surface) == (joint, surface)]
+    return sum((history.states[:, slot.start] for slot in slots), jnp.zeros_like(history.time))

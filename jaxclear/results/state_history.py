@@ -1,0 +1,96 @@
+"""The states of a run at its saving times with all that is needed to read them, and how a function
+of an instant is mapped over them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.components.body import GROUND
+from jaxclear.formulations.base import AbstractFormulation, model_of
+from jaxclear.formulations.model import Instant, Model
+from jaxclear.ground import sparse as sp
+from jaxclear.multibody import kinematics, state
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import Layout
+
+
+class StateHistory(eqx.Module):
+    """`states` (time, n) are the raw states, `read` the worn surfaces as the gaps saw them up to
+    each saving time; `mechanism` as the formulation sees it; `balanced`: energies are tracked."""
+
+    mechanism: Mechanism
+    formulation: AbstractFormulation
+    time: Float[Array, " time"]
+    states: Float[Array, "time n"]
+    read: dict[str, dict[str, Any]]
+    balanced: bool = eqx.field(static=True)
+
+    def model(self) -> Model:
+        """The model that the states belong to, its surfaces new."""
+        return model_of(self.mechanism, self.formulation, self.balanced)
+
+    def layout(self) -> Layout:
+        """Where everything sits in a state."""
+        return self.model().layout
+
+    def branch_columns(self, name: str, speeds: bool) -> Float[Array, "time k"]:
+        """Coordinates or speeds of a connection (or floating body) of the tree."""
+        topology = self.mechanism.topology
+        floating = [b.body for b in topology.branches if b.connection is None]
+        check_known(name, [*self.mechanism.connections, *floating], "connection or floating body")
+        for branch in topology.branches:
+            if name == (branch.body if branch.connection is None else branch.connection):
+                if not speeds:
+                    return self.states[:, branch.coordinates]
+                start = topology.coordinate_count
+                return self.states[:, start + branch.speeds.start : start + branch.speeds.stop]
+        raise ValueError(
+            f'"{name}" carries no coordinates: it is driven, has clearance, or closes a loop.'
+        )
+
+    def mean_forces(self, layout: Layout) -> Float[Array, "time components"]:
+        """Impulses gained over each saving interval, divided by its length; at the start those of
+        the first interval.
+        """
+        impulses = self.states[:, layout.impulse_start : layout.energy_start]
+        means = jnp.diff(impulses, axis=0) / jnp.diff(self.time)[:, None]
+        return jnp.concatenate([means[:1], means])
+
+
+def check_known(name: str, names: Any, kind: str) -> None:
+    """Raises `ValueError` where there is no such thing."""
+    if name not in names or name == GROUND:
+        raise ValueError(
+            f'no {kind} "{name}" in this mechanism; there are '
+            f"{', '.join(map(repr, names)) or 'none'}."
+        )
+
+
+def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
+    """Maps a function of an `Instant` over the saved states; tuples of numbers become arrays with
+    time first.
+    """
+    model = history.model()
+    system, layout = model.system, model.layout
+
+    def one(time, entries, read, means):
+        q, v = state.unpack_motion(system, entries)
+        now = Model(system, read, model.stabilisation, layout, model.projects)
+        motions = kinematics.link_motions(system, q, v, time)
+        parts = [means[i] for i in range(len(means))]
+        return sp.dense(function(Instant(now, motions, q, v, time, entries, parts)))
+
+    columns = [history.states[:, i] for i in range(layout.size)]
+    means = history.mean_forces(layout)
+    return jax.vmap(one)(history.time, columns, history.read, means)
+
+
+def columns(value: Any) -> Any:
+    """Nested tuples of columns (time,) as one array with time first."""
+    if isinstance(value, tuple):
+        return jnp.stack([columns(part) for part in value], axis=1)
+    return value
