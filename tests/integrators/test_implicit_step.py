@@ -276,7 +276,7 @@ def test_steps_far_longer_than_a_memory_are_stable():
         ),
         (
             lambda: jc.integrator.ImplicitStep(newton_iterations=0),
-            "newton of integrator.ImplicitStep is 0; it must be a positive whole",
+            "newton_iterations of integrator.ImplicitStep is 0; it must be a positive whole",
         ),
         (
             lambda: jc.integrator.ImplicitStep(steps_per_save=1.5),
