@@ -20,7 +20,7 @@ from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import concrete
-from jaxclear.laws.contact import Rigid
+from jaxclear.laws.contact import AbstractContactLaw
 from jaxclear.multibody import dynamics, kinematics
 from jaxclear.multibody.forces import applied_forces, contact_reports
 from jaxclear.multibody.state import (
@@ -152,9 +152,9 @@ def _depths(reports: dict) -> tuple[Depths, Depths]:
 
 def _check_laws(name: str, laws: ContactLaws) -> None:
     """Raises `ValueError` for laws that are no functions of the state."""
-    if isinstance(laws.contact, Rigid):
+    if not isinstance(laws.contact, AbstractContactLaw):
         raise ValueError(
-            f'joint "{name}" has contact.Rigid, which has no force law: take '
+            f'joint "{name}" has contact.{type(laws.contact).__name__}, which has no force law: take '
             "integrator.MoreauJean, or a compliant law such as contact.CarvalhoMartins."
         )
     friction = laws.friction
