@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from jaxclear.native.rules import array_of, compare, each, refuse_memory, rule, write_closed
+from jaxclear.native.arithmetic import compare
+from jaxclear.native.rules import array_of, each, refuse_memory, rule, write_closed
 from jaxclear.native.writer import TRUTH, WHOLE, Unsupported, Writer, kind_of
 
 # Loops of known length are written out up to this many turns, and while they have at most so many
@@ -106,41 +107,56 @@ def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
     turn, places = writer.fresh("turn"), len(writer.lines)
     state = [each(lambda _: writer.fresh("s"), c) for c in carry]
     region = writer.enter()
-
-    def pick(row, kind):
-        def one(*options):
-            found = options[0]
-            for number, option in enumerate(options[1:], 1):
-                if option != found or number > 1:
-                    here = writer.once(
-                        ("turn", turn, number),
-                        lambda n=number: writer.put(f"icmp eq i64 {turn}, {n}"),
-                    )
-                    wide = writer.wide(kind)
-                    yes, no = writer.text(option, kind), writer.text(found, kind)
-                    found = writer.put(f"select i1 {here}, {wide} {yes}, {wide} {no}")
-            return found
-
-        return each(one, *[array_of(row[k], row.shape[1:]) for k in range(length)])
-
     picked = [
-        pick(row, kind) for row, kind in zip(rows, kinds[len(fixed) + len(carry) :], strict=True)
+        _row_of_the_turn(writer, row, turn, kind)
+        for row, kind in zip(rows, kinds[len(fixed) + len(carry) :], strict=True)
     ]
     found = write_closed(writer, body, [*fixed, *state, *picked])
     writer.leave(region)
-    last = writer.block
+    ends = before, writer.block
     phis = []
     for names, olds, news, kind in zip(state, carry, found, carried, strict=True):
         for name, old, new in zip(names.flat, olds.flat, news.flat, strict=True):
-            ends = f"[ {writer.text(old, kind)}, %{before} ], [ {writer.text(new, kind)}, %{last} ]"
-            phis.append(f"  {name} = phi {writer.wide(kind)} {ends}")
+            phis.append(_phi(writer, name, kind, (old, new), ends))
     following = writer.put(f"add i64 {turn}, 1")
-    phis.append(f"  {turn} = phi i64 [ 0, %{before} ], [ {following}, %{last} ]")
+    phis.append(_phi_of_turns(turn, following, ends))
     writer.lines[places:places] = phis
     more = writer.put(f"icmp slt i64 {following}, {length}")
     writer.say(f"br i1 {more}, label %{head}, label %{behind}")
     writer.start(behind)
     return found
+
+
+def _row_of_the_turn(writer, row, turn, kind):
+    """row[turn], chosen among all rows."""
+
+    def one(*options):
+        found = options[0]
+        for number, option in enumerate(options[1:], 1):
+            if option != found or number > 1:
+                here = writer.once(
+                    ("turn", turn, number),
+                    lambda n=number: writer.put(f"icmp eq i64 {turn}, {n}"),
+                )
+                wide = writer.wide(kind)
+                yes, no = writer.text(option, kind), writer.text(found, kind)
+                found = writer.put(f"select i1 {here}, {wide} {yes}, {wide} {no}")
+        return found
+
+    return each(one, *[array_of(row[k], row.shape[1:]) for k in range(len(row))])
+
+
+def _phi(writer, name, kind, values, blocks):
+    """A register that is the first value when coming from the first block, else the second."""
+    (old, new), (before, last) = values, blocks
+    return (
+        f"  {name} = phi {writer.wide(kind)} [ {writer.text(old, kind)}, %{before} ], "
+        f"[ {writer.text(new, kind)}, %{last} ]"
+    )
+
+
+def _phi_of_turns(turn, following, blocks):
+    return f"  {turn} = phi i64 [ 0, %{blocks[0]} ], [ {following}, %{blocks[1]} ]"
 
 
 @rule("while", reads_memory=True)
@@ -176,65 +192,63 @@ def loop(
     `most`: a register (i64) with the largest number of turns; where it is given, the first turn is
     taken in any case.
     """
-    head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
     refuse_memory(*carry)
+    head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
     flat = [(value, kind) for array, kind in zip(carry, kinds, strict=True) for value in array.flat]
     before = writer.block
     writer.say(f"br label %{head}")
     writer.start(head)
-    registers = [writer.fresh("s") for _ in flat]
-    places = len(writer.lines)
+    registers, places = [writer.fresh("s") for _ in flat], len(writer.lines)
     turn = writer.fresh("turn") if most else None
-    region = writer.enter()
-
-    def shaped(values):
-        values, out = iter(values), []
-        for array in carry:
-            out.append(array_of(None, array.shape))
-            for index in np.ndindex(*array.shape):
-                out[-1][index] = next(values)
-        return out
-
-    truth = condition(shaped(registers))
-    outer = writer.active
+    region, outer = writer.enter(), writer.active
+    truth = condition(_shaped(registers, carry))
     if outer is not None:
         truth = writer.operate("and {type} {0}, {1}", TRUTH, truth, outer)
     go = writer.any(truth)
     if most:
-        early = writer.put(f"icmp slt i64 {turn}, 1")
-        forced = writer.put(f"icmp eq i64 {most}, 1")
-        first = writer.put(f"and i1 {early}, {forced}")
-        allowed = writer.put(f"icmp slt i64 {turn}, {most}")
-        go = writer.put(f"and i1 {go}, {allowed}")
-        go = writer.put(f"or i1 {go}, {first}")
-        wide = writer.wide(TRUTH)
-        truth = writer.put(
-            f"select i1 {forced}, {wide} {writer.text(True, TRUTH)}, {wide} "
-            f"{writer.text(truth, TRUTH)}"
-        )
+        go, truth = _within_turns(writer, go, truth, turn, most)
     writer.say(f"br i1 {go}, label %{inside}, label %{behind}")
     writer.start(inside)
     writer.active = truth if writer.lanes > 1 else None
-    found = [value for array in body(shaped(registers)) for value in array.flat]
+    found = [value for array in body(_shaped(registers, carry)) for value in array.flat]
     if writer.lanes > 1:
         found = [
-            writer.choose(truth, new, old, k)
-            for new, old, (_, k) in zip(found, registers, flat, strict=True)
+            writer.choose(truth, new, old, kind)
+            for new, old, (_, kind) in zip(found, registers, flat, strict=True)
         ]
     writer.active = outer
     writer.leave(region)
-    last = writer.block
+    ends = before, writer.block
     phis = []
     for name, new, (old, kind) in zip(registers, found, flat, strict=True):
-        wide = writer.wide(kind)
-        phis.append(
-            f"  {name} = phi {wide} [ {writer.text(old, kind)}, %{before} ], [ "
-            f"{writer.text(new, kind)}, %{last} ]"
-        )
+        phis.append(_phi(writer, name, kind, (old, new), ends))
     if most:
-        following = writer.put(f"add i64 {turn}, 1")
-        phis.append(f"  {turn} = phi i64 [ 0, %{before} ], [ {following}, %{last} ]")
+        phis.append(_phi_of_turns(turn, writer.put(f"add i64 {turn}, 1"), ends))
     writer.lines[places:places] = phis
     writer.say(f"br label %{head}")
     writer.start(behind)
-    return shaped(registers)
+    return _shaped(registers, carry)
+
+
+def _shaped(values, like):
+    """Single values as arrays of the shapes of others."""
+    values, out = iter(values), []
+    for array in like:
+        out.append(array_of(None, array.shape))
+        for index in np.ndindex(*array.shape):
+            out[-1][index] = next(values)
+    return out
+
+
+def _within_turns(writer, go, truth, turn, most):
+    """Whether to go on, and each sample's truth, where the number of turns is bounded: with a bound
+    of one the first turn is taken whatever the condition says."""
+    early = writer.put(f"icmp slt i64 {turn}, 1")
+    forced = writer.put(f"icmp eq i64 {most}, 1")
+    first = writer.put(f"and i1 {early}, {forced}")
+    allowed = writer.put(f"icmp slt i64 {turn}, {most}")
+    go = writer.put(f"and i1 {go}, {allowed}")
+    go = writer.put(f"or i1 {go}, {first}")
+    wide = writer.wide(TRUTH)
+    yes, own = writer.text(True, TRUTH), writer.text(truth, TRUTH)
+    return go, writer.put(f"select i1 {forced}, {wide} {yes}, {wide} {own}")

@@ -21,7 +21,7 @@ from jax.interpreters import ad, batching, mlir
 
 from jaxclear.native import kernel as kernels
 from jaxclear.native.control import CALLS
-from jaxclear.native.kernel import Program
+from jaxclear.native.program import Program, avals_of, floats_in, in_memory
 from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, tell
 from jaxclear.native.writer import LONGEST_IN_REGISTERS, Unsupported
 
@@ -34,15 +34,10 @@ def while_loop(condition: Callable[[Any], Any], body: Callable[[Any], Any], firs
     """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over
     batches.
     """
-    leaves, structure = jax.tree.flatten(jax.tree.map(jnp.asarray, first))
-
-    def flat(function):
-        def on_leaves(*values):
-            return jax.tree.leaves(function(jax.tree.unflatten(structure, values)))
-
-        return _open(jax.make_jaxpr(on_leaves)(*leaves))
-
-    (tests, fixed_tests), (turns, fixed_turns) = flat(condition), flat(body)
+    first = jax.tree.map(jnp.asarray, first)
+    leaves, structure = jax.tree.flatten(first)
+    tests, fixed_tests = _open(jax.make_jaxpr(condition)(first))
+    turns, fixed_turns = _open(jax.make_jaxpr(body)(first))
     if [(a.shape, a.dtype) for a in turns.out_avals] != [(v.shape, v.dtype) for v in leaves]:
         raise TypeError(
             f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
@@ -181,18 +176,18 @@ ad.primitive_jvps[loop_p] = _differentiate
 
 def _native(*values, program, rank):
     """Through the kernel. Raises `Unsupported`."""
-    constants, state = kernels.avals_of(program)
+    constants, state = avals_of(program)
     batch = values[-1].shape[:rank]
     lanes = kernels.widest() if int(np.prod(batch)) > 1 else 1
     kernel = kernels.build(program, lanes)
-    kept = kernels.in_memory(program)
+    kept = in_memory(program)
     rows = [
         jnp.reshape(v.astype(float), (*batch, -1))
         for v, k in zip(values, kept, strict=True)
         if not k
     ]
     big = [v for v, k in zip(values, kept, strict=True) if k]
-    height = kernels.floats_in(state)
+    height = floats_in(state)
     shape = jax.ShapeDtypeStruct((*batch, height), jnp.float64)
     packed = jax.ffi.ffi_call(kernel.name, shape)(jnp.concatenate(rows, -1), *big)
     out, position = [], 0

@@ -11,7 +11,16 @@ import numpy as np
 import pytest
 
 import jaxclear  # noqa: F401  (float64)
-from jaxclear.native import control, kernel, loop, rules, while_loop, with_fast_loops
+from jaxclear.native import (
+    arithmetic,
+    call_frame,
+    control,
+    kernel,
+    loop,
+    rules,
+    while_loop,
+    with_fast_loops,
+)
 from jaxclear.native.writer import Unsupported
 
 # The same operations in another order, fused multiply-adds: rounding of a few turns.
@@ -267,7 +276,7 @@ def test_rounding_where_a_sum_cancels_is_no_disagreement(caplog):
 
 def test_a_wrong_kernel_is_caught_and_not_used(monkeypatch, caplog):
     monkeypatch.setitem(rules.RULES, "mul", rules.RULES["add"])
-    monkeypatch.setitem(rules._FLOAT_OPS, "mul", "fadd")
+    monkeypatch.setitem(arithmetic._FLOAT_OPS, "mul", "fadd")
     fast, plain = turns(lambda x: x * 0.37 + 1.0, 3)
     with caplog.at_level(logging.INFO, logger=loop.LOG.name):
         assert np.isclose(jax.jit(fast)(0.3), plain(0.3), rtol=ROUNDING)
@@ -278,13 +287,13 @@ def test_an_unknown_interface_of_xla_is_refused(monkeypatch, tmp_path):
     (tmp_path / "xla/ffi/api").mkdir(parents=True)
     (tmp_path / "xla/ffi/api/c_api.h").write_text("struct XLA_FFI_CallFrame { int other; };")
     monkeypatch.setattr(jax.ffi, "include_dir", lambda: str(tmp_path))
-    kernel.interface_version.cache_clear()
+    call_frame.interface_version.cache_clear()
     try:
         with pytest.raises(Unsupported, match="foreign function interface"):
-            kernel.interface_version()
+            call_frame.interface_version()
     finally:
         monkeypatch.undo()
-        kernel.interface_version.cache_clear()
+        call_frame.interface_version.cache_clear()
 
 
 def test_the_switch_leaves_loops_to_jax(monkeypatch):

@@ -1,0 +1,192 @@
+"""Rules for arithmetic, comparisons, truth values, choices and conversions of single numbers."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from jaxclear.native.rules import each, kinds_of, known, number_of, rule
+from jaxclear.native.writer import FLOAT, TRUTH, WHOLE, Unsupported, Writer, kind_of
+
+# By primitive: the instruction for floats, for whole numbers, and the same on known numbers.
+_FLOAT_OPS = {"add": "fadd", "add_any": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
+_WHOLE_OPS = {
+    "add": "add",
+    "add_any": "add",
+    "sub": "sub",
+    "mul": "mul",
+    "div": "sdiv",
+    "rem": "srem",
+}
+_ON_NUMBERS: dict[str, Callable] = {
+    "add": np.add,
+    "add_any": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "rem": np.fmod,
+}
+
+
+@rule("add", "add_any", "sub", "mul", "div", "rem")
+def _arithmetic(writer, equation, a, b):
+    name, kind = equation.primitive.name, kinds_of(equation)[0]
+
+    def one(x, y):
+        if known(x, y):
+            if kind == WHOLE and name == "div":
+                return int(x / y)
+            with np.errstate(all="ignore"):
+                return number_of(_ON_NUMBERS[name](np.asarray(x), np.asarray(y)))
+        if kind == FLOAT:
+            if name == "rem":
+                return writer.library("fmod", x, y)
+            return writer.operate(f"{_FLOAT_OPS[name]} contract {{type}} {{0}}, {{1}}", kind, x, y)
+        return writer.operate(f"{_WHOLE_OPS[name]} {{type}} {{0}}, {{1}}", kind, x, y)
+
+    return each(one, a, b)
+
+
+@rule("neg")
+def _negate(writer, equation, a):
+    kind = kinds_of(equation)[0]
+
+    def one(x):
+        if known(x):
+            return -x
+        return writer.operate(
+            "fneg {type} {0}" if kind == FLOAT else "sub {type} zeroinitializer, {0}", kind, x
+        )
+
+    if kind == WHOLE and writer.lanes == 1:
+        return each(lambda x: -x if known(x) else writer.operate("sub {type} 0, {0}", kind, x), a)
+    return each(one, a)
+
+
+@rule("max", "min")
+def _extremum(writer, equation, a, b):
+    kind, largest = kinds_of(equation)[0], equation.primitive.name == "max"
+
+    def one(x, y):
+        if known(x, y):
+            return number_of(np.maximum(x, y) if largest else np.minimum(x, y))
+        if kind == TRUTH:
+            return writer.operate(("or" if largest else "and") + " {type} {0}, {1}", kind, x, y)
+        if kind == WHOLE:
+            first = writer.operate(
+                f"icmp {'sgt' if largest else 'slt'} {{type}} {{0}}, {{1}}", kind, x, y
+            )
+            return writer.choose(first, x, y, kind)
+        # A first operand that is not a number is passed on; a second one is too, because then
+        # neither comparison holds.
+        first = writer.operate(
+            f"fcmp {'ogt' if largest else 'olt'} {{type}} {{0}}, {{1}}", kind, x, y
+        )
+        if isinstance(x, str):
+            lost = writer.operate("fcmp uno {type} {0}, {0}", kind, x)
+            first = writer.operate("or {type} {0}, {1}", TRUTH, first, lost)
+        return writer.choose(first, x, y, kind)
+
+    return each(one, a, b)
+
+
+@rule("clamp")
+def _clamp(writer, equation, low, a, high):
+    kind = kind_of(equation.invars[1].aval.dtype)
+
+    def one(lo, x, hi):
+        if kind == WHOLE:
+            x = writer.choose(compare(writer, "lt", WHOLE, x, lo), lo, x, kind)
+            return writer.choose(compare(writer, "gt", WHOLE, x, hi), hi, x, kind)
+        x = writer.choose(compare(writer, "lt", FLOAT, x, lo), lo, x, kind)
+        return writer.choose(compare(writer, "gt", FLOAT, x, hi), hi, x, kind)
+
+    return each(one, low, a, high)
+
+
+_COMPARISONS = {
+    "eq": ("oeq", "eq", np.equal),
+    "ne": ("une", "ne", np.not_equal),
+    "lt": ("olt", "slt", np.less),
+    "le": ("ole", "sle", np.less_equal),
+    "gt": ("ogt", "sgt", np.greater),
+    "ge": ("oge", "sge", np.greater_equal),
+}
+
+
+def compare(writer: Writer, name: str, kind: str, x: Any, y: Any) -> Any:
+    """The truth value of a comparison, named as the primitive ("lt")."""
+    floats, wholes, numbers = _COMPARISONS[name]
+    if known(x, y):
+        return bool(numbers(x, y))
+    form = (
+        f"fcmp {floats}"
+        if kind == FLOAT
+        else f"icmp {wholes if kind == WHOLE else wholes.replace('s', 'u', 1)}"
+    )
+    return writer.operate(form + " {type} {0}, {1}", kind, x, y)
+
+
+@rule(*_COMPARISONS)
+def _compare(writer, equation, a, b):
+    kind = kinds_of(equation)[0]
+    if kind == TRUTH and equation.primitive.name not in ("eq", "ne"):
+        raise Unsupported("an order of truth values")
+    return each(lambda x, y: compare(writer, equation.primitive.name, kind, x, y), a, b)
+
+
+@rule("and", "or", "xor")
+def _logic(writer, equation, a, b):
+    kind, name = kinds_of(equation)[0], equation.primitive.name
+
+    def one(x, y):
+        if known(x, y):
+            return {"and": x & y, "or": x | y, "xor": x ^ y}[name]
+        return writer.operate(name + " {type} {0}, {1}", kind, x, y)
+
+    return each(one, a, b)
+
+
+@rule("not")
+def _not(writer, equation, a):
+    kind = kinds_of(equation)[0]
+    if kind != TRUTH:
+        raise Unsupported("the complement of whole numbers")
+    return each(
+        lambda x: (not x) if known(x) else writer.operate("xor {type} {0}, {1}", kind, x, True), a
+    )
+
+
+@rule("select_n")
+def _select(writer, equation, which, *cases):
+    kind = kind_of(equation.outvars[0].aval.dtype)
+    if len(cases) != 2 or kind_of(equation.invars[0].aval.dtype) != TRUTH:
+        raise Unsupported("a choice among more than two")
+    return each(lambda w, no, yes: writer.choose(w, yes, no, kind), which, *cases)
+
+
+@rule("convert_element_type")
+def _convert(writer, equation, a):
+    old, new = kinds_of(equation)[0], kind_of(equation.params["new_dtype"])
+    wide_old, wide_new = writer.wide(old), writer.wide(new)
+
+    def one(x):
+        if known(x):
+            return {FLOAT: float, WHOLE: int, TRUTH: bool}[new](x)
+        if old == new:
+            return x
+        if new == TRUTH:
+            return compare(writer, "ne", old, x, 0.0 if old == FLOAT else 0)
+        if old == FLOAT:
+            suffix = (
+                ("i64", "f64")
+                if writer.lanes == 1
+                else (f"v{writer.lanes}i64", f"v{writer.lanes}f64")
+            )
+            name = f"@llvm.fptosi.sat.{suffix[0]}.{suffix[1]}"
+            writer.needs.add(f"declare {wide_new} {name}({wide_old})")
+            return writer.put(f"call {wide_new} {name}({wide_old} {x})")
+        instruction = "sitofp" if old == WHOLE else ("uitofp" if new == FLOAT else "zext")
+        return writer.put(f"{instruction} {wide_old} {x} to {wide_new}")
+
+    return each(one, a)

@@ -1,0 +1,241 @@
+"""A program evaluated with NumPy, one operation after the other: what a kernel is checked against.
+
+Independent of the rules that wrote the kernel. Operations that NumPy does not have under a plain
+name are left to JAX.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal
+
+from jaxclear.native.control import CALLS
+from jaxclear.native.writer import Unsupported
+
+# Turns after which a loop within the loop is given up.
+LONGEST_LOOP = 1000
+
+
+def _select(which, *cases):
+    return np.where(which, cases[1], cases[0]) if len(cases) == 2 else np.choose(which, cases)
+
+
+def _rounded(p):
+    return (
+        np.rint if int(p["rounding_method"]) == 1 else lambda a: np.trunc(a + np.copysign(0.5, a))
+    )
+
+
+def _sliced(p):
+    strides = p["strides"] or (None,) * len(p["start_indices"])
+    return lambda a: np.asarray(a)[
+        tuple(map(slice, p["start_indices"], p["limit_indices"], strides))
+    ]
+
+
+def _dynamic_slice(p):
+    def cut(a, *starts):
+        firsts = [
+            min(max(int(s), 0), n - m)
+            for s, n, m in zip(starts, a.shape, p["slice_sizes"], strict=True)
+        ]
+        return a[tuple(slice(f, f + m) for f, m in zip(firsts, p["slice_sizes"], strict=True))]
+
+    return cut
+
+
+def _broadcast(p):
+    def spread(a):
+        shape = [1] * len(p["shape"])
+        for place, size in zip(p["broadcast_dimensions"], np.shape(a), strict=True):
+            shape[place] = size
+        return np.broadcast_to(np.reshape(a, shape), p["shape"])
+
+    return spread
+
+
+# What a primitive does, as it stands or given its parameters.
+PLAIN: dict[str, Callable] = {
+    "add": np.add,
+    "add_any": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "neg": np.negative,
+    "rem": np.fmod,
+    "max": np.maximum,
+    "min": np.minimum,
+    "abs": np.abs,
+    "sign": np.sign,
+    "square": np.square,
+    "sqrt": np.sqrt,
+    "sin": np.sin,
+    "cos": np.cos,
+    "exp": np.exp,
+    "log": np.log,
+    "tanh": np.tanh,
+    "atan2": np.arctan2,
+    "pow": np.power,
+    "floor": np.floor,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "lt": np.less,
+    "le": np.less_equal,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "not": np.invert,
+    "select_n": _select,
+    "is_finite": np.isfinite,
+    "copy": np.asarray,
+    "stop_gradient": np.asarray,
+    # Equinox: what a single sample does.
+    "unvmap_any": np.asarray,
+    "nonbatchable": np.asarray,
+    "select_if_vmap": lambda which, yes, no: yes,
+}
+
+
+def _least(a: Any) -> Any:
+    """What a maximum over nothing is."""
+    return (
+        -np.inf
+        if np.issubdtype(np.result_type(a), np.floating)
+        else np.iinfo(np.result_type(a)).min
+    )
+
+
+WITH_PARAMETERS: dict[str, Callable] = {
+    "integer_pow": lambda p: lambda a: np.asarray(a) ** float(p["y"]),
+    "convert_element_type": lambda p: lambda a: np.asarray(a).astype(p["new_dtype"]),
+    "squeeze": lambda p: lambda a: np.squeeze(a, p["dimensions"]),
+    "reshape": lambda p: lambda a: np.reshape(a, p["new_sizes"]),
+    "stack": lambda p: lambda *a: np.stack(a, p["axis"]),
+    "concatenate": lambda p: lambda *a: np.concatenate(a, p["dimension"]),
+    "round": _rounded,
+    "slice": _sliced,
+    "dynamic_slice": _dynamic_slice,
+    "broadcast_in_dim": _broadcast,
+    "reduce_sum": lambda p: lambda a: np.sum(a, p["axes"]),
+    "reduce_max": lambda p: lambda a: np.max(a, p["axes"], initial=_least(a)),
+    "reduce_or": lambda p: lambda a: np.any(a, p["axes"]),
+    "reduce_and": lambda p: lambda a: np.all(a, p["axes"]),
+}
+
+
+def evaluator(program: Any, known: dict | None = None) -> Callable[..., list]:
+    """A function that gives a program's outputs, one NumPy operation after the other. `known`:
+    inner programs met before.
+    """
+    known = {} if known is None else known
+    closed = isinstance(program, ClosedJaxpr)
+    jaxpr, constants = (program.jaxpr, program.consts) if closed else (program, [])
+    if id(jaxpr) in known:
+        return known[id(jaxpr)]
+    slots = _Slots()
+    for variable, value in zip(jaxpr.constvars, constants, strict=True):
+        slots.values[slots.of(variable)] = np.asarray(value)
+    entries = [slots.of(variable) for variable in jaxpr.invars]
+    steps = []
+    for equation in jaxpr.eqns:
+        inputs = [slots.of(atom) for atom in equation.invars]
+        outputs = [slots.of(atom) for atom in equation.outvars]
+        steps.append((*_operation(equation, known), inputs, outputs))
+    exits = [slots.of(atom) for atom in jaxpr.outvars]
+
+    def run(*arguments):
+        values = slots.values.copy()
+        for place, value in zip(entries, arguments, strict=True):
+            values[place] = value
+        for function, several, inputs, outputs in steps:
+            found = function(*[values[i] for i in inputs])
+            for place, value in zip(outputs, found if several else [found], strict=True):
+                values[place] = value
+        return [np.asarray(values[place]) for place in exits]
+
+    known[id(jaxpr)] = run
+    return run
+
+
+class _Slots:
+    """A place for each variable and literal of a program; `values` holds what is known at first."""
+
+    def __init__(self):
+        self.values: list[Any] = []
+        self._places: dict[Any, int] = {}
+
+    def of(self, atom: Any) -> int:
+        """The place of a variable, or a new one for a literal."""
+        if isinstance(atom, Literal):
+            self.values.append(np.asarray(atom.val, atom.aval.dtype))
+            return len(self.values) - 1
+        if atom not in self._places:
+            self._places[atom] = len(self.values)
+            self.values.append(None)
+        return self._places[atom]
+
+
+def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
+    """What an equation does, and whether it gives a list."""
+    name, p = equation.primitive.name, equation.params
+    if name in PLAIN:
+        return PLAIN[name], False
+    if name in WITH_PARAMETERS:
+        return WITH_PARAMETERS[name](p), False
+    if name == "div" and np.issubdtype(equation.outvars[0].aval.dtype, np.floating):
+        return np.divide, False
+    if name == "scan" and not p["reverse"]:
+        return _scan(p, evaluator(p["jaxpr"], known)), True
+    if name == "while":
+        return _while(p, evaluator(p["cond_jaxpr"], known), evaluator(p["body_jaxpr"], known)), True
+    if name == "dot_general" and not p["dimension_numbers"][1][0]:
+        return lambda *inputs: np.tensordot(*inputs, axes=p["dimension_numbers"][0]), False
+    if name == "maybe_set" and p["i_static"] is None:
+        return _set, False
+    if name in CALLS:
+        return evaluator(
+            next(p[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in p), known
+        ), True
+    return lambda *inputs: _by_jax(equation, inputs), True
+
+
+def _scan(p: dict, turn: Callable) -> Callable:
+    fixed, carried = p["num_consts"], p["num_carry"]
+
+    def run(*inputs):
+        carry, rows, given = inputs[fixed:][:carried], inputs[fixed + carried :], []
+        for i in range(p["length"]):
+            found = turn(*inputs[:fixed], *carry, *[row[i] for row in rows])
+            carry = found[:carried]
+            given.append(found[carried:])
+        return [*carry, *[np.stack(parts) for parts in zip(*given, strict=True)]]
+
+    return run
+
+
+def _while(p: dict, unfinished: Callable, turn: Callable) -> Callable:
+    first, second = p["cond_nconsts"], p["body_nconsts"]
+
+    def run(*inputs):
+        fixed, state = inputs[first : first + second], inputs[first + second :]
+        for _ in range(LONGEST_LOOP):
+            if not unfinished(*inputs[:first], *state)[0]:
+                return state
+            state = turn(*fixed, *state)
+        raise Unsupported("a loop within the loop that does not end on random numbers")
+
+    return run
+
+
+def _set(_, array, value, *places):
+    out = np.array(array)
+    if len(places) == 1 and 0 <= int(places[0]) < len(out):
+        out[int(places[0])] = value
+    return out
+
+
+def _by_jax(equation: Any, inputs: tuple) -> list:
+    found = equation.primitive.bind(*map(jnp.asarray, inputs), **equation.params)
+    return [np.asarray(f) for f in (found if equation.primitive.multiple_results else [found])]

@@ -1,0 +1,173 @@
+"""Rules for reading and writing arrays by index, where indices may be known only at run time.
+
+An entry of an array in registers is then chosen among all of them; one of an array in memory is
+loaded from its place.
+"""
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+
+from jaxclear.native.arithmetic import compare
+from jaxclear.native.reductions import combine
+from jaxclear.native.rules import known, rule
+from jaxclear.native.writer import (
+    LONGEST_IN_REGISTERS,
+    TRUTH,
+    WHOLE,
+    InMemory,
+    Unsupported,
+    kind_of,
+)
+
+
+def _within(writer, index, largest):
+    """An index moved into 0 ... largest."""
+    if known(index):
+        return min(max(index, 0), largest)
+    low = writer.choose(compare(writer, "lt", WHOLE, index, 0), 0, index, WHOLE)
+    return writer.choose(compare(writer, "gt", WHOLE, low, largest), largest, low, WHOLE)
+
+
+def _entry(writer, array, index, kind):
+    """array[index] for a tuple of indices within range, some known only at run time."""
+    shape = array.shape
+    if isinstance(array, InMemory):
+        strides = [math.prod(shape[i + 1 :]) for i in range(len(shape))]
+        flat: Any = sum(i * s for i, s in zip(index, strides, strict=True) if known(i))
+        for i, stride in zip(index, strides, strict=True):
+            if not known(i):
+                part = i if stride == 1 else writer.operate("mul {type} {0}, {1}", WHOLE, i, stride)
+                flat = (
+                    part if flat == 0 else writer.operate("add {type} {0}, {1}", WHOLE, flat, part)
+                )
+        return writer.read(array, flat)
+    for axis, i in enumerate(index):
+        if not known(i):
+            found = None
+            for choice in range(shape[axis]):
+                value = _entry(writer, array, (*index[:axis], choice, *index[axis + 1 :]), kind)
+                found = (
+                    value
+                    if found is None
+                    else writer.choose(compare(writer, "eq", WHOLE, i, choice), value, found, kind)
+                )
+            return found
+    return array[tuple(index)]
+
+
+def _plus(writer, x, y):
+    if known(x, y):
+        return x + y
+    return x if known(y) and y == 0 else writer.operate("add {type} {0}, {1}", WHOLE, x, y)
+
+
+@rule("dynamic_slice", reads_memory=True)
+def _dynamic_slice(writer, equation, a, *starts):
+    sizes, kind = equation.params["slice_sizes"], kind_of(equation.invars[0].aval.dtype)
+    starts = [
+        _within(writer, s.item(), full - size)
+        for s, full, size in zip(starts, a.shape, sizes, strict=True)
+    ]
+    if math.prod(sizes) > LONGEST_IN_REGISTERS:
+        raise Unsupported("a long slice")
+    out = np.empty(sizes, object)
+    for index in np.ndindex(*sizes):
+        out[index] = _entry(
+            writer, a, tuple(_plus(writer, s, i) for s, i in zip(starts, index, strict=True)), kind
+        )
+    return out
+
+
+@rule("dynamic_update_slice")
+def _dynamic_update(writer, equation, a, update, *starts):
+    starts = [
+        _within(writer, s.item(), full - n)
+        for s, full, n in zip(starts, a.shape, update.shape, strict=True)
+    ]
+    out = a.copy()
+    for index in np.ndindex(*update.shape):
+        place = tuple(_plus(writer, s, i) for s, i in zip(starts, index, strict=True))
+        _put_entry(writer, out, place, update[index], kind_of(equation.invars[0].aval.dtype))
+    return out
+
+
+def _put_entry(writer, out, place, value, kind):
+    """out[place] = value, where within the array; some indices may be known only at run time."""
+    choices = [
+        range(n) if not known(i) else ([i] if 0 <= i < n else [])
+        for i, n in zip(place, out.shape, strict=True)
+    ]
+    for target in itertools.product(*choices):
+        here: Any = True
+        for i, at in zip(place, target, strict=True):
+            if not known(i):
+                key = ("at", i, at)
+                test = writer.once(key, lambda i=i, at=at: compare(writer, "eq", WHOLE, i, at))
+                here = (
+                    test
+                    if here is True
+                    else writer.operate("and {type} {0}, {1}", TRUTH, here, test)
+                )
+        out[target] = writer.choose(here, value, out[target], kind)
+
+
+@rule("maybe_set")
+def _maybe_set(writer, equation, allowed, a, update, *indices):
+    """Equinox: a.at[i].set(update); `allowed` only guards samples of a batch that have ended, which
+    the loop does here.
+    """
+    p = equation.params
+    if len(indices) != 1 or p["i_static"] is not None or indices[0].shape != () or p["kwargs"]:
+        raise Unsupported("this kind of update")
+    out, kind = a.copy(), kind_of(equation.invars[1].aval.dtype)
+    for index in np.ndindex(*update.shape):
+        _put_entry(writer, out, (indices[0].item(), *index), update[index], kind)
+    return out
+
+
+@rule("gather", reads_memory=True)
+def _gather(writer, equation, a, indices):
+    p, kind = equation.params, kind_of(equation.invars[0].aval.dtype)
+    numbers, sizes = p["dimension_numbers"], p["slice_sizes"]
+    if numbers.operand_batching_dims or "FILL" in str(p["mode"]):
+        raise Unsupported("this kind of gather")
+    out_shape = equation.outvars[0].aval.shape
+    window = [i for i in range(len(sizes)) if i not in numbers.collapsed_slice_dims]
+    out = np.empty(out_shape, object)
+    for index in np.ndindex(*out_shape):
+        batch = tuple(x for i, x in enumerate(index) if i not in numbers.offset_dims)
+        inside = [x for i, x in enumerate(index) if i in numbers.offset_dims]
+        place: list[Any] = [0] * len(sizes)
+        for where, axis in enumerate(numbers.start_index_map):
+            place[axis] = _within(writer, indices[(*batch, where)], a.shape[axis] - sizes[axis])
+        for axis, offset in zip(window, inside, strict=True):
+            place[axis] = _plus(writer, place[axis], offset)
+        out[index] = _entry(writer, a, tuple(place), kind)
+    return out
+
+
+@rule("scatter", "scatter-add")
+def _scatter(writer, equation, a, indices, update):
+    numbers, add = equation.params["dimension_numbers"], equation.primitive.name != "scatter"
+    if numbers.operand_batching_dims or "CLIP" in str(equation.params["mode"]):
+        raise Unsupported("this kind of scatter")
+    kind, out = kind_of(equation.invars[0].aval.dtype), a.copy()
+    window = [i for i in range(a.ndim) if i not in numbers.inserted_window_dims]
+    for index in np.ndindex(*update.shape):
+        batch = tuple(x for i, x in enumerate(index) if i not in numbers.update_window_dims)
+        inside = [x for i, x in enumerate(index) if i in numbers.update_window_dims]
+        place: list[Any] = [0] * a.ndim
+        for where, axis in enumerate(numbers.scatter_dims_to_operand_dims):
+            place[axis] = indices[(*batch, where)]
+        for axis, offset in zip(window, inside, strict=True):
+            place[axis] = _plus(writer, place[axis], offset)
+        if not add:
+            _put_entry(writer, out, tuple(place), update[index], kind)
+        elif known(*place) and all(0 <= i < n for i, n in zip(place, a.shape, strict=True)):
+            out[tuple(place)] = combine(writer, "sum", kind, out[tuple(place)], update[index])
+        else:
+            raise Unsupported("an addition at a place known only at run time")
+    return out
