@@ -10,7 +10,7 @@ class AbstractOutcome(enum.IntEnum):
 
     sentence: str
 
-    def __new__(cls, code: int, sentence: str):
+    def __new__(cls, code: int, sentence: str = ""):
         member = int.__new__(cls, code)
         member._value_ = code
         member.sentence = sentence

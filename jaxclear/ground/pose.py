@@ -81,11 +81,13 @@ def rotation_z(angle: Any) -> sp.Mat:
 
 
 def rotation_x(angle: Any) -> sp.Mat:
+    """Rotation about x by an angle [rad]."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     return ((1, 0, 0), (0, cosine, -sine), (0, sine, cosine))
 
 
 def rotation_y(angle: Any) -> sp.Mat:
+    """Rotation about y by an angle [rad]."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     return ((cosine, 0, sine), (0, 1, 0), (-sine, 0, cosine))
 

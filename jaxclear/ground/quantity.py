@@ -14,7 +14,7 @@ import dataclasses
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -38,7 +38,11 @@ __all__ = [
     "vector",
 ]
 
-Scalar = Float[Array, ""]
+if TYPE_CHECKING:
+    # A user gives a Python number, a law gets an array or a structural zero.
+    Scalar: TypeAlias = Any
+else:
+    Scalar = Float[Array, ""]
 
 
 def as_number(value: Any) -> Any:
@@ -54,7 +58,7 @@ def as_number(value: Any) -> Any:
         raise ValueError(f"expected one number, got {value!r}.")
     number = value if isinstance(value, jax.Array) else jnp.asarray(np.asarray(value, dtype=float))
     if number.dtype != jnp.float64:
-        if not jax.config.jax_enable_x64:
+        if not jax.config.read("jax_enable_x64"):
             raise RuntimeError(
                 "jaxclear needs float64: leave jax_enable_x64 on (importing jaxclear switches it "
                 "on)."

@@ -13,8 +13,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-Vec = tuple[Any, Any, Any]
-Mat = tuple[Vec, Vec, Vec]
+# Of three each: a type checker does not count what a loop builds.
+Vec = tuple[Any, ...]
+Mat = tuple[Vec, ...]
 
 ZERO: Vec = (0, 0, 0)
 IDENTITY: Mat = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
@@ -46,6 +47,7 @@ def add(a: Any, b: Any) -> Any:
 
 
 def neg(a: Any) -> Any:
+    """-a."""
     return -a
 
 
@@ -72,18 +74,22 @@ def dot(a, b) -> Any:
 
 
 def plus(*vectors: Vec) -> Vec:
+    """Sum of vectors."""
     return tuple(total(components) for components in zip(*vectors, strict=True))
 
 
 def minus(a: Vec, b: Vec) -> Vec:
+    """a - b."""
     return tuple(sub(x, y) for x, y in zip(a, b, strict=True))
 
 
 def scale(s: Any, a: Vec) -> Vec:
+    """s a."""
     return tuple(mul(s, x) for x in a)
 
 
 def cross(a: Vec, b: Vec) -> Vec:
+    """a x b."""
     return (
         sub(mul(a[1], b[2]), mul(a[2], b[1])),
         sub(mul(a[2], b[0]), mul(a[0], b[2])),
@@ -92,6 +98,7 @@ def cross(a: Vec, b: Vec) -> Vec:
 
 
 def transpose(m: Mat) -> Mat:
+    """The transposed matrix."""
     return tuple(zip(*m, strict=True))
 
 
@@ -106,15 +113,18 @@ def apply_transposed(m: Mat, a: Vec) -> Vec:
 
 
 def product(a: Mat, b: Mat) -> Mat:
+    """The matrix product a b."""
     columns = transpose(b)
     return tuple(tuple(dot(row, column) for column in columns) for row in a)
 
 
 def outer(a: Vec, b: Vec) -> Mat:
+    """a b^T."""
     return tuple(tuple(mul(x, y) for y in b) for x in a)
 
 
 def plus_matrix(*matrices: Mat) -> Mat:
+    """Sum of matrices."""
     return tuple(plus(*rows) for rows in zip(*matrices, strict=True))
 
 

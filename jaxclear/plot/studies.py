@@ -1,5 +1,7 @@
 """Figures of studies: spread of responses, derivatives with errors, work against precision."""
 
+from typing import Any
+
 import matplotlib.ticker
 import numpy as np
 from matplotlib.figure import Figure
@@ -48,7 +50,7 @@ def sensitivity(study: Sensitivity) -> Figure:
     figure, axes = canvas(1, len(entries), (4.6 * len(entries), 3.6), squeeze=False)
     for axis, ((response, variable), derivative) in zip(axes[0], entries, strict=True):
         labels = [*derivative.estimates, "answer"]
-        answers = [*derivative.estimates.values(), derivative]
+        answers: list[Any] = [*derivative.estimates.values(), derivative]
         for row, answer in enumerate(answers):
             if np.isfinite(answer.value):
                 colour = "k" if row == len(answers) - 1 else "C0"

@@ -47,7 +47,7 @@ class PeakWornDepth(AbstractResponse):
 
     joint: str = eqx.field(static=True)
     surface: str = eqx.field(static=True, default="bearing")
-    unit: str = eqx.field(static=True, default="m")
+    unit: str = eqx.field(static=True, default="m", kw_only=True)
 
     def __call__(self, run):
         return jnp.max(run.worn_depth(self.joint, self.surface))
@@ -58,7 +58,7 @@ class WornVolume(AbstractResponse):
 
     joint: str = eqx.field(static=True)
     surface: str = eqx.field(static=True, default="bearing")
-    unit: str = eqx.field(static=True, default="m^3")
+    unit: str = eqx.field(static=True, default="m^3", kw_only=True)
 
     def __call__(self, run):
         return run.worn_volume(self.joint, self.surface)[-1]
@@ -71,7 +71,7 @@ class PositionError(AbstractResponse):
     body: str = eqx.field(static=True)
     reference: Float[Array, "time 3"]
     axes: tuple[int, ...] = eqx.field(static=True, default=(0, 1, 2))
-    unit: str = eqx.field(static=True, default="m")
+    unit: str = eqx.field(static=True, default="m", kw_only=True)
 
     def __call__(self, run):
         path = run.body(self.body).com
@@ -97,7 +97,7 @@ class PointingAngle(AbstractResponse):
     base: str = eqx.field(static=True, default=GROUND)
     through: tuple[str, ...] = eqx.field(static=True, default=(), converter=checked_through)
     peak: bool = eqx.field(static=True, default=False)
-    unit: str = eqx.field(static=True, default="rad")
+    unit: str = eqx.field(static=True, default="rad", kw_only=True)
 
     def __call__(self, run):
         angle = tip_errors(run, self.tip, self.base, self.through)[2].pointing_angle
@@ -114,7 +114,7 @@ class MeanContactForce(AbstractResponse):
     """
 
     joint: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True, default="N")
+    unit: str = eqx.field(static=True, default="N", kw_only=True)
 
     def __call__(self, run):
         force = jnp.sum(run.contact(self.joint).normal_force, axis=-1)
@@ -129,7 +129,7 @@ class PeakContactForce(AbstractResponse):
     """
 
     joint: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True, default="N")
+    unit: str = eqx.field(static=True, default="N", kw_only=True)
 
     def __call__(self, run):
         return jnp.max(run.contact(self.joint).normal_force)
@@ -142,7 +142,7 @@ class FinalCoordinate(AbstractResponse):
 
     connection: str = eqx.field(static=True)
     index: int = eqx.field(static=True, default=0)
-    unit: str = eqx.field(static=True, default="rad")
+    unit: str = eqx.field(static=True, default="rad", kw_only=True)
 
     def __call__(self, run):
         coordinates = run.coordinate(self.connection)

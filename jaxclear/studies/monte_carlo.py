@@ -55,7 +55,9 @@ class MonteCarlo(eqx.Module):
         """All samples as a pandas table: variables, responses, result."""
         import pandas
 
-        columns = {name: self.values[:, i] for i, name in enumerate(self.problem.names)}
+        columns: dict[str, Any] = {
+            name: self.values[:, i] for i, name in enumerate(self.problem.names)
+        }
         columns |= self.responses
         sentences = self.failures()
         columns["result"] = [
@@ -148,4 +150,5 @@ def monte_carlo(
     responses = {
         name: np.where(good, outcome.responses[name], np.nan) for name in problem.response_names
     }
-    return MonteCarlo(problem, values, responses, outcome.outcome, outcome.ended, seed)
+    ends = (np.asarray(outcome.outcome), np.asarray(outcome.ended))
+    return MonteCarlo(problem, values, responses, *ends, seed)

@@ -40,14 +40,13 @@ class Variable(eqx.Module):
         *,
         tolerance: float | None = None,
     ):
-        if (distribution is None) == (tolerance is None):
-            raise ValueError("a variable takes a distribution or a tolerance, one of the two.")
         self.where = where
-        self.distribution = (
-            TruncatedNormal(tolerance / 3, bound=tolerance)
-            if distribution is None
-            else distribution
-        )
+        if distribution is not None and tolerance is None:
+            self.distribution = distribution
+        elif tolerance is not None and distribution is None:
+            self.distribution = TruncatedNormal(tolerance / 3, bound=tolerance)
+        else:
+            raise ValueError("a variable takes a distribution or a tolerance, one of the two.")
 
 
 class SampleResult(eqx.Module):
@@ -114,7 +113,7 @@ class Problem(eqx.Module):
         )
 
     def _leaves(self, variable):
-        return jax.tree.leaves(variable.where(self.mechanism))
+        return _leaves_of(variable)(self.mechanism)
 
     def nominal(self) -> Float[Array, " variables"]:
         """Nominal value of each variable."""
@@ -132,9 +131,7 @@ class Problem(eqx.Module):
             variable = self.variables[name]
             old = self._leaves(variable)
             new = [leaf + (value - old[0]) for leaf in old]
-            mechanism = eqx.tree_at(
-                lambda m, v=variable: jax.tree.leaves(v.where(m)), mechanism, new
-            )
+            mechanism = eqx.tree_at(_leaves_of(variable), mechanism, new)
         return mechanism
 
     def evaluate(self, values: Float[Array, " variables"]) -> SampleResult:
@@ -155,6 +152,10 @@ class Problem(eqx.Module):
         return SampleResult(
             responses, jnp.where(possible, outcome, Outcome.OUT_OF_RANGE), trajectory.ended
         )
+
+
+def _leaves_of(variable: Variable) -> Callable[[Mechanism], list]:
+    return lambda mechanism: jax.tree.leaves(variable.where(mechanism))
 
 
 def _check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:

@@ -80,13 +80,13 @@ def criterion(
 
 
 def criteria(
-    reference: tuple[Trial, Trial],
+    reference: tuple[Trial, ...],
     names: tuple[str, ...],
     accuracy: float,
     sizes: Mapping[str, float],
     means: bool,
 ) -> dict[str, Criterion]:
-    """How each response is judged by the reference, looser and tight; `sizes` are those given by
+    """How each response is judged by the reference (looser, tight); `sizes` are those given by
     the user.
     """
     loose, tight = (trial.responses for trial in reference)

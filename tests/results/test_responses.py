@@ -23,7 +23,7 @@ def test_responses_are_what_their_names_say(run):
         jc.response.WornVolume("B"): run.worn_volume("B", "bearing")[-1],
         jc.response.MeanContactForce("B"): force.sum(axis=1).mean(),
         jc.response.PeakContactForce("B"): force.max(),
-        jc.response.FinalCoordinate("journal", 1, "m"): com[-1, 1],
+        jc.response.FinalCoordinate("journal", 1, unit="m"): com[-1, 1],
     }
     covered = {type(response) for response in expected} | {
         jc.response.PositionError,

@@ -71,7 +71,7 @@ CLEARANCE = {
 }
 FALL = {
     "force": jc.response.MeanContactForce("B"),
-    "place": jc.response.FinalCoordinate("journal", 1, "m"),
+    "place": jc.response.FinalCoordinate("journal", 1, unit="m"),
 }
 
 

@@ -99,7 +99,8 @@ class Advice(eqx.Module):
 
 def checked_accuracy(accuracy: Any) -> float:
     """The accuracy as a number. Raises `ValueError` with a sentence for what is none."""
-    if isinstance(accuracy, (bool, str)) or not np.isscalar(accuracy) or not 0 < accuracy < 1:
+    number = np.isscalar(accuracy) and not isinstance(accuracy, (bool, str, bytes, complex))
+    if not (number and 0 < float(accuracy) < 1):
         raise ValueError(
             f"the accuracy is {accuracy!r}; it is a share of each response, above 0 and below 1 "
             "(0.01 for 1 %)."

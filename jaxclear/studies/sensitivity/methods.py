@@ -132,7 +132,10 @@ def pathwise(
         problem, packed, progress_bar=progress_bar, label="tangents", function=_tangents_of_chunk
     )
     good = found.outcome == Outcome.REACHED
-    return {name: _mean_tangent(tangents[good]) for name, tangents in found.responses.items()}
+    return {
+        name: _mean_tangent(np.asarray(tangents)[good])
+        for name, tangents in found.responses.items()
+    }
 
 
 def _mean_tangent(tangents: np.ndarray) -> Estimate:
