@@ -1,6 +1,6 @@
 """What acts on bodies besides joints: gravity, forces, torques, springs and dampers.
 
-A load sees a `Sight` of the marker it acts on (place and velocity in the ground frame) and returns
+A load sees the motion of the markers it acts on (`MarkerMotion`, in the ground frame) and returns
 forces and torques in the ground frame. Springs tell their stored energy, dampers their dissipated
 power, so that the energy balance can be closed; every other force counts as input.
 """
@@ -83,7 +83,7 @@ class AbstractBodyLoad(AbstractLoad):
         """The markers it needs to see."""
 
     @abstractmethod
-    def effect(self, time: Scalar, sights: tuple[MarkerMotion, ...]) -> Effect:
+    def effect(self, time: Scalar, motions: tuple[MarkerMotion, ...]) -> Effect:
         """Forces and energies at an instant."""
 
 
@@ -145,12 +145,12 @@ class Force(AbstractBodyLoad):
     def markers(self):
         return (self.marker,)
 
-    def effect(self, time, sights):
+    def effect(self, time, motions):
         force = sp.vec3(tuple(_at(self.value, time)))
         if self.follows:
-            force = sp.apply(sights[0].pose.rotation, force)
+            force = sp.apply(motions[0].pose.rotation, force)
         return Effect(
-            (Action(self.marker, force, sp.ZERO),), 0, 0, sp.dot(force, sights[0].velocity)
+            (Action(self.marker, force, sp.ZERO),), 0, 0, sp.dot(force, motions[0].velocity)
         )
 
 
@@ -171,12 +171,14 @@ class Torque(AbstractBodyLoad):
     def markers(self):
         return (self.marker,)
 
-    def effect(self, time, sights):
+    def effect(self, time, motions):
         value = tuple(_at(self.value, time))
         torque = (0, 0, *value) if len(value) == 1 else sp.vec3(value)
         if self.follows:
-            torque = sp.apply(sights[0].pose.rotation, torque)
-        return Effect((Action(self.marker, sp.ZERO, torque),), 0, 0, sp.dot(torque, sights[0].spin))
+            torque = sp.apply(motions[0].pose.rotation, torque)
+        return Effect(
+            (Action(self.marker, sp.ZERO, torque),), 0, 0, sp.dot(torque, motions[0].spin)
+        )
 
 
 class MotorTorque(AbstractBodyLoad):
@@ -196,11 +198,11 @@ class MotorTorque(AbstractBodyLoad):
     def markers(self):
         return (self.bearing, self.journal)
 
-    def effect(self, time, sights):
-        torque = sp.scale(_at(self.value, time), sp.apply(sights[0].pose.rotation, (0, 0, 1)))
+    def effect(self, time, motions):
+        torque = sp.scale(_at(self.value, time), sp.apply(motions[0].pose.rotation, (0, 0, 1)))
         back = tuple(sp.neg(x) for x in torque)
         actions = (Action(self.bearing, sp.ZERO, back), Action(self.journal, sp.ZERO, torque))
-        return Effect(actions, 0, 0, sp.dot(torque, sp.minus(sights[1].spin, sights[0].spin)))
+        return Effect(actions, 0, 0, sp.dot(torque, sp.minus(motions[1].spin, motions[0].spin)))
 
 
 class Spring(AbstractBodyLoad):
@@ -217,11 +219,11 @@ class Spring(AbstractBodyLoad):
     def markers(self):
         return (self.start, self.end)
 
-    def effect(self, time, sights):
-        line = sp.minus(sights[1].pose.translation, sights[0].pose.translation)
+    def effect(self, time, motions):
+        line = sp.minus(motions[1].pose.translation, motions[0].pose.translation)
         length = safe_sqrt(sp.dot(line, line))
         direction = tuple(0 if sp.is_zero(x) else safe_divide(x, length) for x in line)
-        rate = sp.dot(direction, sp.minus(sights[1].velocity, sights[0].velocity))
+        rate = sp.dot(direction, sp.minus(motions[1].velocity, motions[0].velocity))
         stretch = length - self.free_length
         tension, stored, dissipated = 0, 0, 0
         if self.stiffness is not None:

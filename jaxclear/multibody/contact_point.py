@@ -59,18 +59,18 @@ class JointReport(NamedTuple):
     points: tuple[PointReport, ...]
 
 
-def memory_template(pairing: ContactLaws, touch: ContactCandidate) -> PointState:
+def memory_template(laws: ContactLaws, touch: ContactCandidate) -> PointState:
     """Initial memory of a contact: nothing remembered, straight bristles; `None` and () where a law
     has no memory.
     """
-    law = pairing.friction
+    law = laws.friction
     bristles = () if law is None else (0.0,) * (law.bristles * len(touch.tangents))
-    return PointState(0.0 if pairing.contact.remembers_impact_speed else None, bristles)
+    return PointState(0.0 if laws.contact.remembers_impact_speed else None, bristles)
 
 
 class GapFunction(NamedTuple):
-    """Geometry of one possible contact: its overlap [m], the overlap's gradient by the offset and
-    by each axis, the touch.
+    """Geometry of one possible contact: its overlap [m], the overlap's gradient by the offset [1]
+    and by each axis [m], and where it is.
     """
 
     indentation: Any
@@ -97,16 +97,19 @@ def evaluate(
     worn: dict[str, Any],
 ) -> JointReport:
     """Forces of a clearance joint; `worn` are the depth maps that feed back into the gap."""
-    gap_functions = gap_function(joint, relative.pose, worn)
-    speeds = tuple(
-        contact_speeds(joint, relative.pose, o, relative.velocity, relative.spin)
-        for o in gap_functions
-    )
-    responses = tuple(
-        _respond(pairing, o.indentation, *own, memory[k])
-        for k, (pairing, o, own) in enumerate(zip(contact_laws, gap_functions, speeds, strict=True))
-    )
-    return assemble(joint, contact_laws, relative.pose, gap_functions, speeds, responses)
+    pose, velocity, spin = relative
+    gap_functions = gap_function(joint, pose, worn)
+    speeds, responses = [], []
+    for laws, contact, state in zip(contact_laws, gap_functions, memory, strict=True):
+        rate, slip = contact_speeds(joint, pose, contact, velocity, spin)
+        normal = laws.contact.normal_force(contact.indentation, rate, state.impact_speed)
+        speed, tractions, bristle_rates = slip_speed(slip), (), ()
+        if laws.friction is not None:
+            tractions, bristle_rates = laws.friction.tractions(normal, state.bristles, slip, speed)
+        remembered = _impact_speed_rate(laws, contact.indentation, rate, state)
+        speeds.append((rate, slip))
+        responses.append(Response(normal, speed, tractions, PointState(remembered, bristle_rates)))
+    return assemble(joint, contact_laws, pose, gap_functions, tuple(speeds), tuple(responses))
 
 
 def gap_function(
@@ -115,11 +118,11 @@ def gap_function(
     """Geometry of every possible contact of a joint."""
     offset, axes = pose.translation, _axes(joint, pose)
     indentations, gradients = _indentations(joint, offset, axes, worn)
-    contact_candidates = joint.contact_candidates(offset, axes, indentations)
-    return tuple(
-        GapFunction(i, *g, t)
-        for i, g, t in zip(indentations, gradients, contact_candidates, strict=True)
-    )
+    candidates = joint.contact_candidates(offset, axes, indentations)
+    found = []
+    for overlap, (slope, turns), candidate in zip(indentations, gradients, candidates, strict=True):
+        found.append(GapFunction(overlap, slope, turns, candidate))
+    return tuple(found)
 
 
 def depths(joint: AbstractClearance, pose: Pose, worn: dict[str, Any]) -> tuple:
@@ -137,7 +140,7 @@ def contact_speeds(
         rate = sp.add(rate, sp.dot(turn, sp.cross(spin, axis)))
     # Velocity of the journal's material point at the touch, seen from the bearing.
     arm = sp.minus(contact.touch.place, pose.translation)
-    across = _tangential(contact.touch, sp.plus(velocity, sp.cross(spin, arm)))
+    across = contact.touch.tangential(sp.plus(velocity, sp.cross(spin, arm)))
     return rate, tuple(sp.dot(across, tangent) for tangent in contact.touch.tangents)
 
 
@@ -157,30 +160,29 @@ def assemble(
     """The joint's report from the geometry, the speeds and the laws' responses at each contact."""
     offset, axes = pose.translation, _axes(joint, pose)
     force, torque, powers, reports = sp.ZERO, sp.ZERO, [], []
-    for pairing, contact, (rate, slip), response in zip(
-        contact_laws, gap_functions, speeds, responses, strict=True
-    ):
+    each = zip(contact_laws, gap_functions, speeds, responses, strict=True)
+    for laws, contact, (rate, slip), response in each:
         normal, touch = response.normal, contact.touch
-        push = sp.scale(-normal, contact.slope)
-        turned = [
-            sp.scale(-normal, sp.cross(a, t)) for a, t in zip(axes, contact.turns, strict=True)
-        ]
-        traction = sp.plus(
-            sp.ZERO,
-            *[sp.scale(f, t) for f, t in zip(response.tractions, touch.tangents, strict=False)],
-        )
-        traction = _tangential(touch, traction) if response.memory_rates.bristles else traction
+        traction = sp.ZERO
+        # Without friction there are no tractions.
+        for size, tangent in zip(response.tractions, touch.tangents, strict=False):
+            traction = sp.plus(traction, sp.scale(size, tangent))
+        if response.memory_rates.bristles:
+            traction = touch.tangential(traction)
+        force = sp.plus(force, sp.scale(-normal, contact.slope), traction)
+        torques = []
+        for axis, turn in zip(axes, contact.turns, strict=True):
+            torques.append(sp.scale(-normal, sp.cross(axis, turn)))
         arm = sp.minus(touch.place, offset)
-        force = sp.plus(force, push, traction)
-        torque = sp.plus(torque, *turned, sp.cross(arm, traction))
-        elastic = pairing.contact.elastic_force(contact.indentation)
-        drag = 0.0 if pairing.friction is None else safe_sqrt(sp.dot(traction, traction))
+        torque = sp.plus(torque, *torques, sp.cross(arm, traction))
+        elastic = laws.contact.elastic_force(contact.indentation)
+        drag = 0.0 if laws.friction is None else safe_sqrt(sp.dot(traction, traction))
         loss = sp.neg(sp.dot(response.tractions, slip)) if response.tractions else 0
         powers.append((normal * rate, (normal - elastic) * rate, loss))
         reports.append(
             PointReport(contact.indentation, rate, normal, response.slip_speed, drag, touch.place)
         )
-    indentations = tuple(o.indentation for o in gap_functions)
+    indentations = tuple(contact.indentation for contact in gap_functions)
     wear_rates = _wear_rates(joint, contact_laws, offset, axes, indentations, reports)
     sums = [sp.total(parts) for parts in zip(*powers, strict=True)]
     rates = tuple(response.memory_rates for response in responses)
@@ -209,45 +211,21 @@ def _indentations(joint, offset, axes, worn):
     values = overlaps(arrays)
     gradients = []
     for k in range(len(values)):
+        found = jax.grad(lambda arrays, k=k: overlaps(arrays)[k])(arrays)
         slopes = [0] * len(leaves)
-        for i, slope in zip(varying, jax.grad(lambda a, k=k: overlaps(a)[k])(arrays), strict=True):
+        for i, slope in zip(varying, found, strict=True):
             slopes[i] = slope
         gradients.append(jax.tree.unflatten(structure, slopes))
     return values, gradients
 
 
-def _tangential(touch, vector):
-    """The part of a vector across the normal; directions given as a whole basis include the
-    normal."""
-    if len(touch.tangents) < 3:
-        return vector
-    along = sp.dot(vector, touch.normal)
-    return sp.minus(vector, sp.scale(along, touch.normal))
-
-
-def _respond(pairing, indentation, rate, slip, memory) -> Response:
-    """The laws at one contact."""
-    normal = pairing.contact.normal_force(indentation, rate, memory.impact_speed)
-    speed = slip_speed(slip)
-    law = pairing.friction
-    tractions, bristle_rates = (
-        ((), ()) if law is None else law.tractions(normal, memory.bristles, slip, speed)
-    )
-    return Response(
-        normal,
-        speed,
-        tractions,
-        PointState(_impact_speed_rate(pairing, indentation, rate, memory), bristle_rates),
-    )
-
-
-def _impact_speed_rate(pairing, indentation, rate, memory):
+def _impact_speed_rate(laws, indentation, rate, memory):
     """The remembered speed follows the approach speed while the contact is open and stays while it
     is closed.
     """
     if memory.impact_speed is None:
         return None
-    follow = (positive_part(rate) - memory.impact_speed) / pairing.contact.memory_time
+    follow = (positive_part(rate) - memory.impact_speed) / laws.contact.memory_time
     return jnp.where(indentation < 0, follow, 0.0)
 
 
@@ -256,8 +234,8 @@ def _wear_rates(joint, contact_laws, offset, axes, indentations, reports):
     rates = {}
     for surface, (_, wearing) in joint.maps().items():
         entries = []
-        for k, (pairing, report) in enumerate(zip(contact_laws, reports, strict=True)):
-            if pairing.wears:
+        for k, (laws, report) in enumerate(zip(contact_laws, reports, strict=True)):
+            if laws.wears:
                 volume = wearing.law.volume_rate(
                     report.normal_force, report.slip_speed, report.traction
                 )

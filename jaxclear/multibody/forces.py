@@ -67,8 +67,8 @@ def applied_forces(
     with jax.named_scope("loads"):
         for name, load in body_loads(system):
             markers = system.load_markers[name]
-            sights = tuple(_marker_motion(link, marker, motions) for link, marker in markers)
-            effect = load.effect(time, sights)
+            seen = tuple(_marker_motion(link, marker, motions) for link, marker in markers)
+            effect = load.effect(time, seen)
             for action, (link, marker) in zip(effect.actions, markers, strict=True):
                 if link is not None:
                     _add(wrenches, link, _in_link(action, motions[link], marker))

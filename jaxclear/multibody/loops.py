@@ -19,8 +19,11 @@ AXIS = {"x": 0, "y": 1, "z": 2}
 
 
 class Baumgarte(AbstractQuantified):
-    """d2(phi)/dt2 + 2 alpha d(phi)/dt + beta^2 phi = 0: drift of a row decays like exp(-alpha t)
-    where beta = alpha.
+    r"""Baumgarte's stabilisation, :math:`\ddot\Phi + 2\alpha\dot\Phi + \beta^2\Phi = 0`: drift of a
+    row decays like :math:`e^{-\alpha t}` where beta = alpha.
+
+    Source: Baumgarte 1972, Comput. Methods Appl. Mech. Eng. 1, 1,
+    doi:10.1016/0045-7825(72)90018-7.
     """
 
     alpha: Scalar = quantity(50.0, "1/s", "damping of the drift", at_least=0)
@@ -33,7 +36,7 @@ class Projection(eqx.Module):
 
     One Newton step each, which leaves the square of a step's drift. For integrators with fixed
     steps; error control would take the jumps for errors. Source: Eich 1993, SIAM J. Numer. Anal.
-    30, 1467.
+    30, 1467, doi:10.1137/0730076.
     """
 
 
@@ -59,7 +62,8 @@ class Relative(NamedTuple):
 
 
 def reverse(relative: Relative, turn: sp.Mat) -> Relative:
-    """The parent's marker as seen from the child's, both markers turned by the columns of `turn`."""
+    """The parent's marker as seen from the child's, both markers turned by `turn` (columns: the new
+    axes in the old)."""
     (rotation, _), velocity, spin = relative
     pose = relative.pose.inverse()
     # Seen from the child the parent goes the other way, and turns about it.

@@ -81,27 +81,24 @@ def lay_out(
     samples = {}
     for name, bearing in system.bearings.items():
         offset, axes, overlaps, contact_candidates = probe(system, bearing)
-        templates = [
-            memory_template(p, t)
-            for p, t in zip(bearing.contact_laws, contact_candidates, strict=True)
-        ]
-        kinds = tuple((t.impact_speed is not None, len(t.bristles)) for t in templates)
-        memories.append((name, kinds))
+        kinds = []
+        for laws, candidate in zip(bearing.contact_laws, contact_candidates, strict=True):
+            template = memory_template(laws, candidate)
+            kinds.append((template.impact_speed is not None, len(template.bristles)))
+        memories.append((name, tuple(kinds)))
         position += sum(remembers + bristles for remembers, bristles in kinds)
         samples[name] = (bearing, offset, axes, overlaps)
     for name, (bearing, offset, axes, overlaps) in samples.items():
         for surface in bearing.joint.maps():
-            for k, pairing in enumerate(bearing.contact_laws):
-                if pairing.wears:
-                    features = bearing.joint.features(surface, offset, axes, overlaps, k)
-                    averaged = tuple(
-                        i for i, f in enumerate(features) if not isinstance(f, (int, float))
-                    )
-                    constants = tuple(
-                        (i, float(f)) for i, f in enumerate(features) if isinstance(f, (int, float))
-                    )
-                    wear.append(WearSlot(name, surface, k, position, averaged, constants))
-                    position += 1 + len(averaged)
+            for k, laws in enumerate(bearing.contact_laws):
+                if not laws.wears:
+                    continue
+                features = bearing.joint.features(surface, offset, axes, overlaps, k)
+                constants = {i: f for i, f in enumerate(features) if isinstance(f, (int, float))}
+                averaged = tuple(i for i in range(len(features)) if i not in constants)
+                known = tuple((i, float(f)) for i, f in constants.items())
+                wear.append(WearSlot(name, surface, k, position, averaged, known))
+                position += 1 + len(averaged)
     energies = ENERGIES if balance else ()
     size = position + sum(count for _, count in impulses) + len(energies)
     return Layout(
@@ -116,7 +113,7 @@ def lay_out(
 
 
 def probe(system: System, bearing: Bearing) -> tuple:
-    """(offset, axes, indentations, touches) of a clearance joint somewhere: for what does not
+    """(offset, axes, indentations, contact candidates) of a clearance joint somewhere: for what does not
     depend on the place.
     """
     planar = _is_planar(system)
@@ -128,17 +125,17 @@ def probe(system: System, bearing: Bearing) -> tuple:
     return offset, axes, overlaps, bearing.joint.contact_candidates(offset, axes, overlaps)
 
 
-def component_count(pairing: ContactLaws, touch: ContactCandidate) -> int:
+def component_count(laws: ContactLaws, candidate: ContactCandidate) -> int:
     """Components of a contact's force: a normal one, and one per slip direction where it rubs."""
-    return 1 + (0 if pairing.friction is None else len(touch.tangents))
+    return 1 + (0 if laws.friction is None else len(candidate.tangents))
 
 
 def contact_components(system: System) -> tuple[tuple[str, int], ...]:
     """By clearance joint, how many components its contacts' forces have."""
     counts = []
     for name, bearing in system.bearings.items():
-        each = zip(bearing.contact_laws, probe(system, bearing)[3], strict=True)
-        counts.append((name, sum(component_count(pairing, touch) for pairing, touch in each)))
+        each = map(component_count, bearing.contact_laws, probe(system, bearing)[3])
+        counts.append((name, sum(each)))
     return tuple(counts)
 
 

@@ -44,8 +44,8 @@ class Branch:
 
 @dataclass(frozen=True)
 class Topology:
-    """Static structure of a mechanism. `subtrees` are the independent subtrees, as tuples of indices
-    of branches.
+    """Static structure of a mechanism. `subtrees`: what hangs together without the ground, as
+    tuples of indices of branches.
     """
 
     branches: tuple[Branch, ...]

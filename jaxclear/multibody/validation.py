@@ -1,5 +1,5 @@
-"""What a mechanism is refused for, in sentences that name the body, joint or load and say what would
-be right.
+"""What a mechanism is refused for, in sentences that name the body, joint or load and say what
+would be right.
 
 A part checks itself when it is built; here is what needs the other parts: names, what a slot holds,
 numbers that were changed afterwards, drives, loads and starts that fit the tree.

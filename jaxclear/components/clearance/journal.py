@@ -29,8 +29,8 @@ from jaxclear.laws.stiffness import Shape
 class PlanarJournalBearing(AbstractJournalBearing):
     r"""Journal in a bearing, both axes parallel: one contact, in the plane of the bearing.
 
-    :math:`\delta = |e| - c`. Prefer `JournalBearing` where the journal's axis can tilt or slide along the
-    bearing.
+    :math:`\delta = |e| - c`. Prefer `JournalBearing` where the journal's axis can tilt or slide
+    along the bearing.
     """
 
     ideal_rows: ClassVar = ("x", "y")
@@ -101,15 +101,15 @@ class Flange(AbstractQuantified):
 
 
 class JournalBearing(AbstractJournalBearing):
-    r"""Journal in a bearing, the axis free to tilt: contact at both end planes of the bearing, axial
-    stop at the collars.
+    r"""Journal in a bearing, the axis free to tilt: contact at both end planes of the bearing,
+    axial stop at the collars.
 
     At :math:`z_k = \mp L/2` the journal's axis pierces the plane at :math:`c_k`, and
     :math:`\delta_k = |c_k| - c + r_J (t \cdot n_k)^2 / 2`, :math:`n_k = c_k / |c_k|`, t the slope
-    of the journal's axis; the last term is the ellipse of a tilted cylinder. No contact, one point, two opposite points and line
-    contact (both ends on one side, sharing the load) all follow. The contact law acts at each end:
-    a law for a line contact needs half of the length. The journal must reach through the bearing;
-    without `flange` nothing holds it along the axis.
+    of the journal's axis; the last term is the ellipse of a tilted cylinder. No contact, one point,
+    two opposite points and line contact (both ends on one side, sharing the load) all follow. The
+    contact law acts at each end: a law for a line contact needs half of the length. The journal
+    must reach through the bearing; without `flange` nothing holds it along the axis.
     """
 
     ideal_rows: ClassVar = ("x", "y", "z", "x.z", "y.z")
