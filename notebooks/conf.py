@@ -34,3 +34,5 @@ nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 # Progress bars and compilers write there.
 nb_output_stderr = "remove"
+# What a cell prints in pieces is one block.
+nb_merge_streams = True

@@ -1,4 +1,4 @@
-"""The study of the slider in a guide from one command: joints that always touch beside a compliant
+"""The study of the slider in a guide from one command: permanent contact beside a compliant
 run with a small clearance.
 
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.

@@ -87,7 +87,7 @@ def _strip(axis: Any, edges: np.ndarray, codes: np.ndarray) -> None:
 
 
 def switching_window(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
-    """Corner forces around two switchings, always touching and with a small clearance."""
+    """Corner forces around two switchings, in permanent contact and with a small clearance."""
     figure = Figure(figsize=(9.5, 5.5), layout="constrained")
     axes = figure.subplots(2, 2, sharex="col")
     gap = 1e6 * float(compliant.mechanism.connections["P"].joint.clearance)
@@ -102,7 +102,7 @@ def switching_window(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
                 axis.axvline(1e3 * instant, color="k", lw=0.7, ls=":")
         axes[1, column].set_xlabel("time [ms]")
         axes[0, column].set_title(f"switching at {1e3 * centre:.1f} ms")
-    axes[0, 0].set_ylabel("corner force, always touching [N]")
+    axes[0, 0].set_ylabel("corner force, permanent contact [N]")
     axes[1, 0].set_ylabel(f"corner force, gap of {gap:g} µm [N]")
     axes[0, 0].legend(fontsize=8)
     return figure
@@ -120,7 +120,7 @@ def reactions(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
         own, other = np.linalg.norm(own, axis=1), np.linalg.norm(other, axis=1)
         label = "regularised friction, small clearance"
         axis.plot(other_angle, other, color="C1", lw=0.8, label=label)
-        axis.plot(angle, own, color="C0", lw=1.4, label="always touching, Coulomb")
+        axis.plot(angle, own, color="C0", lw=1.4, label="permanent contact, Coulomb")
         axis.set_ylabel(f"{name} [N]")
         # Peaks of impacts would hide everything else.
         axis.set_ylim(0, 1.3 * own.max())
