@@ -16,13 +16,13 @@ MILLI, MICRO = 1e3, 1e6
 
 
 def canvas(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.5), **kwargs: Any):
-    """An empty figure with its axes."""
+    """An empty figure of `size` [inch] and its axes."""
     figure = Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, **kwargs)
 
 
 def shades(count: int) -> list:
-    """So many colours, from dark to light."""
+    """Colours from dark to light."""
     return [matplotlib.colormaps["viridis"](x) for x in np.linspace(0.0, 0.85, count)]
 
 

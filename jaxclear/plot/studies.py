@@ -83,47 +83,32 @@ def work_precision(advice: Advice) -> Figure:
     Grey: the reference, and what it cannot tell from no error. Runs that failed are not drawn;
     errors outside are drawn at the edge, LARGEST_ERROR or the lower end of the grey.
     """
+    found = advice.comparison
     figure, axis = canvas(1, 1, (8.0, 5.4))
-    known = max(criterion.trust for criterion in advice.comparison.criteria.values())
-    floor = max(0.3 * min(known, advice.comparison.accuracy), 1e-12)
-    table = advice.table()
-    table = table[np.isfinite(table["error"]) & np.isfinite(table["wall s per simulated s"])]
-    table = table.assign(
-        error=table["error"].clip(floor, LARGEST_ERROR), cost=table["wall s per simulated s"]
-    )
-    for index, (name, rows) in enumerate(
-        table[~table["method"].isin(BESIDE)].groupby("method", sort=False)
-    ):
-        axis.plot(rows["cost"], rows["error"], "o-", ms=4, lw=1.2, color=f"C{index}", label=name)
+    known = max(criterion.trust for criterion in found.criteria.values())
+    floor = max(0.3 * min(known, found.accuracy), 1e-12)
+    table = advice.table().rename(columns={"wall s per simulated s": "cost"})
+    table = table[np.isfinite(table["error"]) & np.isfinite(table["cost"])]
+    table = table.assign(error=table["error"].clip(floor, LARGEST_ERROR))
+    tried = table[~table["method"].isin(BESIDE)]
+    for name, rows in tried.groupby("method", sort=False):
+        axis.plot(rows["cost"], rows["error"], "o-", ms=4, lw=1.2, label=name)
     for name, marker in zip(BESIDE, "Dx", strict=True):
         rows = table[table["method"] == name]
         axis.plot(rows["cost"], rows["error"], marker, ms=6, color="0.35", label=name)
     best = table[table["recommended"]]
-    axis.plot(
-        best["cost"], best["error"], "o", ms=14, mfc="none", mec="k", mew=1.6, label="recommended"
-    )
-    axis.axhline(
-        advice.comparison.accuracy,
-        color="C3",
-        ls="--",
-        lw=1.0,
-        label=f"accuracy asked, {100 * advice.comparison.accuracy:g} %",
-    )
+    ring = {"ms": 14, "mfc": "none", "mec": "k", "mew": 1.6}
+    axis.plot(best["cost"], best["error"], "o", label="recommended", **ring)
+    asked = f"accuracy asked, {100 * found.accuracy:g} %"
+    axis.axhline(found.accuracy, color="C3", ls="--", lw=1.0, label=asked)
     axis.axhspan(floor, known, color="0.9", zorder=0)
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.set_xlabel("computing time per simulated second, one run alone [s]")
-    axis.set_ylabel(
-        "largest error of a response [1]"
-        + (", means over the copies" if advice.comparison.means else "")
-    )
-    cheapest = (
-        f"cheapest in batches of {advice.comparison.batch}"
-        if advice.comparison.batch
-        else "cheapest alone"
-    )
+    over = ", means over the copies" if found.means else ""
+    axis.set_ylabel(f"largest error of a response [1]{over}")
+    cheapest = f"cheapest in batches of {found.batch}" if found.batch else "cheapest alone"
     axis.set_title(f"Recommended, {cheapest}: {describe(advice.recommended)}", fontsize=10)
-    figure.legend(
-        *axis.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3
-    )
+    lines = axis.get_legend_handles_labels()
+    figure.legend(*lines, fontsize=8, loc="outside lower center", ncols=3)
     return figure

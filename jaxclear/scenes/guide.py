@@ -105,7 +105,7 @@ def guide(
     clearance: float = 0.1e-3,
     *,
     friction: Any = "set_valued",
-    drive: AbstractDrive | None | str = "constant",
+    drive: AbstractDrive | str | None = "constant",
     crank_angle: float = 0.0,
     crank_speed: float = CRANK_SPEED,
     torque: Any | None = None,
