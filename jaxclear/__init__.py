@@ -30,7 +30,7 @@ from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import numerics, pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
-from jaxclear.laws import conformal, contact, friction, material, stiffness, wear
+from jaxclear.laws import contact, friction, material, stiffness, wear
 from jaxclear.laws.material import Material
 from jaxclear.multibody.assembly import assemble
 from jaxclear.multibody.loops import Baumgarte, Projection
@@ -47,6 +47,9 @@ from jaxclear.studies.problem import Problem, Variable
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
 
 from jaxclear import scenes  # isort: skip
+
+# The name under which the laws of cylinders used to stand.
+conformal = contact
 
 __all__ = [
     "AbstractQuantified",
@@ -69,7 +72,6 @@ __all__ = [
     "assemble",
     "clearance",
     "complementarity",
-    "conformal",
     "contact",
     "distribution",
     "drive",

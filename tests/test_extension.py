@@ -13,19 +13,40 @@ from jaxclear import Scalar, quantity
 from tests.laws.contracts import contact_contract, friction_contract, wear_contract
 
 
-class Cushion(jc.contact.AbstractContactLaw):
+class Cushion(jc.contact.AbstractElasticForce):
     """F = K delta + K delta^2 / d: a linear spring that stiffens over the depth d."""
 
     stiffness: Scalar = quantity(1e6, "N/m", "stiffness at touch")
     depth: Scalar = quantity(1e-3, "m", "depth over which the stiffness trebles")
-    remembers_impact_speed: ClassVar[bool] = False
 
-    def normal_force(self, indentation, rate, impact_speed):
-        return self.elastic_force(indentation)
-
-    def elastic_force(self, indentation):
+    def force(self, indentation):
         depth = jc.numerics.positive_part(indentation)
         return self.stiffness * depth * (1 + depth / self.depth)
+
+
+class Firm(jc.contact.AbstractRestitutionFactor):
+    """d = 1.51 (1 - e), near Hunt and Crossley's."""
+
+    restitution: Scalar = quantity(0.9, "1", "coefficient of restitution", above=0, at_most=1)
+
+    def factor(self):
+        return 1.51 * (1 - self.restitution)
+
+
+class Leaking(jc.contact.AbstractContactLaw):
+    """A spring with a damper that grows with the indentation: a law that is no product."""
+
+    stiffness: Scalar = quantity(1e7, "N/m", "stiffness")
+    damping: Scalar = quantity(1e6, "N s/m^2", "damping per indentation")
+    restitution: ClassVar[None] = None
+    memory_time: ClassVar[None] = None
+
+    def normal_force(self, indentation, rate, impact_speed):
+        damper = self.damping * jc.numerics.positive_part(indentation) * rate
+        return jc.numerics.positive_part(self.elastic_force(indentation) + damper)
+
+    def elastic_force(self, indentation):
+        return self.stiffness * jc.numerics.positive_part(indentation)
 
 
 class Saturating(jc.friction.AbstractSlipFriction):
@@ -171,8 +192,14 @@ class Screw(jc.joint.AbstractVectorJoint):
 
 @pytest.mark.parametrize(
     ("contract", "law"),
-    [(contact_contract, Cushion()), (friction_contract, Saturating()), (wear_contract, Erosion())],
-    ids=["contact", "friction", "wear"],
+    [
+        (contact_contract, jc.contact.ContactForce(Cushion())),
+        (contact_contract, jc.contact.ContactForce(Cushion(), Firm())),
+        (contact_contract, Leaking()),
+        (friction_contract, Saturating()),
+        (wear_contract, Erosion()),
+    ],
+    ids=["elastic force", "dissipation factor", "additive", "friction", "wear"],
 )
 def test_law_passes_its_contract(contract, law):
     contract(law)
@@ -180,7 +207,9 @@ def test_law_passes_its_contract(contract, law):
 
 def test_outsiders_run_in_a_bearing():
     joint = jc.clearance.PlanarJournalBearing(
-        Cushion(1e7), Saturating(), bearing_wear=jc.Wearing(Erosion(), cells=(12, 1))
+        jc.contact.ContactForce(Cushion(stiffness=1e7)),
+        Saturating(),
+        bearing_wear=jc.Wearing(Erosion(), cells=(12, 1)),
     )
     ring = jc.Mechanism(
         {"ring": jc.Body(1.0, 1e-3)},
@@ -197,7 +226,7 @@ def test_outsiders_run_in_a_bearing():
 
 
 def test_clearance_joint_from_outside_bounces_as_a_parabola():
-    joint = FloorAndCeiling(Cushion(1e7))
+    joint = FloorAndCeiling(jc.contact.ContactForce(Cushion(stiffness=1e7)))
     drop = jc.Mechanism(
         {"ball": jc.Body(1.0, 1e-3)},
         {"gap": jc.Connection(joint, "ground", "ball")},

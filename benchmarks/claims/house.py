@@ -21,9 +21,6 @@ from typing import Any
 import equinox as eqx
 
 import jaxclear as jc
-from jaxclear.laws.contact import AbstractContactLaw, AbstractNormalLaw
-from jaxclear.laws.friction import AbstractFrictionLaw
-from jaxclear.laws.wear import AbstractWearLaw
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMITS = {
@@ -140,7 +137,13 @@ def laws() -> list[type]:
     def below(kind: type) -> set[type]:
         return {kind}.union(*(below(child) for child in kind.__subclasses__()))
 
-    families = (AbstractNormalLaw, AbstractContactLaw, AbstractFrictionLaw, AbstractWearLaw)
+    families = (
+        jc.contact.AbstractNormalLaw,
+        jc.contact.AbstractElasticForce,
+        jc.contact.AbstractDissipation,
+        jc.friction.AbstractFrictionLaw,
+        jc.wear.AbstractWearLaw,
+    )
     found = set().union(*(below(family) for family in families))
     own = [law for law in found if law.__module__.startswith("jaxclear.")]
     return sorted(
@@ -154,11 +157,11 @@ def without_source() -> list[str]:
     return [law.__name__ for law in laws() if "Source:" not in (inspect.getdoc(law) or "")]
 
 
-class _Witness(AbstractContactLaw):
+class _Witness(jc.contact.AbstractContactLaw):
     """A linear spring that remembers through which own functions it was reached."""
 
     frames: list = eqx.field(static=True)
-    remembers_impact_speed = False
+    memory_time, restitution = None, 1.0
 
     def normal_force(self, indentation, rate, impact_speed):
         stack = traceback.extract_stack()[:-1]
@@ -173,7 +176,7 @@ class _Witness(AbstractContactLaw):
 def frames_to_a_law() -> list[str]:
     """Own functions on the way from `simulate` to the force of a contact law, the shortest way."""
     frames: list[list[str]] = []
-    joint = jc.clearance.PlanarJournalBearing(_Witness(frames), clearance=1e-4)
+    joint = jc.clearance.PlanarJournalBearing(_Witness(frames=frames), clearance=1e-4)
     ring = jc.Mechanism(
         {"ring": jc.Body(mass=1.0, inertia=1e-3)}, {"B": jc.Connection(joint, "ground", "ring")}
     )

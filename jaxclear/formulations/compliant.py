@@ -20,7 +20,6 @@ from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import concrete
-from jaxclear.laws.contact import AbstractContactLaw
 from jaxclear.multibody import dynamics, kinematics
 from jaxclear.multibody.forces import applied_forces, contact_reports
 from jaxclear.multibody.state import (
@@ -152,7 +151,7 @@ def _depths(reports: dict) -> tuple[Depths, Depths]:
 
 def _check_laws(name: str, laws: ContactLaws) -> None:
     """Raises `ValueError` for laws that are no functions of the state."""
-    if not isinstance(laws.contact, AbstractContactLaw):
+    if not laws.contact.compliant:
         raise ValueError(
             f'joint "{name}" has contact.{type(laws.contact).__name__}, which has no force law: take '
             "integrator.MoreauJean, or a compliant law such as contact.CarvalhoMartins."
@@ -168,10 +167,8 @@ def _check_laws(name: str, laws: ContactLaws) -> None:
 
 def _check_memory(name: str, laws: ContactLaws, step: float | None) -> None:
     """Raises `ValueError` where explicit steps [s] are too long for the memory of a law."""
-    if step is None or not laws.contact.remembers_impact_speed:
-        return
     memory = concrete(laws.contact.memory_time)
-    if memory is not None and step > MEMORY_STEPS * memory:
+    if step is not None and memory is not None and step > MEMORY_STEPS * memory:
         raise ValueError(
             f'steps of {step:.6g} s are too long for joint "{name}": its contact law remembers '
             f"the impact speed with memory_time {memory} s and would explode; take steps below "

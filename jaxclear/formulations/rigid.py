@@ -29,7 +29,6 @@ from jaxclear.formulations.unilateral import (
     unilateral_contacts,
 )
 from jaxclear.ground import sparse as sp
-from jaxclear.laws.restitution import restitution
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.mechanism import Mechanism
@@ -46,10 +45,10 @@ class RigidContact(AbstractFormulation):
         check_friction(mechanism, integrator)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
-                if restitution(laws.contact) is None:
+                if laws.contact.restitution is None:
                     raise ValueError(
-                        f'joint "{name}" has contact {type(laws.contact).__name__}, whose '
-                        "restitution depends on mass and speed; "
+                        f'joint "{name}" has a contact law whose restitution depends on mass and '
+                        "speed; "
                         f"for {integrator} give contact.Rigid(restitution=...)."
                     )
 

@@ -33,7 +33,6 @@ from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.friction import AbstractSetValuedFriction
-from jaxclear.laws.restitution import restitution
 from jaxclear.multibody.state import unpack_motion
 
 
@@ -102,8 +101,8 @@ def unilateral_contacts(points: tuple[ContactPoint, ...]) -> list[UnilateralCont
             velocities.append(sp.dot(weights, point.rates[1:]))
         own = 0 if friction is None else len(point.rows) - 1
         shares = [[weights[k] for weights in slips] for k in range(own)]
-        law = restitution(point.laws.contact)
-        contacts.append(UnilateralContact(rows, velocities, shares, law, friction))
+        law = point.laws.contact
+        contacts.append(UnilateralContact(rows, velocities, shares, law.restitution, friction))
     return contacts
 
 

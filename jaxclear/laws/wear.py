@@ -7,7 +7,8 @@ wear map's business.
 
 from abc import abstractmethod
 
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.law import AbstractLaw
 
 __all__ = [
     "AbstractWearLaw",
@@ -16,7 +17,7 @@ __all__ = [
 ]
 
 
-class AbstractWearLaw(AbstractQuantified):
+class AbstractWearLaw(AbstractLaw):
     """Worn volume per time of one contact point."""
 
     @abstractmethod

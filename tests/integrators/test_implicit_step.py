@@ -114,7 +114,7 @@ def rough(stiffness):
 
 def abrupt(stiffness):
     one = 0.0 * stiffness + 1.0
-    law = jc.contact.MarhefkaOrin(stiffness=stiffness, dissipation=0.2 * one)
+    law = jc.contact.MarhefkaOrin(stiffness=stiffness, loss_per_speed=0.2 * one)
     return law, jc.friction.Ambrosio(
         mu_kinetic=0.1 * one, inner_speed=1e-6 * one, outer_speed=1e-5 * one
     )

@@ -11,12 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 import pint
 
+from jaxclear.ground.quantity import numbers
+from jaxclear.laws import contact
 from jaxclear.laws.stiffness import Shape, fitted
 
 UNITS = pint.UnitRegistry()
 # A new set of base units, none a power of another: length, mass, time.
 SCALES = {"[length]": 1e3, "[mass]": 7.0, "[time]": 0.3}
-OPTIONAL_SLOTS = {"restitution": 0.9, "viscous": 0.01, "exponent": 1.4}
+OPTIONAL_SLOTS = {"viscous": 0.01, "exponent": 1.4}
 
 
 def shape():
@@ -44,11 +46,37 @@ def variants(law):
 
 
 def family(abstract):
-    """(identifier, law) of every variant of every member, as pytest likes them."""
+    """(identifier, law) of every variant of every member that is no product of others, as pytest
+    likes them."""
     return [
         (f"{cls.__name__}-{index}", law)
         for cls in members(abstract)
+        if cls is not contact.ContactForce
         for index, law in enumerate(variants(cls))
+    ]
+
+
+def contact_laws():
+    """(identifier, law) of every additive law, of every elastic force without loss, and of every
+    dissipation factor on Hertz's force."""
+    forces = family(contact.AbstractElasticForce)
+    factors = family(contact.AbstractDissipation)
+    return (
+        family(contact.AbstractContactLaw)
+        + [(name, contact.ContactForce(force)) for name, force in forces]
+        + [
+            (name, contact.ContactForce(contact.elastic.Hertz(), factor))
+            for name, factor in factors
+        ]
+    )
+
+
+def contact_products():
+    """(identifier, law) of every elastic force times every dissipation factor."""
+    return [
+        (f"{force_name}-x-{name}", contact.ContactForce(force, factor))
+        for force_name, force in family(contact.AbstractElasticForce)
+        for name, factor in family(contact.AbstractDissipation)
     ]
 
 
@@ -104,19 +132,12 @@ def unit_factor(unit, exponents):
 
 
 def in_new_units(law):
-    """The same law with every number converted by the unit of its field."""
-    fields = {
-        field.name: field
-        for field in dataclasses.fields(law)
-        if not field.metadata.get("static", False)
-    }
-    exponents = {"exponent": 1.5 if getattr(law, "exponent", None) is None else float(law.exponent)}
-    values = {
-        name: getattr(law, name) * unit_factor(field.metadata["unit"], exponents)
-        for name, field in fields.items()
-        if getattr(law, name) is not None
-    }
-    return type(law)(**values)
+    """The same law with every number, those of its parts included, converted by its unit."""
+    named = list(numbers(law))
+    exponents = {"exponent": 1.5}
+    exponents |= {path.split(".")[-1]: float(leaf) for path, leaf, _ in named if "exponent" in path}
+    converted = [leaf * unit_factor(meta["unit"], exponents) for _, leaf, meta in named]
+    return jax.tree.unflatten(jax.tree.structure(law), converted)
 
 
 def assert_unit_free(law, function, arguments, units, result_unit):

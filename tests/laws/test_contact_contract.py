@@ -1,5 +1,5 @@
-"""Every contact law, conformal ones included, keeps the contract; Hertz, Kelvin-Voigt and the exact
-rebound are oracles.
+"""Every contact law and every product of elastic force and dissipation factor keeps the contract;
+Hertz, Kelvin-Voigt and the exact rebound are oracles.
 """
 
 import equinox as eqx
@@ -11,19 +11,34 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from jaxclear.laws import conformal, contact, hysteresis
+from jaxclear.laws import contact
 from jaxclear.laws.material import Material, combined_modulus, steel
 from jaxclear.laws.stiffness import HertzStiffness, LengthOf, Shape, fitted
-from tests.laws.contracts import CONTACT_CHECKS, contact_contract, contact_never_pulls, rebound
-from tests.laws.law_family import family, shape
+from tests.laws.contracts import (
+    CONTACT_CHECKS,
+    contact_contract,
+    contact_never_pulls,
+    contact_recovers_restitution,
+    rebound,
+)
+from tests.laws.law_family import contact_laws, contact_products, shape
 
-LAWS = family(contact.AbstractContactLaw)
+LAWS = contact_laws()
+PRODUCTS = contact_products()
 
 
 @pytest.mark.parametrize("check", CONTACT_CHECKS, ids=lambda check: check.__name__)
 @pytest.mark.parametrize("law", [law for _, law in LAWS], ids=[name for name, _ in LAWS])
 def test_contact_law_keeps_the_contract(law, check):
     check(law)
+
+
+@pytest.mark.parametrize("law", [law for _, law in PRODUCTS], ids=[name for name, _ in PRODUCTS])
+def test_every_product_keeps_the_contract(law):
+    """All but the rebound, which is that of the factor: see test_restitution."""
+    for check in CONTACT_CHECKS:
+        if check is not contact_recovers_restitution:
+            check(law)
 
 
 def test_whole_contract_takes_an_unfitted_law():
@@ -81,7 +96,7 @@ def test_line_contact_without_length_is_refused():
 
 def test_fits_are_found_at_any_depth():
     nested = fitted(
-        (contact.Hertz(HertzStiffness(steel(), steel())), {"line": conformal.Johnson()}), shape()
+        (contact.Hertz(HertzStiffness(steel(), steel())), {"line": contact.Johnson()}), shape()
     )
     assert all(eqx.is_array(leaf) and leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(nested))
     np.testing.assert_allclose(nested[1]["line"].clearance, 1e-4, rtol=1e-9)
@@ -136,51 +151,6 @@ def test_modified_flores_is_hertz_for_small_indentation():
     hertz = fitted(contact.Hertz(HertzStiffness(steel(), steel())), shape())
     # R_s^2 stands for R_i R_j: half a per cent at a clearance of a hundredth of the radius
     np.testing.assert_allclose(law.elastic_force(1e-8), hertz.elastic_force(1e-8), rtol=6e-3)
-
-
-@pytest.mark.parametrize(
-    "restitution", [0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.99985, 0.99995, 1.0]
-)
-def test_gonthier_solves_the_rebound_relation(restitution):
-    """(1 + d) = (1 - d e) exp(d (1 + e)), solved independently for y = -ln(1 - d e) by scipy's
-    brentq.
-    """
-
-    def residual(y):
-        factor = -np.expm1(-y) / restitution
-        return y - factor * (1 + restitution) + np.log1p(factor)
-
-    if restitution == 1:
-        expected = 0.0
-    else:
-        bracket = restitution * (1 - restitution), (1 + restitution) / restitution + 1
-        expected = -np.expm1(-brentq(residual, *bracket, xtol=1e-15, rtol=1e-14)) / restitution
-    # the two roots cancel as e tends to 1: a part in 1e8 of a factor of 1e-4
-    np.testing.assert_allclose(hysteresis.gonthier(jnp.asarray(restitution)), expected, rtol=2e-8)
-    assert np.isfinite(jax.grad(hysteresis.gonthier)(restitution))
-
-
-@pytest.mark.parametrize(
-    ("law", "restitution", "error"),
-    [
-        # the docstrings' statements of accuracy
-        (contact.Gonthier, 0.9, 1e-5),
-        (contact.Gonthier, 0.3, 1e-5),
-        (contact.CarvalhoMartins, 0.9, 2e-5),
-        (contact.CarvalhoMartins, 0.5, 3e-4),
-        (contact.Flores, 0.3, 0.045),
-        (contact.HuntCrossley, 0.9, 0.0095),
-        (contact.LankaraniNikravesh, 0.9, 0.0135),
-    ],
-)
-def test_rebound_is_as_accurate_as_the_docstring_says(law, restitution, error):
-    assert abs(rebound(law(stiffness=1e10, restitution=restitution)) - restitution) <= error
-
-
-def test_marhefka_orin_loses_restitution_in_proportion_to_speed():
-    """e = 1 - a v + O((a v)^2)."""
-    law = contact.MarhefkaOrin(dissipation=0.1)
-    assert abs(rebound(law, speed=0.5) - (1 - 0.05)) < 0.05**2
 
 
 exponents = st.floats(5, 13)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.laws import conformal
 from jaxclear.laws.stiffness import Shape
 
 NAN = float("nan")
@@ -206,7 +205,7 @@ MECHANISMS = {
         lambda: rig(Journal(LAW, length=2e-2, journal_length=1e-2)),
         "JournalBearing has a journal of length 0.01",
     ),
-    "line law in a socket": (lambda: rig(Socket(conformal.Johnson())), 'joint "pin": .* length'),
+    "line law in a socket": (lambda: rig(Socket(jc.contact.Johnson())), 'joint "pin": .* length'),
     # starts
     "start of nothing": (
         lambda: rig(start={"hip": 1.0}),

@@ -14,7 +14,7 @@ import jaxclear as jc
 CLEARANCES = np.array([4e-4, 2e-4, 1e-4])
 # A constant damper needs no memory; 100 s/m makes every rebound below 1e-2 m/s die within one
 # bounce.
-CONTACT = {"stiffness": 3e11, "dissipation": 100.0}
+CONTACT = {"stiffness": 3e11, "loss_per_speed": 100.0}
 
 
 def swinging_bar(pin, inertia=(2e-3, 2e-3, 1e-4)):

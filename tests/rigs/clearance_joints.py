@@ -14,7 +14,6 @@ import numpy as np
 import jaxclear as jc
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.model import Model
-from jaxclear.laws import conformal
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare, readings
 from jaxclear.simulation.wear import unworn
@@ -56,7 +55,7 @@ def planar(p):
 
 
 def planar_conformal(p):
-    law = conformal.Liu(modulus=p["stiffness"], restitution=0.8)
+    law = jc.contact.Liu(modulus=p["stiffness"], restitution=0.8)
     return jc.clearance.PlanarJournalBearing(
         law,
         jc.friction.Dahl(mu_kinetic=p["mu"], presliding=p["transition_speed"] * 1e-3),
@@ -67,7 +66,7 @@ def planar_conformal(p):
 
 
 def journal(p):
-    law = conformal.Johnson(modulus=p["stiffness"], restitution=0.8)
+    law = jc.contact.Johnson(modulus=p["stiffness"], restitution=0.8)
     friction = jc.friction.Stribeck(
         mu_static=1.5 * p["mu"],
         mu_kinetic=p["mu"],

@@ -11,7 +11,8 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.law import AbstractLaw
 
 
 def mu_static_field():
@@ -22,7 +23,7 @@ def mu_kinetic_field():
     return quantity(0.1, "1", "kinetic friction coefficient mu_d", at_least=0)
 
 
-class AbstractFrictionLaw(AbstractQuantified):
+class AbstractFrictionLaw(AbstractLaw):
     """Friction of one contact point. Opposes sliding, never gives energy, in proportion to the
     normal force.
     """

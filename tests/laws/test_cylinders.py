@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.special import lambertw
 
 from jaxclear.ground.numerics import inverse_entropy
-from jaxclear.laws import conformal
+from jaxclear.laws import contact
 from jaxclear.laws.material import Material
 from jaxclear.laws.stiffness import CombinedModulus, Shape, fitted
 from tests.laws.law_family import shape
@@ -42,10 +42,10 @@ def goldsmith(f):
 
 
 PUBLISHED = {
-    conformal.Johnson: johnson,
-    conformal.TwoSidedJohnson: two_sided,
-    conformal.Radzimovsky: radzimovsky,
-    conformal.Goldsmith: goldsmith,
+    contact.Johnson: johnson,
+    contact.TwoSidedJohnson: two_sided,
+    contact.Radzimovsky: radzimovsky,
+    contact.Goldsmith: goldsmith,
 }
 implicit = pytest.mark.parametrize("law", PUBLISHED, ids=lambda law: law.__name__)
 
@@ -57,7 +57,7 @@ def build(law, **fields):
 def test_dys_table_is_reproduced():
     given = REFERENCE["parameters"]
     aluminium = Material(given["young_modulus"], given["poisson_ratio"])
-    law = conformal.TwoSidedJohnson(modulus=CombinedModulus(aluminium, aluminium))
+    law = contact.TwoSidedJohnson(modulus=CombinedModulus(aluminium, aluminium))
     law = fitted(law, Shape(given["inner_radius"], given["outer_radius"], given["length"]))
     force = jax.vmap(law.elastic_force)(np.array(REFERENCE["indentation"]))
     np.testing.assert_allclose(force, REFERENCE["force"], rtol=REFERENCE["tolerance"])
@@ -107,10 +107,10 @@ def _solved(law, point):
     indentation, modulus, inner, outer, length = point
     clearance = outer - inner
     scale, logarithm = {
-        conformal.Johnson: (1, np.log(4 * np.pi * modulus * clearance) - 1),
-        conformal.TwoSidedJohnson: (2, np.log(np.pi * modulus * clearance) - 1),
-        conformal.Radzimovsky: (1, np.log(16 * modulus * clearance / (2 * 1.60**2)) + 2 / 3),
-        conformal.Goldsmith: (
+        contact.Johnson: (1, np.log(4 * np.pi * modulus * clearance) - 1),
+        contact.TwoSidedJohnson: (2, np.log(np.pi * modulus * clearance) - 1),
+        contact.Radzimovsky: (1, np.log(16 * modulus * clearance / (2 * 1.60**2)) + 2 / 3),
+        contact.Goldsmith: (
             1,
             np.log(length**2 * clearance * np.pi * modulus / (inner * outer)) + 1,
         ),
@@ -133,7 +133,7 @@ def test_force_stays_stiff_and_smooth_beyond_the_theory(law):
 
 
 def test_second_derivative_of_the_implicit_force_is_finite():
-    assert np.isfinite(jax.grad(jax.grad(build(conformal.Johnson).elastic_force))(1e-6))
+    assert np.isfinite(jax.grad(jax.grad(build(contact.Johnson).elastic_force))(1e-6))
 
 
 def test_inverse_entropy_is_minus_the_lower_branch_of_lambert():
@@ -144,7 +144,7 @@ def test_inverse_entropy_is_minus_the_lower_branch_of_lambert():
 
 
 def test_liu_meets_its_formula_and_bai_zhao_is_its_slope():
-    liu, bai_zhao = build(conformal.Liu), build(conformal.BaiZhao)
+    liu, bai_zhao = build(contact.Liu), build(contact.BaiZhao)
     for depth in (1e-9, 1e-6, 1e-4, 1e-3):
         expected = np.pi / 2 * MODULUS * LENGTH * depth * np.sqrt(depth / (2 * (CLEARANCE + depth)))
         np.testing.assert_allclose(liu.elastic_force(depth), expected, rtol=1e-12)
@@ -159,12 +159,11 @@ def test_theories_of_line_contact_agree_among_themselves():
     """
     depths = np.logspace(-8, -5, 7)
     first, second = (
-        jax.vmap(build(law).elastic_force)(depths)
-        for law in (conformal.Johnson, conformal.Radzimovsky)
+        jax.vmap(build(law).elastic_force)(depths) for law in (contact.Johnson, contact.Radzimovsky)
     )
     np.testing.assert_allclose(first, second, rtol=0.1)
 
 
 def test_a_law_remembers_the_impact_speed_only_when_it_damps():
-    assert not fitted(conformal.Johnson(), shape()).remembers_impact_speed
-    assert fitted(conformal.Johnson(restitution=0.9), shape()).remembers_impact_speed
+    assert not fitted(contact.Johnson(), shape()).remembers_impact_speed
+    assert fitted(contact.Johnson(restitution=0.9), shape()).remembers_impact_speed

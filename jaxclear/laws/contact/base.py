@@ -1,0 +1,85 @@
+r"""Along the normal: what a law of contact must say of itself so that every formulation can use it.
+
+Indentation :math:`\delta` [m] is positive in contact, rate :math:`\dot\delta` [m/s] positive while
+closing, impact_speed :math:`\dot\delta^{(-)}` [m/s] the closing speed at first touch, force [N]
+never negative.
+"""
+
+from abc import abstractmethod
+
+import equinox as eqx
+
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.law import AbstractLaw
+
+
+def stiffness_field():
+    return quantity(1e10, "N/m^exponent", "generalized contact stiffness K", above=0)
+
+
+def exponent_field():
+    return quantity(None, "1", "exponent of the indentation, above 1 (None: Hertz's 3/2)", above=1)
+
+
+class AbstractNormalLaw(AbstractLaw):
+    """What happens along the normal of one contact point."""
+
+    compliant: eqx.AbstractClassVar[bool]
+    """True: the force is a function of the indentation. False: bodies do not overlap."""
+
+    restitution: eqx.AbstractVar[Scalar | None]
+    """Coefficient of restitution [1] that the law is built around, which rigid contact takes from
+    it: 1 without loss, None where it depends on mass and speed."""
+
+    memory_time: eqx.AbstractVar[Scalar | None]
+    """Time [s] within which the stored impact speed follows the approach speed while open. None:
+    the law remembers nothing, and costs no state."""
+
+    @property
+    def remembers_impact_speed(self) -> bool:
+        """Whether the engine must supply the speed of first touch."""
+        return self.memory_time is not None
+
+    @abstractmethod
+    def elastic_force(self, indentation: Scalar) -> Scalar:
+        """The conservative part [N]: its integral over the indentation is the stored energy."""
+
+
+class AbstractContactLaw(AbstractNormalLaw):
+    """Normal force of one contact point. Zero while open, continuous at touch, never pulling,
+    dissipating or elastic.
+    """
+
+    compliant = True
+
+    @abstractmethod
+    def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
+        """Force [N] >= 0; 0 when indentation <= 0. `impact_speed`: ignored without a memory."""
+
+
+class AbstractElasticForce(AbstractLaw):
+    """The force that a contact would have at rest: one part of `ContactForce`."""
+
+    @abstractmethod
+    def force(self, indentation: Scalar) -> Scalar:
+        """Force [N] from the indentation [m]: 0 up to 0, then growing, differentiable."""
+
+
+class AbstractDissipation(AbstractLaw):
+    r"""The loss of a contact, as damping in proportion to the elastic force: the other part of
+    `ContactForce`. With :math:`d = \lambda\dot\delta^{(-)}` a mass that strikes at
+    :math:`\dot\delta^{(-)}` leaves at e times that speed, :math:`1 + d = (1 - d e)\,e^{d(1 + e)}`,
+    whatever the elastic force.
+    """
+
+    remembers_impact_speed: eqx.AbstractClassVar[bool]
+    """True: the damping depends on the speed of first touch."""
+
+    restitution: eqx.AbstractVar[Scalar | None]
+    """Coefficient of restitution that is prescribed; None where it depends on the speed."""
+
+    @abstractmethod
+    def relative_damping(self, rate: Scalar, impact_speed: Scalar) -> Scalar:
+        r"""Damping force over elastic force [1], :math:`\lambda\dot\delta`, of the rate's sign;
+        impact_speed above 0.
+        """

@@ -1,0 +1,155 @@
+r"""A law of contact as elastic force times dissipation factor, and the names of the usual products.
+
+Any force of `elastic` or `cylinder` goes with any factor of `dissipation`, or with none.
+"""
+
+import dataclasses
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxclear.ground.numerics import positive_part
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+from jaxclear.laws.contact import cylinder, dissipation, elastic
+from jaxclear.laws.contact.base import (
+    AbstractContactLaw,
+    AbstractDissipation,
+    AbstractElasticForce,
+)
+
+
+class ImpactMemory(AbstractQuantified):
+    """How the speed of first touch is remembered, where a dissipation factor asks for it."""
+
+    memory_time: Scalar = quantity(
+        1e-4,
+        "s",
+        "time constant with which the stored impact speed follows the approach speed while open",
+        above=0,
+    )
+    slowest_impact: Scalar = quantity(
+        1e-3,
+        "m/s",
+        "an impact slower than this is damped as if at this speed (rest is no division by 0)",
+        above=0,
+    )
+
+
+class ContactForce(AbstractContactLaw):
+    r""":math:`F = F_{el}(\delta)\,\max(0, 1 + \lambda\dot\delta)`: an elastic force and the loss
+    that goes with it (None: no loss).
+
+    `memory` is filled in where the factor asks for the impact speed, and refused where it does not.
+    The numbers of the parts are numbers of the law: `law.stiffness` is `law.elastic.stiffness`.
+
+    Source: Hunt & Crossley 1975, J. Appl. Mech. 42, 440, doi:10.1115/1.3423596; that the rebound
+    depends on the factor alone, Gonthier, McPhee, Lange & Piedbœuf 2004, Multibody Syst. Dyn. 11,
+    209, doi:10.1023/B:MUBO.0000029392.21648.bc.
+    """
+
+    elastic: AbstractElasticForce
+    dissipation: AbstractDissipation | None
+    memory: ImpactMemory | None
+
+    def __init__(
+        self,
+        elastic: AbstractElasticForce,
+        dissipation: AbstractDissipation | None = None,
+        memory: ImpactMemory | None = None,
+    ):
+        remembers = dissipation is not None and dissipation.remembers_impact_speed
+        if memory is not None and not remembers:
+            raise ValueError(
+                "this contact law has memory_time or slowest_impact, but no dissipation factor "
+                "that asks for the impact speed; leave them out."
+            )
+        self.elastic, self.dissipation = elastic, dissipation
+        self.memory = ImpactMemory() if remembers and memory is None else memory
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("_") and name not in ("elastic", "dissipation", "memory"):
+            for part in (self.elastic, self.dissipation, self.memory):
+                if name in _fields(type(part)):
+                    return getattr(part, name)
+        raise AttributeError(f"a contact law of these parts has no {name}.")
+
+    @property
+    def restitution(self) -> Scalar | None:
+        """Coefficient of restitution [1]: what the factor prescribes, 1 without loss."""
+        return 1.0 if self.dissipation is None else self.dissipation.restitution
+
+    @property
+    def memory_time(self) -> Scalar | None:
+        """Time constant [s] of the remembered impact speed."""
+        return None if self.memory is None else self.memory.memory_time
+
+    def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
+        force = self.elastic_force(indentation)
+        if self.dissipation is None:
+            return force
+        if self.memory is not None:
+            impact_speed = jnp.maximum(impact_speed, self.memory.slowest_impact)
+        return force * positive_part(1 + self.dissipation.relative_damping(rate, impact_speed))
+
+    def elastic_force(self, indentation: Scalar) -> Scalar:
+        return self.elastic.force(indentation)
+
+
+def _fields(kind: type) -> dict[str, Any]:
+    """Fields of a part by name; none where there is no part."""
+    return {f.name: f for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else {}
+
+
+def _product(name: str, force: type, factor: type | None = None) -> Callable[..., ContactForce]:
+    """What a user calls `name`: a `ContactForce` from the numbers of its parts. Without a factor of
+    its own it is lossless, or, with a `restitution`, has that of CarvalhoMartins.
+    """
+    loss = dissipation.CarvalhoMartins if factor is None else factor
+    parts = (force, loss, ImpactMemory) if loss.remembers_impact_speed else (force, loss)
+    known = {number: field for part in parts for number, field in _fields(part).items()}
+
+    def build(*slots: Any, **numbers: Any) -> ContactForce:
+        unknown = sorted(set(numbers).difference(known))
+        if unknown:
+            raise ValueError(f"contact.{name} has no number {', '.join(unknown)}.")
+        own, lossy, remembered = (
+            {number: value for number, value in numbers.items() if number in _fields(part)}
+            for part in (force, loss, ImpactMemory)
+        )
+        lossless = factor is None and lossy.get("restitution") is None
+        return ContactForce(
+            force(*slots, **own),
+            None if lossless else loss(**lossy),
+            ImpactMemory(**remembered) if remembered else None,
+        )
+
+    build.__name__ = build.__qualname__ = name
+    build.__doc__ = inspect.getdoc(force if factor is None else factor)
+    build.__signature__ = inspect.Signature(
+        inspect.Parameter(number, inspect.Parameter.KEYWORD_ONLY, default=field.default)
+        for number, field in known.items()
+    )
+    return build
+
+
+Hertz = _product("Hertz", elastic.Hertz)
+Linear = _product("Linear", elastic.Linear)
+BallInSocket = _product("BallInSocket", elastic.BallInSocket)
+Johnson = _product("Johnson", cylinder.Johnson)
+TwoSidedJohnson = _product("TwoSidedJohnson", cylinder.TwoSidedJohnson)
+Radzimovsky = _product("Radzimovsky", cylinder.Radzimovsky)
+Goldsmith = _product("Goldsmith", cylinder.Goldsmith)
+Liu = _product("Liu", cylinder.Liu)
+BaiZhao = _product("BaiZhao", cylinder.BaiZhao, dissipation.ZhiyingQishao)
+HuntCrossley = _product("HuntCrossley", elastic.Hertz, dissipation.HuntCrossley)
+LankaraniNikravesh = _product("LankaraniNikravesh", elastic.Hertz, dissipation.LankaraniNikravesh)
+HerbertMcWhannell = _product("HerbertMcWhannell", elastic.Hertz, dissipation.HerbertMcWhannell)
+Flores = _product("Flores", elastic.Hertz, dissipation.Flores)
+ModifiedFlores = _product("ModifiedFlores", elastic.BallInSocket, dissipation.Flores)
+HuGuo = _product("HuGuo", elastic.Hertz, dissipation.HuGuo)
+ZhiyingQishao = _product("ZhiyingQishao", elastic.Hertz, dissipation.ZhiyingQishao)
+CarvalhoMartins = _product("CarvalhoMartins", elastic.Hertz, dissipation.CarvalhoMartins)
+Gonthier = _product("Gonthier", elastic.Hertz, dissipation.Gonthier)
+MarhefkaOrin = _product("MarhefkaOrin", elastic.Hertz, dissipation.MarhefkaOrin)

@@ -1,0 +1,78 @@
+"""How hard: elastic forces of a ball in a socket, and the general power laws.
+
+Each answers which force [N] an indentation [m] costs; for a journal in a bearing see `cylinder`.
+"""
+
+from jaxclear.ground.numerics import positive_part, power, safe_divide, safe_sqrt
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.contact.base import AbstractElasticForce, exponent_field, stiffness_field
+from jaxclear.laws.stiffness import HERTZ_SPHERE, AbstractFit, ClearanceOf, OuterRadiusOf
+
+
+def modulus_field():
+    return quantity(112.9e9, "Pa", "combined modulus E* (default: steel on steel)", above=0)
+
+
+def clearance_field():
+    return quantity(unit="m", meaning="radial clearance c", default_factory=ClearanceOf, above=0)
+
+
+class Linear(AbstractElasticForce):
+    r""":math:`F = K\delta`: a spring.
+
+    For rubber, coatings and comparison with closed solutions; for metal on metal prefer Hertz.
+
+    Source: Hooke 1678, De potentia restitutiva; in contact Goldsmith 1960, Impact.
+    """
+
+    stiffness: Scalar | AbstractFit = quantity(1e8, "N/m", "spring stiffness K", above=0)
+
+    def force(self, indentation: Scalar) -> Scalar:
+        return self.stiffness * positive_part(indentation)
+
+
+class Hertz(AbstractElasticForce):
+    r""":math:`F = K\delta^n`, n = 3/2 for two spheres.
+
+    For contact areas small beside the radii; for a journal in a bearing prefer the laws of
+    `cylinder`, for an indentation near the clearance BallInSocket.
+
+    Source: Hertz 1882, J. reine angew. Math. 92, 156, doi:10.1515/crll.1882.92.156; Johnson 1985,
+    Contact Mechanics, eq. 4.23, doi:10.1017/CBO9781139171731.
+    """
+
+    stiffness: Scalar | AbstractFit = stiffness_field()
+    exponent: Scalar | None = exponent_field()
+
+    def force(self, indentation: Scalar) -> Scalar:
+        return self.stiffness * power(indentation, self.exponent)
+
+
+class BallInSocket(AbstractElasticForce):
+    r""":math:`F = K(\delta)\,\delta`, :math:`K = \frac43 E^* R_s\sqrt{\delta/(c + \delta)}` growing
+    with the contact area.
+
+    For :math:`\delta \ll c` this is Hertz's law for a ball in a socket, for :math:`\delta \gg c`
+    the contact area stops growing and F is linear. Contact radius at most the socket's. For a
+    journal in a bearing prefer Liu.
+
+    RECONSTRUCTED. Hou, Deng & Zeng (eq. 20 and 21, exponent n = 1) say that K depends on
+    :math:`R_s`, c, :math:`E^*` and :math:`\delta`, but their eq. 21 is lost in the text at hand, as
+    is the distributed-spring model behind it. K here is that model's shape, radius of contact
+    :math:`R_s\sqrt{\delta/(c + \delta)}` under Hertz's pressure, its constant chosen so that small
+    indentations are Hertz's.
+
+    Source: Hou, Deng & Zeng 2021, J. Cent. South Univ. 28, 712, doi:10.1007/s11771-021-4640-y;
+    Liu, Zhang & Yang 2006, J. Comput. Nonlinear Dyn. 1, 160.
+    """
+
+    modulus: Scalar | AbstractFit = modulus_field()
+    socket_radius: Scalar | AbstractFit = quantity(
+        unit="m", meaning="socket's radius R_s", default_factory=OuterRadiusOf, above=0
+    )
+    clearance: Scalar | AbstractFit = clearance_field()
+
+    def force(self, indentation: Scalar) -> Scalar:
+        depth = positive_part(indentation)
+        area = safe_divide(power(depth, None), safe_sqrt(self.clearance + depth))
+        return HERTZ_SPHERE * self.modulus * self.socket_radius * area

@@ -1,0 +1,71 @@
+"""The names that users know: built from keywords, with their parts' numbers within reach."""
+
+import inspect
+
+import equinox as eqx
+import jax.numpy as jnp
+import pytest
+
+import jaxclear as jc
+from jaxclear.laws.contact import cylinder, dissipation, elastic
+
+PRODUCTS = {
+    name: law
+    for name, law in vars(jc.contact).items()
+    if inspect.isfunction(law) and name in jc.contact.__all__
+}
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_a_name_builds_what_its_signature_says(name):
+    build = PRODUCTS[name]
+    assert build.__name__ == name and "Source:" in build.__doc__
+    law = build(restitution=0.7) if "Marhefka" not in name else build()
+    assert isinstance(law, jc.contact.ContactForce)
+    assert law.remembers_impact_speed == ("Marhefka" not in name)
+    for number in inspect.signature(build).parameters:
+        getattr(law, number)
+
+
+def test_parts_are_as_documented():
+    bai_zhao, flores = jc.contact.BaiZhao(), jc.contact.ModifiedFlores()
+    assert isinstance(bai_zhao.elastic, cylinder.BaiZhao)
+    assert isinstance(bai_zhao.dissipation, dissipation.ZhiyingQishao)
+    assert isinstance(flores.elastic, elastic.BallInSocket)
+    assert isinstance(flores.dissipation, dissipation.Flores)
+    assert jc.contact.Johnson().dissipation is None
+    assert isinstance(jc.contact.Johnson(restitution=0.9).dissipation, dissipation.CarvalhoMartins)
+    assert jc.conformal is jc.contact
+
+
+def test_numbers_of_the_parts_are_leaves_of_the_law():
+    law = jc.contact.LankaraniNikravesh(stiffness=1e9, restitution=0.9, memory_time=1e-6)
+    where = lambda law: (law.stiffness, law.restitution, law.memory_time)
+    changed = eqx.tree_at(where, law, tuple(jnp.asarray(x) for x in (2e9, 0.5, 1e-5)))
+    assert float(changed.elastic.stiffness) == 2e9
+    assert float(changed.dissipation.restitution) == 0.5
+    assert float(changed.memory.memory_time) == 1e-5
+    with pytest.raises(AttributeError, match="no modulus"):
+        law.modulus
+
+
+@pytest.mark.parametrize(
+    ("build", "sentence"),
+    [
+        (lambda: jc.contact.Flores(1e9), r"by name: Hertz\(stiffness=1000000000.0\)"),
+        (lambda: jc.contact.KelvinVoigt(1e9, 10.0), r"by name: KelvinVoigt\(stiffness=1000000000.0\)"),
+        (lambda: jc.friction.Coulomb(0.1), r"friction.Coulomb takes its numbers by name"),
+        (lambda: jc.wear.Archard(1e-4), "wear.Archard takes its numbers by name"),
+        (lambda: jc.contact.Flores(modulus=1e9), "contact.Flores has no number modulus"),
+        (lambda: jc.contact.Hertz(memory_time=1e-5), "no dissipation factor"),
+        (lambda: jc.friction.ThreeZone(static_speed=1.0), "static_speed = 1 m/s and kinetic_speed"),
+        (lambda: jc.friction.AdamsStep(static_speed=1.0), "static_speed = 1 m/s"),
+        (lambda: jc.friction.Ambrosio(inner_speed=1e-3), "inner_speed = 0.001 m/s"),
+        (lambda: jc.friction.Stribeck(transition_speed=1.0), "transition_speed = 1 m/s"),
+        (lambda: jc.friction.Coulomb(mu_kinetic=0.2, mu_static=0.1), "mu_static 0.1 below"),
+        (lambda: jc.friction.LuGre(mu_kinetic=0.2, mu_static=0.1).coulomb(), "mu_static 0.1 below"),
+    ],
+)
+def test_bad_numbers_are_refused_with_a_sentence(build, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        build()

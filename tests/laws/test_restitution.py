@@ -1,0 +1,140 @@
+"""How a contact rebounds: by its dissipation factor alone, as the closed relation says, and as well
+as each docstring states.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from jaxclear.laws import contact
+from jaxclear.laws.contact import dissipation
+from tests.laws.contracts import rebound
+from tests.laws.law_family import family, members
+
+FORCES = family(contact.AbstractElasticForce)
+
+
+def returned(d):
+    """e with 1 + d = (1 - d e) exp(d (1 + e)), in y = -ln(1 - d e), apart from the package."""
+
+    def residual(y):
+        return np.log1p(d) + y - d * (1 - np.expm1(-y) / d)
+
+    return -np.expm1(-brentq(residual, 1e-6, d + 2 if d >= 1 else -np.log1p(-d), xtol=1e-14)) / d
+
+
+@pytest.mark.parametrize("force", [law for _, law in FORCES], ids=[name for name, _ in FORCES])
+def test_rebound_depends_on_the_factor_times_the_speed_alone(force):
+    """F_el (1 + lambda rate) at two speeds with one product d = lambda v, integrated by scipy."""
+    for d in (0.15, 1.5):
+        for speed in (0.02, 0.5):
+            law = contact.ContactForce(
+                force, dissipation.MarhefkaOrin(loss_per_speed=d / speed * 2 / 3)
+            )
+            # an integration to 1e-8 a step, ended where the force vanishes
+            np.testing.assert_allclose(rebound(law, speed), returned(d), atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("factor", "at_09", "at_05"),
+    [
+        # what the docstrings state: by how much the rebound is too high at restitution 0.9 and 0.5
+        (dissipation.HuntCrossley, 0.009, 0.163),
+        (dissipation.LankaraniNikravesh, 0.013, 0.225),
+        (dissipation.HerbertMcWhannell, 0.0009, 0.094),
+        (dissipation.Flores, -0.006, -0.030),
+        (dissipation.HuGuo, -0.0001, -0.012),
+        (dissipation.ZhiyingQishao, -0.004, -0.017),
+        (dissipation.CarvalhoMartins, 0.0, 0.0002),
+        (dissipation.Gonthier, 0.0, 0.0),
+    ],
+)
+def test_rebound_is_as_accurate_as_the_docstring_says(factor, at_09, at_05):
+    for restitution, stated in ((0.9, at_09), (0.5, at_05)):
+        error = returned(float(factor(restitution=restitution).factor())) - restitution
+        # the last digit that is stated
+        digits = len(f"{stated}".split(".")[1]) if stated else 5
+        assert abs(error - stated) <= 0.51 * 10.0**-digits, (restitution, error)
+
+
+@pytest.mark.parametrize(
+    ("factor", "worst", "least"),
+    [
+        (dissipation.Flores, 0.046, 0.02),
+        (dissipation.HuGuo, 0.035, 0.02),
+        (dissipation.CarvalhoMartins, 0.004, 0.3),
+        (dissipation.Gonthier, 1e-8, 0.02),
+    ],
+)
+def test_worst_rebound_is_as_the_docstring_says(factor, worst, least):
+    for restitution in np.linspace(least, 0.99, 60):
+        found = returned(float(factor(restitution=restitution).factor()))
+        assert abs(found - restitution) <= worst, restitution
+
+
+def test_the_table_of_accuracies_misses_no_factor():
+    stated = test_rebound_is_as_accurate_as_the_docstring_says.pytestmark[0].args[1]
+    assert {row[0] for row in stated} == set(members(contact.AbstractRestitutionFactor))
+
+
+def test_published_factors_by_hand():
+    """At restitution 1/2: 6 (1/2) / (0 + 3) = 1, 3/2 (1/2) / (1/2) = 3/2, 3/4 (3/4) exp(1), and
+    8/5."""
+    expected = {
+        dissipation.HerbertMcWhannell: 1.0,
+        dissipation.HuGuo: 1.5,
+        dissipation.ZhiyingQishao: 9 / 16 * np.e,
+        dissipation.Flores: 1.6,
+    }
+    for kind, value in expected.items():
+        np.testing.assert_allclose(kind(restitution=0.5).factor(), value, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "restitution", [0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.99985, 0.99995, 1.0]
+)
+def test_gonthier_solves_the_rebound_relation(restitution):
+    """(1 + d) = (1 - d e) exp(d (1 + e)), solved independently for y = -ln(1 - d e) by scipy's
+    brentq.
+    """
+
+    def residual(y):
+        factor = -np.expm1(-y) / restitution
+        return y - factor * (1 + restitution) + np.log1p(factor)
+
+    if restitution == 1:
+        expected = 0.0
+    else:
+        bracket = restitution * (1 - restitution), (1 + restitution) / restitution + 1
+        expected = -np.expm1(-brentq(residual, *bracket, xtol=1e-15, rtol=1e-14)) / restitution
+
+    def factor(restitution):
+        return dissipation.Gonthier(restitution=restitution).factor()
+
+    # the two roots cancel as e tends to 1: a part in 1e8 of a factor of 1e-4
+    np.testing.assert_allclose(factor(jnp.asarray(restitution)), expected, rtol=2e-8)
+    assert np.isfinite(jax.grad(factor)(restitution))
+
+
+def test_marhefka_orin_loses_restitution_in_proportion_to_speed():
+    """e = 1 - a v + O((a v)^2)."""
+    law = contact.MarhefkaOrin(loss_per_speed=0.1)
+    assert abs(rebound(law, speed=0.5) - (1 - 0.05)) < 0.05**2
+
+
+@pytest.mark.parametrize("kind", members(contact.AbstractDissipation), ids=lambda k: k.__name__)
+def test_every_law_says_its_restitution(kind):
+    force = contact.elastic.Hertz()
+    if kind is dissipation.MarhefkaOrin:
+        assert contact.ContactForce(force, kind()).restitution is None
+    else:
+        assert float(contact.ContactForce(force, kind(restitution=0.7)).restitution) == 0.7
+
+
+def test_lossless_laws_have_restitution_one_and_additive_ones_none():
+    assert contact.Hertz().restitution == 1 == contact.Johnson().restitution
+    assert contact.KelvinVoigt().restitution is None is contact.AdamsImpact().restitution
+    rigid = contact.Rigid(restitution=0.5)
+    assert rigid.elastic_force(1e-3) == 0 and float(rigid.restitution) == 0.5
