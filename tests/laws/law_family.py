@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pint
+import pytest
 
 from jaxclear.ground.quantity import numbers
 from jaxclear.laws import contact
@@ -72,11 +73,18 @@ def contact_laws():
 
 
 def contact_products():
-    """(identifier, law) of every elastic force times every dissipation factor."""
+    """Every elastic force times every dissipation factor, as pytest's parameters: a third of them,
+    with each force and each factor three times or more, runs always, the rest as slow tests."""
+    forces = family(contact.AbstractElasticForce)
+    factors = family(contact.AbstractDissipation)
     return [
-        (f"{force_name}-x-{name}", contact.ContactForce(force, factor))
-        for force_name, force in family(contact.AbstractElasticForce)
-        for name, factor in family(contact.AbstractDissipation)
+        pytest.param(
+            contact.ContactForce(force, factor),
+            id=f"{force_name}-x-{factor_name}",
+            marks=[] if (i + j) % 3 == 0 else [pytest.mark.slow],
+        )
+        for i, (force_name, force) in enumerate(forces)
+        for j, (factor_name, factor) in enumerate(factors)
     ]
 
 

@@ -53,7 +53,10 @@ def test_numbers_of_the_parts_are_leaves_of_the_law():
     ("build", "sentence"),
     [
         (lambda: jc.contact.Flores(1e9), r"by name: Hertz\(stiffness=1000000000.0\)"),
-        (lambda: jc.contact.KelvinVoigt(1e9, 10.0), r"by name: KelvinVoigt\(stiffness=1000000000.0\)"),
+        (
+            lambda: jc.contact.KelvinVoigt(1e9, 10.0),
+            r"by name: KelvinVoigt\(stiffness=1000000000.0\)",
+        ),
         (lambda: jc.friction.Coulomb(0.1), r"friction.Coulomb takes its numbers by name"),
         (lambda: jc.wear.Archard(1e-4), "wear.Archard takes its numbers by name"),
         (lambda: jc.contact.Flores(modulus=1e9), "contact.Flores has no number modulus"),
