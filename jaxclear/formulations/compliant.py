@@ -153,8 +153,8 @@ def _check_laws(name: str, laws: ContactLaws) -> None:
     """Raises `ValueError` for laws that are no functions of the state."""
     if not laws.contact.compliant:
         raise ValueError(
-            f'joint "{name}" has contact.{type(laws.contact).__name__}, which has no force law: take '
-            "integrator.MoreauJean, or a compliant law such as contact.CarvalhoMartins."
+            f'joint "{name}" has contact.{type(laws.contact).__name__}, which has no force law: '
+            "take integrator.MoreauJean, or a compliant law such as contact.CarvalhoMartins."
         )
     friction = laws.friction
     if friction is not None and friction.set_valued:

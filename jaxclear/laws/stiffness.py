@@ -72,7 +72,7 @@ class HertzStiffness(AbstractFit):
 
     h = (1 - nu^2) / (pi E), so pi (h_i + h_j) = 1/E*. Range: contact area small beside the radii,
     which an overlap near the clearance violates; for a cylinder it is customary but not Hertz
-    (prefer the laws in `conformal`).
+    (prefer the laws of `contact.cylinder`).
 
     Source: Hertz 1882; Lankarani & Nikravesh 1990; four-bar paper (001), eq. 2. The flap paper
     (002), eq. 7, prints 1 - nu for 1 - nu^2.

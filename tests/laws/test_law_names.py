@@ -46,7 +46,7 @@ def test_numbers_of_the_parts_are_leaves_of_the_law():
     assert float(changed.dissipation.restitution) == 0.5
     assert float(changed.memory.memory_time) == 1e-5
     with pytest.raises(AttributeError, match="no modulus"):
-        law.modulus
+        _ = law.modulus
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """What contact may and may not change: momentum, energy, and the speed of a rebound.
 
 Closed forms only. For every force f(delta) (1 + d rate / v0) the rebound e obeys (1 + d) = (1 - d
-e) exp(d (1 + e)), for any f (derivation in `jaxclear.laws.contact.dissipation`), so one bounce checks
+e) exp(d (1 + e)), for any f (see `jaxclear.laws.contact.dissipation`), so one bounce checks
 geometry, law, memory and losses at once.
 """
 

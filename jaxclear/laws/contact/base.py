@@ -6,6 +6,7 @@ never negative.
 """
 
 from abc import abstractmethod
+from typing import Any
 
 import equinox as eqx
 
@@ -13,11 +14,13 @@ from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.law import AbstractLaw
 
 
-def stiffness_field():
+def stiffness_field() -> Any:
+    """Field of a stiffness [N/m^exponent]."""
     return quantity(1e10, "N/m^exponent", "generalized contact stiffness K", above=0)
 
 
-def exponent_field():
+def exponent_field() -> Any:
+    """Field of an exponent [1]."""
     return quantity(None, "1", "exponent of the indentation, above 1 (None: Hertz's 3/2)", above=1)
 
 

@@ -8,6 +8,7 @@ below; the limit is in each docstring) the force goes on linearly with the slope
 """
 
 import math
+from typing import Any
 
 import jax.numpy as jnp
 
@@ -25,7 +26,8 @@ DEEPEST = DEEPEST_LOGARITHM * math.exp(-DEEPEST_LOGARITHM)
 ROARK_WIDTH = 1.60
 
 
-def length_field():
+def length_field() -> Any:
+    """Field of a contact's length [m], by default the pair's."""
     return quantity(
         unit="m",
         meaning="length L of the contact along the axis",

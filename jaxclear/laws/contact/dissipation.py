@@ -9,7 +9,7 @@ much its rebound e misses :math:`c_e`. Prefer CarvalhoMartins.
 """
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
@@ -26,7 +26,8 @@ NEARLY_ELASTIC = 1e-4
 LEAST_RESTITUTION = 0.02
 
 
-def restitution_field():
+def restitution_field() -> Any:
+    """Field of a prescribed coefficient of restitution [1]."""
     return quantity(0.9, "1", "coefficient of restitution c_e, 0 < c_e <= 1", above=0, at_most=1)
 
 
@@ -114,8 +115,8 @@ class HuGuo(AbstractRestitutionFactor):
 
 
 class ZhiyingQishao(AbstractRestitutionFactor):
-    r""":math:`d = \frac34(1 - c_e^2)\,e^{2(1 - c_e)}`. The rebound is 0.004 too low at 0.9, 0.017 at
-    0.5, and too high below 0.4. The factor of Bai and Zhao's law.
+    r""":math:`d = \frac34(1 - c_e^2)\,e^{2(1 - c_e)}`. The rebound is 0.004 too low at 0.9, 0.017
+    at 0.5, and too high below 0.4. The factor of Bai and Zhao's law.
 
     Source: Zhiying Qin & Qishao Lu 2006, Analysis of impact process based on restitution
     coefficient, J. Dyn. Control 4, 294; Bai & Zhao 2013, Int. J. Non-Linear Mech. 48, 15,

@@ -3,17 +3,21 @@
 Each answers which force [N] an indentation [m] costs; for a journal in a bearing see `cylinder`.
 """
 
+from typing import Any
+
 from jaxclear.ground.numerics import positive_part, power, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractElasticForce, exponent_field, stiffness_field
 from jaxclear.laws.stiffness import HERTZ_SPHERE, AbstractFit, ClearanceOf, OuterRadiusOf
 
 
-def modulus_field():
+def modulus_field() -> Any:
+    """Field of a combined modulus [Pa]."""
     return quantity(112.9e9, "Pa", "combined modulus E* (default: steel on steel)", above=0)
 
 
-def clearance_field():
+def clearance_field() -> Any:
+    """Field of a radial clearance [m], by default the pair's."""
     return quantity(unit="m", meaning="radial clearance c", default_factory=ClearanceOf, above=0)
 
 

@@ -15,11 +15,13 @@ from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.law import AbstractLaw
 
 
-def mu_static_field():
+def mu_static_field() -> Any:
+    """Field of a static friction coefficient [1]."""
     return quantity(0.15, "1", "static friction coefficient mu_s", at_least=0)
 
 
-def mu_kinetic_field():
+def mu_kinetic_field() -> Any:
+    """Field of a kinetic friction coefficient [1]."""
     return quantity(0.1, "1", "kinetic friction coefficient mu_d", at_least=0)
 
 

@@ -118,8 +118,8 @@ class ThreeZone(AbstractSlipFriction):
     Once differentiable everywhere. Near AdamsStep in value; for sticking prefer LuGre.
 
     Source: conference paper "Dynamic Behavior of Four-bar Mechanism with Three-dimensional
-    Clearance and Wear", eq. 4; a form of the velocity-dependent friction of Bai & Zhao 2013, Int. J.
-    Non-Linear Mech. 48, 15, doi:10.1016/j.ijnonlinmec.2012.07.003.
+    Clearance and Wear", eq. 4; a form of the velocity-dependent friction of Bai & Zhao 2013, Int.
+    J. Non-Linear Mech. 48, 15, doi:10.1016/j.ijnonlinmec.2012.07.003.
     """
 
     mu_static: Scalar = mu_static_field()
@@ -145,8 +145,8 @@ class ThreeZone(AbstractSlipFriction):
 
 
 class AdamsStep(AbstractSlipFriction):
-    r"""The friction of Adams' IMPACT: STEP(v, -v_s, -mu_s, v_s, mu_s) up to :math:`v_s`, STEP(\|v\|,
-    v_s, mu_s, v_d, mu_d) above. Needs :math:`v_s < v_d`.
+    r"""The friction of Adams' IMPACT: :math:`\mathrm{STEP}(v, -v_s, -\mu_s, v_s, \mu_s)` up to
+    :math:`v_s`, :math:`\mathrm{STEP}(|v|, v_s, \mu_s, v_d, \mu_d)` above. Needs :math:`v_s < v_d`.
 
     Once differentiable. Near ThreeZone in value; for sticking prefer LuGre.
 
