@@ -1,48 +1,42 @@
 """Complementarity problems and their solvers: `jaxclear.complementarity`.
 
-A problem is posed (LCP, MixedLCP, HorizontalLCP, FrictionContact) and handed to a solver's `solve`,
-which returns a `Solution` that says how it ended. `Lemke` is exact for small problems;
-`ProjectedGaussSeidel` knows spatial friction cones; `SemismoothNewton` is fast near a solution;
-`InteriorPoint` relaxes to z w = kappa and so has smooth derivatives.
+A problem is posed and handed to a solver's `solve`, which returns a `Solution` that says how it
+ended. `FrictionContact` (a step through rigid contact) is solved by `ProjectedGaussSeidel`,
+`JointFriction` (a step of joints that always touch) by `BoxedGaussSeidel`. `Lemke` is exact for
+small linear problems and referees the others; `InteriorPoint` relaxes linear problems to z w =
+kappa and so has smooth derivatives.
 """
 
-from jaxclear.complementarity.friction_cone import FrictionContact, ProjectedGaussSeidel
+from jaxclear.complementarity.friction_contact import FrictionContact
 from jaxclear.complementarity.interior_point import InteriorPoint
+from jaxclear.complementarity.joint_friction import BoxedGaussSeidel, JointFriction
 from jaxclear.complementarity.lemke import Lemke
+from jaxclear.complementarity.outcome import Outcome
 from jaxclear.complementarity.problem import (
     LCP,
-    LIMIT,
-    NOT_FINITE,
-    OUTCOMES,
-    RAY,
-    SOLVED,
-    STALLED,
+    AbstractLinearProblem,
     AbstractProblem,
     AbstractSolver,
     HorizontalLCP,
-    MixedLCP,
     Solution,
     natural_residual,
 )
-from jaxclear.complementarity.semismooth_newton import SemismoothNewton
+from jaxclear.complementarity.projected_gauss_seidel import Iterate, ProjectedGaussSeidel
 
 __all__ = [
     "LCP",
-    "LIMIT",
-    "NOT_FINITE",
-    "OUTCOMES",
-    "RAY",
-    "SOLVED",
-    "STALLED",
+    "AbstractLinearProblem",
     "AbstractProblem",
     "AbstractSolver",
+    "BoxedGaussSeidel",
     "FrictionContact",
     "HorizontalLCP",
     "InteriorPoint",
+    "Iterate",
+    "JointFriction",
     "Lemke",
-    "MixedLCP",
+    "Outcome",
     "ProjectedGaussSeidel",
-    "SemismoothNewton",
     "Solution",
     "natural_residual",
 ]

@@ -3,26 +3,26 @@ max(z_i, w_i) of the exact one.
 
 Mehrotra's predictor and corrector follow the central path down to the given kappa and stay there.
 Because the relaxed solution has no corners, its derivatives exist everywhere and are those of the
-relaxed problem, not of the exact one. Sources: Mehrotra 1992, SIAM J. Optim. 2, 575; Wright 1997,
-Primal-Dual Interior-Point Methods (SIAM), chapters 8 and 10.
+relaxed problem, not of the exact one. Sources: Mehrotra 1992, SIAM J. Optim. 2, 575,
+doi:10.1137/0802028; Wright 1997, Primal-Dual Interior-Point Methods, doi:10.1137/1.9781611971453,
+chapters 8 and 10.
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxclear.complementarity.outcome import Outcome
 from jaxclear.complementarity.problem import (
-    LIMIT,
-    NOT_FINITE,
-    SOLVED,
-    STALLED,
-    AbstractProblem,
+    AbstractLinearProblem,
     AbstractSolver,
     Solution,
     posed,
-    scaled,
 )
+from jaxclear.complementarity.scaling import scaled
 from jaxclear.ground.quantity import Scalar, quantity
+
+__all__ = ["InteriorPoint"]
 
 # Products z_i w_i / kappa_i stay above this share of their mean, and above this; steps are
 # shortened by this factor, this often at most, to keep them there. Without it, one boundary in a
@@ -61,7 +61,7 @@ class InteriorPoint(AbstractSolver):
                 "number."
             )
 
-    def solve(self, problem: AbstractProblem) -> Solution:
+    def solve(self, problem: AbstractLinearProblem) -> Solution:
         lcp = posed(problem)
         small = scaled(lcp)
         kappa = jax.lax.stop_gradient(self.kappa) / (small.z_scale * small.w_scale)
@@ -69,11 +69,11 @@ class InteriorPoint(AbstractSolver):
         found, outcome, steps = _follow_path(
             small.matrix, small.offset, jnp.where(finite, kappa, 1.0), self.most_steps
         )
-        outcome = jnp.where(finite, outcome, NOT_FINITE)
+        outcome = jnp.where(finite, outcome, Outcome.NOT_FINITE)
         kept = jax.lax.stop_gradient(jnp.where(small.finite, found, 0.0) * small.z_scale)
-        z = follow_relaxed(
+        z = _keep_relaxation(
             kept,
-            outcome == SOLVED,
+            outcome == Outcome.SOLVED,
             (small.z_scale, small.w_scale),
             lcp.matrix,
             lcp.offset,
@@ -84,16 +84,16 @@ class InteriorPoint(AbstractSolver):
 
 
 @jax.custom_jvp
-def follow_relaxed(z, solved, scale, matrix, offset, kappa):
+def _keep_relaxation(z, solved, scale, matrix, offset, kappa):
     """z unchanged, with the derivatives of the relaxed solution; zero where not `solved`."""
     return z
 
 
-@follow_relaxed.defjvp
-def _follow_relaxed_jvp(primals, tangents):
+@_keep_relaxation.defjvp
+def _keep_relaxation_jvp(primals, tangents):
     z, solved, (z_scale, w_scale), matrix, offset, kappa = primals
     _, _, _, d_matrix, d_offset, d_kappa = tangents
-    out = follow_relaxed(*primals)
+    out = _keep_relaxation(*primals)
     w = jnp.where(solved, kappa, 1.0) / jnp.where(solved, out, 1.0)
     # w dz + z dw = dkappa with dw = M dz + moved, in scaled units, each row divided by the sum of
     # its two weights
@@ -129,7 +129,8 @@ def _follow_path(matrix, offset, kappa, most_steps):
     first = (start, start, jnp.asarray(True), 0)
     z, w, moved, steps = jax.lax.while_loop(running, improve, first)
     arrived = _arrived(matrix, offset, kappa, z, w)
-    return z, jnp.where(arrived, SOLVED, jnp.where(moved, LIMIT, STALLED)), steps
+    ended = jnp.where(moved, Outcome.LIMIT, Outcome.STALLED)
+    return z, jnp.where(arrived, Outcome.SOLVED, ended), steps
 
 
 def _arrived(matrix, offset, kappa, z, w):

@@ -3,7 +3,8 @@
 The artificial variable z0 relaxes every row alike, w = M z + q + e z0, and is driven out. Ties of
 the ratio test are broken as if q were q + (t, t^2, ...) for infinitesimal t, so degenerate problems
 end too. The tableau holds x_B + T x_N = right for basic x_B and the n + 1 others x_N. Sources:
-Lemke 1965, Manag. Sci. 11, 681; Cottle, Pang & Stone 2009, sections 4.4 and 4.9.
+Lemke 1965, Manag. Sci. 11, 681, doi:10.1287/mnsc.11.7.681; Cottle, Pang & Stone 2009,
+doi:10.1137/1.9780898719000, sections 4.4 and 4.9.
 """
 
 from typing import NamedTuple
@@ -11,23 +12,22 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxclear.complementarity.outcome import Outcome
 from jaxclear.complementarity.problem import (
-    EXACT,
-    LIMIT,
-    RAY,
-    SOLVED,
-    STALLED,
-    AbstractProblem,
+    AbstractLinearProblem,
     AbstractSolver,
-    PivotingResult,
-    Scaled,
     Solution,
-    scaled_residual,
-    solve_exactly,
+    posed,
 )
+from jaxclear.complementarity.scaling import Scaled, scaled, scaled_residual
 
+__all__ = ["Lemke"]
+
+# A scaled solution whose scaled residual is below this counts as exact; sixteen digits less those
+# lost in a small system.
+EXACT = 1e-12
 # Share of a column's largest entry (at least of 1) below which an entry is rounding: no pivot.
 SMALLEST_PIVOT = 1e-11
 # Ratios that differ by less than this (relative, or absolute below 1) are a tie: far above the
@@ -39,8 +39,8 @@ RUNNING = -1
 
 
 class Tableau(NamedTuple):
-    """x_B + T x_N = right, the last column of `entries`; variables are numbered w_i: i, z_i: n + i,
-    z0: 2 n.
+    """x_B + T x_N = right, the last column of `entries` [1]; variables are numbered w_i: i, z_i: n
+    + i, z0: 2 n.
     """
 
     entries: Float[Array, "n n+2"]
@@ -72,20 +72,56 @@ class Lemke(AbstractSolver):
                 f"most_pivots of Lemke is {self.most_pivots!r}; it must be a positive whole number."
             )
 
-    def solve(self, problem: AbstractProblem) -> Solution:
-        return solve_exactly(problem, self._pivot, singular=False)
+    def solve(self, problem: AbstractLinearProblem) -> Solution:
+        lcp = posed(problem)
+        small = scaled(lcp)
+        z, active, outcome, pivots = jax.lax.stop_gradient(self._pivot(small))
+        outcome = jnp.where(small.finite, outcome, Outcome.NOT_FINITE)
+        kept = jnp.where(jnp.isfinite(z) & small.finite, z * small.z_scale, 0.0)
+        active = active & (outcome == Outcome.SOLVED)
+        scales = (small.z_scale, small.w_scale)
+        own = problem.from_lcp(_keep_active_set(kept, active, scales, lcp.matrix, lcp.offset))
+        return Solution(*own, problem.residual(*own), outcome, pivots)
 
-    def _pivot(self, problem: Scaled) -> PivotingResult:
+    def _pivot(self, problem: Scaled):
+        """(z, which of it is basic, outcome, pivots)."""
         n = problem.offset.shape[0]
         most = 100 + 20 * n if self.most_pivots is None else self.most_pivots
         running = lambda t: (t.outcome == RUNNING) & (t.pivots < most)
         end = jax.lax.while_loop(running, _step, _start(problem))
         z, active = _read(problem, end)
-        exact = jnp.where(scaled_residual(problem, z) <= EXACT, SOLVED, STALLED)
-        outcome = jnp.where(
-            end.outcome == SOLVED, exact, jnp.where(end.outcome == RUNNING, LIMIT, end.outcome)
-        )
-        return PivotingResult(z, active, outcome, end.pivots)
+        exact = scaled_residual(problem, z) <= EXACT
+        reached = jnp.where(exact, Outcome.SOLVED, Outcome.STALLED)
+        ended = jnp.where(end.outcome == RUNNING, Outcome.LIMIT, end.outcome)
+        return z, active, jnp.where(end.outcome == Outcome.SOLVED, reached, ended), end.pivots
+
+
+@jax.custom_jvp
+def _keep_active_set(
+    z: Float[Array, " n"],
+    active: Bool[Array, " n"],
+    scales: tuple[Float[Array, " n"], Float[Array, " n"]],
+    matrix: Float[Array, "n n"],
+    offset: Float[Array, " n"],
+) -> Float[Array, " n"]:
+    """z unchanged, with the derivatives of the solution that keeps its active set (w_i = 0 there,
+    z_i = 0 elsewhere): M_AA dz_A = -(dM z + dq)_A.
+
+    Exact where z + w > 0. At a corner z_i = w_i = 0 it is the derivative of the piece that `active`
+    names.
+    """
+    return z
+
+
+@_keep_active_set.defjvp
+def _keep_active_set_jvp(primals, tangents):
+    _, active, (z_scale, w_scale), matrix, _ = primals
+    # the solution itself, not its copy without derivatives: then higher derivatives are right too
+    out = _keep_active_set(*primals)
+    small = matrix * z_scale / w_scale[:, None]
+    held = jnp.where(active[:, None], small, jnp.eye(active.shape[0]))
+    moved = jnp.where(active, -(tangents[3] @ out + tangents[4]) / w_scale, 0.0)
+    return out, z_scale * jnp.linalg.solve(held, moved)
 
 
 def _start(problem: Scaled) -> Tableau:
@@ -99,7 +135,7 @@ def _start(problem: Scaled) -> Tableau:
         jnp.arange(n),
         jnp.append(n + jnp.arange(n), 2 * n),
         jnp.asarray(n),
-        jnp.where(lowest >= 0, SOLVED, RUNNING),
+        jnp.where(lowest >= 0, Outcome.SOLVED, RUNNING),
         jnp.where(lowest >= 0, -1, 0),
     )
     return _exchange(first, row)
@@ -119,12 +155,12 @@ def _read(problem: Scaled, tableau: Tableau):
             jnp.where(active, problem.matrix @ z + problem.offset, 0.0), jnp.zeros(n + 1)
         )
         z = z + place @ (tableau.entries[:, :-1] @ remains[tableau.others])
-    return jnp.where(tableau.outcome == SOLVED, jnp.maximum(z, 0.0), on_path), active
+    return jnp.where(tableau.outcome == Outcome.SOLVED, jnp.maximum(z, 0.0), on_path), active
 
 
 def _step(tableau: Tableau) -> Tableau:
     row, ends = _leaving(tableau)
-    stopped = tableau._replace(outcome=jnp.asarray(RAY))
+    stopped = tableau._replace(outcome=jnp.asarray(Outcome.RAY))
     return jax.tree.map(lambda a, b: jnp.where(ends, a, b), stopped, _exchange(tableau, row))
 
 
@@ -176,6 +212,6 @@ def _exchange(tableau: Tableau, row) -> Tableau:
         jnp.where(in_row, entered, tableau.basic),
         others,
         jnp.argmax(others == complement),
-        jnp.where(left == 2 * n, SOLVED, tableau.outcome),
+        jnp.where(left == 2 * n, Outcome.SOLVED, tableau.outcome),
         tableau.pivots + 1,
     )

@@ -121,11 +121,12 @@ class PermanentContact(AbstractFormulation):
         response = friction_response(model, forces, motion[0])
         if settings.regularised:
             speeds = [slip.at(middle) for slip in slips]
-            friction, left = regularised_friction(held, speeds, response, settings)
+            problem = regularised_friction(held, speeds, response)
         else:
             mass = sp.total(link.mass for link in system.links)
             joints = [one.joint for one in held]
-            friction, left = set_valued_friction(joints, slips, v, h, mass, response, settings)
+            problem = set_valued_friction(joints, slips, v, h, mass, response)
+        friction, left, _ = settings.solver().iterate(problem)
         found = response.at(friction)
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxclear.complementarity import percussion
+from jaxclear.complementarity import FrictionContact, ProjectedGaussSeidel
 from jaxclear.formulations import contact_rows
 from jaxclear.formulations.contact_rows import (
     ContactJacobianRow,
@@ -46,6 +46,10 @@ class MoreauJeanSettings(NamedTuple):
     most_sweeps: Any
     tolerance: Any
     project: bool
+
+    def solver(self) -> ProjectedGaussSeidel:
+        """What finds the percussions."""
+        return ProjectedGaussSeidel(self.tolerance, self.most_sweeps)
 
 
 class UnilateralContact(NamedTuple):
@@ -147,19 +151,19 @@ def percussions(
         0 if contact.friction is None else contact.friction.bound(_size(velocities[1:]))
         for contact, velocities in zip(contacts, before, strict=True)
     ]
-    sizes = [len(contact.rows) for contact in contacts]
-    found = percussion.impact(
-        split([sp.stack(line) for line in delassus.matrix()], sizes),
-        [sp.stack(velocities) for velocities in unhindered],
-        opening,
-        _forecast_closed(middle, opening, unhindered, h, settings),
-        sp.stack([contact.restitution for contact in contacts]),
+    sizes = tuple(len(contact.rows) for contact in contacts)
+    lifted = []
+    for contact, (normal, *slips), (u, *_) in zip(contacts, unhindered, before, strict=True):
+        lifted += [normal + contact.restitution * u, *slips]
+    problem = FrictionContact(
+        [sp.stack(line) for line in delassus.matrix()],
+        sp.stack(lifted),
         sp.stack(mu),
-        _first_guess(contacts, last),
-        most_sweeps=settings.most_sweeps,
-        tolerance=settings.tolerance,
+        sizes,
+        _forecast_closed(middle, opening, unhindered, h, settings),
     )
-    flat = [found.percussion[i] for i in range(sum(sizes))]
+    found = settings.solver().iterate(problem, jnp.concatenate(_first_guess(contacts, last)))
+    flat = [found.z[i] for i in range(sum(sizes))]
     by_contact = []
     for contact, (normal, *slips) in zip(contacts, split(flat, sizes), strict=True):
         by_contact.append((normal, *[sp.dot(shares, slips) for shares in contact.shares]))
@@ -228,17 +232,13 @@ def project(
     pressed = h * sp.stack(
         [positive_part(sp.neg(along(row, delassus.free))) for row in normals.rows]
     )
-    none = jnp.zeros(len(contacts))
-    shifts = percussion.impact(
-        [[sp.stack(line)] for line in normals.matrix()],
-        [(h * (pressed[i] + jnp.abs(opening[i])) - depth)[None] for i, depth in enumerate(depths)],
-        none,
-        none == 0,
-        none,
-        none,
-        most_sweeps=settings.most_sweeps,
-        tolerance=settings.tolerance,
-    ).percussion
+    wanted = zip(pressed, opening, depths, strict=True)
+    problem = FrictionContact(
+        [sp.stack(line) for line in normals.matrix()],
+        jnp.stack([h * (most + jnp.abs(u)) - depth for most, u, depth in wanted]),
+        jnp.zeros(len(contacts)),
+    )
+    shifts = settings.solver().iterate(problem).z
     moved, _ = normals.under([shifts[i] for i in range(len(contacts))])
     energy = sp.neg(sp.dot(middle.free_motion.right, moved))
     return Projected(drift(model.system, q, q, moved, 1.0), moved, energy)

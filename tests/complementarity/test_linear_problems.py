@@ -19,20 +19,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 import jaxclear  # noqa: F401  float64
-from jaxclear.complementarity import (
-    LCP,
-    LIMIT,
-    NOT_FINITE,
-    OUTCOMES,
-    RAY,
-    SOLVED,
-    HorizontalLCP,
-    MixedLCP,
-)
-from jaxclear.complementarity.friction_cone import ProjectedGaussSeidel
-from jaxclear.complementarity.interior_point import InteriorPoint
-from jaxclear.complementarity.lemke import Lemke
-from jaxclear.complementarity.semismooth_newton import SemismoothNewton
+from jaxclear.complementarity import LCP, HorizontalLCP, InteriorPoint, Lemke, Outcome
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "refdata" / "complementarity.json").read_text())
 PUBLISHED = {
@@ -40,12 +27,8 @@ PUBLISHED = {
     for name, p in REFERENCE["lcp"].items()
 }
 SIZE, BATCH = 24, 64
-EXACT = {
-    "Lemke": Lemke(),
-    "SemismoothNewton": SemismoothNewton(),
-    "ProjectedGaussSeidel": ProjectedGaussSeidel(most_sweeps=200),
-}
-SOLVERS = EXACT | {"InteriorPoint": InteriorPoint(1e-6)}
+LEMKE = Lemke()
+SOLVERS = {"Lemke": LEMKE, "InteriorPoint": InteriorPoint(1e-6)}
 CLOSE = REFERENCE["tolerance"]
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -124,24 +107,14 @@ def random_problems(seed, kinds, corners):
 
 
 KINDS = ("symmetric", "positive definite", "dominant", "triangular")
-# Sweeps need dominance or symmetry; Newton's method meets its limit in one of some hundred wild
-# triangular problems.
-SOLVED_BY = {
-    "Lemke": KINDS,
-    "SemismoothNewton": KINDS[:3],
-    "ProjectedGaussSeidel": ("symmetric", "dominant"),
-}
 
 
-@pytest.mark.parametrize("name", EXACT)
 @settings(max_examples=6, deadline=None)
 @given(seed=SEEDS, corners=st.booleans())
-def test_p_matrices_have_one_solution_and_it_is_found(name, seed, corners):
-    problems = random_problems(seed, SOLVED_BY[name], corners)
-    for (matrix, offset), (z, outcome, _) in zip(
-        problems, solve_all(EXACT[name], problems), strict=True
-    ):
-        assert outcome == SOLVED and z.min() >= -1e-15
+def test_p_matrices_have_one_solution_and_it_is_found(seed, corners):
+    problems = random_problems(seed, KINDS, corners)
+    for (matrix, offset), (z, outcome, _) in zip(problems, solve_all(LEMKE, problems), strict=True):
+        assert outcome == Outcome.SOLVED and z.min() >= -1e-15
         assert natural_residual(matrix, offset, z) <= CLOSE
         if len(offset) <= 6:
             # corners make neighbouring active sets equal up to rounding times the condition of the
@@ -165,11 +138,9 @@ def test_ties_never_make_lemke_cycle(seed):
         )
         matrix[1], offset[1] = matrix[0], offset[0]
         problems.append((matrix, offset))
-    for (matrix, offset), (z, outcome, _) in zip(
-        problems, solve_all(EXACT["Lemke"], problems), strict=True
-    ):
-        assert outcome in (SOLVED, RAY)
-        assert outcome == RAY or natural_residual(matrix, offset, z) <= CLOSE
+    for (matrix, offset), (z, outcome, _) in zip(problems, solve_all(LEMKE, problems), strict=True):
+        assert outcome in (Outcome.SOLVED, Outcome.RAY)
+        assert outcome == Outcome.RAY or natural_residual(matrix, offset, z) <= CLOSE
 
 
 def first_row_rule_cycles(matrix, offset):
@@ -195,8 +166,8 @@ def first_row_rule_cycles(matrix, offset):
 def test_a_p_matrix_on_which_the_first_row_rule_cycles():
     matrix, offset = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 2.0], [2.0, 0.0, 1.0]]), -np.ones(3)
     assert first_row_rule_cycles(matrix, offset)
-    z, outcome, _ = solve_all(EXACT["Lemke"], [(matrix, offset)])[0]
-    assert outcome == SOLVED
+    z, outcome, _ = solve_all(LEMKE, [(matrix, offset)])[0]
+    assert outcome == Outcome.SOLVED
     np.testing.assert_allclose(z, 1 / 3, rtol=1e-15)
 
 
@@ -209,11 +180,13 @@ def murty(n):
 def test_murtys_example_takes_all_its_pivots_or_says_so():
     sizes = (2, 4, 6, 8, 10)
     for n, (z, outcome, pivots) in zip(
-        sizes, solve_all(EXACT["Lemke"], [murty(n) for n in sizes]), strict=True
+        sizes, solve_all(LEMKE, [murty(n) for n in sizes]), strict=True
     ):
         # 100 + 20 SIZE pivots are allowed
-        assert (outcome, pivots) == ((SOLVED, 2**n) if 2**n <= 580 else (LIMIT, 580)), n
-        assert outcome == LIMIT or np.array_equal(z, [0.0] * (n - 1) + [2.0**n])
+        assert (outcome, pivots) == (
+            (Outcome.SOLVED, 2**n) if 2**n <= 580 else (Outcome.LIMIT, 580)
+        ), n
+        assert outcome == Outcome.LIMIT or np.array_equal(z, [0.0] * (n - 1) + [2.0**n])
 
 
 @settings(max_examples=3, deadline=None)
@@ -228,37 +201,23 @@ def test_lemke_decides_every_positive_semidefinite_problem(seed):
         n = rng.integers(2, 11)
         half = rng.integers(-2, 3, (n, max(1, n // 3)))
         problems.append(((half @ half.T).astype(float), rng.integers(-1, 4, n).astype(float)))
-    for (matrix, offset), (z, outcome, _) in zip(
-        problems, solve_all(EXACT["Lemke"], problems), strict=True
-    ):
+    for (matrix, offset), (z, outcome, _) in zip(problems, solve_all(LEMKE, problems), strict=True):
         possible = linprog(np.zeros(len(offset)), A_ub=-matrix, b_ub=offset).status == 0
-        assert outcome == (SOLVED if possible else RAY)
+        assert outcome == (Outcome.SOLVED if possible else Outcome.RAY)
         assert not possible or natural_residual(matrix, offset, z) <= CLOSE
 
 
-# Rays told though there is a solution (Lemke), or no convergence for want of definiteness (sweeps);
-# the last has no solution.
-UNSOLVED = {
-    "Lemke": {"bimatrix game"},
-    "SemismoothNewton": set(),
-    "ProjectedGaussSeidel": {
-        "unique",
-        "quadratic program",
-        "degenerate quadratic program",
-        "isolated solution",
-    },
-}
+# Rays told though there is a solution, or none is there.
 NO_SOLUTION = {name for name, problem in REFERENCE["lcp"].items() if problem["solutions"] == 0}
 
 
-@pytest.mark.parametrize("name", EXACT)
-def test_problems_of_siconos(name):
-    found = dict(zip(PUBLISHED, solve_all(EXACT[name], list(PUBLISHED.values())), strict=True))
-    unsolved = {problem for problem, (_, outcome, _) in found.items() if outcome != SOLVED}
-    assert unsolved == UNSOLVED[name] | NO_SOLUTION
-    assert name != "Lemke" or {int(found[problem][1]) for problem in unsolved} == {RAY}
-    for problem in set(PUBLISHED) - unsolved:
-        assert natural_residual(*PUBLISHED[problem], found[problem][0]) <= CLOSE, problem
+def test_problems_of_siconos():
+    found = dict(zip(PUBLISHED, solve_all(LEMKE, list(PUBLISHED.values())), strict=True))
+    unsolved = {name for name, (_, outcome, _) in found.items() if outcome != Outcome.SOLVED}
+    assert unsolved == {"bimatrix game"} | NO_SOLUTION
+    assert {int(found[name][1]) for name in unsolved} == {Outcome.RAY}
+    for name in set(PUBLISHED) - unsolved:
+        assert natural_residual(*PUBLISHED[name], found[name][0]) <= CLOSE, name
 
 
 @settings(max_examples=4, deadline=None)
@@ -268,7 +227,7 @@ def test_interior_point_keeps_its_product(seed, corners):
     for (matrix, offset), (z, outcome, _) in zip(
         problems, solve_all(SOLVERS["InteriorPoint"], problems), strict=True
     ):
-        assert outcome == SOLVED and z.min() > 0
+        assert outcome == Outcome.SOLVED and z.min() > 0
         # w = M z + q cancels: rounding of entries near 1e2 beside products of 1e-6
         np.testing.assert_allclose(
             z * (matrix @ z + offset), 1e-6, atol=1e-12 * (1 + np.abs(z).max() ** 2)
@@ -346,16 +305,15 @@ def test_derivatives_forward_in_reverse_and_by_differences(name):
     np.testing.assert_allclose(value[:4], solve_all(solver, [data[:2]])[0][0], atol=1e-13)
 
 
-@pytest.mark.parametrize("name", EXACT)
-def test_derivative_at_a_corner_is_one_sided(name):
+def test_derivative_at_a_corner_is_one_sided():
     """z_1 = w_1 = 0: more q_1 opens the corner, and the derivative is that of staying at z_1 =
     0."""
     data = (CORNER, np.array([-0.5, -1.0, 1.0, 1.0]))
     way, step = (np.zeros((4, 4)), np.array([1.0, -0.5, 0.0, 0.0])), 1e-6
-    value, slope, _, bars = derivatives(EXACT[name], data, way, np.ones(8))
+    value, slope, _, bars = derivatives(LEMKE, data, way, np.ones(8))
     np.testing.assert_allclose(value[[0, 4]], 0.0, atol=1e-15)
     np.testing.assert_allclose(
-        slope, (derivatives(EXACT[name], moved(data, way, step))[0] - value) / step, atol=1e-8
+        slope, (derivatives(LEMKE, moved(data, way, step))[0] - value) / step, atol=1e-8
     )
     np.testing.assert_allclose(np.sum(bars[1] * way[1]), np.sum(slope), rtol=1e-12)
 
@@ -373,7 +331,7 @@ def test_what_is_not_finite_gives_no_derivative_but_zero(name):
 def test_relaxation_goes_to_the_exact_solution(corner, order):
     """The error falls as kappa, and as its root where some z_i = w_i = 0."""
     offset = np.array([-0.5 if corner else -0.2, -1.0, 1.0, 1.0])
-    exact = derivatives(EXACT["Lemke"], (CORNER, offset))[0][:4]
+    exact = derivatives(LEMKE, (CORNER, offset))[0][:4]
     kappas = 10.0 ** -np.arange(4.0, 12.0)
     error = [
         np.abs(derivatives(SOLVERS["InteriorPoint"], (CORNER, offset, k))[0][:4] - exact).max()
@@ -399,36 +357,32 @@ def test_a_failing_member_leaves_its_batch_alone(name):
         (-np.eye(2), -np.ones(2)),
     ]
     found = solve_all(SOLVERS[name], broken)
-    assert found[0][1] == NOT_FINITE and np.array_equal(found[0][0], np.zeros(3))
-    assert SOLVED not in (found[-1][1], found[-2][1])
+    assert found[0][1] == Outcome.NOT_FINITE and np.array_equal(found[0][0], np.zeros(3))
+    assert Outcome.SOLVED not in (found[-1][1], found[-2][1])
     assert all(np.all(np.isfinite(z)) for z, _, _ in found)
     for before, now in zip(kept, found[1:-2], strict=True):
         assert np.array_equal(before[0], now[0]) and before[1:] == now[1:]
 
 
-@pytest.mark.parametrize("name", EXACT)
-def test_units_do_not_matter(name):
+def test_units_do_not_matter():
     """A matrix in units 2^-30 and an offset in 2^40 of the first: the same steps and the same
     digits.
     """
     rng = np.random.default_rng(2)
     problems = [(p_matrix(rng, n, "symmetric"), rng.normal(size=n)) for n in range(1, SIZE)]
-    found = solve_all(EXACT[name], problems)
+    found = solve_all(LEMKE, problems)
     scaled = solve_all(
-        EXACT[name], [(2.0**-30 * matrix, 2.0**40 * offset) for matrix, offset in problems]
+        LEMKE, [(2.0**-30 * matrix, 2.0**40 * offset) for matrix, offset in problems]
     )
     for (z, _, steps), (other, outcome, same) in zip(found, scaled, strict=True):
         # not padded alike: the added rows keep their units
-        assert outcome == SOLVED and (name != "Lemke" or same == steps)
+        assert outcome == Outcome.SOLVED and same == steps
         np.testing.assert_allclose(2.0**-70 * other, z, rtol=1e-10, atol=1e-13)
 
 
 FORMS = {
     "horizontal": lambda f: f,
-    "swapped": lambda f: f.swapped(),
-    "mixed": lambda f: f.to_mixed(),
     "lcp": lambda f: f.to_lcp(),
-    "and back": lambda f: f.to_lcp().to_horizontal(),
 }
 
 
@@ -439,53 +393,25 @@ def test_all_forms_have_the_same_solution(form):
     offset = np.array([-1.0, 0.5, -0.3, 0.8])
     problem = FORMS[form](HorizontalLCP(left, left @ base, left @ offset))
     lcp = problem.to_lcp()
-    z, w = problem.from_lcp(solve_all(EXACT["Lemke"], [(lcp.matrix, lcp.offset)])[0][0])
-    np.testing.assert_allclose(
-        w if form == "swapped" else z, by_enumeration(base, offset)[0], atol=1e-12
-    )
+    z, w = problem.from_lcp(solve_all(LEMKE, [(lcp.matrix, lcp.offset)])[0][0])
+    np.testing.assert_allclose(z, by_enumeration(base, offset)[0], atol=1e-12)
     assert float(problem.residual(z, w)) <= 1e-12
 
 
-def test_free_unknowns_of_a_mixed_problem():
-    rng = np.random.default_rng(8)
-    m, n = 3, 4
-    whole, right = p_matrix(rng, m + n, "symmetric"), rng.normal(size=m + n)
-    problem = MixedLCP(
-        whole[:m, :m], whole[:m, m:], right[:m], whole[m:, :m], whole[m:, m:], right[m:]
-    )
-    solution = eqx.filter_jit(Lemke().solve)(problem)
-    rows = whole @ np.append(problem.free(solution.z), solution.z) + right
-    np.testing.assert_allclose(rows[:m], 0, atol=1e-13)
-    np.testing.assert_allclose(rows[m:], solution.w, atol=1e-13)
-    assert np.abs(np.minimum(solution.z, rows[m:])).max() <= 1e-13
-
-
-def test_a_singular_horizontal_problem_is_told_and_swapped():
-    singular = HorizontalLCP(np.zeros((2, 2)), np.eye(2), [-1.0, -2.0])
-    lcp, swapped = singular.to_lcp(), singular.swapped().to_lcp()
-    told, solved = solve_all(
-        EXACT["Lemke"], [(lcp.matrix, lcp.offset), (swapped.matrix, swapped.offset)]
-    )
-    assert told[1] == NOT_FINITE
-    # M regular: z = 1, 2 whatever w, so w = 0
-    np.testing.assert_array_equal(
-        singular.swapped().from_lcp(jnp.asarray(solved[0]))[1], [1.0, 2.0]
-    )
+def test_a_singular_horizontal_problem_is_told():
+    lcp = HorizontalLCP(np.zeros((2, 2)), np.eye(2), [-1.0, -2.0]).to_lcp()
+    assert solve_all(LEMKE, [(lcp.matrix, lcp.offset)])[0][1] == Outcome.NOT_FINITE
 
 
 def test_sentences():
-    batch = in_a_batch(
-        EXACT["Lemke"], *padded([murty(10), PUBLISHED["isolated solution, perturbed"]])
-    )
+    batch = in_a_batch(LEMKE, *padded([murty(10), PUBLISHED["isolated solution, perturbed"]]))
     limit, ray, solved = (jax.tree.map(lambda x, i=i: x[i], batch) for i in range(3))
     assert [one.sentence() for one in (solved, ray, limit)] == [
-        OUTCOMES[i] for i in (SOLVED, RAY, LIMIT)
+        i.sentence for i in (Outcome.SOLVED, Outcome.RAY, Outcome.LIMIT)
     ]
     assert [bool(one.solved) for one in (solved, ray, limit)] == [True, False, False]
-    counts = zip((62, 1, 1), (SOLVED, RAY, LIMIT), strict=True)
-    assert batch.sentence() == " ".join(
-        f"{count} of 64: {OUTCOMES[code]}" for count, code in counts
-    )
+    counts = zip((62, 1, 1), (Outcome.SOLVED, Outcome.RAY, Outcome.LIMIT), strict=True)
+    assert batch.sentence() == " ".join(f"{count} of 64: {code.sentence}" for count, code in counts)
 
 
 REFUSED = {
@@ -496,15 +422,9 @@ REFUSED = {
     "w_matrix of a HorizontalLCP": lambda: HorizontalLCP(
         np.ones((1, 2)), np.ones((2, 2)), np.ones(2)
     ),
-    "free_to_z of a MixedLCP": lambda: MixedLCP(
-        np.eye(3), np.ones((2, 3)), np.ones(3), np.ones((2, 3)), np.eye(2), np.ones(2)
-    ),
     "most_pivots of Lemke": lambda: Lemke(most_pivots=0),
-    "most_steps of SemismoothNewton": lambda: SemismoothNewton(most_steps=0),
     "most_steps of InteriorPoint": lambda: InteriorPoint(most_steps=1.5),
     "InteriorPoint has kappa = 0; it must be above 0": lambda: InteriorPoint(0.0),
-    "most_sweeps of ProjectedGaussSeidel": lambda: ProjectedGaussSeidel(most_sweeps=0),
-    "over_relaxation": lambda: ProjectedGaussSeidel(over_relaxation=2.0),
 }
 
 

@@ -17,10 +17,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxclear  # noqa: F401  float64
-from jaxclear.complementarity import LIMIT, NOT_FINITE, SOLVED
-from jaxclear.complementarity.friction_cone import FrictionContact, ProjectedGaussSeidel
-from jaxclear.complementarity.interior_point import InteriorPoint
-from jaxclear.complementarity.lemke import Lemke
+from jaxclear.complementarity import (
+    LCP,
+    FrictionContact,
+    InteriorPoint,
+    Lemke,
+    Outcome,
+    ProjectedGaussSeidel,
+)
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "refdata" / "complementarity.json").read_text())
 PUBLISHED = {
@@ -98,7 +102,7 @@ def random_contacts(rng, dimension, bodies_move=True):
 def test_problems_of_siconos(name):
     dimension, *problem = PUBLISHED[name]
     r, v, outcome, _ = solve_all([problem], dimension)[0]
-    assert outcome == SOLVED
+    assert outcome == Outcome.SOLVED
     assert_coulomb(problem, r, v)
     # De Saxce's natural map with a projection of its own
     mu = problem[2]
@@ -119,7 +123,7 @@ def test_coulombs_law_holds_at_every_contact(dimension, seed):
     rng = np.random.default_rng(seed)
     problems = [random_contacts(rng, dimension) for _ in range(BATCH)]
     for problem, (r, v, outcome, _) in zip(problems, solve_all(problems, dimension), strict=True):
-        assert outcome == SOLVED
+        assert outcome == Outcome.SOLVED
         assert_coulomb(problem, r, v)
 
 
@@ -131,12 +135,12 @@ def test_redundant_contacts_are_solved_or_told(dimension):
     rng = np.random.default_rng(0)
     problems = [random_contacts(rng, dimension, bodies_move=False) for _ in range(BATCH)]
     found = solve_all(problems, dimension)
-    solved = [outcome == SOLVED for _, _, outcome, _ in found]
+    solved = [outcome == Outcome.SOLVED for _, _, outcome, _ in found]
     assert np.mean(solved) >= 0.9
     for problem, (r, v, outcome, _) in zip(problems, found, strict=True):
-        if outcome == SOLVED:
+        if outcome == Outcome.SOLVED:
             assert_coulomb(problem, r, v)
-        assert outcome in (SOLVED, LIMIT)
+        assert outcome in (Outcome.SOLVED, Outcome.LIMIT)
 
 
 @pytest.mark.parametrize(
@@ -188,20 +192,75 @@ def test_planar_friction_by_sweeps_and_by_pivoting(seed):
     problems = [(w + np.trace(w) / len(w) * np.eye(len(w)), b, mu) for w, b, mu in problems]
     swept, pivoted = solve_all(problems, 2), solve_all(problems, 2, Lemke())
     for problem, one, other in zip(problems, swept, pivoted, strict=True):
-        assert one[2] == other[2] == SOLVED
+        assert one[2] == other[2] == Outcome.SOLVED
         assert_coulomb(problem, *other[:2])
         np.testing.assert_allclose(one[0], other[0], atol=1e-11)
 
 
-def test_sweeps_alone_and_over_relaxed_come_to_the_same():
+@pytest.mark.parametrize("seed", range(3))
+def test_without_tangents_pivoting_finds_the_same(seed):
+    """Contacts of unlike sizes: (1) and (1, 2, 2) directions, beside the LCP of each."""
+    rng = np.random.default_rng(seed)
+    half = rng.normal(size=(5, 5))
+    matrix, offset = half @ half.T + np.eye(5), rng.normal(size=5)
+    found = SWEEPS.solve(FrictionContact(matrix, offset, np.zeros(5)))
+    assert found.solved
+    np.testing.assert_allclose(found.z, Lemke().solve(LCP(matrix, offset)).z, atol=1e-11)
+    ragged = FrictionContact(matrix, offset, np.full(3, 0.1), (1, 2, 2))
+    one, other = SWEEPS.solve(ragged), Lemke().solve(ragged)
+    assert one.solved and other.solved
+    np.testing.assert_allclose(one.z, other.z, atol=1e-11)
+    np.testing.assert_allclose(one.w, other.w, atol=1e-11)
+
+
+def test_a_step_finds_what_solve_finds():
+    """Written-out elimination up to 24 unknowns, sweeps alone beyond."""
     rng = np.random.default_rng(6)
-    problems = [random_contacts(rng, 2) for _ in range(BATCH)]
-    problems = [(w + np.trace(w) / len(w) * np.eye(len(w)), b, mu) for w, b, mu in problems]
-    best = solve_all(problems, 2)
-    for solver in (ProjectedGaussSeidel(newton=False), ProjectedGaussSeidel(1.3, most_sweeps=500)):
-        for one, other in zip(best, solve_all(problems, 2, solver), strict=True):
-            assert other[2] == SOLVED
-            np.testing.assert_allclose(one[0], other[0], atol=1e-10)
+    for c in (2, 9):
+        half = rng.normal(size=(3 * c, 3 * c))
+        matrix, offset = half @ half.T / (3 * c) + np.eye(3 * c), rng.normal(size=3 * c)
+        problem = FrictionContact(matrix, offset, np.full(c, 0.3))
+        found, step = SWEEPS.solve(problem), jax.jit(SWEEPS.iterate)(problem)
+        assert found.solved and step.residual < 1e-12
+        r, v = np.asarray([found.z, found.w]).reshape(2, c, 3)
+        assert_coulomb((matrix, offset, problem.mu), r, v)
+        np.testing.assert_allclose(step.z, found.z, atol=1e-11)
+
+
+def test_a_contact_that_may_not_act_does_nothing():
+    """The others are solved as if it were not there, whatever its own numbers."""
+    rng = np.random.default_rng(2)
+    matrix, offset, mu = random_contacts(rng, 2)
+    whole = np.block(
+        [[1e6 * np.eye(2), np.ones((2, len(offset)))], [np.ones((len(offset), 2)), matrix]]
+    )
+    more = (whole, np.append([-1e3, 1.0], offset), np.append(0.5, mu))
+    active = np.append(False, np.ones(len(mu), bool))
+    found = SWEEPS.solve(FrictionContact(*more, active=jnp.asarray(active)))
+    alone = SWEEPS.solve(FrictionContact(matrix, offset, mu))
+    assert found.solved and not np.any(found.z[:2])
+    np.testing.assert_allclose(found.z[2:], alone.z, rtol=1e-12, atol=1e-14)
+    assert float(found.residual) < 1e-10
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.6, 1.0])
+def test_two_balls_exchange_momentum_as_newton_says(restitution):
+    """Free velocities with e v_n before added: closing 3 m/s, opening 3 e m/s; P = (1 + e) m1 m2 /
+    (m1 + m2) v."""
+    masses, closing = np.array([2.0, 3.0]), -3.0
+    delassus = np.sum(1 / masses)
+    wanted = [closing + restitution * closing]
+    found = SWEEPS.solve(FrictionContact([[delassus]], wanted, [0.0]))
+    np.testing.assert_allclose(found.z, -(1 + restitution) * closing / delassus, rtol=1e-15)
+    assert int(found.iterations) == 1
+
+
+def test_a_good_start_ends_at_once():
+    problem = FrictionContact(*random_contacts(np.random.default_rng(3), 3))
+    found = SWEEPS.solve(problem)
+    again = SWEEPS.iterate(problem, found.z)
+    assert int(found.iterations) > 0 and int(again.sweeps) == 0
+    np.testing.assert_allclose(again.z, found.z, rtol=1e-14)
 
 
 # ---- derivatives ----
@@ -305,23 +364,29 @@ def test_a_failing_member_leaves_its_batch_alone():
     kept, found = solve_all(problems, 3), solve_all([*problems, nonsense, negative], 3)
     for before, now in zip(kept, found, strict=False):
         assert all(np.array_equal(a, b) for a, b in zip(before, now, strict=True))
-    assert [outcome for _, _, outcome, _ in found[4:]] == [NOT_FINITE, NOT_FINITE]
+    assert [outcome for _, _, outcome, _ in found[4:]] == [Outcome.NOT_FINITE, Outcome.NOT_FINITE]
     assert not np.any(found[4][0]) and not np.any(found[5][0])
 
 
 @pytest.mark.parametrize(
     "words, build",
     {
-        "rows, not 4": lambda: FrictionContact(np.eye(4), np.ones(4), np.ones(1)),
+        "rows, or as many": lambda: FrictionContact(np.eye(5), np.ones(5), np.ones(2)),
         "delassus of a FrictionContact": lambda: FrictionContact(np.eye(2), np.ones(3), np.ones(1)),
+        "row 0 of delassus": lambda: FrictionContact(np.ones((2, 3)), np.ones(2), np.ones(1)),
+        "directions \\(1, 1\\) say": lambda: FrictionContact(
+            np.eye(3), np.ones(3), np.ones(2), (1, 1)
+        ),
         "may be negative": lambda: FrictionContact(np.eye(3), np.ones(3), [-0.1]),
         "ProjectedGaussSeidel": lambda: Lemke().solve(
             FrictionContact(np.eye(3), np.ones(3), [0.1])
         ),
+        "for linear problems take Lemke": lambda: SWEEPS.solve(LCP(np.eye(3), np.ones(3))),
+        "most_sweeps = 0; it must be above 0": lambda: ProjectedGaussSeidel(most_sweeps=0),
     }.items(),
 )
 def test_bad_problems_are_refused_before_tracing(words, build):
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(ValueError, match=f"(?i){words}"):
         build()
 
 

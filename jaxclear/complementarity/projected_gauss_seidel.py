@@ -1,0 +1,273 @@
+"""Projected Gauss-Seidel: sweeps over the contacts, each solved exactly, then Newton's method for
+all at once whenever it comes nearer.
+
+The step of Newton's method is the semismooth one, with the generalised Jacobian of Alart and
+Curnier in the states in which the sweeps leave the contacts. Sources: Jourdan, Alart & Jean 1998,
+Comput. Methods Appl. Mech. Eng. 155, 31, doi:10.1016/S0045-7825(97)00137-0 (sweeps); Alart &
+Curnier 1991, doi:10.1016/0045-7825(91)90022-X (Newton). Plain operations on small arrays only, a
+row at a time, so that a time loop with these iterations stays one kernel of machine code.
+"""
+
+from functools import partial
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxclear.complementarity.friction_cone import (
+    LinearisedLaw,
+    alart_curnier,
+    natural_map,
+    one_contact,
+    project_on_cone,
+)
+from jaxclear.complementarity.friction_contact import FrictionContact
+from jaxclear.complementarity.outcome import Outcome
+from jaxclear.complementarity.problem import AbstractSolver, Solution
+from jaxclear.complementarity.scaling import size_of
+from jaxclear.ground.factorisation import eliminate
+from jaxclear.ground.quantity import Scalar, quantity
+
+__all__ = ["Iterate", "ProjectedGaussSeidel"]
+
+# Sweeps between two tries of Newton's method, which a kernel leaves out beyond so many unknowns:
+# there its elimination is written out.
+SWEEPS, LARGEST_ELIMINATED = 2, 24
+# Added to scaled sticking rows in Newton's method, so that redundant contacts leave a regular
+# system.
+REGULAR = 1e-12
+# States are told apart by this share of the largest reaction where derivatives are taken: a contact
+# nearer to a corner stays in the state that `alart_curnier` names.
+CORNER = 1e-9
+# Singular values below this share of the largest are redundancy, not stiffness.
+REDUNDANT = 1e-11
+
+
+class Iterate(NamedTuple):
+    """Where an iteration ended: `z` [as the problem's z], its `residual` relative to the data [1],
+    sweeps taken.
+    """
+
+    z: Float[Array, " m"]
+    residual: Float[Array, ""]
+    sweeps: Int[Array, ""]
+
+
+class ProjectedGaussSeidel(AbstractSolver):
+    """The solver of `FrictionContact`, planar or spatial.
+
+    Converges for symmetric positive semidefinite W without friction (slowly, perhaps beyond
+    `most_sweeps`, where ranks are deficient); with friction nearly always where contacts are not
+    too redundant. Derivatives of `solve` keep the state of every contact. Between two states they
+    are one-sided: a contact that touches without force stays open, one at the edge of its cone
+    without slip sticks. Of redundant contacts they are the least.
+    """
+
+    tolerance: Scalar = quantity(
+        1e-12, "1", "residual relative to the largest velocity at which to stop", above=0
+    )
+    most_sweeps: Scalar = quantity(1000.0, "1", "most sweeps over the contacts", above=0)
+
+    def solve(self, problem: FrictionContact) -> Solution:
+        if not isinstance(problem, FrictionContact):
+            raise ValueError(
+                f"ProjectedGaussSeidel is given a {type(problem).__name__}; it solves a "
+                "FrictionContact. For linear problems take Lemke."
+            )
+        data = (*problem.acting(), problem.mu)
+        finite = jnp.all(jnp.isfinite(jnp.concatenate([x.reshape(-1) for x in data])))
+        finite = finite & jnp.all(problem.mu >= 0)
+        calm = zip(data, (jnp.eye(len(data[1])), 0.0, 0.0), strict=True)
+        calm = [jax.lax.stop_gradient(jnp.where(finite, x, y)) for x, y in calm]
+        # A library's elimination: the written-out one takes XLA minutes to compile.
+        found = self._iterate(FrictionContact(*calm, problem.directions), None, in_kernel=False)
+        solved = jnp.where(found.residual <= self.tolerance, Outcome.SOLVED, Outcome.LIMIT)
+        outcome = jnp.where(finite & jnp.isfinite(found.residual), solved, Outcome.NOT_FINITE)
+        r = jnp.where(jnp.isfinite(found.z), found.z, 0.0)
+        r = _keep_states(r, outcome == Outcome.SOLVED, *data, problem.sizes)
+        v = jnp.stack(problem.delassus) @ r + problem.free_velocity
+        return Solution(r, v, problem.residual(r, v), outcome, found.sweeps)
+
+    def iterate(self, problem: FrictionContact, start: Array | None = None) -> Iterate:
+        """The iteration itself, from `start` or from rest: what a time step calls. Its derivatives
+        (forward) are those of the sweeps.
+        """
+        return self._iterate(problem, start, in_kernel=True)
+
+    def _iterate(self, problem: FrictionContact, start: Array | None, in_kernel: bool) -> Iterate:
+        scaled = _scale(problem)
+        unit = scaled.size / scaled.weight
+        guess = [jnp.zeros(d) for d in problem.sizes]
+        if start is not None:
+            guess = [x / unit for x in problem.split(jnp.where(problem.acts, start, 0.0))]
+        found, residual, sweeps = _sweep_until(
+            scaled, tuple(guess), self.most_sweeps, self.tolerance, in_kernel
+        )
+        reaction = jnp.where(problem.acts, jnp.concatenate(found) * unit, 0.0)
+        return Iterate(reaction, residual, sweeps)
+
+
+class Scaled(NamedTuple):
+    """A problem whose largest diagonal entry and largest velocity are 1, contact by contact:
+    v_i = rows_i r + free_i, `own` the block of the contact itself, r_i - rho_i v_i a sum of like
+    units. Reactions are r size / weight.
+    """
+
+    rows: list[list[Array]]
+    free: list[Array]
+    own: list[Array]
+    mu: Array
+    rho: list[Array]
+    weight: Array
+    size: Array
+
+    def velocity(self, i: int, flat: Array) -> Array:
+        """v of contact i."""
+        return jnp.stack([row @ flat for row in self.rows[i]]) + self.free[i]
+
+
+def _scale(problem: FrictionContact) -> Scaled:
+    starts, acts = problem.starts, problem.acts
+    spans = list(pairwise(starts))
+    diagonal = jnp.stack([row[k] for k, row in enumerate(problem.delassus)])
+    heaviest = jnp.max(jnp.where(acts, diagonal, 0.0))
+    weight = jnp.where(heaviest > 0, heaviest, 1.0)
+    largest = jnp.max(jnp.abs(jnp.where(acts, problem.free_velocity, 0.0)))
+    size = jnp.where(largest > 0, largest, 1.0)
+    # A contact that may not act stands there as an open one by itself.
+    eye, apart = np.eye(starts[-1]), np.isin(np.arange(starts[-1]), starts).astype(float)
+    rows = [
+        jnp.where(acts[k] & acts, row / weight, eye[k]) for k, row in enumerate(problem.delassus)
+    ]
+    free = jnp.where(acts, problem.free_velocity / size, apart)
+    own = [jnp.stack([row[a:b] for row in rows[a:b]]) for a, b in spans]
+    rho = [1 / jnp.max(jnp.stack([rows[k][k] for k in range(a, b)])) for a, b in spans]
+    rows = [rows[a:b] for a, b in spans]
+    return Scaled(rows, problem.split(free), own, problem.mu, rho, weight, size)
+
+
+def _residual(problem: Scaled, r: tuple) -> Array:
+    """Largest entry of the natural map as a velocity, relative to the data (scaled to 1) or the
+    size of the reactions; infinite if not finite.
+    """
+    flat = jnp.concatenate(r)
+    sizes = []
+    for i, part in enumerate(r):
+        left = natural_map(part, problem.velocity(i, flat), problem.mu[i], problem.rho[i])
+        sizes.append(jnp.max(jnp.abs(left)) / problem.rho[i])
+    worst = jnp.max(jnp.stack(sizes)) / size_of(flat)
+    return jnp.where(jnp.isfinite(worst), worst, jnp.inf)
+
+
+def _sweep(problem: Scaled, r: tuple) -> tuple:
+    """Every contact solved in turn, with the newest reactions of the others."""
+    for i, part in enumerate(r):
+        free = problem.velocity(i, jnp.concatenate(r)) - problem.own[i] @ part
+        r = (*r[:i], one_contact(problem.own[i], free, problem.mu[i]), *r[i + 1 :])
+    return r
+
+
+def _sweep_until(
+    problem: Scaled, start: tuple, most_sweeps: Any, tolerance: Any, in_kernel: bool
+) -> tuple[tuple, Array, Array]:
+    """(reactions by contact, residual, sweeps)."""
+
+    def unfinished(carry):
+        _, left, _, sweeps = carry
+        return (left > tolerance) & (sweeps < most_sweeps)
+
+    def improve(carry):
+        r, _, best, sweeps = carry
+        r = jax.lax.fori_loop(0, SWEEPS, lambda _, r: _sweep(problem, r), r)
+        left = _residual(problem, r)
+        if not in_kernel or sum(map(len, r)) <= LARGEST_ELIMINATED:
+            there = _newton(problem, r, in_kernel)
+            left_there = _residual(problem, there)
+            # Steps that are no better than what was known would lead round in circles.
+            nearer = left_there < 0.5 * jnp.minimum(best, left)
+            r = tuple(jnp.where(nearer, a, b) for a, b in zip(there, r, strict=True))
+            left = jnp.where(nearer, left_there, left)
+        return r, left, jnp.minimum(best, left), sweeps + SWEEPS
+
+    none, first = jnp.zeros((), int), _residual(problem, start)
+    if len(start) == 1:
+        # A single contact is solved by one sweep.
+        still = first <= tolerance
+        swept = _sweep(problem, start)
+        found = tuple(jnp.where(still, a, b) for a, b in zip(start, swept, strict=True))
+        return found, _residual(problem, found), jnp.where(still, none, none + 1)
+    found, left, _, sweeps = jax.lax.while_loop(unfinished, improve, (start, first, first, none))
+    return found, left, sweeps
+
+
+def _linearised(
+    problem: Scaled, r: tuple, margin: Any, regular: float
+) -> tuple[list[LinearisedLaw], list[Array]]:
+    """(the laws of the contacts, rows of the Jacobian of F(r, rho (W r + b)) with respect to r),
+    with `regular` added to the rows of contacts that stick.
+    """
+    laws, lines, m, first = [], [], sum(map(len, r)), 0
+    for i, part in enumerate(r):
+        d, rho = len(part), problem.rho[i]
+        velocity = problem.velocity(i, jnp.concatenate(r))
+        law = alart_curnier(part, rho * velocity, problem.mu[i], margin)
+        for a in range(d):
+            through_v = sum(rho * law.of_s[a, b] * row for b, row in enumerate(problem.rows[i]))
+            direct = law.of_r[a] + regular * law.of_s[a]
+            padded = [jnp.zeros(first), direct, jnp.zeros(m - first - d)]
+            lines.append(through_v + jnp.concatenate(padded))
+        laws.append(law)
+        first += d
+    return laws, lines
+
+
+def _newton(problem: Scaled, r: tuple, in_kernel: bool) -> tuple:
+    """A step of Newton's method for all contacts in the states they are in, brought back into their
+    cones.
+    """
+    laws, lines = _linearised(problem, r, 0.0, REGULAR)
+    value = jnp.concatenate([law.value for law in laws])
+    if in_kernel:
+        change = jnp.stack(eliminate([jnp.append(x, value[k]) for k, x in enumerate(lines)]))
+    else:
+        change = jnp.linalg.solve(jnp.stack(lines), value)
+    ends = np.cumsum([len(part) for part in r]).tolist()
+    return tuple(
+        project_on_cone(part - change[e - len(part) : e], problem.mu[i])
+        for i, (part, e) in enumerate(zip(r, ends, strict=True))
+    )
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(5,))
+def _keep_states(r, solved, matrix, offset, mu, sizes: tuple[int, ...]) -> Array:
+    """r unchanged, with the derivatives of the solution whose contacts keep their states; zero
+    where not `solved`, and of the least change of r where contacts are redundant.
+    """
+    return r
+
+
+@_keep_states.defjvp
+def _keep_states_jvp(sizes, primals, tangents):
+    r, solved, matrix, offset, mu = primals
+    _, _, d_matrix, d_offset, d_mu = tangents
+    out = _keep_states(*primals, sizes)
+    # What is not solved is made harmless before it is differentiated.
+    posed = FrictionContact(
+        jnp.where(solved, matrix, jnp.eye(len(r))), jnp.where(solved, offset, 0.0), mu, sizes
+    )
+    problem = _scale(posed)
+    scale = problem.size / problem.weight
+    blocks = tuple(posed.split(out / scale))
+    flat = jnp.concatenate(blocks)
+    s = [problem.rho[i] * problem.velocity(i, flat) for i in range(len(sizes))]
+    largest = jnp.maximum(jnp.max(jnp.abs(flat)), jnp.max(jnp.abs(jnp.concatenate(s))))
+    laws, lines = _linearised(problem, blocks, CORNER * jax.lax.stop_gradient(largest), 0.0)
+    moved = posed.split((d_matrix @ out + d_offset) / problem.size)
+    change = jnp.concatenate(
+        [law.of_s @ (problem.rho[i] * moved[i]) + law.of_mu * d_mu[i] for i, law in enumerate(laws)]
+    )
+    change = scale * jnp.where(solved, change, 0.0)
+    return out, -jnp.linalg.pinv(jnp.stack(lines), rtol=REDUNDANT) @ change
