@@ -18,18 +18,15 @@ import numpy as np
 
 import jaxclear  # noqa: F401  float64, and the compiler option
 from benchmarks.measure import arguments, report, side_by_side
-from jaxclear.complementarity import LCP
-from jaxclear.complementarity.friction_cone import FrictionContact, ProjectedGaussSeidel
-from jaxclear.complementarity.interior_point import InteriorPoint
-from jaxclear.complementarity.lemke import Lemke
-from jaxclear.complementarity.semismooth_newton import SemismoothNewton
+from jaxclear.complementarity import (
+    LCP,
+    FrictionContact,
+    InteriorPoint,
+    Lemke,
+    ProjectedGaussSeidel,
+)
 
-SOLVERS = {
-    "Lemke": Lemke,
-    "SemismoothNewton": SemismoothNewton,
-    "InteriorPoint(1e-14)": lambda: InteriorPoint(1e-14),
-    "ProjectedGaussSeidel": ProjectedGaussSeidel,
-}
+SOLVERS = {"Lemke": Lemke, "InteriorPoint(1e-14)": lambda: InteriorPoint(1e-14)}
 CLOSE = 1e-10
 
 
@@ -154,28 +151,25 @@ def lcp_rows(n: int, alone: int, batch: int, repeats: int):
 
 
 def contact_rows(count: int, alone: int, batch: int, repeats: int):
-    """Spatial friction, with and without Newton's method, at most 200 sweeps."""
+    """Spatial friction, at most 200 sweeps."""
     data = contacts(count, batch)
     few, many = (tuple(jnp.asarray(part[:size]) for part in data) for size in (alone, batch))
-    rows = []
-    for name, newton in (("sweeps and Newton", True), ("sweeps", False)):
-        solver = ProjectedGaussSeidel(newton=newton, most_sweeps=200)
-        solve = lambda *p, s=solver: s.solve(FrictionContact(*p))
-        one_by_one = eqx.filter_jit(lambda *p, f=solve: jax.lax.map(lambda q: f(*q).residual, p))
-        together = eqx.filter_jit(jax.vmap(lambda *p, f=solve: f(*p).residual))
-        cases = {"alone": lambda f=one_by_one: f(*few), "batch": lambda f=together: f(*many)}
-        times = side_by_side(cases, repeats)
-        residual = np.asarray(together(*many))
-        rows.append(
-            {
-                "contacts": count,
-                "solver": name,
-                "alone [us]": times["alone"][1] / alone * 1e6,
-                "batch [us]": times["batch"][1] / batch * 1e6,
-                "solved": float(np.mean(residual <= CLOSE)),
-            }
-        )
-    return rows
+    solver = ProjectedGaussSeidel(most_sweeps=200)
+    solve = lambda *p: solver.solve(FrictionContact(*p)).residual
+    one_by_one = eqx.filter_jit(lambda *p: jax.lax.map(lambda q: solve(*q), p))
+    together = eqx.filter_jit(jax.vmap(solve))
+    cases = {"alone": lambda: one_by_one(*few), "batch": lambda: together(*many)}
+    times = side_by_side(cases, repeats)
+    residual = np.asarray(together(*many))
+    return [
+        {
+            "contacts": count,
+            "solver": "ProjectedGaussSeidel",
+            "alone [us]": times["alone"][1] / alone * 1e6,
+            "batch [us]": times["batch"][1] / batch * 1e6,
+            "solved": float(np.mean(residual <= CLOSE)),
+        }
+    ]
 
 
 def main() -> None:

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jaxclear.complementarity import BoxedGaussSeidel, JointFriction
 from jaxclear.formulations.contact_rows import along
 from jaxclear.formulations.permanent_reactions import FrictionResponse
-from jaxclear.ground import sparse as sp
 
 # Friction that accelerates a joint by less than this share of what it gives the mechanism's whole
 # mass does not move it.

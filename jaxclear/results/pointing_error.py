@@ -180,16 +180,16 @@ def pointing_error(
     )
     contributions = {
         name: np.asarray(twist)
-        for name, step, twist in zip(links.names, links.steps, errors.deviations, strict=True)
-        if not step.ideal
+        for name, joint, twist in zip(links.names, links.joints, errors.deviations, strict=True)
+        if not joint.ideal
     }
     if nominal is not None:
         # A nominal joint with clearance where this run has an ideal one: its deviation is missing
         # here and counts as motion.
         missing = [
             t
-            for t, step in zip(errors.deviations, links.steps, strict=True)
-            if step.ideal and t is not None
+            for t, joint in zip(errors.deviations, links.joints, strict=True)
+            if joint.ideal and t is not None
         ]
         contributions[MOTION] = sum(map(np.asarray, (*errors.motions, *missing)))
     deviations = zip(links.names, setting.deviations, strict=True)

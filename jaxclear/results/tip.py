@@ -1,7 +1,7 @@
 """Error of a tip over the saving times of a run: a marker's pose against that of the same chain
 with ideal joints.
 
-The arithmetic of one instant is `scene.chain`; here it is mapped over a run, against itself or
+The arithmetic of one instant is `multibody.product_of_exponentials`; here it is mapped over a run, against itself or
 against another run.
 """
 
@@ -13,13 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.body import Marker
+from jaxclear.ground.transform import transform
+from jaxclear.multibody.chain import Chain, chain
 from jaxclear.multibody.product_of_exponentials import (
-    Chain,
     ChainConfiguration,
     TipError,
-    chain,
-    frame,
-    measure,
+    measured_configuration,
     tip_error,
 )
 from jaxclear.results.trajectory import Trajectory
@@ -43,19 +42,21 @@ def checked_through(through: Any) -> tuple[str, ...]:
 
 
 @eqx.filter_jit
-def settings(trajectory: Trajectory, links: Chain) -> ChainConfiguration:
+def configurations(trajectory: Trajectory, links: Chain) -> ChainConfiguration:
     """How the joints of a chain stand at every saving time."""
     histories = {name: trajectory.body(name) for name in links.bodies}
 
     def one(bodies):
-        return measure(links, {name: frame(*pose) for name, pose in bodies.items()})
+        return measured_configuration(
+            links, {name: transform(*pose) for name, pose in bodies.items()}
+        )
 
     found = jax.vmap(one)(
         {name: (history.rotation, history.origin) for name, history in histories.items()}
     )
     away = [
-        _lean(trajectory, step.name) if step.fitted else own
-        for step, own in zip(links.steps, found.deviations, strict=True)
+        _lean(trajectory, joint.name) if joint.permanent else own
+        for joint, own in zip(links.joints, found.deviations, strict=True)
     ]
     return ChainConfiguration(found.motions, tuple(away))
 
@@ -85,12 +86,12 @@ def tip_errors(
     another run.
     """
     own = chain(trajectory.mechanism, base, tip, through)
-    actual = settings(trajectory, own)
+    actual = configurations(trajectory, own)
     if nominal is None:
         return own, actual, _errors(own, actual, None, None)
     other = chain(nominal.mechanism, base, tip, through)
     ways, other_ways = (
-        [(step.name, step.forward) for step in links.steps] for links in (own, other)
+        [(joint.name, joint.forward) for joint in links.joints] for links in (own, other)
     )
     if ways != other_ways:
         raise ValueError(
@@ -99,7 +100,7 @@ def tip_errors(
             "they must be the same connections, from the same side."
         )
     _check_times(trajectory, nominal)
-    return own, actual, _errors(own, actual, other, settings(nominal, other))
+    return own, actual, _errors(own, actual, other, configurations(nominal, other))
 
 
 @eqx.filter_jit

@@ -13,15 +13,15 @@ from scipy.spatial.transform import Rotation
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.formulations.compliant import CompliantContact
+from jaxclear.ground.transform import transform
 from jaxclear.integrators import Outcome
+from jaxclear.multibody.chain import chain
 from jaxclear.multibody.product_of_exponentials import (
     ChainConfiguration,
-    chain,
-    frame,
-    measure,
+    forward_kinematics,
+    measured_configuration,
     nominal_motion,
     tip_error,
-    tip_pose,
 )
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats
@@ -165,9 +165,11 @@ def test_product_of_exponentials_equals_scipy(turned):
     links = chain(antenna(turned=turned), "ground", TIP)
     # Rounding of two dozen products of numbers near 1.
     expected = oracle(Q, DEVIATIONS, turned)[2]
-    np.testing.assert_allclose(tip_pose(links, setting(DEVIATIONS)), expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        forward_kinematics(links, setting(DEVIATIONS)), expected, rtol=0, atol=1e-14
+    )
     arm, dish, tip = oracle(Q, DEVIATIONS, turned)
-    found = measure(links, {"arm": jnp.asarray(arm), "dish": jnp.asarray(dish)})
+    found = measured_configuration(links, {"arm": jnp.asarray(arm), "dish": jnp.asarray(dish)})
     np.testing.assert_allclose(found.deviations, DEVIATIONS, rtol=0, atol=1e-14)
     for motion, angle in zip(found.motions, Q, strict=True):
         np.testing.assert_allclose(motion, motion_about_z(angle), rtol=0, atol=1e-14)
@@ -197,9 +199,12 @@ def test_product_of_exponentials_equals_the_engine():
         np.testing.assert_allclose(body.rotation[k], dish[:3, :3], rtol=0, atol=1e-12)
         np.testing.assert_allclose(body.origin[k], dish[:3, 3], rtol=0, atol=1e-12)
         poses = {
-            name: frame(b.rotation[k], b.origin[k]) for name, b in (("arm", arm), ("dish", body))
+            name: transform(b.rotation[k], b.origin[k])
+            for name, b in (("arm", arm), ("dish", body))
         }
-        np.testing.assert_allclose(tip_pose(links, measure(links, poses)), tip, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            forward_kinematics(links, measured_configuration(links, poses)), tip, rtol=0, atol=1e-12
+        )
     error = jc.pointing_error(run, TIP)
     assert error.contributions == {} and not error.model.any() and np.abs(error.exact).max() < 1e-15
     assert "share" not in error.sentence()
@@ -318,7 +323,7 @@ def test_error_maps_and_differentiates_at_zero_deviation():
     np.testing.assert_allclose(exact, adjoint, rtol=0, atol=1e-14)
     assert np.abs(adjoint).max() > 0.1
     assert all(np.all(np.isfinite(slope)) for slope in lengths)
-    many = jax.vmap(lambda scale: tip_pose(links, setting(scale * DEVIATIONS)))(
+    many = jax.vmap(lambda scale: forward_kinematics(links, setting(scale * DEVIATIONS)))(
         jnp.linspace(0.0, 1.0, 3)
     )
     np.testing.assert_allclose(many[2], oracle(Q, DEVIATIONS)[2], rtol=0, atol=1e-14)
@@ -394,7 +399,7 @@ def test_way_through_a_loop_is_the_one_named():
     rig = closed_loop()
     assert chain(rig, "ground", TIP, ("J1",)).names == ("J1", "J2")
     assert chain(rig, "ground", TIP, ("J3",)).names == ("J3",)
-    assert [step.forward for step in chain(rig, "arm", TIP, ("J3",)).steps] == [False, True]
+    assert [joint.forward for joint in chain(rig, "arm", TIP, ("J3",)).joints] == [False, True]
 
 
 @pytest.mark.parametrize(
