@@ -197,10 +197,9 @@ def test_planar_friction_by_sweeps_and_by_pivoting(seed):
         np.testing.assert_allclose(one[0], other[0], atol=1e-11)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_without_tangents_pivoting_finds_the_same(seed):
+def test_without_tangents_pivoting_finds_the_same():
     """Contacts of unlike sizes: (1) and (1, 2, 2) directions, beside the LCP of each."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     half = rng.normal(size=(5, 5))
     matrix, offset = half @ half.T + np.eye(5), rng.normal(size=5)
     found = SWEEPS.solve(FrictionContact(matrix, offset, np.zeros(5)))
@@ -216,15 +215,19 @@ def test_without_tangents_pivoting_finds_the_same(seed):
 def test_a_step_finds_what_solve_finds():
     """Written-out elimination up to 24 unknowns, sweeps alone beyond."""
     rng = np.random.default_rng(6)
-    for c in (2, 9):
-        half = rng.normal(size=(3 * c, 3 * c))
-        matrix, offset = half @ half.T / (3 * c) + np.eye(3 * c), rng.normal(size=3 * c)
+    for c in (2, 13):
+        half = rng.normal(size=(2 * c, 2 * c))
+        matrix, offset = half @ half.T / (2 * c) + np.eye(2 * c), rng.normal(size=2 * c)
         problem = FrictionContact(matrix, offset, np.full(c, 0.3))
-        found, step = SWEEPS.solve(problem), jax.jit(SWEEPS.iterate)(problem)
+        found, step = SWEEPS.solve(problem), eqx.filter_jit(SWEEPS.iterate)(problem)
+        again = SWEEPS.iterate(problem, found.z)
         assert found.solved and step.residual < 1e-12
-        r, v = np.asarray([found.z, found.w]).reshape(2, c, 3)
+        r, v = np.asarray([found.z, found.w]).reshape(2, c, 2)
         assert_coulomb((matrix, offset, problem.mu), r, v)
         np.testing.assert_allclose(step.z, found.z, atol=1e-11)
+        # a good start ends at once
+        assert int(step.sweeps) > 0 and int(again.sweeps) == 0
+        np.testing.assert_allclose(again.z, found.z, rtol=1e-14)
 
 
 def test_a_contact_that_may_not_act_does_nothing():
@@ -253,14 +256,6 @@ def test_two_balls_exchange_momentum_as_newton_says(restitution):
     found = SWEEPS.solve(FrictionContact([[delassus]], wanted, [0.0]))
     np.testing.assert_allclose(found.z, -(1 + restitution) * closing / delassus, rtol=1e-15)
     assert int(found.iterations) == 1
-
-
-def test_a_good_start_ends_at_once():
-    problem = FrictionContact(*random_contacts(np.random.default_rng(3), 3))
-    found = SWEEPS.solve(problem)
-    again = SWEEPS.iterate(problem, found.z)
-    assert int(found.iterations) > 0 and int(again.sweeps) == 0
-    np.testing.assert_allclose(again.z, found.z, rtol=1e-14)
 
 
 # ---- derivatives ----
