@@ -37,12 +37,7 @@ LATE = {"pandas", "xarray", "matplotlib", "llvmlite", "scipy"}
 CIRCLE = {"jaxclear.results.trajectory"}
 # Not yet done; each owner takes his own out.
 OWED = {
-    "components/drive.py",
     "results/trajectory.py",
-    "formulations/permanent_joints.py",
-    "multibody/assembly.py",
-    "multibody/mechanism.py",
-    "multibody/system.py",
     "simulation/simulate.py",
 }
 # The one class that its kind does not describe: gravity acts on every body, not on markers.

@@ -12,6 +12,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxclear.ground.numerics import smooth_step
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
@@ -27,7 +28,7 @@ __all__ = [
 
 
 class AbstractDrive(AbstractQuantified):
-    """A coordinate as a function of time."""
+    """A coordinate as a function of time [s]: an angle [rad] or a displacement [m]."""
 
     @abstractmethod
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
@@ -48,7 +49,7 @@ class Harmonic(AbstractDrive):
     """q = offset + amplitude sin(2 pi frequency t + phase)."""
 
     amplitude: Scalar = quantity(unit="rad", meaning="amplitude (m for a sliding joint)")
-    frequency: Scalar = quantity(unit="Hz", meaning="frequency")
+    frequency: Scalar = quantity(unit="Hz", meaning="frequency", at_least=0)
     phase: Scalar = quantity(0.0, "rad", "phase at time zero")
     offset: Scalar = quantity(0.0, "rad", "mean position (m for a sliding joint)")
 
@@ -107,8 +108,6 @@ class Speed(AbstractDrive):
     pieces: int = eqx.field(static=True, default=16)
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
-        import numpy as np
-
         nodes, weights = np.polynomial.legendre.leggauss(8)
         edges = np.arange(self.pieces)[:, None]
         shares = ((edges + 0.5 * (nodes + 1.0)) / self.pieces).ravel()

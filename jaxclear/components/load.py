@@ -88,7 +88,7 @@ class AbstractBodyLoad(AbstractLoad):
 
 
 class AbstractCoordinateLoad(AbstractLoad):
-    """Acts on the single coordinate of a revolute or prismatic connection, child against parent."""
+    """Acts on the single coordinate of a revolute or prismatic joint, child against parent."""
 
     connection: eqx.AbstractVar[str]
 
@@ -214,7 +214,7 @@ class Spring(AbstractBodyLoad):
     end: Marker
     stiffness: Scalar | None = quantity(None, "N/m", "stiffness")
     free_length: Scalar = quantity(0.0, "m", "length without force", at_least=0)
-    damping: Scalar | None = quantity(None, "N s/m", "viscous damping")
+    damping: Scalar | None = quantity(None, "N s/m", "viscous damping", at_least=0)
 
     def markers(self):
         return (self.start, self.end)
@@ -244,7 +244,7 @@ class Spring(AbstractBodyLoad):
 
 
 class JointSpring(AbstractCoordinateLoad):
-    """Spring and damper on the coordinate of a revolute or prismatic connection (N m/rad, N m
+    """Spring and damper on the coordinate of a revolute or prismatic joint (N m/rad, N m
     s/rad; N/m, N s/m if sliding).
     """
 
@@ -252,7 +252,7 @@ class JointSpring(AbstractCoordinateLoad):
     stiffness: Scalar | None = quantity(None, "N m/rad", "stiffness (N/m for a sliding joint)")
     rest: Scalar = quantity(0.0, "rad", "coordinate without force (m for a sliding joint)")
     damping: Scalar | None = quantity(
-        None, "N m s/rad", "viscous damping (N s/m for a sliding joint)"
+        None, "N m s/rad", "viscous damping (N s/m for a sliding joint)", at_least=0
     )
 
     def force(self, time, position, speed):
@@ -266,7 +266,7 @@ class JointSpring(AbstractCoordinateLoad):
 
 
 class JointTorque(AbstractCoordinateLoad):
-    """A torque [N m] (force [N] if sliding) on a connection's coordinate, child against parent: a
+    """A torque [N m] (force [N] if sliding) on a joint's coordinate, child against parent: a
     number or function of time.
     """
 

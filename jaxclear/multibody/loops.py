@@ -89,6 +89,7 @@ class Sides(NamedTuple):
 
 
 def marker_pose(link_pose: Pose | None, marker: Pose) -> Pose:
+    """Pose of a marker in the ground, from that of its link (None: the ground itself)."""
     return marker if link_pose is None else link_pose.after(marker)
 
 

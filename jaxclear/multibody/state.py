@@ -113,8 +113,8 @@ def lay_out(
 
 
 def probe(system: System, bearing: Bearing) -> tuple:
-    """(offset, axes, indentations, contact candidates) of a clearance joint somewhere: for what does not
-    depend on the place.
+    """(offset, axes, indentations, contact candidates) of a clearance joint somewhere: for what
+    does not depend on the place.
     """
     planar = _is_planar(system)
     offset = tuple(jnp.asarray(x) for x in PROBE[:2]) + (

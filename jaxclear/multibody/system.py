@@ -118,6 +118,7 @@ def _link(mechanism: Mechanism, position: int, subtree: tuple[int, ...], links: 
 
 
 def coordinate_loads(system: System) -> list[tuple[str, AbstractCoordinateLoad]]:
+    """Loads on coordinates of the tree, by name."""
     return [
         (name, load)
         for name, load in system.loads.items()
@@ -126,6 +127,7 @@ def coordinate_loads(system: System) -> list[tuple[str, AbstractCoordinateLoad]]
 
 
 def body_loads(system: System) -> list[tuple[str, AbstractBodyLoad]]:
+    """Loads on markers, by name."""
     return [
         (name, load) for name, load in system.loads.items() if isinstance(load, AbstractBodyLoad)
     ]

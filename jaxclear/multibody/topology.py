@@ -78,6 +78,7 @@ def free_joint(body: Body) -> AbstractJoint:
 def joint_of(
     branch: Branch, bodies: dict[str, Body], connections: dict[str, Connection]
 ) -> AbstractJoint:
+    """The joint of a branch."""
     return (
         free_joint(bodies[branch.body])
         if branch.connection is None

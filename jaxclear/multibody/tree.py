@@ -78,6 +78,7 @@ def transform_wrench(relative: Pose, wrench: Wrench) -> Wrench:
 
 
 def add_twists(*twists: Twist) -> Twist:
+    """Sum of twists in the same axes."""
     return Twist(sp.plus(*[t.linear for t in twists]), sp.plus(*[t.angular for t in twists]))
 
 

@@ -1,6 +1,7 @@
 """Slider in a straight guide: contact at its corners; while it always touches, two of them carry.
 
-Source of the permanent form: Luo, Qi & Kong, paper 004.
+Source of the permanent form: Luo, Qi & Kong, "Non-colliding contact analysis with friction in the
+planar prismatic joint".
 """
 
 from typing import ClassVar

@@ -5,7 +5,9 @@ The clearance is small beside everything else, so the motion is that of the idea
 only decides which points carry, and these rub. Reactions are those on the child about its marker,
 in the parent marker's axes. Friction is counted into the reaction's resultant: at angle
 :math:`\varphi = \arctan\mu` to the normal, a resultant R on a journal rubs with
-:math:`\sin\varphi\,|R|`. Source: antenna paper (000), section 3.
+:math:`\sin\varphi\,|R|`. Source: Li, Lyu & Ding 2022,
+Chin. J. Aeronaut., no. 8, "Dynamics modeling and error analysis for antenna pointing mechanisms
+with frictional spatial revolute joints on SE(3)", section 3.
 """
 
 from abc import abstractmethod
