@@ -11,6 +11,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import AXES, Pose, frame_with_axis, rotation_from_quaternion
 from jaxclear.ground.quantity import (
@@ -49,9 +51,10 @@ class Body(AbstractQuantified):
     """
 
     mass: Scalar = quantity(unit="kg", meaning="mass", above=0)
-    inertia: tuple = eqx.field(
+    inertia: Any = quantity(
+        unit="kg m^2",
+        meaning="inertia about the centre of mass, body axes",
         converter=_inertia,
-        metadata={"unit": "kg m^2", "meaning": "inertia about the centre of mass, body axes"},
     )
     com: tuple | None = vector(None, "m", "centre of mass in the body frame")
 
@@ -164,12 +167,17 @@ class Connection(eqx.Module):
     parent.
     """
 
-    joint: eqx.Module
+    joint: Any
     parent: Marker
     child: Marker
 
     def __init__(
-        self, joint: eqx.Module, parent: str | Marker, child: str | Marker, at=None, axis="z"
+        self,
+        joint: AbstractJoint | AbstractClearance,
+        parent: str | Marker,
+        child: str | Marker,
+        at: Any = None,
+        axis: Any = "z",
     ):
         if at is not None and isinstance(parent, Marker):
             raise ValueError(

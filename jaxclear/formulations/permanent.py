@@ -76,7 +76,7 @@ class PermanentContact(AbstractFormulation):
         (held,) = (one for one in touching(instant.model.system) if one.name == name)
         joint, means = held.joint, [jnp.asarray(x) for x in instant.means_of(name)]
         ends = _ends(joint, means)
-        found = sorted((c for end in ends for c in end.contacts), key=lambda c: c.index)
+        found = sorted((c for end in ends for c in end.contacts), key=lambda c: c.number)
         speeds = [speed for own in instant.v for speed in own]
         speed = speed_of(instant.model.system, instant.motions, held, speeds)
         offset, axis = _offset_and_axis(ends)

@@ -6,6 +6,7 @@ factorisation takes over, for which kernels of machine code have no rule: an imp
 floating mechanism is then several hundred times slower.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from jaxclear.ground import sparse as sp
 
 LARGEST_WRITTEN_OUT = 18
 
-Rows = tuple[tuple[Any, ...], ...]
+Rows = Sequence[Sequence[Any]]
 
 
 def factor(matrix: Rows) -> Any:

@@ -94,6 +94,7 @@ def quantity(
     at_least: float | None = None,
     below: float | None = None,
     at_most: float | None = None,
+    converter: Callable[[Any], Any] = as_number,
     **kwargs: Any,
 ) -> Any:
     """A scalar field with a unit (SI, "1" if none), a sentence of meaning and the range of its
@@ -101,13 +102,14 @@ def quantity(
 
     `default` may be a number or `None`. The range is checked when an object is built (see
     `AbstractQuantified`), for all numbers of a mechanism, and for every sample of a study.
+    `converter` is for what may be given in other ways than as one number.
     """
     bounds = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
     return _field(
         default,
         unit,
         meaning,
-        as_number,
+        converter,
         kwargs,
         {k: v for k, v in bounds.items() if v is not None},
     )

@@ -41,7 +41,8 @@ class Start(NamedTuple):
 
 def guess(mechanism: Mechanism) -> tuple[Array, Array]:
     """Coordinates and speeds from the mechanism's own rough start."""
-    q, v = [], []
+    q: list[Any] = []
+    v: list[Any] = []
     system = prepare(mechanism)
     for branch, link in zip(system.topology.branches, system.links, strict=True):
         if branch.coordinate_count:
@@ -53,7 +54,7 @@ def guess(mechanism: Mechanism) -> tuple[Array, Array]:
 
 def retract(system: System, q: Array, step: Array) -> Array:
     """Coordinates moved along speeds for unit time, quaternions renormalised."""
-    parts = []
+    parts: list[Any] = []
     own_q, own_step = unpack_motion(system, list(q) + list(step))
     for link, coordinates, move in zip(system.links, own_q, own_step, strict=True):
         if coordinates:

@@ -186,7 +186,17 @@ def assemble(
     wear_rates = _wear_rates(joint, contact_laws, offset, axes, indentations, reports)
     sums = [sp.total(parts) for parts in zip(*powers, strict=True)]
     rates = tuple(response.memory_rates for response in responses)
-    return JointReport(force, torque, rates, wear_rates, *sums, tuple(reports))
+    contact_power, contact_loss, friction_loss = sums
+    return JointReport(
+        force,
+        torque,
+        rates,
+        wear_rates,
+        contact_power,
+        contact_loss,
+        friction_loss,
+        tuple(reports),
+    )
 
 
 def _axes(joint, pose):

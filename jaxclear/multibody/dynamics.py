@@ -124,6 +124,6 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
     accelerations = kinematics.link_accelerations(system, forces.motions, solution.accelerations)
     out: list[Wrench] = []
     for subtree in system.topology.subtrees:
-        parts = (system.links, forces.motions, accelerations, wrenches)
+        parts: tuple = (system.links, forces.motions, accelerations, wrenches)
         out.extend(tree.joint_wrenches(*kinematics.by_subtree(subtree, *parts)))
     return tuple(out)

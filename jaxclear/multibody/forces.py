@@ -75,9 +75,9 @@ def applied_forces(
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
     forces = [(0,) * len(motion.columns) for motion in motions]
-    for _, load in coordinate_loads(system):
-        index = system.topology.branches.index(system.topology.branch_of(load.connection))
-        force, energy, loss, power = load.force(time, q[index][0], v[index][0])
+    for _, held in coordinate_loads(system):
+        index = system.topology.branches.index(system.topology.branch_of(held.connection))
+        force, energy, loss, power = held.force(time, q[index][0], v[index][0])
         forces[index] = (sp.add(forces[index][0], force),)
         stored, damping = sp.add(stored, energy), sp.add(damping, loss)
         external = sp.add(external, power)

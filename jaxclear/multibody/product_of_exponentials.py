@@ -173,7 +173,7 @@ def tip_error(
     changes = [
         _change(now, then) for now, then in zip(actual.deviations, start.deviations, strict=True)
     ]
-    turns = [None] * len(changes)
+    turns: list[Any] = [None] * len(changes)
     if nominal is not None:
         turns = logarithms(
             [inverse(then) @ now for then, now in zip(nominal.motions, actual.motions, strict=True)]

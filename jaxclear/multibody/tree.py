@@ -103,7 +103,7 @@ def link_motions(
     motions: list[Motion] = []
     for link, q, v in zip(links, coordinates, speeds, strict=True):
         drive = drive_of(link.joint)
-        acceleration = ()
+        acceleration: tuple = ()
         if drive is not None:
             q, v, acceleration = ((part,) for part in drive.motion(time))
         relative = link.base.after(link.joint.motion(q))

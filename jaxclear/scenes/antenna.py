@@ -87,7 +87,8 @@ def driving_torques(drive: str | tuple) -> tuple[Any, Any]:
     if isinstance(drive, tuple) and len(drive) == 2:
         return drive
     if drive == "periodic":
-        return tuple(PeriodicTorque(amplitude) for amplitude in TORQUES)
+        first, second = TORQUES
+        return PeriodicTorque(first), PeriodicTorque(second)
     if drive == "step":
         return StepTorque(TORQUES[0], PUSH, BRAKE), StepTorque(TORQUES[1], HOLD)
     allowed = ", ".join(map(repr, DRIVES))

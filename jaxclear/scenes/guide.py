@@ -33,7 +33,7 @@ from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.clearance import SliderGuide
 from jaxclear.components.drive import AbstractDrive, ConstantSpeed
 from jaxclear.components.joint import Prismatic, Revolute
-from jaxclear.components.load import Gravity, JointTorque
+from jaxclear.components.load import AbstractLoad, Gravity, JointTorque
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, CoulombTanh
 from jaxclear.laws.material import steel
@@ -131,8 +131,10 @@ def guide(
     # From C to the crank's end.
     along, across = GROUND_DISTANCE + CRANK * jnp.cos(crank_angle), CRANK * jnp.sin(crank_angle)
     reach, tilt = jnp.hypot(along, across), jnp.arctan2(across, along)
-    weight = {} if gravity is None else {"gravity": Gravity((0.0, -gravity))}
-    motor = {} if torque is None else {"torque": JointTorque("O", torque)}
+    weight: dict[str, AbstractLoad] = (
+        {} if gravity is None else {"gravity": Gravity((0.0, -gravity))}
+    )
+    motor: dict[str, AbstractLoad] = {} if torque is None else {"torque": JointTorque("O", torque)}
     free = drive is None
     return Mechanism(
         bodies=_bodies(),

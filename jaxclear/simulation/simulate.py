@@ -95,7 +95,8 @@ def run(
     states = jnp.concatenate([state[None], states])
     read = jax.tree.map(lambda x: jnp.concatenate([x[:1], x]), read)
     history = StateHistory(mechanism, formulation, times, states, read, balance)
-    stats = RunStats(*(count.sum() for count in counts), verdict(outcome))
+    accepted, rejected = counts
+    stats = RunStats(accepted.sum(), rejected.sum(), verdict(outcome))
     return Trajectory(history, worn, outcome, ended, stats)
 
 

@@ -52,14 +52,17 @@ class ContactLaws(NamedTuple):
 
 
 class AbstractClearance(AbstractQuantified):
-    """A joint with clearance. `ideal_rows` close the joint it turns into as the clearance vanishes;
-    `axes`: which axes of the journal's marker the gap depends on.
+    """A joint with clearance. `ideal_rows` close the joint it turns into as the clearance vanishes.
 
     A joint that can wear adds `maps` and `features`, one that can stay in contact `permanent_form`.
     """
 
     ideal_rows: eqx.AbstractClassVar[tuple[str, ...]]
-    axes: eqx.AbstractVar[tuple[int, ...]]
+
+    @property
+    @abstractmethod
+    def axes(self) -> tuple[int, ...]:
+        """Axes of the journal's marker that the gap depends on."""
 
     @abstractmethod
     def contact_laws(self) -> tuple[ContactLaws, ...]:

@@ -17,12 +17,14 @@ from jaxclear.components.joint import Revolute
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
+from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.friction import AbstractFrictionLaw
 
 
 class AbstractJournalBearing(AbstractClearance):
     """A journal in a bearing, both along z."""
 
+    contact: eqx.AbstractVar[AbstractNormalLaw]
     friction: eqx.AbstractVar[AbstractFrictionLaw | None]
     bearing_radius: eqx.AbstractVar[Scalar]
     clearance: eqx.AbstractVar[Scalar]

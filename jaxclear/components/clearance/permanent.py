@@ -33,10 +33,10 @@ IDLE = 1e-9
 
 
 class CarriedContact(NamedTuple):
-    """A contact of the clearance joint, by its index there, while it carries: normal force and
+    """A contact of the clearance joint, by its number there, while it carries: normal force and
     (signed) friction [N], and its place in the bearing's frame [m]."""
 
-    index: int
+    number: int
     normal_force: Any
     friction: Any
     place: sp.Vec
@@ -56,14 +56,26 @@ class CarryingEnd(NamedTuple):
 class AbstractPermanentJoint(AbstractVectorJoint):
     """An ideal joint of one coordinate with the gap of a clearance joint that always touches.
 
-    It moves as `ideal` does. `arm`: sliding speed [m/s] per unit of the joint's speed, and
-    generalised force per unit of friction [N]; `friction`: the law between the parts.
+    It moves as `ideal` does.
     """
 
     gap: eqx.AbstractVar[AbstractClearance]
-    ideal: eqx.AbstractVar[AbstractJoint]
-    friction: eqx.AbstractVar[AbstractFrictionLaw | None]
-    arm: eqx.AbstractVar[Any]
+
+    @property
+    @abstractmethod
+    def ideal(self) -> AbstractJoint:
+        """The joint as which it moves."""
+
+    @property
+    @abstractmethod
+    def friction(self) -> AbstractFrictionLaw | None:
+        """The law between the parts."""
+
+    @property
+    @abstractmethod
+    def arm(self) -> Any:
+        """Sliding speed [m/s] per unit of the joint's speed, and generalised force per unit of
+        friction [N]."""
 
     @abstractmethod
     def friction_wrench(self, friction: Any) -> tuple[sp.Vec, sp.Vec]:
