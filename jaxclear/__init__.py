@@ -24,6 +24,7 @@ if _OPEN and os.environ.get("JAXCLEAR_PLAIN_XLA", "0") in ("", "0"):
 jax.config.update("jax_enable_x64", True)
 
 from jaxclear import complementarity
+from jaxclear import formulations as formulation
 from jaxclear import integrators as integrator
 from jaxclear.components import clearance, drive, joint, load
 from jaxclear.components.body import Body, Connection, Marker
@@ -75,6 +76,7 @@ __all__ = [
     "contact",
     "distribution",
     "drive",
+    "formulation",
     "friction",
     "integrator",
     "joint",

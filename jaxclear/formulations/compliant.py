@@ -61,10 +61,10 @@ class CompliantContact(AbstractFormulation):
         return mechanism.topology.clearances
 
     def forces(self, instant: Instant):
-        model, motions = instant.model, instant.motions
+        model = instant.model
         memories = unpack_memories(model.layout, instant.entries)
-        reports = contact_reports(model.system, motions, memories, model.worn)
-        return applied_forces(model.system, motions, reports, instant.q, instant.v, instant.time)
+        reports = contact_reports(model.system, instant.motions, memories, model.worn)
+        return instant.forces(reports)
 
     def contact(self, instant: Instant, name: str) -> ContactReport:
         return clearance_contact(instant, self.forces(instant).reports[name], name)

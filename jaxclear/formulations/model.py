@@ -11,6 +11,8 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody import kinematics
+from jaxclear.multibody.contact_point import JointReport
+from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import System
@@ -60,6 +62,10 @@ class Instant(NamedTuple):
                 return self.means[start : start + count]
             start += count
         raise KeyError(name)
+
+    def forces(self, reports: dict[str, JointReport]) -> Forces:
+        """Everything that acts, the clearance joints as reported."""
+        return applied_forces(self.model.system, self.motions, reports, self.q, self.v, self.time)
 
     def pose(self, name: str) -> Pose:
         """A clearance joint's journal as seen from its bearing."""

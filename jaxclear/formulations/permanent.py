@@ -67,10 +67,8 @@ class PermanentContact(AbstractFormulation):
         return tuple(held.name for held in touching(prepare(mechanism)))
 
     def forces(self, instant):
-        system = instant.model.system
-        forces = applied_forces(system, instant.motions, {}, instant.q, instant.v, instant.time)
         friction = instant.means[COMPONENTS - 1 :: COMPONENTS]
-        return with_friction(system, forces, friction)
+        return with_friction(instant.model.system, instant.forces({}), friction)
 
     def contact(self, instant, name):
         (held,) = (one for one in touching(instant.model.system) if one.name == name)

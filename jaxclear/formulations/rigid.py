@@ -62,9 +62,7 @@ class RigidContact(AbstractFormulation):
         return mechanism.topology.clearances
 
     def forces(self, instant):
-        reports = reports_of_means(instant)
-        system, motions = instant.model.system, instant.motions
-        return applied_forces(system, motions, reports, instant.q, instant.v, instant.time)
+        return instant.forces(reports_of_means(instant))
 
     def contact(self, instant, name):
         return clearance_contact(instant, reports_of_means(instant)[name], name)

@@ -11,6 +11,7 @@ from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import (
     AbstractIntegrator,
     Advance,
+    Interval,
 )
 from jaxclear.integrators.fixed_step import FixedStep
 from jaxclear.integrators.implicit_step import ImplicitStep
@@ -27,6 +28,7 @@ __all__ = [
     "FixedStep",
     "GroupTerm",
     "ImplicitStep",
+    "Interval",
     "MoreauJean",
     "MuntheKaas",
     "NonColliding",
