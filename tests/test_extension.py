@@ -247,7 +247,8 @@ def test_clearance_joint_from_outside_bounces_as_a_parabola():
 
 def test_clearance_joint_from_outside_slides_to_rest_in_permanent_contact():
     mu, speed = 0.2, 1.0
-    joint = FloorAndCeiling(Cushion(stiffness=1e7), jc.friction.Coulomb(mu_kinetic=mu))
+    law = jc.contact.ContactForce(Cushion(stiffness=1e7))
+    joint = FloorAndCeiling(law, jc.friction.Coulomb(mu_kinetic=mu))
     sled = jc.Mechanism(
         {"sled": jc.Body(1.0, 1e-3)},
         {"gap": jc.Connection(joint, "ground", "sled")},
@@ -400,7 +401,7 @@ class LowestPoint(jc.response.AbstractResponse):
 
 
 def dropped(friction=None):
-    joint = FloorAndCeiling(Cushion(stiffness=1e7), friction)
+    joint = FloorAndCeiling(jc.contact.ContactForce(Cushion(stiffness=1e7)), friction)
     return jc.Mechanism(
         {"ball": jc.Body(2.0, 1e-3)},
         {"gap": jc.Connection(joint, "ground", "ball")},

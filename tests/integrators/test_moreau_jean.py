@@ -374,7 +374,7 @@ def test_sentences_name_the_joint():
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"step": 0.0}, "step of integrator.MoreauJean"),
+        ({"step": 0.0}, "integrator.MoreauJean has step = 0"),
         ({"theta": 1.5}, "theta"),
         ({"theta": -0.1}, "theta"),
     ],
