@@ -28,8 +28,10 @@ ROLE = re.compile(r":math:`([^`]*)`", re.DOTALL)
 
 def module_at(path: str) -> ModuleType:
     """The module that a user reaches as `path`, which may be an attribute and no file."""
-    parent, _, last = path.rpartition(".")
-    found = getattr(importlib.import_module(parent), last, None) if parent else None
+    first, *rest = path.split(".")
+    found = importlib.import_module(first)
+    for name in rest:
+        found = getattr(found, name, None)
     return importlib.import_module(path) if found is None else found
 
 
