@@ -13,6 +13,7 @@ import dataclasses
 import importlib
 import inspect
 import re
+from collections.abc import Callable
 from types import ModuleType
 
 from docutils import nodes
@@ -20,7 +21,7 @@ from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from jaxclear.ground.quantity import range_in_words
+from jaxclear.ground.quantity import parameters, range_in_words
 
 DOI = re.compile(r"doi:\s?(10\.\d+/[^\s,;]*[^\s,;.)])")
 ROLE = re.compile(r":math:`([^`]*)`", re.DOTALL)
@@ -54,10 +55,20 @@ def markdown(text: str | None) -> list[str]:
     return re.sub(r"^\.\. math::\n\n((?:[ ].*\n?)+)", r"$$\n\1\n$$\n", text, flags=re.M).split("\n")
 
 
+class Short:
+    """A default as it is written, without the zeros of `repr`."""
+
+    def __init__(self, number: float):
+        self.number = number
+
+    def __repr__(self) -> str:
+        return f"{self.number:g}"
+
+
 def default_text(field: dataclasses.Field) -> str:
     if field.default is not dataclasses.MISSING:
         given = field.default
-        return f"{given:g}" if isinstance(given, float) else repr(given)
+        return repr(Short(given) if isinstance(given, float) else given)
     return "" if field.default_factory is dataclasses.MISSING else "…"
 
 
@@ -83,7 +94,11 @@ def signature(value: object) -> str:
         found = inspect.signature(value)
     except (TypeError, ValueError):
         return "()"
-    plain = [p.replace(annotation=p.empty) for p in found.parameters.values() if p.name != "self"]
+    plain = []
+    for p in found.parameters.values():
+        default = Short(p.default) if isinstance(p.default, float) else p.default
+        if p.name != "self":
+            plain.append(p.replace(annotation=p.empty, default=default))
     return str(found.replace(parameters=plain, return_annotation=found.empty))
 
 
@@ -99,6 +114,19 @@ def number_table(kind: type) -> list[str]:
         cells = (f"`{field.name}`", default_text(field), field.metadata["unit"], meaning)
         lines.append("| " + " | ".join(text.replace("|", "\\|") for text in cells) + " |")
     return [*lines, ""]
+
+
+def built_table(function: Callable) -> list[str]:
+    """Numbers of the law that a function builds, where it needs no arguments."""
+    needed = [p for p in inspect.signature(function).parameters.values() if p.default is p.empty]
+    if not function.__module__.startswith("jaxclear.laws") or needed:
+        return []
+    lines = ["", "| number | default | unit | meaning |", "| --- | --- | --- | --- |"]
+    for row in parameters(function()):
+        name = row["name"].split(".")[-1]
+        cells = (f"`{name}`", f"{row['value']:g}", row["unit"], row["meaning"])
+        lines.append("| " + " | ".join(text.replace("|", "\\|") for text in cells) + " |")
+    return [*lines, ""] if len(lines) > 3 else []
 
 
 def methods(kind: type) -> list[tuple[str, str, object]]:
@@ -123,6 +151,8 @@ def described(path: str, value: object) -> list[str]:
         return [f"::::{{py:data}} {path}", "::::", ""]
     what = "class" if inspect.isclass(value) else "function"
     lines = [f":::::{{py:{what}}} {path}{signature(value)}", "", *markdown(value.__doc__), ""]
+    if what == "function":
+        lines += built_table(value)
     if what == "class":
         lines += number_table(value)
         for kind, name, function in methods(value):
