@@ -227,6 +227,27 @@ def test_outsiders_run_in_a_bearing():
     np.testing.assert_allclose(balance.error, 0, atol=1e-5 * float(balance.kinetic[0]))
 
 
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        jc.integrator.ImplicitStep(1e-4),
+        jc.integrator.MoreauJean(1e-4),
+        jc.integrator.NonColliding(1e-3),
+    ],
+    ids=lambda integrator: type(integrator).__name__,
+)
+def test_laws_from_outside_serve_every_formulation(integrator):
+    law = jc.contact.ContactForce(Cushion(stiffness=1e7), Firm(restitution=0.8))
+    joint = jc.clearance.PlanarJournalBearing(law, Saturating(), clearance=1e-4)
+    pendulum = jc.Mechanism(
+        {"arm": jc.Body(1.0, 1e-3, com=(0.1, 0.0))},
+        {"B": jc.Connection(joint, "ground", "arm")},
+        {"g": jc.load.Gravity()},
+    )
+    run = jc.simulate(pendulum, 2e-2, save=5, integrator=integrator, balance=True)
+    assert run.succeeded and run.energy_balance().friction_loss[-1] > 0
+
+
 def test_clearance_joint_from_outside_bounces_as_a_parabola():
     joint = FloorAndCeiling(jc.contact.ContactForce(Cushion(stiffness=1e7)))
     drop = jc.Mechanism(

@@ -7,6 +7,7 @@ inner radius > 0.
 """
 
 from abc import abstractmethod
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ __all__ = [
     "AbstractFit",
     "ClearanceOf",
     "CombinedModulus",
+    "Fitted",
     "HertzStiffness",
     "InnerRadiusOf",
     "LengthOf",
@@ -66,16 +68,25 @@ class AbstractFit(AbstractQuantified):
         """The number, in the unit of the field that holds the fit."""
 
 
+# What a field of a law holds: a number, or before `fitted` the fit that gives it.
+if TYPE_CHECKING:
+    Fitted = Any
+else:
+    Fitted = Scalar | AbstractFit
+
+
 class HertzStiffness(AbstractFit):
-    """Stiffness of a ball in a socket [N/m^1.5], K = 4 / (3 pi (h_i + h_j)) sqrt(R_i R_j / (R_j -
-    R_i)).
+    r"""Stiffness of a ball in a socket [N/m^1.5], :math:`K = \frac{4}{3\pi(h_i + h_j)}
+    \sqrt{R_i R_j/(R_j - R_i)}`.
 
-    h = (1 - nu^2) / (pi E), so pi (h_i + h_j) = 1/E*. Range: contact area small beside the radii,
-    which an overlap near the clearance violates; for a cylinder it is customary but not Hertz
-    (prefer the laws of `contact.cylinder`).
+    :math:`h = (1 - \nu^2)/(\pi E)`, so :math:`\pi(h_i + h_j) = 1/E^*`. Range: contact area small
+    beside the radii, which an overlap near the clearance violates; for a cylinder it is customary
+    but not Hertz (prefer the laws of `contact.cylinder`).
 
-    Source: Hertz 1882; Lankarani & Nikravesh 1990; four-bar paper (001), eq. 2. The flap paper
-    (002), eq. 7, prints 1 - nu for 1 - nu^2.
+    Source: Hertz 1882, J. reine angew. Math. 92, 156, doi:10.1515/crll.1882.92.156; in this form
+    Lankarani & Nikravesh 1990, J. Mech. Des. 112, 369, doi:10.1115/1.2912617. Wan, Liu, Ma & Tong,
+    "Investigation on Dynamic Interaction of Multiple Clearance Joints for Flap Actuation System",
+    eq. 7, print 1 - nu for 1 - nu^2.
     """
 
     inner: Material

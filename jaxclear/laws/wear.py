@@ -28,13 +28,13 @@ class AbstractWearLaw(AbstractLaw):
 
 
 class Archard(AbstractWearLaw):
-    """Worn volume in proportion to load and sliding distance.
+    r"""Worn volume in proportion to load and sliding distance.
 
-    dV/ds = k F_n / H. Use for mild dry wear at steady load; for impact-dominated or fretting joints
-    prefer Fouvry.
+    :math:`\dot V = k F_n v/H`. Use for mild dry wear at steady load; for impact-dominated or
+    fretting joints prefer Fouvry.
 
-    Source: Archard 1953, J. Appl. Phys. 24, 981, eq. 4; four-bar paper (001), eq. 5; 3RSR paper
-    (003), eq. 25.
+    Source: Archard 1953, J. Appl. Phys. 24, 981, eq. 4, doi:10.1063/1.1721448; for clearance joints
+    Hou, Deng & Zeng 2021, J. Cent. South Univ. 28, 712, eq. 25, doi:10.1007/s11771-021-4640-y.
     """
 
     wear_coefficient: Scalar = quantity(
@@ -47,14 +47,14 @@ class Archard(AbstractWearLaw):
 
 
 class Fouvry(AbstractWearLaw):
-    """Worn volume in proportion to the energy that friction dissipates.
+    r"""Worn volume in proportion to the energy that friction dissipates.
 
-    dV/dt = alpha F_t v. Use for fretting and for reciprocating joints whose friction varies;
-    without friction it gives no wear at all, there prefer Archard. Equal to Archard with k / H =
-    alpha mu at constant mu.
+    :math:`\dot V = \alpha F_t v`. Use for fretting and for reciprocating joints whose friction
+    varies; without friction it gives no wear at all, there prefer Archard. Equal to Archard with
+    :math:`k/H = \alpha\mu` at constant :math:`\mu`.
 
-    Source: Fouvry, Liskiewicz, Kapsa, Hannel & Sauger 2003, Wear 255, 287; the default is of the
-    order reported for steels.
+    Source: Fouvry, Liskiewicz, Kapsa, Hannel & Sauger 2003, Wear 255, 287,
+    doi:10.1016/S0043-1648(03)00117-0; the default is of the order reported for steels.
     """
 
     energy_wear_coefficient: Scalar = quantity(

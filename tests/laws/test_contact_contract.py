@@ -61,7 +61,7 @@ def test_contract_refuses_a_law_that_pulls():
 
 
 def test_hertz_sphere_in_socket_matches_hand_calculation():
-    """Four-bar paper (001), eq. 2 and Table II: 206.8 GPa, 0.29, radii 9.8 and 10 mm."""
+    """The four-bar's paper, eq. 2 and Table II: 206.8 GPa, 0.29, radii 9.8 and 10 mm."""
     h = (1 - 0.29**2) / (np.pi * 206.8e9)
     expected = 4 / (3 * np.pi * 2 * h) * np.sqrt(9.8e-3 * 10e-3 / 0.2e-3)
     law = fitted(contact.Hertz(HertzStiffness(steel(), steel())), Shape(9.8e-3, 10e-3))

@@ -111,7 +111,7 @@ def _bristle_slopes(law, deflection, slip):
 
 
 def test_three_zones_meet_the_published_curve():
-    """Four-bar paper (001), eq. 4, at the ends and the middle of each zone."""
+    """The four-bar's paper, eq. 4, at the ends and the middle of each zone."""
     law = friction.ThreeZone(mu_static=0.2, mu_kinetic=0.1, static_speed=1e-3, kinetic_speed=3e-3)
     speeds = np.array([0.5e-3, 1e-3, 2e-3, 3e-3, 1.0])
     expected = [0.2 * np.sin(np.pi / 4), 0.2, 0.15, 0.1, 0.1]
@@ -119,7 +119,7 @@ def test_three_zones_meet_the_published_curve():
 
 
 def test_adams_step_meets_the_published_curve():
-    """Flap paper (002), eq. 8, with STEP(x) = low + (high - low) s^2 (3 - 2 s)."""
+    """The flap's paper, eq. 8, with STEP(x) = low + (high - low) s^2 (3 - 2 s)."""
     law = friction.AdamsStep(mu_static=0.2, mu_kinetic=0.1, static_speed=1e-3, kinetic_speed=3e-3)
     s = (0.5e-3 + 1e-3) / 2e-3
     speeds = np.array([0.5e-3, 1e-3, 2e-3, 3e-3, 1.0])

@@ -7,7 +7,7 @@ from typing import ClassVar
 from jaxclear.ground.numerics import positive_part, power, smooth_step
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractContactLaw, exponent_field, stiffness_field
-from jaxclear.laws.stiffness import AbstractFit
+from jaxclear.laws.stiffness import Fitted
 
 
 class KelvinVoigt(AbstractContactLaw):
@@ -23,13 +23,13 @@ class KelvinVoigt(AbstractContactLaw):
     doi:10.1007/978-3-319-30897-5.
     """
 
-    stiffness: Scalar | AbstractFit = quantity(1e8, "N/m", "spring stiffness K", above=0)
+    stiffness: Fitted = quantity(1e8, "N/m", "spring stiffness K", above=0)
     damping: Scalar = quantity(1e3, "N s/m", "damper coefficient D", at_least=0)
     onset_depth: Scalar = quantity(
         1e-7, "m", "indentation at which the damper acts in full", above=0
     )
-    restitution: ClassVar[None] = None
-    memory_time: ClassVar[None] = None
+    restitution: ClassVar[None] = None  # type: ignore[misc]
+    memory_time: ClassVar[None] = None  # type: ignore[misc]
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
         damper = self.damping * smooth_step(indentation, 0.0, self.onset_depth) * rate
@@ -53,14 +53,14 @@ class AdamsImpact(AbstractContactLaw):
     with N/m^1.5 (a habit of numbers in N and mm, not a law).
     """
 
-    stiffness: Scalar | AbstractFit = stiffness_field()
+    stiffness: Fitted = stiffness_field()
     exponent: Scalar | None = exponent_field()
     damping: Scalar = quantity(1e3, "N s/m", "largest damping coefficient c_max", at_least=0)
     full_damping_depth: Scalar = quantity(
         1e-5, "m", "indentation d_max at which damping is largest", above=0
     )
-    restitution: ClassVar[None] = None
-    memory_time: ClassVar[None] = None
+    restitution: ClassVar[None] = None  # type: ignore[misc]
+    memory_time: ClassVar[None] = None  # type: ignore[misc]
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
         damper = smooth_step(indentation, 0.0, self.full_damping_depth, 0.0, self.damping) * rate

@@ -75,13 +75,13 @@ class ContactForce(AbstractContactLaw):
                     return getattr(part, name)
         raise AttributeError(f"a contact law of these parts has no {name}.")
 
-    @property
-    def restitution(self) -> Scalar | None:
+    @property  # type: ignore[misc]
+    def restitution(self) -> Scalar | None:  # type: ignore[override]
         """Coefficient of restitution [1]: what the factor prescribes, 1 without loss."""
         return 1.0 if self.dissipation is None else self.dissipation.restitution
 
-    @property
-    def memory_time(self) -> Scalar | None:
+    @property  # type: ignore[misc]
+    def memory_time(self) -> Scalar | None:  # type: ignore[override]
         """Time constant [s] of the remembered impact speed."""
         return None if self.memory is None else self.memory.memory_time
 
@@ -102,11 +102,15 @@ def _fields(kind: type) -> dict[str, Any]:
     return {f.name: f for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else {}
 
 
-def _product(name: str, force: type, factor: type | None = None) -> Callable[..., ContactForce]:
+def _product(
+    name: str,
+    force: type[AbstractElasticForce],
+    factor: type[AbstractDissipation] | None = None,
+) -> Callable[..., ContactForce]:
     """What a user calls `name`: a `ContactForce` from the numbers of its parts. Without a factor of
     its own it is lossless, or, with a `restitution`, has that of CarvalhoMartins.
     """
-    loss = dissipation.CarvalhoMartins if factor is None else factor
+    loss: type[AbstractDissipation] = factor or dissipation.CarvalhoMartins
     parts = (force, loss, ImpactMemory) if loss.remembers_impact_speed else (force, loss)
     known = {number: field for part in parts for number, field in _fields(part).items()}
 
@@ -126,11 +130,16 @@ def _product(name: str, force: type, factor: type | None = None) -> Callable[...
         )
 
     build.__name__ = build.__qualname__ = name
-    build.__doc__ = inspect.getdoc(force if factor is None else factor)
-    build.__signature__ = inspect.Signature(
+    with_loss = "with a `restitution` times" if factor is None else "times"
+    build.__doc__ = (
+        f"Elastic force `{force.__name__}`, {with_loss} dissipation factor `{loss.__name__}`.\n\n"
+        f"{inspect.getdoc(factor or force)}"
+    )
+    parameters = [
         inspect.Parameter(number, inspect.Parameter.KEYWORD_ONLY, default=field.default)
         for number, field in known.items()
-    )
+    ]
+    build.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return build
 
 

@@ -16,7 +16,7 @@ from jaxclear.ground.numerics import inverse_entropy, positive_part, power, safe
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractElasticForce
 from jaxclear.laws.contact.elastic import clearance_field, modulus_field
-from jaxclear.laws.stiffness import AbstractFit, InnerRadiusOf, LengthOf, OuterRadiusOf
+from jaxclear.laws.stiffness import Fitted, InnerRadiusOf, LengthOf, OuterRadiusOf
 
 # In x = -w ln w (w: load, x: indentation) the law turns back at -ln w = 1; it is followed up to -ln
 # w = 2, where the slope dw/dx is 1, and continued with that slope.
@@ -60,9 +60,9 @@ class Johnson(AbstractElasticForce):
     doi:10.1007/s11071-010-9830-3.
     """
 
-    modulus: Scalar | AbstractFit = modulus_field()
-    clearance: Scalar | AbstractFit = clearance_field()
-    length: Scalar | AbstractFit = length_field()
+    modulus: Fitted = modulus_field()
+    clearance: Fitted = clearance_field()
+    length: Fitted = length_field()
 
     def force(self, indentation: Scalar) -> Scalar:
         return logarithmic_force(
@@ -83,9 +83,9 @@ class TwoSidedJohnson(AbstractElasticForce):
     doi:10.1007/s11071-016-3234-y; program DyS.
     """
 
-    modulus: Scalar | AbstractFit = modulus_field()
-    clearance: Scalar | AbstractFit = clearance_field()
-    length: Scalar | AbstractFit = length_field()
+    modulus: Fitted = modulus_field()
+    clearance: Fitted = clearance_field()
+    length: Fitted = length_field()
 
     def force(self, indentation: Scalar) -> Scalar:
         return logarithmic_force(
@@ -106,9 +106,9 @@ class Radzimovsky(AbstractElasticForce):
     doi:10.1007/s11071-010-9830-3.
     """
 
-    modulus: Scalar | AbstractFit = modulus_field()
-    clearance: Scalar | AbstractFit = clearance_field()
-    length: Scalar | AbstractFit = length_field()
+    modulus: Fitted = modulus_field()
+    clearance: Fitted = clearance_field()
+    length: Fitted = length_field()
 
     def force(self, indentation: Scalar) -> Scalar:
         ratio = 16 / (2 * ROARK_WIDTH**2 * jnp.pi)
@@ -130,14 +130,14 @@ class Goldsmith(AbstractElasticForce):
     doi:10.1243/146441906X77722.
     """
 
-    modulus: Scalar | AbstractFit = modulus_field()
-    inner_radius: Scalar | AbstractFit = quantity(
+    modulus: Fitted = modulus_field()
+    inner_radius: Fitted = quantity(
         unit="m", meaning="journal's radius R_i", default_factory=InnerRadiusOf, above=0
     )
-    outer_radius: Scalar | AbstractFit = quantity(
+    outer_radius: Fitted = quantity(
         unit="m", meaning="bearing's radius R_j", default_factory=OuterRadiusOf, above=0
     )
-    length: Scalar | AbstractFit = length_field()
+    length: Fitted = length_field()
 
     def force(self, indentation: Scalar) -> Scalar:
         clearance = self.outer_radius - self.inner_radius
@@ -156,9 +156,9 @@ class Liu(AbstractElasticForce):
     doi:10.1016/j.mechmachtheory.2006.02.006.
     """
 
-    modulus: Scalar | AbstractFit = modulus_field()
-    clearance: Scalar | AbstractFit = clearance_field()
-    length: Scalar | AbstractFit = length_field()
+    modulus: Fitted = modulus_field()
+    clearance: Fitted = clearance_field()
+    length: Fitted = length_field()
 
     def force(self, indentation: Scalar) -> Scalar:
         depth = positive_part(indentation)
@@ -176,9 +176,9 @@ class BaiZhao(AbstractElasticForce):
     doi:10.1016/j.ijnonlinmec.2012.07.003, where K is written without L.
     """
 
-    modulus: Scalar | AbstractFit = modulus_field()
-    clearance: Scalar | AbstractFit = clearance_field()
-    length: Scalar | AbstractFit = length_field()
+    modulus: Fitted = modulus_field()
+    clearance: Fitted = clearance_field()
+    length: Fitted = length_field()
 
     def force(self, indentation: Scalar) -> Scalar:
         depth = positive_part(indentation)

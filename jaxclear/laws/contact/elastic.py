@@ -8,7 +8,7 @@ from typing import Any
 from jaxclear.ground.numerics import positive_part, power, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractElasticForce, exponent_field, stiffness_field
-from jaxclear.laws.stiffness import HERTZ_SPHERE, AbstractFit, ClearanceOf, OuterRadiusOf
+from jaxclear.laws.stiffness import HERTZ_SPHERE, ClearanceOf, Fitted, OuterRadiusOf
 
 
 def modulus_field() -> Any:
@@ -29,7 +29,7 @@ class Linear(AbstractElasticForce):
     Source: Hooke 1678, De potentia restitutiva; in contact Goldsmith 1960, Impact.
     """
 
-    stiffness: Scalar | AbstractFit = quantity(1e8, "N/m", "spring stiffness K", above=0)
+    stiffness: Fitted = quantity(1e8, "N/m", "spring stiffness K", above=0)
 
     def force(self, indentation: Scalar) -> Scalar:
         return self.stiffness * positive_part(indentation)
@@ -45,7 +45,7 @@ class Hertz(AbstractElasticForce):
     Contact Mechanics, eq. 4.23, doi:10.1017/CBO9781139171731.
     """
 
-    stiffness: Scalar | AbstractFit = stiffness_field()
+    stiffness: Fitted = stiffness_field()
     exponent: Scalar | None = exponent_field()
 
     def force(self, indentation: Scalar) -> Scalar:
@@ -70,11 +70,11 @@ class BallInSocket(AbstractElasticForce):
     Liu, Zhang & Yang 2006, J. Comput. Nonlinear Dyn. 1, 160.
     """
 
-    modulus: Scalar | AbstractFit = modulus_field()
-    socket_radius: Scalar | AbstractFit = quantity(
+    modulus: Fitted = modulus_field()
+    socket_radius: Fitted = quantity(
         unit="m", meaning="socket's radius R_s", default_factory=OuterRadiusOf, above=0
     )
-    clearance: Scalar | AbstractFit = clearance_field()
+    clearance: Fitted = clearance_field()
 
     def force(self, indentation: Scalar) -> Scalar:
         depth = positive_part(indentation)
