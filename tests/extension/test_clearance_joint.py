@@ -1,0 +1,154 @@
+"""A clearance joint of a stranger, for forces and in permanent contact."""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxclear as jc
+from jaxclear import Scalar, quantity
+from tests.extension.test_contact_law import Cushion
+
+
+class FloorAndCeiling(jc.clearance.AbstractClearance):
+    """A point between two planes y = -c and y = c."""
+
+    ideal_rows: ClassVar = ("y",)
+    contact: jc.contact.AbstractContactLaw
+    friction: Any = None
+    clearance: Scalar = quantity(1e-2, "m", "room on either side")
+
+    @property
+    def axes(self):
+        return ()
+
+    def contact_laws(self):
+        shape = jc.stiffness.Shape(1e-2, 1.0, None)
+        return (jc.clearance.ContactLaws(self.contact, self.friction, shape, False),) * 2
+
+    def indentations(self, offset, axes, worn):
+        return tuple(side * offset[1] - self.clearance for side in (-1, 1))
+
+    def contact_candidates(self, offset, axes, indentations):
+        return tuple(
+            jc.clearance.ContactCandidate(
+                (offset[0], side * self.clearance, 0), (0, side, 0), ((1, 0, 0),)
+            )
+            for side in (-1, 1)
+        )
+
+    def permanent_form(self):
+        return Skid(self)
+
+
+class AlongX(jc.joint.AbstractVectorJoint):
+    """Slides along x: q displacement [m]."""
+
+    home: ClassVar = (0.0,)
+    units: ClassVar = ("m",)
+    rows: ClassVar = ("y", "z", "x.y", "x.z", "y.z")
+    reversal: ClassVar = ((-1, 0, 0), (0, -1, 0), (0, 0, 1))
+
+    def motion(self, q):
+        return jc.pose.Pose(jc.pose.REST.rotation, (q[0], 0, 0))
+
+    def columns(self, q):
+        return (jc.pose.Twist((1, 0, 0), (0, 0, 0)),)
+
+    def bias(self, q, v):
+        return None
+
+    def coordinates_at(self, pose):
+        return (pose.translation[0],)
+
+    def speeds_at(self, pose, velocity, spin):
+        return (velocity[0],)
+
+
+class Skid(jc.clearance.AbstractPermanentJoint):
+    """The point between the planes while it always touches one of them, on a body that keeps its
+    orientation."""
+
+    home: ClassVar = AlongX.home
+    units: ClassVar = AlongX.units
+    rows: ClassVar = AlongX.rows
+    reversal: ClassVar = AlongX.reversal
+    gap: FloorAndCeiling
+
+    @property
+    def ideal(self):
+        return AlongX()
+
+    @property
+    def friction(self):
+        return self.gap.friction
+
+    @property
+    def arm(self):
+        return 1
+
+    def friction_wrench(self, friction):
+        return (friction, 0, 0), (0, 0, 0)
+
+    def carrying_ends(self, force, torque, ratio):
+        contacts = []
+        for index, side in enumerate((-1, 1)):
+            normal = jc.numerics.positive_part(-side * force[1])
+            place = (0, side * self.gap.clearance, 0)
+            contact = jc.clearance.CarriedContact(index, normal, ratio * normal, place)
+            contacts.append(contact)
+        offset = (0, -jnp.sign(force[1]) * self.gap.clearance, 0)
+        return (jc.clearance.CarryingEnd(0, (0, force[1], 0), offset, tuple(contacts)),)
+
+    def friction_ratio(self, mu):
+        return mu
+
+
+def dropped(friction=None):
+    joint = FloorAndCeiling(jc.contact.ContactForce(Cushion(stiffness=1e7)), friction)
+    return jc.Mechanism(
+        {"ball": jc.Body(2.0, 1e-3)},
+        {"gap": jc.Connection(joint, "ground", "ball")},
+        {"g": jc.load.Gravity()},
+    )
+
+
+def test_clearance_joint_from_outside_bounces_as_a_parabola():
+    joint = FloorAndCeiling(jc.contact.ContactForce(Cushion(stiffness=1e7)))
+    drop = jc.Mechanism(
+        {"ball": jc.Body(1.0, 1e-3)},
+        {"gap": jc.Connection(joint, "ground", "ball")},
+        {"g": jc.load.Gravity()},
+    )
+    fall = np.sqrt(2 * 1e-2 / 9.81)
+    end = jc.simulate(drop, 2 * fall, save=201)
+    assert float(end.contact("gap").normal_force.max()) > 0
+    # an elastic bounce delays the top of the parabola by T < pi sqrt(m/K) = 1e-3 s, which is g T^2
+    # / 2 below it
+    np.testing.assert_allclose(end.body("ball").com[-1, 1], 0.0, atol=1e-5)
+    np.testing.assert_allclose(
+        end.time[np.argmin(end.body("ball").com[:, 1])], fall, atol=2 * fall / 200
+    )
+
+
+def test_clearance_joint_from_outside_slides_to_rest_in_permanent_contact():
+    mu, speed = 0.2, 1.0
+    joint = FloorAndCeiling(
+        jc.contact.ContactForce(Cushion(stiffness=1e7)), jc.friction.Coulomb(mu_kinetic=mu)
+    )
+    sled = jc.Mechanism(
+        {"sled": jc.Body(1.0, 1e-3)},
+        {"gap": jc.Connection(joint, "ground", "sled")},
+        {"g": jc.load.Gravity()},
+        speeds={"sled": (speed, 0, 0)},
+    )
+    run = jc.simulate(sled, 1.0, save=11, integrator=jc.integrator.NonColliding(1e-2))
+    left = np.maximum(speed - mu * 9.81 * np.asarray(run.time), 0.0)
+    # constant deceleration is exact for the step; where it stops is known to a step
+    np.testing.assert_allclose(
+        run.body("sled").com[:, 0], (speed**2 - left**2) / (2 * mu * 9.81), atol=mu * 9.81 * 1e-4
+    )
+    contact = run.contact("gap")
+    np.testing.assert_allclose(contact.normal_force[1:, 0], 9.81, rtol=1e-9)
+    np.testing.assert_allclose(contact.normal_force[:, 1], 0.0, atol=1e-9)
+    np.testing.assert_allclose(contact.traction[1:6, 0], mu * 9.81, rtol=1e-6)
