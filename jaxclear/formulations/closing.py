@@ -4,13 +4,10 @@ metric of the masses.
 
 from typing import Any
 
-from jaxclear.formulations.contact_rows import along
-from jaxclear.formulations.delassus import by_subtrees
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.state_rate import drift
-from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import constraints, kinematics, tree
+from jaxclear.multibody import constraints, dynamics, kinematics, tree
 from jaxclear.multibody.state import unpack_motion
 
 
@@ -29,13 +26,11 @@ def closed(model: Model, time: Any, state: State) -> State:
         kinematics.by_subtree(subtree, system.links, motions)
         for subtree in system.topology.subtrees
     )
-    respond = by_subtrees([tree.mass_matrix(*subtree) for subtree in subtrees])
-    columns = [respond([row.get(j, 0) for j in range(len(v))]) for row in rows]
-    schur = factorisation.factor([[along(row, column) for column in columns] for row in rows])
+    masses = [tree.mass_matrix(*subtree) for subtree in subtrees]
+    _, constrain = dynamics.constrained_inverse(masses, rows)
 
     def change(residuals):
-        multipliers = factorisation.solve(schur, tuple(residuals))
-        return [sp.neg(sp.dot(multipliers, entries)) for entries in zip(*columns, strict=True)]
+        return constrain([0] * len(v), [sp.neg(x) for x in residuals])[0]
 
     residuals = [x for closure in found for x in closure.residuals]
     rates = [x for closure in found for x in closure.rates]

@@ -19,10 +19,11 @@ from jaxclear.ground.pose import Pose
 from jaxclear.multibody import constraints, contact_point, dynamics, kinematics
 from jaxclear.multibody.contact_point import GapFunction
 from jaxclear.multibody.forces import Forces, applied_forces
+from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System
 
-ContactJacobianRow = dict[int, Any]
+ContactJacobianRow = JacobianRow
 
 
 class TimeStep(NamedTuple):
@@ -91,11 +92,6 @@ class MiddleOfStep(NamedTuple):
         """Coordinates after a step of mean speeds, their rates taken in its middle."""
         middle = drift(model.system, self.q, self.halfway, mean, 0.5 * h)
         return drift(model.system, self.q, middle, mean, h)
-
-
-def along(row: ContactJacobianRow, values) -> Any:
-    """The row times a vector of speeds."""
-    return sp.total(sp.mul(entry, values[j]) for j, entry in row.items())
 
 
 def split(values: Any, counts: list[int]) -> list[tuple]:

@@ -12,10 +12,12 @@ from typing import Any, NamedTuple
 
 import jax.scipy.linalg as jsl
 
-from jaxclear.formulations.contact_rows import ContactJacobianRow, FreeMotion, along
+from jaxclear.formulations.contact_rows import ContactJacobianRow, FreeMotion
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.multibody.dynamics import constrained_inverse
+from jaxclear.multibody.kinematics import along
 
 
 class DelassusOperator(NamedTuple):
@@ -81,7 +83,7 @@ def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -
     """How the mechanism of an instant moves without contact, and how it answers forces along the
     rows.
     """
-    respond, constrain = _inverse(free_motion)
+    respond, constrain = constrained_inverse(free_motion.masses, free_motion.closure_rows)
     free, multipliers = constrain(respond(free_motion.right), free_motion.wanted)
     size, still = len(free_motion.right), [0] * len(multipliers)
     responses = [constrain(respond([row.get(j, 0) for j in range(size)]), still) for row in rows]
@@ -107,49 +109,6 @@ def implicit_contact(free_motion: FreeMotion) -> ImplicitContact:
         return ImplicitContact(operator.free, operator.multipliers, _in_rows(operator))
     nothing = ContactSolution([], [], [0] * size, (0,) * len(operator.multipliers))
     return ImplicitContact(operator.free, operator.multipliers, lambda *_: nothing)
-
-
-def by_subtrees(masses: list) -> Callable:
-    """Accelerations under generalised forces, by the mass matrix of each subtree; structurally zero
-    where no force acts.
-    """
-    factors = [factorisation.factor(mass) if mass else None for mass in masses]
-
-    def respond(forces):
-        out, start = [], 0
-        for mass, factor in zip(masses, factors, strict=True):
-            part = tuple(forces[start : start + len(mass)])
-            out += part if all(map(sp.is_zero, part)) else factorisation.solve(factor, part)
-            start += len(mass)
-        return out
-
-    return respond
-
-
-def _inverse(free_motion: FreeMotion) -> tuple[Callable, Callable]:
-    """(accelerations under generalised forces, the same corrected to what the closures want with
-    its multipliers).
-    """
-    respond = by_subtrees(free_motion.masses)
-    closures, size = free_motion.closure_rows, len(free_motion.right)
-    carried = [respond([row.get(j, 0) for j in range(size)]) for row in closures]
-    held = (
-        factorisation.factor([[along(row, other) for other in carried] for row in closures])
-        if closures
-        else None
-    )
-
-    def constrain(accelerations, wanted):
-        if not closures:
-            return accelerations, ()
-        lacking = tuple(
-            sp.sub(w, along(row, accelerations)) for w, row in zip(wanted, closures, strict=True)
-        )
-        multipliers = factorisation.solve(held, lacking)
-        pulls = [sp.dot(multipliers, column) for column in zip(*carried, strict=True)]
-        return [sp.add(a, p) for a, p in zip(accelerations, pulls, strict=True)], multipliers
-
-    return respond, constrain
 
 
 def _whole(masses: list) -> list[list]:

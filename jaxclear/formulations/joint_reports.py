@@ -6,13 +6,14 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxclear.components.clearance import ContactLaws
-from jaxclear.formulations.contact_rows import ContactPoint, along, by_joint, contact_points, split
+from jaxclear.formulations.contact_rows import ContactPoint, by_joint, contact_points, split
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.contact import Rigid
 from jaxclear.multibody import contact_point
 from jaxclear.multibody.contact_point import GapFunction, JointReport, PointState, Response
+from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import component_count
 from jaxclear.multibody.system import System
 

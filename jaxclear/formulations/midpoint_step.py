@@ -20,7 +20,6 @@ from jaxclear.formulations.contact_rows import (
     ContactPoint,
     MiddleOfStep,
     TimeStep,
-    along,
     by_joint,
     split,
 )
@@ -39,6 +38,7 @@ from jaxclear.ground.grouping import map_alike
 from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.multibody.contact_point import PointState
 from jaxclear.multibody.forces import applied_forces
+from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import pack_memories, unpack_memories, unpack_motion
 
 # Weight of the depth of closed contacts against staying put, where coordinates are corrected.

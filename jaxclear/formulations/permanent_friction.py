@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxclear.complementarity import BoxedGaussSeidel, JointFriction
-from jaxclear.formulations.contact_rows import along
 from jaxclear.formulations.permanent_reactions import FrictionResponse
+from jaxclear.multibody.kinematics import along
 
 # Friction that accelerates a joint by less than this share of what it gives the mechanism's whole
 # mass does not move it.

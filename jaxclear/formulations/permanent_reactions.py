@@ -11,12 +11,13 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.components.clearance import AbstractPermanentJoint
-from jaxclear.formulations.contact_rows import ContactJacobianRow, along
+from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import FLIP
 from jaxclear.multibody import constraints, dynamics, kinematics
 from jaxclear.multibody.forces import Forces, add_action_and_reaction
+from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.system import System
 
 

@@ -24,7 +24,6 @@ from jaxclear.formulations.contact_rows import (
     ContactPoint,
     MiddleOfStep,
     TimeStep,
-    along,
     split,
 )
 from jaxclear.formulations.delassus import DelassusOperator
@@ -33,6 +32,7 @@ from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.friction import AbstractSetValuedFriction
+from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import unpack_motion
 
 

@@ -79,7 +79,7 @@ def chain(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...]
     found = list(islice((way for way in ways if {*through} <= {name for name, _ in way}), 2))
     if not found:
         by = f" through {', '.join(map(repr, through))}" if through else ""
-        raise ValueError(f'no chain of connections leads from "{base}" to "{tip.body}"{by}.')
+        raise ValueError(f'no chain of joints leads from "{base}" to "{tip.body}"{by}.')
     if len(found) > 1:
         first, second = (" - ".join(name for name, _ in way) for way in found)
         raise ValueError(
@@ -102,7 +102,7 @@ def _check(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...
     for name in through:
         if name not in mechanism.connections:
             raise ValueError(
-                f'no connection "{name}" to go through; there are '
+                f'no joint "{name}" to go through; there are '
                 f"{', '.join(map(repr, mechanism.connections))}."
             )
 

@@ -8,11 +8,12 @@ Baumgarte's (Nikravesh 1988, Computer-Aided Analysis of Mechanical Systems, sect
 """
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose, Twist
 from jaxclear.multibody import kinematics, loops, tree
+from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Baumgarte, Closure
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Motion
@@ -25,7 +26,7 @@ class ConstraintRows(NamedTuple):
     kept: list[int]
     residuals: tuple
     rates: tuple
-    jacobian: list[dict[int, Any]]
+    jacobian: list[JacobianRow]
     fixed: tuple
 
 
@@ -54,14 +55,14 @@ def constraint_rows(
 
 def acceleration_equations(
     system: System, motions: tuple[Motion, ...], stabilisation: Baumgarte | None
-) -> tuple[list[dict[int, Any]], list]:
+) -> tuple[list[JacobianRow], list]:
     """Jacobian rows of all closures (by speed index), and the right side gamma that each must give
     for the free accelerations.
     """
     accelerations = kinematics.link_accelerations(system, motions, None)
     # A marker on the ground shares the fictitious acceleration that stands for gravity.
     ground = Twist(kinematics.upward(system), sp.ZERO)
-    rows: list[dict[int, Any]] = []
+    rows: list[JacobianRow] = []
     gamma = []
     for closure in system.closures:
         found = constraint_rows(system, motions, closure)

@@ -6,6 +6,7 @@ for each subtree of the spanning tree and the multipliers :math:`\lambda` of the
 Dynamics Algorithms, chapters 6 and 8, doi:10.1007/978-1-4899-7560-7).
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +16,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
 from jaxclear.multibody import constraints, kinematics, tree
 from jaxclear.multibody.forces import Forces, add_action_and_reaction
+from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Wrench
@@ -54,60 +56,51 @@ def equations_of_motion(system: System, forces: Forces) -> tuple[list, list]:
 def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | None) -> Solution:
     """Free accelerations under the forces, with the loops closed."""
     masses, right = equations_of_motion(system, forces)
-    factors = [factorisation.factor(mass) if mass else None for mass in masses]
-    multipliers: tuple = ()
+    rows, gamma = [], []
     if system.closures:
         with jax.named_scope("constraints"):
-            free = [
-                factorisation.solve(f, r) if f else () for f, r in zip(factors, right, strict=True)
-            ]
             rows, gamma = constraints.acceleration_equations(system, forces.motions, stabilisation)
-            multipliers, reactions = _multipliers(rows, gamma, factors, free)
-            right = [
-                tuple(sp.add(r, p) for r, p in zip(own, extra, strict=True))
-                for own, extra in zip(right, reactions, strict=True)
-            ]
-    accelerations: list[tuple] = [()] * len(forces.motions)
-    for subtree, factored, own in zip(system.topology.subtrees, factors, right, strict=True):
-        values = factorisation.solve(factored, own) if factored else ()
-        for i in subtree:
-            count = len(forces.motions[i].columns)
-            accelerations[i], values = tuple(values[:count]), values[count:]
-    return Solution(tuple(accelerations), multipliers)
+    respond, constrain = constrained_inverse(masses, rows)
+    accelerations, multipliers = constrain(respond([x for own in right for x in own]), gamma)
+    return Solution(
+        tuple(tuple(accelerations[branch.speeds]) for branch in system.topology.branches),
+        multipliers,
+    )
 
 
-def _multipliers(
-    rows: list[dict[int, Any]], gamma: list, factors: list, free: list[tuple]
-) -> tuple[tuple, list[tuple]]:
-    """The multipliers lambda from J M^-1 J^T lambda = gamma - J a_free, by subtrees, and
-    J^T lambda."""
-    count, ranges = 0, []
-    for values in free:
-        ranges.append(range(count, count + len(values)))
-        count += len(values)
-    free_flat = [x for values in free for x in values]
-    inverse_rows = []
-    for row in rows:
-        responses: dict[int, Any] = {}
-        for own, factored in zip(ranges, factors, strict=True):
-            if any(j in own for j in row):
-                column = tuple(row.get(j, 0) for j in own)
-                responses |= zip(own, factorisation.solve(factored, column), strict=True)
-        inverse_rows.append(responses)
-    schur = [
-        [sp.total(sp.mul(a, other.get(j, 0)) for j, a in row.items()) for other in inverse_rows]
-        for row in rows
-    ]
-    right = [
-        sp.sub(target, sp.total(sp.mul(a, free_flat[j]) for j, a in row.items()))
-        for row, target in zip(rows, gamma, strict=True)
-    ]
-    multipliers = factorisation.solve(factorisation.factor(schur), tuple(right))
-    reactions: list[Any] = [0] * count
-    for row, multiplier in zip(rows, multipliers, strict=True):
-        for j, entry in row.items():
-            reactions[j] = sp.add(reactions[j], sp.mul(entry, multiplier))
-    return multipliers, [tuple(reactions[j] for j in own) for own in ranges]
+def constrained_inverse(
+    masses: list, rows: list[JacobianRow]
+) -> tuple[Callable[[list], list], Callable[[list, list], tuple[list, tuple]]]:
+    """Two functions: M^-1 by subtrees, from generalised forces to accelerations, structurally zero
+    where no force acts; and the correction of accelerations to what constraint rows want, with its
+    multipliers."""
+    factors = [factorisation.factor(mass) if mass else None for mass in masses]
+    size = sum(len(mass) for mass in masses)
+
+    def respond(forces):
+        out: list[Any] = []
+        for mass, factor in zip(masses, factors, strict=True):
+            own = tuple(forces[len(out) : len(out) + len(mass)])
+            out += own if all(map(sp.is_zero, own)) else factorisation.solve(factor, own)
+        return out
+
+    columns = [respond([row.get(j, 0) for j in range(size)]) for row in rows]
+    schur = [[along(row, column) for column in columns] for row in rows]
+    factored = factorisation.factor(schur) if rows else None
+
+    def constrain(accelerations, wanted):
+        if not rows:
+            return accelerations, ()
+        lacking = []
+        for target, row in zip(wanted, rows, strict=True):
+            lacking.append(sp.sub(target, along(row, accelerations)))
+        multipliers = factorisation.solve(factored, tuple(lacking))
+        changed = []
+        for acceleration, entries in zip(accelerations, zip(*columns, strict=True), strict=True):
+            changed.append(sp.add(acceleration, sp.dot(multipliers, entries)))
+        return changed, multipliers
+
+    return respond, constrain
 
 
 def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[Wrench, ...]:

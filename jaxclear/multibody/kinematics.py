@@ -17,6 +17,14 @@ from jaxclear.multibody.loops import Closure, Relative
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Motion
 
+# A row of a Jacobian: its entries by the index of the free speed, those that are not zero.
+JacobianRow = dict[int, Any]
+
+
+def along(row: JacobianRow, speeds: Any) -> Any:
+    """The row times a vector of speeds."""
+    return sp.total(sp.mul(entry, speeds[j]) for j, entry in row.items())
+
 
 def link_motions(system: System, q: tuple, v: tuple, time: Any) -> tuple[Motion, ...]:
     """Motion of every link at coordinates `q` and speeds `v` (tuples by link) and a time [s]."""
@@ -89,11 +97,11 @@ def jacobian_columns(
 
 def relative_jacobian(
     system: System, motions: tuple[Motion, ...], closure: Closure, pose: Pose, rates: Callable
-) -> list[dict[int, Any]]:
+) -> list[JacobianRow]:
     """Jacobian rows (by speed index) of what `rates` draws, linearly, from the closure's `pose`,
     relative velocity and spin.
     """
-    rows: list[dict[int, Any]] = [{} for _ in rates(pose, sp.ZERO, sp.ZERO)]
+    rows: list[JacobianRow] = [{} for _ in rates(pose, sp.ZERO, sp.ZERO)]
     ends = ((closure.parent_link, closure.parent), (closure.child_link, closure.child))
     for side, (link, marker) in enumerate(ends):
         for j, column in jacobian_columns(system, motions, link).items():

@@ -121,7 +121,7 @@ def _contact(history, name):
 
 def reaction(history: StateHistory, name: str) -> ReactionHistory:
     """Force and torque in a connection."""
-    check_known(name, history.mechanism.connections, "connection")
+    check_known(name, history.mechanism.connections, "joint")
     return _reaction(history, name)
 
 

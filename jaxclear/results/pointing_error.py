@@ -172,7 +172,7 @@ def pointing_error(
             )
     if nominal is not None and MOTION in trajectory.mechanism.connections:
         raise ValueError(
-            f'connection "{MOTION}" bears the name of the contribution of differing coordinates; '
+            f'joint "{MOTION}" bears the name of the contribution of differing coordinates; '
             "rename it."
         )
     links, setting, errors = tip_errors(

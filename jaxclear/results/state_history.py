@@ -41,7 +41,7 @@ class StateHistory(eqx.Module):
         """Coordinates or speeds of a connection (or floating body) of the tree."""
         topology = self.mechanism.topology
         floating = [b.body for b in topology.branches if b.connection is None]
-        check_known(name, [*self.mechanism.connections, *floating], "connection or floating body")
+        check_known(name, [*self.mechanism.connections, *floating], "joint or floating body")
         for branch in topology.branches:
             if name == (branch.body if branch.connection is None else branch.connection):
                 if not speeds:

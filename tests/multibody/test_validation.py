@@ -25,7 +25,7 @@ def arm(**changes):
 def rig(
     joint=None, *, body=None, loads=None, parent="ground", child="arm", at=None, axis="z", **changes
 ):
-    """One body "arm" held to the ground by one connection "pin"."""
+    """One body "arm" held to the ground by one joint "pin"."""
     pin = jc.Connection(
         jc.joint.Revolute() if joint is None else joint, parent, child, at=at, axis=axis
     )
@@ -377,8 +377,8 @@ def test_compliant_run_refuses_set_valued_friction():
 ASKED = {
     "body": (lambda run: run.body("leg"), 'no body "leg" .* there are .arm.'),
     "contact": (lambda run: run.contact("pin"), 'no clearance joint "pin"'),
-    "reaction": (lambda run: run.reaction("hip"), 'no connection "hip"'),
-    "coordinate": (lambda run: run.coordinate("hip"), 'no connection or floating body "hip"'),
+    "reaction": (lambda run: run.reaction("hip"), 'no joint "hip"'),
+    "coordinate": (lambda run: run.coordinate("hip"), 'no joint or floating body "hip"'),
     "worn volume": (
         lambda run: run.worn_volume("pin", "bearing"),
         'surface "bearing" of joint "pin" does not wear',

@@ -416,10 +416,10 @@ def test_way_through_a_loop_is_the_one_named():
             'from "ground" to "dish" must be serial, but it runs by J1 - J2 or by J3; name '
             "connections in `through`",
         ),
-        (("ground", TIP, ("J9",)), 'no connection "J9" to go through; there are .J1., .J2., .J3.'),
+        (("ground", TIP, ("J9",)), 'no joint "J9" to go through; there are .J1., .J2., .J3.'),
         (
             ("ground", TIP, ("J1", "J3")),
-            'no chain of connections leads from "ground" to "dish" through .J1., .J3.',
+            'no chain of joints leads from "ground" to "dish" through .J1., .J3.',
         ),
     ],
 )
@@ -445,7 +445,7 @@ def test_error_that_cannot_be_says_so(wobbling, monkeypatch):
         run,
         jc.Mechanism({"a": BODY}, {"motion": jc.Connection(bearing(), "ground", "a")}),
     )
-    with pytest.raises(ValueError, match='connection "motion" bears the name'):
+    with pytest.raises(ValueError, match='joint "motion" bears the name'):
         jc.pointing_error(other, "a", nominal=other)
     monkeypatch.setattr(jc.clearance.JournalBearing, "ideal_rows", ("x", "x.y"))
     with pytest.raises(ValueError, match='joint "J1" becomes an ideal joint with the rows x, x.y'):

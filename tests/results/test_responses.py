@@ -53,7 +53,7 @@ def test_responses_are_what_their_names_say(run):
             jc.response.FinalCoordinate("journal", 3),
             '"journal" has 3 coordinates; there is no number 3',
         ),
-        (jc.response.FinalCoordinate("nothing"), 'no connection or floating body "nothing"'),
+        (jc.response.FinalCoordinate("nothing"), 'no joint or floating body "nothing"'),
         (jc.response.MeanContactForce("nothing"), 'no clearance joint "nothing"'),
         (
             jc.response.PositionError("journal", np.zeros((3, 3))),
