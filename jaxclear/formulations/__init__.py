@@ -14,12 +14,13 @@ from jaxclear.formulations.base import (
 )
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.formulations.contact_rows import TimeStep, along, indentations, middle_of_step
+from jaxclear.formulations.contact_rows import TimeStep, indentations, middle_of_step
 from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
 from jaxclear.formulations.joint_reports import reports_of_means
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent import PermanentContact
 from jaxclear.formulations.rigid import RigidContact
+from jaxclear.multibody.kinematics import along
 
 __all__ = [
     "AbstractFormulation",
