@@ -40,7 +40,7 @@ class FrictionContact(AbstractLinearProblem):
     that do not fit and for a negative coefficient.
     """
 
-    delassus: tuple[Float[Array, " m"], ...] = eqx.field(converter=_as_rows)
+    delassus: Any = eqx.field(converter=_as_rows)
     free_velocity: Float[Array, " m"] = eqx.field(converter=as_floats)
     mu: Float[Array, " c"] = eqx.field(converter=as_floats)
     directions: tuple[int, ...] | None = eqx.field(static=True, default=None)

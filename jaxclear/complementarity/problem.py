@@ -108,7 +108,7 @@ class AbstractSolver(AbstractQuantified):
     """Solves complementarity problems: frozen settings, no state."""
 
     @abstractmethod
-    def solve(self, problem: AbstractProblem) -> Solution:
+    def solve(self, problem: Any) -> Solution:
         """One problem; pure, so it maps, compiles and differentiates. Values that cannot be solved
         end in an outcome; `ValueError` for what is no problem of the solver's kind.
         """

@@ -80,10 +80,14 @@ class ProjectedGaussSeidel(AbstractSolver):
         data = (*problem.acting(), problem.mu)
         finite = jnp.all(jnp.isfinite(jnp.concatenate([x.reshape(-1) for x in data])))
         finite = finite & jnp.all(problem.mu >= 0)
-        calm = zip(data, (jnp.eye(len(data[1])), 0.0, 0.0), strict=True)
-        calm = [jax.lax.stop_gradient(jnp.where(finite, x, y)) for x, y in calm]
+        blank = (jnp.eye(len(data[1])), jnp.zeros(()), jnp.zeros(()))
+        matrix, offset, mu = (
+            jax.lax.stop_gradient(jnp.where(finite, x, y)) for x, y in zip(data, blank, strict=True)
+        )
         # A library's elimination: the written-out one takes XLA minutes to compile.
-        found = self._iterate(FrictionContact(*calm, problem.directions), None, in_kernel=False)
+        found = self._iterate(
+            FrictionContact(matrix, offset, mu, problem.directions), None, in_kernel=False
+        )
         solved = jnp.where(found.residual <= self.tolerance, Outcome.SOLVED, Outcome.LIMIT)
         outcome = jnp.where(finite & jnp.isfinite(found.residual), solved, Outcome.NOT_FINITE)
         r = jnp.where(jnp.isfinite(found.z), found.z, 0.0)
@@ -145,8 +149,8 @@ def _scale(problem: FrictionContact) -> Scaled:
     free = jnp.where(acts, problem.free_velocity / size, apart)
     own = [jnp.stack([row[a:b] for row in rows[a:b]]) for a, b in spans]
     rho = [1 / jnp.max(jnp.stack([rows[k][k] for k in range(a, b)])) for a, b in spans]
-    rows = [rows[a:b] for a, b in spans]
-    return Scaled(rows, problem.split(free), own, problem.mu, rho, weight, size)
+    blocks = [rows[a:b] for a, b in spans]
+    return Scaled(blocks, problem.split(free), own, problem.mu, rho, weight, size)
 
 
 def _residual(problem: Scaled, r: tuple) -> Array:

@@ -59,10 +59,10 @@ class Mechanism(eqx.Module):
         validation.check_parts(self.bodies, self.connections, self.loads)
         validation.check_finite("the mechanism", {"start": self.start, "speeds": self.speeds})
         self.topology = grow(self.bodies, self.connections)
-        default = isinstance(stabilisation, str) and stabilisation == "default"
-        self.stabilisation = Baumgarte() if default else stabilisation
+        chosen: Any = Baumgarte() if stabilisation == "default" else stabilisation
+        self.stabilisation = chosen
         validation.expect(
-            self.stabilisation,
+            chosen,
             (Baumgarte, Projection, type(None)),
             "stabilisation",
             "a jaxclear.Baumgarte, a jaxclear.Projection, or None for none",

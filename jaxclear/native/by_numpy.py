@@ -169,7 +169,8 @@ class _Slots:
     def of(self, atom: Any) -> int:
         """The place of a variable, or a new one for a literal."""
         if isinstance(atom, Literal):
-            self.values.append(np.asarray(atom.val, atom.aval.dtype))
+            kind: Any = atom.aval
+            self.values.append(np.asarray(atom.val, kind.dtype))
             return len(self.values) - 1
         if atom not in self._places:
             self._places[atom] = len(self.values)
@@ -191,7 +192,7 @@ def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
     if name == "while":
         return _while(p, evaluator(p["cond_jaxpr"], known), evaluator(p["body_jaxpr"], known)), True
     if name == "dot_general" and not p["dimension_numbers"][1][0]:
-        return lambda *inputs: np.tensordot(*inputs, axes=p["dimension_numbers"][0]), False
+        return lambda a, b: np.tensordot(a, b, axes=p["dimension_numbers"][0]), False
     if name == "maybe_set" and p["i_static"] is None:
         return _set, False
     if name in CALLS:

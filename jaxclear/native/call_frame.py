@@ -172,10 +172,8 @@ def interface_version() -> tuple[int, int]:
     plain = re.sub(r"\s+", " ", re.sub(r"//[^\n]*", "", header))
     if not all(part in plain for part in STRUCTURES):
         raise Unsupported("XLA's foreign function interface of this jaxlib")
-    major, minor = (
-        int(re.search(rf"#define XLA_FFI_API_{part} (\d+)", header).group(1))
-        for part in ("MAJOR", "MINOR")
-    )
+    found = [re.search(rf"#define XLA_FFI_API_{part} (\d+)", header) for part in ("MAJOR", "MINOR")]
+    major, minor = (int(match[1]) for match in found if match)
     return major, minor
 
 

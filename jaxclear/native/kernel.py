@@ -68,7 +68,8 @@ def text_of(program: Program, lanes: int) -> str:
 def _arguments(writer: Writer, program: Program) -> list:
     """Constants and first state: arrays of registers, loaded one by one, or arrays in memory."""
     constants, state = avals_of(program)
-    position, slot, values = 0, 0, []
+    position, slot = 0, 0
+    values: list[Any] = []
     for aval, long in zip([*constants, *state], in_memory(program), strict=True):
         kind, shape = kind_of(aval.dtype), tuple(aval.shape)
         if long:

@@ -103,10 +103,10 @@ def kinds_of(equation: Any) -> list[str]:
 def each(function: Callable, *arrays: np.ndarray) -> np.ndarray:
     """A function of single numbers over arrays of one shape (or scalars)."""
     shape = np.broadcast_shapes(*[a.shape for a in arrays])
-    arrays = [np.broadcast_to(a, shape) for a in arrays]
+    full = [np.broadcast_to(a, shape) for a in arrays]
     out = np.empty(shape, object)
     for index in np.ndindex(*shape):
-        out[index] = function(*[a[index] for a in arrays])
+        out[index] = function(*[a[index] for a in full])
     return out
 
 

@@ -191,7 +191,7 @@ def pointing_error(
             for t, joint in zip(errors.deviations, links.joints, strict=True)
             if joint.ideal and t is not None
         ]
-        contributions[MOTION] = sum(map(np.asarray, (*errors.motions, *missing)))
+        contributions[MOTION] = np.sum(np.asarray([*errors.motions, *missing]), axis=0)
     deviations = zip(links.names, setting.deviations, strict=True)
     return PointingError(
         np.asarray(trajectory.time),

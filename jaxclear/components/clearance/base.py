@@ -19,8 +19,6 @@ from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete
-from jaxclear.laws.contact import AbstractNormalLaw
-from jaxclear.laws.friction import AbstractFrictionLaw
 from jaxclear.laws.stiffness import Shape
 
 
@@ -45,8 +43,8 @@ class ContactLaws(NamedTuple):
     """The laws at one possible contact, the shape from which stiffnesses are fitted, and whether
     its wear is mapped."""
 
-    contact: AbstractNormalLaw
-    friction: AbstractFrictionLaw | None
+    contact: Any  # an AbstractNormalLaw; each formulation asks it for its own part
+    friction: Any  # an AbstractFrictionLaw, likewise, or None
     shape: Shape
     wears: bool
 

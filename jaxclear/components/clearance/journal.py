@@ -155,7 +155,7 @@ class JournalBearing(AbstractJournalBearing):
         collar = ContactLaws(self.flange.contact, self.flange.friction, half, False)
         return (*contact_laws, collar, collar)
 
-    def end_centres(self, offset, axes) -> tuple[sp.Vec, sp.Vec]:
+    def end_centres(self, offset, axes) -> tuple[sp.Vec, ...]:
         """Points where the journal's axis pierces the bearing's lower and upper end plane."""
         slope = _slope(axes[0])
         centres = []

@@ -1,0 +1,165 @@
+"""The public surface is pinned: every public name with its signature, in
+refdata/public_surface.json. `python -m tests.test_public_surface` writes that file anew.
+"""
+
+import dataclasses
+import enum
+import importlib
+import inspect
+import json
+import pkgutil
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import jaxclear
+from jaxclear.ground.quantity import AbstractQuantified
+
+PINNED = Path(__file__).parent / "refdata" / "public_surface.json"
+
+
+def public_modules():
+    """Every module that a user reaches from `jaxclear` by public names."""
+    modules = {"jaxclear": jaxclear}
+    for name in jaxclear.__all__:
+        place = getattr(jaxclear, name)
+        if isinstance(place, ModuleType):
+            modules[f"jaxclear.{name}"] = place
+    # heavy libraries are loaded with it, so a user imports it by itself
+    modules["jaxclear.plot"] = importlib.import_module("jaxclear.plot")
+    return modules
+
+
+def signature(thing):
+    """Its arguments and their defaults; not its types, which each version of JAX prints anew."""
+    try:
+        found = inspect.signature(thing)
+    except (TypeError, ValueError):
+        return ""
+    bare = [p.replace(annotation=p.empty) for p in found.parameters.values()]
+    text = str(found.replace(parameters=bare, return_annotation=found.empty))
+    text = re.sub(r" at 0x[0-9a-f]+", "", text)
+    return re.sub(r"<dataclasses\._MISSING_TYPE object>", "MISSING", text)
+
+
+def described(thing):
+    if inspect.isclass(thing):
+        return class_lines(thing)
+    if callable(thing):
+        return "function" + signature(thing)
+    return "number or object"
+
+
+def class_lines(kind):
+    if issubclass(kind, enum.Enum):
+        return {"enumeration": [member.name for member in kind]}
+    lines = {"class": signature(kind)}
+    if dataclasses.is_dataclass(kind):
+        lines |= {
+            field.name: f"[{field.metadata['unit']}]"
+            for field in dataclasses.fields(kind)
+            if "unit" in field.metadata
+        }
+    for name, member in inspect.getmembers(kind):
+        if not name.startswith("_") and owner(kind, name).startswith("jaxclear"):
+            if inspect.isfunction(member):
+                lines[f"{name}()"] = signature(member)
+            elif isinstance(member, property):
+                lines[name] = "property"
+    return lines
+
+
+def owner(kind, name):
+    """The module of the class that defines an attribute."""
+    return next(parent.__module__ for parent in kind.__mro__ if name in vars(parent))
+
+
+def surface():
+    return {
+        f"{place}.{name}": described(getattr(module, name))
+        for place, module in public_modules().items()
+        for name in sorted(module.__all__)
+        if not isinstance(getattr(module, name), ModuleType)
+    }
+
+
+def test_public_surface_is_as_pinned():
+    """A change of the interface is a decision, and is told to the users."""
+    pinned, found = json.loads(PINNED.read_text()), surface()
+    changed = [n for n in {**pinned, **found} if pinned.get(n) != found.get(n)]
+    assert not changed, (
+        f"the public surface changed: {', '.join(changed)}. If that is intended, add a line to "
+        "CHANGELOG.md and write the pin anew with `python -m tests.test_public_surface`."
+    )
+
+
+@pytest.mark.parametrize("place", public_modules())
+def test_public_module_says_what_it_offers(place):
+    module = public_modules()[place]
+    assert len(set(module.__all__)) == len(module.__all__)
+    assert not [name for name in module.__all__ if not hasattr(module, name)]
+    assert not [name for name in module.__all__ if name.startswith("_")]
+
+
+# A joint with wear, an ideal joint in permanent contact and a scene build these themselves.
+INNER = {
+    "CylinderMap",
+    "SphereMap",
+    "AbstractPermanentJoint",
+    "PermanentPrismatic",
+    "PermanentRevolute",
+    "PeriodicTorque",
+    "StepTorque",
+}
+
+
+def family_classes():
+    """Every class of the package that has numbers."""
+    for info in pkgutil.walk_packages(jaxclear.__path__, "jaxclear."):
+        if not info.name.endswith("__main__"):
+            importlib.import_module(info.name)
+    found, left = [], [AbstractQuantified]
+    while left:
+        kind = left.pop()
+        left += kind.__subclasses__()
+        found.append(kind)
+    return [kind for kind in found if kind.__module__.startswith("jaxclear.")]
+
+
+def test_every_family_is_public():
+    """What a stranger derives from, and every member that a user may choose, has a public name."""
+    offered = {
+        getattr(module, name)
+        for module in public_modules().values()
+        for name in module.__all__
+        if inspect.isclass(getattr(module, name))
+    }
+    assert {kind.__name__ for kind in family_classes() if kind not in offered} == INNER
+
+
+LAWS = [
+    kind
+    for place in ("contact", "friction", "wear", "distribution", "integrator")
+    for name in getattr(jaxclear, place).__all__
+    if inspect.isclass(kind := getattr(getattr(jaxclear, place), name))
+    and issubclass(kind, AbstractQuantified)
+    and not name.startswith("Abstract")
+]
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda kind: kind.__name__)
+def test_numbers_that_could_be_swapped_are_given_by_name(law):
+    """Coulomb(0.1, 0.2) would not say which of the two is the static coefficient."""
+    numbers = {field.name for field in dataclasses.fields(law) if "unit" in field.metadata}
+    by_place = [
+        name
+        for name, parameter in inspect.signature(law).parameters.items()
+        if name in numbers and parameter.kind is not inspect.Parameter.KEYWORD_ONLY
+    ]
+    assert len(by_place) <= 1
+
+
+if __name__ == "__main__":
+    PINNED.write_text(json.dumps(surface(), indent=1, sort_keys=True) + "\n")
