@@ -165,16 +165,19 @@ def public_name(kind: type) -> str:
     """What a user types behind `jaxclear.` for a class, such as `contact.Hertz`; the class's own
     name where it is not of this package.
     """
-    package = sys.modules[__name__.partition(".")[0]]
-    for name in getattr(package, "__all__", ()):
-        place = getattr(package, name, None)
-        if place is kind:
+    return _offered(sys.modules[__name__.partition(".")[0]], kind) or kind.__qualname__
+
+
+def _offered(place: ModuleType, kind: type) -> str:
+    """The path to a class by the names that modules offer; "" where there is none."""
+    for name in getattr(place, "__all__", ()):
+        thing = getattr(place, name, None)
+        if thing is kind:
             return name
-        # a module also holds the names that it imports for its own use
-        offered = kind.__name__ in getattr(place, "__all__", ())
-        if isinstance(place, ModuleType) and offered and getattr(place, kind.__name__) is kind:
-            return f"{name}.{kind.__name__}"
-    return kind.__qualname__
+        inner = _offered(thing, kind) if isinstance(thing, ModuleType) else ""
+        if inner:
+            return f"{name}.{inner}"
+    return ""
 
 
 def numbers(tree: Any, name: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:

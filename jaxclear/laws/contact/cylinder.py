@@ -18,6 +18,15 @@ from jaxclear.laws.contact.base import AbstractElasticForce
 from jaxclear.laws.contact.elastic import clearance_field, modulus_field
 from jaxclear.laws.stiffness import Fitted, InnerRadiusOf, LengthOf, OuterRadiusOf
 
+__all__ = [
+    "BaiZhao",
+    "Goldsmith",
+    "Johnson",
+    "Liu",
+    "Radzimovsky",
+    "TwoSidedJohnson",
+]
+
 # In x = -w ln w (w: load, x: indentation) the law turns back at -ln w = 1; it is followed up to -ln
 # w = 2, where the slope dw/dx is 1, and continued with that slope.
 DEEPEST_LOGARITHM = 2.0

@@ -16,6 +16,19 @@ import jax.numpy as jnp
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractDissipation
 
+__all__ = [
+    "AbstractRestitutionFactor",
+    "CarvalhoMartins",
+    "Flores",
+    "Gonthier",
+    "HerbertMcWhannell",
+    "HuGuo",
+    "HuntCrossley",
+    "LankaraniNikravesh",
+    "MarhefkaOrin",
+    "ZhiyingQishao",
+]
+
 # Gonthier et al. 2004 solve the relation numerically; steps that carry it to rounding for 0.02 <=
 # e.
 NEWTON_STEPS = 8

@@ -10,6 +10,12 @@ from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractElasticForce, exponent_field, stiffness_field
 from jaxclear.laws.stiffness import HERTZ_SPHERE, ClearanceOf, Fitted, OuterRadiusOf
 
+__all__ = [
+    "BallInSocket",
+    "Hertz",
+    "Linear",
+]
+
 
 def modulus_field() -> Any:
     """Field of a combined modulus [Pa]."""
