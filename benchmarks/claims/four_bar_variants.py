@@ -22,7 +22,7 @@ from jaxclear.multibody.system import System, prepare, readings
 from jaxclear.simulation.wear import unworn
 
 CLEARANCE = 2e-4
-WEAR_FIELDS = {"planar": "wear", "spatial": "bearing_wear"}
+WEAR_FIELDS = {"planar": "bearing_wear", "spatial": "bearing_wear"}
 
 
 class Variant(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxclear.ground.quantity import AbstractQuantified, public_name
+from jaxclear.ground.quantity import AbstractQuantified, concrete, public_name
 
 
 class AbstractLaw(AbstractQuantified):
@@ -21,3 +21,19 @@ class AbstractLaw(AbstractQuantified):
                     f"{public_name(cls)} takes its numbers by name: {cls.__name__}({name}={slot})."
                 )
         return eqx.Module.__new__(cls)
+
+
+def check_increasing(law: AbstractLaw, smaller: str, larger: str) -> None:
+    """Raises `ValueError` unless one number of a law is below another; fits and numbers that are
+    being traced pass.
+    """
+    low, high = getattr(law, smaller), getattr(law, larger)
+    if isinstance(low, eqx.Module) or isinstance(high, eqx.Module):
+        return
+    low, high = concrete(low), concrete(high)
+    if low is not None and high is not None and low >= high:
+        unit = law.__dataclass_fields__[smaller].metadata["unit"]
+        raise ValueError(
+            f"{public_name(type(law))} has {smaller} = {low:g} {unit} and {larger} = {high:g} "
+            f"{unit}; the first must be below the second."
+        )

@@ -65,6 +65,7 @@ def test_numbers_of_the_parts_are_leaves_of_the_law():
         (lambda: jc.friction.AdamsStep(static_speed=1.0), "static_speed = 1 m/s"),
         (lambda: jc.friction.Ambrosio(inner_speed=1e-3), "inner_speed = 0.001 m/s"),
         (lambda: jc.friction.Stribeck(transition_speed=1.0), "transition_speed = 1 m/s"),
+        (lambda: jc.contact.Goldsmith(inner_radius=2.0, outer_radius=1.0), "inner_radius = 2 m"),
         (lambda: jc.friction.Coulomb(mu_kinetic=0.2, mu_static=0.1), "mu_static 0.1 below"),
         (lambda: jc.friction.LuGre(mu_kinetic=0.2, mu_static=0.1).coulomb(), "mu_static 0.1 below"),
     ],

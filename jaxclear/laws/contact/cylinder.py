@@ -16,6 +16,7 @@ from jaxclear.ground.numerics import inverse_entropy, positive_part, power, safe
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractElasticForce
 from jaxclear.laws.contact.elastic import clearance_field, modulus_field
+from jaxclear.laws.law import check_increasing
 from jaxclear.laws.stiffness import Fitted, InnerRadiusOf, LengthOf, OuterRadiusOf
 
 __all__ = [
@@ -147,6 +148,9 @@ class Goldsmith(AbstractElasticForce):
         unit="m", meaning="bearing's radius R_j", default_factory=OuterRadiusOf, above=0
     )
     length: Fitted = length_field()
+
+    def __check_init__(self):
+        check_increasing(self, "inner_radius", "outer_radius")
 
     def force(self, indentation: Scalar) -> Scalar:
         clearance = self.outer_radius - self.inner_radius

@@ -5,15 +5,15 @@ force times coefficient times v/|v|. Under a steady side load at rest such a con
 """
 
 from abc import abstractmethod
-from typing import Any
 
 import jax.numpy as jnp
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import smooth_sign, smooth_step
-from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.friction.base import AbstractForceFriction, mu_kinetic_field, mu_static_field
 from jaxclear.laws.friction.coulomb import Coulomb
+from jaxclear.laws.law import check_increasing
 
 
 class AbstractSlipFriction(AbstractForceFriction):
@@ -38,18 +38,6 @@ class AbstractSlipFriction(AbstractForceFriction):
 
     def bristles_after(self, normal_force, bristles, slip, slip_speed, step, bias):
         return ()
-
-
-def check_increasing(law: Any, slower: str, faster: str) -> None:
-    """Raises `ValueError` unless one speed of a law is below another; numbers that are being traced
-    pass.
-    """
-    low, high = concrete(getattr(law, slower)), concrete(getattr(law, faster))
-    if low is not None and high is not None and low >= high:
-        raise ValueError(
-            f"friction.{type(law).__name__} has {slower} = {low:g} m/s and {faster} = {high:g} "
-            "m/s; the first must be below the second."
-        )
 
 
 def stribeck_level(
