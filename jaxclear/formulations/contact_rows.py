@@ -177,7 +177,7 @@ def contact_points(
         )
         start = 0
         for laws, gap_function in zip(bearing.contact_laws, gap_functions, strict=True):
-            end = start + 1 + len(gap_function.touch.tangents)
+            end = start + 1 + len(gap_function.candidate.tangents)
             active = 1 if laws.friction is None else end - start
             own = slice(start, end)
             points.append(

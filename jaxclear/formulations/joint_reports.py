@@ -100,6 +100,6 @@ def reports_of_means(instant: Instant) -> dict[str, JointReport]:
     """Reports at a saved instant whose state holds the impulses of every contact: normal, then one
     for each slip direction where it rubs (`state.contact_components`)."""
     poses, contacts = contact_points(instant.model, instant.motions)
-    counts = [component_count(c.laws, c.gap_function.touch) for c in contacts]
+    counts = [component_count(c.laws, c.gap_function.candidate) for c in contacts]
     forces = split(instant.means, counts)
     return rigid_reports(instant.model.system, poses, contacts, forces)

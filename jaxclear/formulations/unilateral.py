@@ -116,7 +116,7 @@ def _slip_directions(point: ContactPoint) -> list[tuple]:
     count = len(point.rows) - 1
     if count < 3:
         return [tuple(int(i == k) for i in range(count)) for k in range(count) if point.rows[1 + k]]
-    normal = tuple(jnp.asarray(x, float) for x in point.gap_function.touch.normal)
+    normal = tuple(jnp.asarray(x, float) for x in point.gap_function.candidate.normal)
     steep = jnp.abs(normal[0]) > 0.7
     aside = (jnp.where(steep, 0.0, 1.0), jnp.where(steep, 1.0, 0.0), 0)
     first = sp.cross(normal, aside)

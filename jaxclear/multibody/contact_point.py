@@ -3,7 +3,7 @@ and lost material.
 
 Normal forces act along the gradient of the indentation with respect to the relative displacement,
 so normal power is exactly -F_n d(delta)/dt, worn and tilted surfaces included. Friction acts at the
-point of touch, against the relative velocity of the two material points there.
+point of contact, against the relative velocity of the two material points there.
 """
 
 from typing import Any, NamedTuple
@@ -32,7 +32,7 @@ class PointState(NamedTuple):
 
 
 class PointReport(NamedTuple):
-    """One possible contact at an instant, SI units; slip and traction along the touch's sliding
+    """One possible contact at an instant, SI units; slip and traction along its sliding
     directions.
     """
 
@@ -59,12 +59,12 @@ class JointReport(NamedTuple):
     points: tuple[PointReport, ...]
 
 
-def memory_template(laws: ContactLaws, touch: ContactCandidate) -> PointState:
+def memory_template(laws: ContactLaws, candidate: ContactCandidate) -> PointState:
     """Initial memory of a contact: nothing remembered, straight bristles; `None` and () where a law
     has no memory.
     """
     law = laws.friction
-    bristles = () if law is None else (0.0,) * (law.bristles * len(touch.tangents))
+    bristles = () if law is None else (0.0,) * (law.bristles * len(candidate.tangents))
     return PointState(0.0 if laws.contact.remembers_impact_speed else None, bristles)
 
 
@@ -75,8 +75,8 @@ class GapFunction(NamedTuple):
 
     indentation: Any
     slope: sp.Vec
-    turns: tuple[sp.Vec, ...]
-    touch: ContactCandidate
+    axis_slopes: tuple[sp.Vec, ...]
+    candidate: ContactCandidate
 
 
 class Response(NamedTuple):
@@ -136,12 +136,12 @@ def contact_speeds(
     """(rate of the indentation, components of slip) for a relative velocity and spin: linear in
     both, so it also gives the rows of the contact's Jacobian from the twists of unit speeds."""
     rate = sp.dot(contact.slope, velocity)
-    for axis, turn in zip(_axes(joint, pose), contact.turns, strict=True):
+    for axis, turn in zip(_axes(joint, pose), contact.axis_slopes, strict=True):
         rate = sp.add(rate, sp.dot(turn, sp.cross(spin, axis)))
-    # Velocity of the journal's material point at the touch, seen from the bearing.
-    arm = sp.minus(contact.touch.place, pose.translation)
-    across = contact.touch.tangential(sp.plus(velocity, sp.cross(spin, arm)))
-    return rate, tuple(sp.dot(across, tangent) for tangent in contact.touch.tangents)
+    # Velocity of the journal's material point in contact, seen from the bearing.
+    arm = sp.minus(contact.candidate.place, pose.translation)
+    across = contact.candidate.tangential(sp.plus(velocity, sp.cross(spin, arm)))
+    return rate, tuple(sp.dot(across, tangent) for tangent in contact.candidate.tangents)
 
 
 def slip_speed(slip: tuple) -> Any:
@@ -162,25 +162,27 @@ def assemble(
     force, torque, powers, reports = sp.ZERO, sp.ZERO, [], []
     each = zip(contact_laws, gap_functions, speeds, responses, strict=True)
     for laws, contact, (rate, slip), response in each:
-        normal, touch = response.normal, contact.touch
+        normal, candidate = response.normal, contact.candidate
         traction = sp.ZERO
         # Without friction there are no tractions.
-        for size, tangent in zip(response.tractions, touch.tangents, strict=False):
+        for size, tangent in zip(response.tractions, candidate.tangents, strict=False):
             traction = sp.plus(traction, sp.scale(size, tangent))
         if response.memory_rates.bristles:
-            traction = touch.tangential(traction)
+            traction = candidate.tangential(traction)
         force = sp.plus(force, sp.scale(-normal, contact.slope), traction)
         torques = []
-        for axis, turn in zip(axes, contact.turns, strict=True):
+        for axis, turn in zip(axes, contact.axis_slopes, strict=True):
             torques.append(sp.scale(-normal, sp.cross(axis, turn)))
-        arm = sp.minus(touch.place, offset)
+        arm = sp.minus(candidate.place, offset)
         torque = sp.plus(torque, *torques, sp.cross(arm, traction))
         elastic = laws.contact.elastic_force(contact.indentation)
         drag = 0.0 if laws.friction is None else safe_sqrt(sp.dot(traction, traction))
         loss = sp.neg(sp.dot(response.tractions, slip)) if response.tractions else 0
         powers.append((normal * rate, (normal - elastic) * rate, loss))
         reports.append(
-            PointReport(contact.indentation, rate, normal, response.slip_speed, drag, touch.place)
+            PointReport(
+                contact.indentation, rate, normal, response.slip_speed, drag, candidate.place
+            )
         )
     indentations = tuple(contact.indentation for contact in gap_functions)
     wear_rates = _wear_rates(joint, contact_laws, offset, axes, indentations, reports)

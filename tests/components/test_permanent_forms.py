@@ -1,0 +1,94 @@
+"""What clearance joints become while they always touch, and the sentences of those that have no such
+form.
+"""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.formulations.permanent_joints import permanent_joint
+from jaxclear.ground import sparse as sp
+
+RIGID = jc.contact.Rigid()
+COULOMB = jc.friction.Coulomb(mu_kinetic=0.2)
+JOINTS = {
+    "planar": jc.clearance.PlanarJournalBearing(RIGID, COULOMB),
+    "spatial": jc.clearance.JournalBearing(RIGID, COULOMB),
+    "guide": jc.clearance.SliderGuide(RIGID, COULOMB),
+}
+
+
+class Wall(jc.clearance.AbstractClearance):
+    """A point before a plane: nothing keeps it there."""
+
+    ideal_rows: ClassVar = ("x",)
+    contact: Any = RIGID
+
+    @property
+    def axes(self):
+        return ()
+
+    def contact_laws(self):
+        shape = jc.stiffness.Shape(1e-2, 1.0, None)
+        return (jc.clearance.ContactLaws(self.contact, None, shape, False),)
+
+    def indentations(self, offset, axes, worn):
+        return (offset[0],)
+
+    def contact_candidates(self, offset, axes, indentations):
+        return (jc.clearance.ContactCandidate(offset, (1, 0, 0), ()),)
+
+
+WEARING = jc.Wearing(jc.wear.Archard())
+REFUSED = {
+    "wears": (
+        jc.clearance.PlanarJournalBearing(RIGID, bearing_wear=WEARING),
+        'joint "B" wears, which integrator.NonColliding does not follow',
+    ),
+    "ball with friction": (
+        jc.clearance.BallSocket(RIGID, COULOMB),
+        'joint "B" is a BallSocket with friction',
+    ),
+    "none of its own": (Wall(), 'joint "B" is a Wall, which has no form in permanent contact'),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_joint_without_a_permanent_form_says_so(case):
+    joint, sentence = REFUSED[case]
+    with pytest.raises(ValueError, match=sentence):
+        permanent_joint("B", joint)
+
+
+def test_surface_of_a_joint_that_does_not_wear_is_refused():
+    assert Wall().maps() == {}
+    with pytest.raises(NotImplementedError, match="a Wall has no wear map for its side"):
+        Wall().features("side", sp.ZERO, (), (), 0)
+
+
+@pytest.mark.parametrize("name", JOINTS)
+@pytest.mark.parametrize("ratio", [0.0, 0.15])
+def test_carried_forces_add_up_to_the_reaction(name, ratio):
+    """Forces of the contacts at their places against force and torque across the free direction;
+    friction is the given share of the carried load."""
+    joint = permanent_joint("B", JOINTS[name])
+    force = tuple(map(jnp.asarray, (3.0, 0.0 if name == "guide" else -4.0, 0.0)))
+    torque = {"planar": (0.0, 0.0, 0.0), "spatial": (0.02, 0.05, 0.0), "guide": (0.0, 0.2, 0.0)}
+    ends = joint.carrying_ends(force, tuple(map(jnp.asarray, torque[name])), ratio)
+    total = np.sum([sp.stack(end.force) for end in ends], 0)
+    # rounding
+    np.testing.assert_allclose(total, sp.stack(force), atol=1e-14)
+    load = float(jc.clearance.carried_load(ends))
+    friction = sum(contact.friction for end in ends for contact in end.contacts)
+    np.testing.assert_allclose(friction, ratio * load, rtol=1e-12, atol=1e-15)
+    moment = np.sum(
+        [np.cross([0, 0, float(end.height)], np.asarray(sp.stack(end.force))) for end in ends], 0
+    )
+    if name == "guide":
+        # friction acts at half the width from the axis, on either side
+        for contact in (c for end in ends for c in end.contacts):
+            moment += np.cross(sp.stack(contact.place), [0, 0, float(contact.friction)])
+    np.testing.assert_allclose(moment[:2], torque[name][:2], atol=1e-14)
