@@ -55,7 +55,7 @@ def mean_force(
     end = depth + averaging.length * rate
     low, high = positive_part(depth), positive_part(end)
     inside = (depth > 0) & (end > 0)
-    share = jnp.where(inside, 1.0, safe_divide(high - low, jnp.where(inside, 1.0, end - depth)))
+    share = jnp.where(inside, 1.0, safe_divide(high - low, end - depth))
     early, late = (
         laws.contact.normal_force(d, rate, memory.impact_speed)
         for d in (low + (high - low) / 3, high)

@@ -2,8 +2,10 @@
 
 Each guards one singularity of the textbook formula by evaluating the formula at a harmless point
 wherever the guard holds ("double where"), because a plain `where` still multiplies the untaken
-branch's infinite derivative by zero. All take and return arrays of one shape, are smooth under
-`vmap`, and define their derivative at the guarded point.
+branch's infinite derivative by zero. In a batch XLA may evaluate an argument twice with different
+rounding, so that the two `where` disagree: what the formula gives at the harmless point then is the
+answer, and must itself be harmless (nearly zero, never 1). All take and return arrays of one shape,
+are smooth under `vmap`, and define their derivative at the guarded point.
 """
 
 import jax
@@ -31,13 +33,13 @@ TINY_SQUARE = 1e-100
 def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """sqrt(max(x, 0)); the derivative at and below zero is 0 instead of infinite."""
     positive = x > TINY_SQUARE
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, TINY_SQUARE)), 0.0)
 
 
 def safe_divide(numerator, denominator):
     """numerator / denominator, and 0 with zero derivative where the denominator is exactly 0."""
     regular = denominator != 0
-    return jnp.where(regular, numerator / jnp.where(regular, denominator, 1.0), 0.0)
+    return jnp.where(regular, numerator / jnp.where(regular, denominator, jnp.inf), 0.0)
 
 
 def power(base: Float[Array, "..."], exponent: Float[Array, "..."] | None) -> Float[Array, "..."]:
@@ -48,7 +50,7 @@ def power(base: Float[Array, "..."], exponent: Float[Array, "..."] | None) -> Fl
     power.
     """
     positive = base > 0
-    inside = jnp.where(positive, base, 1.0)
+    inside = jnp.where(positive, base, TINY_SQUARE)
     raised = inside * jnp.sqrt(inside) if exponent is None else inside**exponent
     return jnp.where(positive, raised, 0.0)
 
