@@ -177,13 +177,19 @@ class Connection(eqx.Module):
         parent: str | Marker,
         child: str | Marker,
         at: Any = None,
-        axis: Any = "z",
+        axis: Any = None,
     ):
         if at is not None and isinstance(parent, Marker):
             raise ValueError(
                 f'a joint on "{parent.body}" gives `at` beside a marker; put the place into '
                 "the marker."
             )
+        if isinstance(parent, Marker) and isinstance(child, Marker) and axis is not None:
+            raise ValueError(
+                f'a joint between markers on "{parent.body}" and "{child.body}" is given an axis '
+                "beside them; put the axis into the markers."
+            )
+        axis = "z" if axis is None else axis
         self.joint = joint
         self.parent = parent if isinstance(parent, Marker) else Marker(parent, at, axis)
         self.child = child if isinstance(child, Marker) else Marker(child, None, axis)

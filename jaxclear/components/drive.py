@@ -88,7 +88,7 @@ class Position(AbstractDrive):
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         def rate(at):
-            return jax.jvp(self.function, (at,), (jnp.ones_like(at),))
+            return jax.jvp(_as_number(self.function), (at,), (jnp.ones_like(at),))
 
         time = jnp.asarray(time, float)
         (position, speed), (_, acceleration) = jax.jvp(rate, (time,), (jnp.ones_like(time),))
@@ -108,13 +108,19 @@ class Speed(AbstractDrive):
     pieces: int = eqx.field(static=True, default=16)
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
+        function = _as_number(self.function)
         nodes, weights = np.polynomial.legendre.leggauss(8)
         edges = np.arange(self.pieces)[:, None]
         shares = ((edges + 0.5 * (nodes + 1.0)) / self.pieces).ravel()
         weights = np.tile(0.5 * weights / self.pieces, self.pieces)
         time = jnp.asarray(time, float)
         travelled = time * jnp.sum(
-            jnp.asarray(weights) * jax.vmap(self.function)(time * jnp.asarray(shares))
+            jnp.asarray(weights) * jax.vmap(function)(time * jnp.asarray(shares))
         )
-        speed, acceleration = jax.jvp(self.function, (time,), (jnp.ones_like(time),))
+        speed, acceleration = jax.jvp(function, (time,), (jnp.ones_like(time),))
         return self.start + travelled, speed, acceleration
+
+
+def _as_number(function: Callable) -> Callable[[Scalar], Scalar]:
+    """The function of time with its value as an array: one that is constant may return 3.0."""
+    return lambda time: jnp.asarray(function(time), float)

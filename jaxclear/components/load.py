@@ -172,7 +172,8 @@ class Torque(AbstractBodyLoad):
         return (self.marker,)
 
     def effect(self, time, motions):
-        value = tuple(_at(self.value, time))
+        value = _at(self.value, time)
+        value = tuple(value) if np.ndim(value) else (value,)
         torque = (0, 0, *value) if len(value) == 1 else sp.vec3(value)
         if self.follows:
             torque = sp.apply(motions[0].pose.rotation, torque)

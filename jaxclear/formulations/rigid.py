@@ -89,7 +89,7 @@ class RigidContact(AbstractFormulation):
         contacts = unilateral_contacts(middle.free_motion.contacts)
         rows = [row for contact in contacts for row in contact.rows]
         delassus = delassus_operator(middle.free_motion, rows)
-        impact = Percussions([], [0] * count, (), 0.0)
+        impact = Percussions([], [0] * count, (0,) * len(delassus.multipliers), 0.0)
         if contacts:
             impact = percussions(middle, contacts, delassus, handed[count:-1], h, settings)
         v = [x + h * k + p for x, k, p in zip(middle.v, delassus.free, impact.changes, strict=True)]

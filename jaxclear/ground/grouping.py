@@ -16,15 +16,20 @@ SMALLEST_GROUP = 4
 
 
 def signature(tree: Any) -> tuple:
-    """Hashable description of a tree: structure, structural integers, and shapes and types of
-    arrays.
+    """Hashable description of a tree: structure, structural integers, functions, and shapes and
+    types of arrays.
     """
     leaves, structure = jax.tree.flatten(tree)
     kinds = tuple(
-        leaf if isinstance(leaf, int) else (jnp.shape(leaf), str(jnp.result_type(leaf)))
+        leaf if _is_structure(leaf) else (jnp.shape(leaf), str(jnp.result_type(leaf)))
         for leaf in leaves
     )
     return structure, kinds
+
+
+def _is_structure(leaf: Any) -> bool:
+    """What stands in a program as it is, and cannot vary within a group."""
+    return isinstance(leaf, int) or callable(leaf)
 
 
 def map_alike(function: Callable, calls: Sequence[tuple], smallest: int = SMALLEST_GROUP) -> list:
@@ -51,7 +56,7 @@ def map_alike(function: Callable, calls: Sequence[tuple], smallest: int = SMALLE
 
 def _mapped(function, calls):
     leaves, structure = jax.tree.flatten(calls[0])
-    varying = [position for position, leaf in enumerate(leaves) if not isinstance(leaf, int)]
+    varying = [position for position, leaf in enumerate(leaves) if not _is_structure(leaf)]
     all_leaves = [jax.tree.leaves(call) for call in calls]
     stacked = [jnp.stack([other[position] for other in all_leaves]) for position in varying]
     template: dict[str, Any] = {}

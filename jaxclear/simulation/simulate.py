@@ -42,8 +42,12 @@ class SimulationError(RuntimeError):
     """
 
     def __init__(self, sentence: str, trajectory: Trajectory):
-        super().__init__(sentence)
+        # Both are the exception's arguments: it crosses to another process as it is.
+        super().__init__(sentence, trajectory)
         self.trajectory = trajectory
+
+    def __str__(self) -> str:
+        return self.args[0]
 
 
 def run(
@@ -190,6 +194,11 @@ def simulate(
     with a sentence for a run that ends early.
     """
     check_duration(duration)
+    if jax.config.jax_disable_jit:
+        raise ValueError(
+            "simulate compiles its loop, and jax.disable_jit is on; look into a law or a joint by "
+            "calling it alone."
+        )
     integrator = Adaptive() if integrator is None else integrator
     times = saving_times(duration, save)
     check_run(mechanism, integrator, times)
@@ -200,6 +209,11 @@ def simulate(
             mechanism, start.coordinates, start.speeds, times, integrator, balance, progress_bar
         )
         trajectory = jax.block_until_ready(trajectory)
+    if throw and isinstance(trajectory.outcome, jax.core.Tracer):
+        raise ValueError(
+            "simulate is being traced (by jax.jit, vmap or a derivative) and cannot raise: give "
+            "throw=False and look at `outcome`, or map jaxclear.Problem.evaluate."
+        )
     if throw and not trajectory.succeeded:
         raise SimulationError(trajectory.result, trajectory)
     return trajectory

@@ -107,6 +107,7 @@ class Problem(eqx.Module):
         known = [(leaf, metadata.get("unit", "1")) for _, leaf, metadata in numbers(mechanism)]
         for name, variable in self.variables.items():
             _check_variable(name, variable, mechanism)
+        _check_apart({name: self._leaves(v) for name, v in self.variables.items()})
         firsts = [self._leaves(variable)[0] for variable in self.variables.values()]
         self.variable_units = tuple(
             next((u for leaf, u in known if leaf is first), "1") for first in firsts
@@ -156,6 +157,19 @@ class Problem(eqx.Module):
 
 def _leaves_of(variable: Variable) -> Callable[[Mechanism], list]:
     return lambda mechanism: jax.tree.leaves(variable.where(mechanism))
+
+
+def _check_apart(leaves: dict[str, list]) -> None:
+    """Each number of the mechanism may vary by one variable only."""
+    taken: dict[int, str] = {}
+    for name, own in leaves.items():
+        for leaf in own:
+            other = taken.setdefault(id(leaf), name)
+            if other != name:
+                raise ValueError(
+                    f'variables "{other}" and "{name}" point at the same number of the mechanism; '
+                    "only one of them can set it."
+                )
 
 
 def _check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:

@@ -57,3 +57,33 @@ def test_prescribed_speed_integrates_to_its_position():
         closed = (np.exp(-time) * (2 * np.sin(2 * time) - np.cos(2 * time)) + 1) / 5
         # Gauss-Legendre of order 16 on an analytic function
         np.testing.assert_allclose(drive.motion(time)[0], 0.3 + closed, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("drive", "angle"),
+    [
+        (jc.drive.Position(lambda t: 0.5), 0.5),
+        (jc.drive.Position(lambda t: 2.0 * t), 0.02),
+        (jc.drive.Speed(lambda t: 3.0), 0.03),
+        (jc.drive.Speed(jnp.sin), 1 - np.cos(0.01)),
+    ],
+    ids=["constant place", "place", "constant speed", "speed"],
+)
+def test_functions_of_time_drive_a_mechanism(drive, angle):
+    crank = jc.Mechanism(
+        {"crank": jc.Body(mass=1.0, inertia=1e-2, com=(1.0, 0.0))},
+        {"O": jc.Connection(jc.joint.Revolute(drive=drive), "ground", "crank")},
+    )
+    end = jc.simulate(crank, 0.01, save=3).body("crank").com[-1]
+    np.testing.assert_allclose(end, (np.cos(angle), np.sin(angle), 0.0), atol=1e-12)
+
+
+def test_a_torque_may_be_a_function_that_returns_a_number():
+    inertia, torque = 0.5, 2.0
+    wheel = jc.Mechanism(
+        {"wheel": jc.Body(mass=1.0, inertia=inertia)},
+        {"O": jc.Connection(jc.joint.Revolute(), "ground", "wheel")},
+        {"motor": jc.load.Torque(jc.Marker("wheel"), lambda t: torque)},
+    )
+    turned = jc.simulate(wheel, 0.1, save=3).coordinate("O")[-1, 0]
+    np.testing.assert_allclose(turned, 0.5 * torque / inertia * 0.1**2, rtol=1e-9)
