@@ -173,7 +173,7 @@ class Torque(AbstractBodyLoad):
 
     def effect(self, time, motions):
         value = _at(self.value, time)
-        value = tuple(value) if np.ndim(value) else (value,)
+        value = tuple(value) if isinstance(value, tuple) or np.ndim(value) else (value,)
         torque = (0, 0, *value) if len(value) == 1 else sp.vec3(value)
         if self.follows:
             torque = sp.apply(motions[0].pose.rotation, torque)
