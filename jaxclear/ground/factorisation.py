@@ -1,9 +1,12 @@
-"""Small symmetric positive definite systems, written out where that is faster than a library call.
+"""Small linear systems, written out: the one place where a kernel of machine code factorises.
 
-A call to LAPACK costs more than the whole arithmetic of a 4 x 4 system inside a compiled loop, and
-hides structural zeros; beyond `LARGEST_WRITTEN_OUT` unknowns (three free bodies) LAPACK's Cholesky
-factorisation takes over, for which kernels of machine code have no rule: an implicit step of a
-floating mechanism is then several hundred times slower.
+Symmetric positive definite matrices (masses, Schur complements, Delassus matrices): L D L^T without
+roots or pivots, on sparse scalars, so that structural zeros cost nothing. A call to LAPACK costs
+more than the whole arithmetic of a 4 x 4 system inside a compiled loop, and hides these zeros;
+beyond `LARGEST_WRITTEN_OUT` unknowns (three free bodies) its Cholesky factorisation takes over, for
+which kernels have no rule: an implicit step of a floating mechanism is then several hundred times
+slower. Matrices without symmetry (the generalised Jacobian of contacts that slide) cannot do
+without pivots: `eliminate`. Source: Golub & Van Loan 2013, Matrix Computations, sections 3.4, 4.1.
 """
 
 from collections.abc import Sequence
@@ -14,13 +17,17 @@ import jax.scipy.linalg as jsl
 
 from jaxclear.ground import sparse as sp
 
+__all__ = ["LARGEST_WRITTEN_OUT", "Rows", "eliminate", "factor", "solve", "to_array"]
+
 LARGEST_WRITTEN_OUT = 18
 
 Rows = Sequence[Sequence[Any]]
 
 
 def factor(matrix: Rows) -> Any:
-    """L D L^T of a symmetric positive definite matrix given as rows of sparse scalars."""
+    """L D L^T of a symmetric positive definite matrix M [any unit] given as rows of sparse scalars:
+    the lower triangle L and the inverse pivots 1 / D_i, which `solve` takes.
+    """
     n = len(matrix)
     if n > LARGEST_WRITTEN_OUT:
         return jsl.cho_factor(
@@ -44,7 +51,7 @@ def factor(matrix: Rows) -> Any:
 
 
 def solve(factored: Any, right: tuple) -> tuple:
-    """x of M x = right, for a factored M."""
+    """x of M x = right, for what `factor` makes of M."""
     lower, inverse_pivots = factored
     if not isinstance(lower, list):
         solution = jsl.cho_solve(factored, sp.stack(right))
@@ -62,7 +69,7 @@ def solve(factored: Any, right: tuple) -> tuple:
 
 
 def eliminate(equations: list[Any]) -> list[Any]:
-    """Solution of a system of equations [rows with their right-hand sides at the end] by Gauss's
+    """Solution of a system of equations, rows with their right-hand sides at the end, by Gauss's
     elimination with partial pivoting.
 
     For matrices that are not symmetric, as those of contacts that slide. A pivot costs a select for

@@ -17,6 +17,18 @@ import jax.numpy as jnp
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import rotation_from_quaternion
 
+__all__ = [
+    "SERIES_SQUARE",
+    "SERIES_TERMS",
+    "displaced",
+    "half_turn",
+    "lag",
+    "planar_bracket",
+    "slid",
+    "turned",
+    "twist_bracket",
+]
+
 # Squared angle [rad^2] below which series are summed. There the closed forms have lost a factor 24
 # to cancellation at most, and SERIES_TERMS leave less than 1e-17.
 SERIES_SQUARE = 0.25

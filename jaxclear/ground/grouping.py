@@ -11,6 +11,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+__all__ = ["SMALLEST_GROUP", "map_alike", "signature"]
+
 # From this many alike pieces on, one mapped trace beats repeated ones in compile time.
 SMALLEST_GROUP = 4
 

@@ -3,6 +3,8 @@ reads them."""
 
 import enum
 
+__all__ = ["AbstractOutcome"]
+
 
 class AbstractOutcome(enum.IntEnum):
     """A family of outcomes: each member is a number, which compiled programs compare, and has a

@@ -13,6 +13,35 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+__all__ = [
+    "IDENTITY",
+    "ZERO",
+    "Mat",
+    "Vec",
+    "add",
+    "apply",
+    "apply_transposed",
+    "congruence",
+    "cross",
+    "dense",
+    "dot",
+    "is_zero",
+    "minus",
+    "mul",
+    "neg",
+    "outer",
+    "plus",
+    "plus_matrix",
+    "product",
+    "scale",
+    "shift_inertia",
+    "stack",
+    "sub",
+    "total",
+    "transpose",
+    "vec3",
+]
+
 # Of three each: a type checker does not count what a loop builds.
 Vec = tuple[Any, ...]
 Mat = tuple[Vec, ...]

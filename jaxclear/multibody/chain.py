@@ -21,8 +21,8 @@ AXIS_HELD, AXES_HELD, ACROSS_HELD = {"x.z", "y.z"}, {"x.z", "y.z", "x.y"}, {"x.z
 
 
 class ChainJoint(eqx.Module):
-    """One connection of a chain, with its markers in their bodies' frames. `forward`: met from its
-    parent's side; `ideal`: cannot deviate; `permanent`: moves as an ideal joint and deviates as its
+    """One connection of a chain; `parent` and `child` are its markers in their bodies' frames, T
+    [1, m]. `forward`: met from its parent's side; `ideal`: cannot deviate; `permanent`: moves as an ideal joint and deviates as its
     reaction says."""
 
     name: str = eqx.field(static=True)
@@ -40,7 +40,7 @@ class ChainJoint(eqx.Module):
 
 
 class Chain(eqx.Module):
-    """The connections from a base to the tip, a marker on the last body."""
+    """The connections from a base to the `tip`, a marker on the last body, T [1, m]."""
 
     joints: tuple[ChainJoint, ...]
     tip: Transform

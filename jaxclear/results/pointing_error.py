@@ -11,6 +11,8 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.components.body import GROUND, Marker
+from jaxclear.multibody.chain import Chain
+from jaxclear.multibody.product_of_exponentials import TipError
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
@@ -164,35 +166,12 @@ def pointing_error(
     differences of motion too. Raises `ValueError` with a sentence for a tip, base or chain that is
     not there.
     """
-    for run in (trajectory, *([] if nominal is None else [nominal])):
-        if not isinstance(run, Trajectory):
-            raise ValueError(
-                f"pointing_error is given a {type(run).__name__}; it takes a run, as "
-                "jaxclear.simulate returns it."
-            )
-    if nominal is not None and MOTION in trajectory.mechanism.connections:
-        raise ValueError(
-            f'joint "{MOTION}" bears the name of the contribution of differing coordinates; '
-            "rename it."
-        )
-    links, setting, errors = tip_errors(
+    _check(trajectory, nominal)
+    links, configuration, errors = tip_errors(
         trajectory, checked_tip(tip), base, checked_through(through), nominal
     )
-    contributions = {
-        name: np.asarray(twist)
-        for name, joint, twist in zip(links.names, links.joints, errors.deviations, strict=True)
-        if not joint.ideal
-    }
-    if nominal is not None:
-        # A nominal joint with clearance where this run has an ideal one: its deviation is missing
-        # here and counts as motion.
-        missing = [
-            t
-            for t, joint in zip(errors.deviations, links.joints, strict=True)
-            if joint.ideal and t is not None
-        ]
-        contributions[MOTION] = np.sum(np.asarray([*errors.motions, *missing]), axis=0)
-    deviations = zip(links.names, setting.deviations, strict=True)
+    contributions = _contributions(links, errors, nominal is not None)
+    deviations = zip(links.names, configuration.deviations, strict=True)
     return PointingError(
         np.asarray(trajectory.time),
         np.asarray(errors.exact),
@@ -205,3 +184,32 @@ def pointing_error(
         checked_tip(tip).body,
         base,
     )
+
+
+def _check(trajectory: Trajectory, nominal: Trajectory | None) -> None:
+    for run in (trajectory, *([] if nominal is None else [nominal])):
+        if not isinstance(run, Trajectory):
+            raise ValueError(
+                f"pointing_error is given a {type(run).__name__}; it takes a run, as "
+                "jaxclear.simulate returns it."
+            )
+    if nominal is not None and MOTION in trajectory.mechanism.connections:
+        raise ValueError(
+            f'joint "{MOTION}" bears the name of the contribution of differing coordinates; '
+            "rename it."
+        )
+
+
+def _contributions(links: Chain, errors: TipError, with_motion: bool) -> dict[str, np.ndarray]:
+    """Twists of the tip by joint, and what the joints' motions give beside them."""
+    found, missing = {}, []
+    for joint, twist in zip(links.joints, errors.deviations, strict=True):
+        if not joint.ideal:
+            found[joint.name] = np.asarray(twist)
+        elif twist is not None:
+            # A nominal joint with clearance where this run has an ideal one: its deviation is
+            # missing here and counts as motion.
+            missing.append(np.asarray(twist))
+    if with_motion:
+        found[MOTION] = np.sum(np.asarray([*errors.motions, *missing]), axis=0)
+    return found

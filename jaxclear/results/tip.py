@@ -1,8 +1,8 @@
 """Error of a tip over the saving times of a run: a marker's pose against that of the same chain
 with ideal joints.
 
-The arithmetic of one instant is `multibody.product_of_exponentials`; here it is mapped over a run, against itself or
-against another run.
+The arithmetic of one instant is `multibody.product_of_exponentials`; here it is mapped over a run,
+against itself or against another run.
 """
 
 from typing import Any
