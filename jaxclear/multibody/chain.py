@@ -139,7 +139,8 @@ def _joint(mechanism: Mechanism, name: str, forward: bool) -> ChainJoint:
     if not ideal and held not in (set(), AXIS_HELD, AXES_HELD, ACROSS_HELD):
         raise ValueError(
             f'joint "{name}" becomes an ideal joint with the rows {", ".join(rows)}; of rotations, '
-            "a chain knows joints that hold none, x.z, x.z with y.z, or all three."
+            "a chain knows joints that hold none, x.z, x.z "
+            "with y.z, or all three."
         )
     markers = (from_pose(connection.parent.pose()), from_pose(connection.child.pose()))
     return ChainJoint(

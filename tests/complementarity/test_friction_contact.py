@@ -24,6 +24,7 @@ from jaxclear.complementarity import (
     Lemke,
     Outcome,
     ProjectedGaussSeidel,
+    projected_gauss_seidel,
 )
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "refdata" / "complementarity.json").read_text())
@@ -197,43 +198,42 @@ def test_planar_friction_by_sweeps_and_by_pivoting(seed):
         np.testing.assert_allclose(one[0], other[0], atol=1e-11)
 
 
-def test_without_tangents_pivoting_finds_the_same():
-    """Contacts of unlike sizes: (1) and (1, 2, 2) directions, beside the LCP of each."""
+def test_contacts_of_unlike_sizes_and_pivoting_find_the_same():
+    """One contact without friction and one with, beside the LCP of both."""
     rng = np.random.default_rng(0)
-    half = rng.normal(size=(5, 5))
-    matrix, offset = half @ half.T + np.eye(5), rng.normal(size=5)
-    found = SWEEPS.solve(FrictionContact(matrix, offset, np.zeros(5)))
-    assert found.solved
-    np.testing.assert_allclose(found.z, Lemke().solve(LCP(matrix, offset)).z, atol=1e-11)
-    ragged = FrictionContact(matrix, offset, np.full(3, 0.1), (1, 2, 2))
-    one, other = SWEEPS.solve(ragged), Lemke().solve(ragged)
-    assert one.solved and other.solved
-    np.testing.assert_allclose(one.z, other.z, atol=1e-11)
-    np.testing.assert_allclose(one.w, other.w, atol=1e-11)
+    half = rng.normal(size=(3, 3))
+    matrix, offset = half @ half.T + np.eye(3), rng.normal(size=3)
+    for more in (((np.zeros(3)),), (np.full(2, 0.1), (1, 2))):
+        problem = FrictionContact(matrix, offset, *more)
+        one, other = SWEEPS.solve(problem), Lemke().solve(problem)
+        assert one.solved and other.solved
+        np.testing.assert_allclose(one.z, other.z, atol=1e-11)
+        np.testing.assert_allclose(one.w, other.w, atol=1e-11)
 
 
-def test_a_step_finds_what_solve_finds():
-    """Written-out elimination up to 24 unknowns, sweeps alone beyond."""
+@pytest.mark.parametrize("eliminated", [24, 0])
+def test_a_step_finds_what_solve_finds(monkeypatch, eliminated):
+    """With the written-out elimination, and by sweeps alone, as beyond so many unknowns."""
+    monkeypatch.setattr(projected_gauss_seidel, "LARGEST_ELIMINATED", eliminated)
     rng = np.random.default_rng(6)
-    for c in (2, 13):
-        half = rng.normal(size=(2 * c, 2 * c))
-        matrix, offset = half @ half.T / (2 * c) + np.eye(2 * c), rng.normal(size=2 * c)
-        problem = FrictionContact(matrix, offset, np.full(c, 0.3))
-        found, step = SWEEPS.solve(problem), eqx.filter_jit(SWEEPS.iterate)(problem)
-        again = SWEEPS.iterate(problem, found.z)
-        assert found.solved and step.residual < 1e-12
-        r, v = np.asarray([found.z, found.w]).reshape(2, c, 2)
-        assert_coulomb((matrix, offset, problem.mu), r, v)
-        np.testing.assert_allclose(step.z, found.z, atol=1e-11)
-        # a good start ends at once
-        assert int(step.sweeps) > 0 and int(again.sweeps) == 0
-        np.testing.assert_allclose(again.z, found.z, rtol=1e-14)
+    half, offset = rng.normal(size=(4, 4)), rng.normal(size=4)
+    problem = FrictionContact(half @ half.T / 4 + np.eye(4), offset, np.full(2, 0.3))
+    found = solve_all([(jnp.stack(problem.delassus), offset, problem.mu)], 2)[0]
+    iterate = eqx.filter_jit(lambda start: SWEEPS.iterate(problem, start))
+    step = iterate(jnp.zeros(4))
+    again = iterate(step.z)
+    assert found[2] == Outcome.SOLVED and step.residual < 1e-12
+    np.testing.assert_allclose(step.z, found[0].ravel(), atol=1e-11)
+    # a good start ends at once
+    assert int(step.sweeps) > 0 and int(again.sweeps) == 0
+    np.testing.assert_allclose(again.z, step.z, rtol=1e-14)
 
 
 def test_a_contact_that_may_not_act_does_nothing():
     """The others are solved as if it were not there, whatever its own numbers."""
     rng = np.random.default_rng(2)
-    matrix, offset, mu = random_contacts(rng, 2)
+    half = rng.normal(size=(2, 2))
+    matrix, offset, mu = half @ half.T, half @ [-1.0, 0.5], np.full(1, 0.3)
     whole = np.block(
         [[1e6 * np.eye(2), np.ones((2, len(offset)))], [np.ones((len(offset), 2)), matrix]]
     )
