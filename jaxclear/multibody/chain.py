@@ -22,8 +22,9 @@ AXIS_HELD, AXES_HELD, ACROSS_HELD = {"x.z", "y.z"}, {"x.z", "y.z", "x.y"}, {"x.z
 
 class ChainJoint(eqx.Module):
     """One connection of a chain; `parent` and `child` are its markers in their bodies' frames, T
-    [1, m]. `forward`: met from its parent's side; `ideal`: cannot deviate; `permanent`: moves as an ideal joint and deviates as its
-    reaction says."""
+    [1, m]. `forward`: met from its parent's side; `ideal`: cannot deviate; `permanent`: moves as an
+    ideal joint and deviates as its reaction says.
+    """
 
     name: str = eqx.field(static=True)
     forward: bool = eqx.field(static=True)
