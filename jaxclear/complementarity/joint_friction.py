@@ -36,10 +36,10 @@ class JointFriction(AbstractProblem):
     """
 
     delassus: Sequence[Any]
-    free_velocity: Sequence[Any]
+    free_velocity: Any
     ratios: tuple[tuple[Any, Any] | None, ...]
     carried: Callable[[int, Array, Any], Sequence[sp.Vec]]
-    softest: Sequence[Any]
+    softest: Any
 
     def load(self, k: int, friction: Float[Array, " k"], ratio: Any) -> Any:
         """N_k [N], of which friction is a share."""

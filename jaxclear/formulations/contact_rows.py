@@ -6,6 +6,7 @@ indentation and one for each sliding direction of every contact. $M$, $f$ and $J
 step; the forces (or percussions) $p$ along the rows are what a formulation seeks.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -94,7 +95,7 @@ class MiddleOfStep(NamedTuple):
         return drift(model.system, self.q, middle, mean, h)
 
 
-def split(values: Any, counts: list[int]) -> list[tuple]:
+def split(values: Any, counts: Sequence[int]) -> list[tuple]:
     """The parts of a list, one after the other."""
     out, start = [], 0
     for count in counts:
@@ -126,13 +127,13 @@ def free_motion(model: Model, time: Any, q: tuple, v: tuple) -> FreeMotion:
     motions = kinematics.link_motions(system, q, v, time)
     poses, contacts = contact_points(model, motions)
     forces = applied_forces(system, motions, {}, q, v, time)
-    masses, right = dynamics.equations_of_motion(system, forces)
+    masses, by_subtree = dynamics.equations_of_motion(system, forces)
     rows, wanted = (
         constraints.acceleration_equations(system, motions, model.stabilisation)
         if system.closures
         else ([], [])
     )
-    right = tuple(force for subtree in right for force in subtree)
+    right = tuple(force for subtree in by_subtree for force in subtree)
     return FreeMotion(forces, masses, right, rows, wanted, poses, contacts)
 
 

@@ -52,7 +52,7 @@ def fit(mechanism: Mechanism) -> Mechanism:
     )
 
 
-def _carried_over(mechanism: Mechanism, branches: list[Branch]) -> dict[str, tuple[tuple, tuple]]:
+def _carried_over(mechanism: Mechanism, branches: list[Branch]) -> dict[str, tuple[tuple, ...]]:
     """Coordinates and speeds, by connection, of what were clearance joints, from the mechanism's
     concentric start.
     """
@@ -61,15 +61,15 @@ def _carried_over(mechanism: Mechanism, branches: list[Branch]) -> dict[str, tup
     motions = kinematics.link_motions(
         system, *unpack_motion(system, [*found.coordinates, *found.speeds]), 0.0
     )
-    out: dict[str, tuple[tuple, tuple]] = {}
+    out: dict[str, tuple[tuple, ...]] = {}
     for branch in branches:
-        bearing = system.bearings[branch.connection]
+        bearing = system.bearings[branch.name]
         relative = kinematics.relative_motion(bearing.closure, motions)[2]
-        joint = permanent_joint(branch.connection, bearing.joint)
+        joint = permanent_joint(branch.name, bearing.joint)
         if branch.reversed:
             relative = reverse(relative, joint.reversal)
         parts = (joint.coordinates_at(relative.pose), joint.speeds_at(*relative))
-        out[branch.connection] = tuple(tuple(jnp.asarray(x, float) for x in p) for p in parts)
+        out[branch.name] = tuple(tuple(jnp.asarray(x, float) for x in p) for p in parts)
     return out
 
 

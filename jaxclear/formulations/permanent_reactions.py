@@ -27,8 +27,8 @@ class PermanentJoint(NamedTuple):
     """
 
     name: str
-    joint: AbstractPermanentJoint
-    link: int | None
+    joint: Any  # an AbstractPermanentJoint
+    link: Any  # a whole number, or None
     loop: int | None
 
 
@@ -46,7 +46,7 @@ def touching(system: System) -> tuple[PermanentJoint, ...]:
     """Joints that always touch: those of the tree in its order, then those that close loops."""
     branches, loops = system.topology.branches, system.topology.loops
     found = [
-        PermanentJoint(branch.connection, system.links[i].joint, i, None)
+        PermanentJoint(branch.name, system.links[i].joint, i, None)
         for i, branch in enumerate(branches)
     ]
     found += [PermanentJoint(name, system.closing[i], None, i) for i, name in enumerate(loops)]
