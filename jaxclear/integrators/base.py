@@ -45,14 +45,18 @@ class Advance(NamedTuple):
 class AbstractIntegrator(AbstractQuantified):
     """Carries a state over an interval.
 
-    `formulation`: how contact enters the equations. `pathwise`: whether forward-mode derivatives
+    `pathwise`: whether forward-mode derivatives
     through its steps are those of the discrete run. `projects`: whether loops can be closed anew
     after its steps.
     """
 
     pathwise: eqx.AbstractClassVar[bool]
     projects: eqx.AbstractClassVar[bool]
-    formulation: eqx.AbstractVar[AbstractFormulation]
+
+    @property
+    @abstractmethod
+    def formulation(self) -> AbstractFormulation:
+        """How contact enters the equations."""
 
     @abstractmethod
     def first_warm_start(self, model: Model, start: Scalar, state: State) -> Any:

@@ -56,7 +56,8 @@ def equations_of_motion(system: System, forces: Forces) -> tuple[list, list]:
 def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | None) -> Solution:
     """Free accelerations under the forces, with the loops closed."""
     masses, right = equations_of_motion(system, forces)
-    rows, gamma = [], []
+    rows: list[Any] = []
+    gamma: list[Any] = []
     if system.closures:
         with jax.named_scope("constraints"):
             rows, gamma = constraints.acceleration_equations(system, forces.motions, stabilisation)

@@ -28,8 +28,8 @@ class KelvinVoigt(AbstractContactLaw):
     onset_depth: Scalar = quantity(
         1e-7, "m", "indentation at which the damper acts in full", above=0
     )
-    restitution: ClassVar[None] = None  # type: ignore[misc]
-    memory_time: ClassVar[None] = None  # type: ignore[misc]
+    restitution: ClassVar[None] = None
+    memory_time: ClassVar[None] = None
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
         damper = self.damping * smooth_step(indentation, 0.0, self.onset_depth) * rate
@@ -59,8 +59,8 @@ class AdamsImpact(AbstractContactLaw):
     full_damping_depth: Scalar = quantity(
         1e-5, "m", "indentation d_max at which damping is largest", above=0
     )
-    restitution: ClassVar[None] = None  # type: ignore[misc]
-    memory_time: ClassVar[None] = None  # type: ignore[misc]
+    restitution: ClassVar[None] = None
+    memory_time: ClassVar[None] = None
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
         damper = smooth_step(indentation, 0.0, self.full_damping_depth, 0.0, self.damping) * rate

@@ -30,13 +30,17 @@ class AbstractNormalLaw(AbstractLaw):
     compliant: eqx.AbstractClassVar[bool]
     """True: the force is a function of the indentation. False: bodies do not overlap."""
 
-    restitution: eqx.AbstractVar[Scalar | None]
-    """Coefficient of restitution [1] that the law is built around, which rigid contact takes from
-    it: 1 without loss, None where it depends on mass and speed."""
+    @property
+    @abstractmethod
+    def restitution(self) -> Scalar | None:
+        """Coefficient of restitution [1] that the law is built around, which rigid contact takes from
+        it: 1 without loss, None where it depends on mass and speed."""
 
-    memory_time: eqx.AbstractVar[Scalar | None]
-    """Time [s] within which the stored impact speed follows the approach speed while open. None:
-    the law remembers nothing, and costs no state."""
+    @property
+    @abstractmethod
+    def memory_time(self) -> Scalar | None:
+        """Time [s] within which the stored impact speed follows the approach speed while open. None:
+        the law remembers nothing, and costs no state."""
 
     @property
     def remembers_impact_speed(self) -> bool:
@@ -78,8 +82,10 @@ class AbstractDissipation(AbstractLaw):
     remembers_impact_speed: eqx.AbstractClassVar[bool]
     """True: the damping depends on the speed of first touch."""
 
-    restitution: eqx.AbstractVar[Scalar | None]
-    """Coefficient of restitution that is prescribed; None where it depends on the speed."""
+    @property
+    @abstractmethod
+    def restitution(self) -> Scalar | None:
+        """Coefficient of restitution that is prescribed; None where it depends on the speed."""
 
     @abstractmethod
     def relative_damping(self, rate: Scalar, impact_speed: Scalar) -> Scalar:

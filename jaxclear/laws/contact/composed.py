@@ -75,13 +75,13 @@ class ContactForce(AbstractContactLaw):
                     return getattr(part, name)
         raise AttributeError(f"a contact law of these parts has no {name}.")
 
-    @property  # type: ignore[misc]
-    def restitution(self) -> Scalar | None:  # type: ignore[override]
+    @property
+    def restitution(self) -> Scalar | None:
         """Coefficient of restitution [1]: what the factor prescribes, 1 without loss."""
         return 1.0 if self.dissipation is None else self.dissipation.restitution
 
-    @property  # type: ignore[misc]
-    def memory_time(self) -> Scalar | None:  # type: ignore[override]
+    @property
+    def memory_time(self) -> Scalar | None:
         """Time constant [s] of the remembered impact speed."""
         return None if self.memory is None else self.memory.memory_time
 

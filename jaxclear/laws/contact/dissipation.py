@@ -200,7 +200,7 @@ class MarhefkaOrin(AbstractDissipation):
     loss_per_speed: Scalar = quantity(
         0.2, "s/m", "a: loss of restitution per impact speed", at_least=0
     )
-    restitution: ClassVar[None] = None  # type: ignore[misc]
+    restitution: ClassVar[None] = None
     remembers_impact_speed: ClassVar[bool] = False
 
     def relative_damping(self, rate: Scalar, impact_speed: Scalar) -> Scalar:

@@ -6,7 +6,7 @@ from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractNormalLaw
 
 
-class Rigid(AbstractNormalLaw):  # type: ignore[misc]
+class Rigid(AbstractNormalLaw):
     """No stiffness, no function of the indentation: for integrator.MoreauJean and NonColliding.
 
     An impact in which one contact closes ends with restitution times the speed before (Newton).
@@ -20,7 +20,7 @@ class Rigid(AbstractNormalLaw):  # type: ignore[misc]
         0.9, "1", "coefficient of restitution c_e, 0 <= c_e <= 1", at_least=0, at_most=1
     )
     compliant: ClassVar[bool] = False
-    memory_time: ClassVar[None] = None  # type: ignore[misc]
+    memory_time: ClassVar[None] = None
 
     def elastic_force(self, indentation: Scalar) -> Scalar:
         """Nothing is stored."""
