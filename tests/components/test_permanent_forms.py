@@ -1,5 +1,5 @@
-"""What clearance joints become while they always touch, and the sentences of those that have no such
-form.
+"""What clearance joints become while they always touch, and the sentences of those that have no
+such form.
 """
 
 from typing import Any, ClassVar
