@@ -73,7 +73,7 @@ def mechanism(scene: str, rung: str) -> jc.Mechanism:
     if scene == "slider-crank":
         return slider_crank()
     if scene == "four-bar":
-        return jc.scenes.four_bar()
+        return jc.scenes.four_bar(wear=rung != "NonColliding")  # which knows no wear yet
     friction = "set_valued" if rung in SET_VALUED else "regularised"
     if scene == "guide":
         return jc.scenes.guide(clearance=1e-5, friction=friction)

@@ -35,16 +35,31 @@ def _arithmetic(writer, equation, a, b):
     def one(x, y):
         if known(x, y):
             if kind == WHOLE and name == "div":
-                return int(x / y)
+                return int(x / y) if y != 0 else -1
+            if kind == WHOLE and name == "rem" and y == 0:
+                return x
             with np.errstate(all="ignore"):
                 return number_of(_ON_NUMBERS[name](np.asarray(x), np.asarray(y)))
         if kind == FLOAT:
             if name == "rem":
                 return writer.library("fmod", x, y)
             return writer.operate(f"{_FLOAT_OPS[name]} contract {{type}} {{0}}, {{1}}", kind, x, y)
+        if name in ("div", "rem") and not (known(y) and y not in (0, -1)):
+            return _guarded_quotient(writer, name, x, y)
         return writer.operate(f"{_WHOLE_OPS[name]} {{type}} {{0}}, {{1}}", kind, x, y)
 
     return each(one, a, b)
+
+
+def _guarded_quotient(writer, name, x, y):
+    """A quotient or remainder of whole numbers where the processor would stop: by 0 it is -1 or x,
+    as JAX has it; by -1 the smallest number has no quotient, so that is a change of sign."""
+    by_zero, by_minus = compare(writer, "eq", WHOLE, y, 0), compare(writer, "eq", WHOLE, y, -1)
+    safe = writer.choose(by_minus, 1, writer.choose(by_zero, 1, y, WHOLE), WHOLE)
+    found = writer.operate(f"{_WHOLE_OPS[name]} {{type}} {{0}}, {{1}}", WHOLE, x, safe)
+    turned = writer.operate("sub {type} {0}, {1}", WHOLE, 0, x) if name == "div" else 0
+    found = writer.choose(by_minus, turned, found, WHOLE)
+    return writer.choose(by_zero, -1 if name == "div" else x, found, WHOLE)
 
 
 @rule("neg")

@@ -57,13 +57,13 @@ def _broadcast(p):
 
 
 # What a primitive does, as it stands or given its parameters.
+ON_FLOATS: dict[str, Callable] = {"div": np.divide, "rem": np.fmod}
 PLAIN: dict[str, Callable] = {
     "add": np.add,
     "add_any": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
     "neg": np.negative,
-    "rem": np.fmod,
     "max": np.maximum,
     "min": np.minimum,
     "abs": np.abs,
@@ -185,8 +185,8 @@ def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
         return PLAIN[name], False
     if name in WITH_PARAMETERS:
         return WITH_PARAMETERS[name](p), False
-    if name == "div" and np.issubdtype(equation.outvars[0].aval.dtype, np.floating):
-        return np.divide, False
+    if name in ON_FLOATS and np.issubdtype(equation.outvars[0].aval.dtype, np.floating):
+        return ON_FLOATS[name], False
     if name == "scan" and not p["reverse"]:
         return _scan(p, evaluator(p["jaxpr"], known)), True
     if name == "while":

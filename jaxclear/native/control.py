@@ -25,6 +25,7 @@ CALLS = (
     "core_call",
     "remat",
     "checkpoint",
+    "remat2",
     "custom_jvp_call",
     "custom_vjp_call",
 )

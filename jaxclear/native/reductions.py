@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.native.arithmetic import compare
-from jaxclear.native.rules import known, rule
+from jaxclear.native.rules import known, number_of, rule
 from jaxclear.native.writer import FLOAT, TRUTH, WHOLE, Unsupported, Writer, kind_of
 
 
@@ -25,6 +25,8 @@ def combine(writer: Writer, name: str, kind: str, x: Any, y: Any) -> Any:
             ("or" if name in ("or", "max") else "and") + " {type} {0}, {1}", kind, x, y
         )
     if name in ("max", "min"):
+        if known(x, y):
+            return number_of(np.maximum(x, y) if name == "max" else np.minimum(x, y))
         first = compare(writer, "gt" if name == "max" else "lt", kind, x, y)
         if kind == FLOAT and isinstance(x, str):
             lost = writer.operate("fcmp uno {type} {0}, {0}", kind, x)

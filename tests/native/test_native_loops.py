@@ -110,22 +110,31 @@ def test_each_rule_gives_what_jax_gives(name, caplog):
     np.testing.assert_allclose(together, wanted, rtol=ROUNDING, atol=ROUNDING)
 
 
-def test_long_scans_are_loops():
-    matrix = np.random.default_rng(0).normal(size=(4, 6, 6)) / 6
+@pytest.mark.parametrize("lanes", [1, 8])
+def test_long_scans_are_loops(lanes, monkeypatch):
+    """Beyond a size the turns of a scan are not written out: its text does not grow with them."""
+    rng = np.random.default_rng(0)
 
-    def step(x):
-        return jax.lax.scan(lambda c, m: (jnp.sin(m @ jnp.sin(m @ c)) + 0.1, None), x, matrix)[0]
+    def loop_over(matrices):
+        def step(x):
+            turn = lambda c, m: (jnp.sin(m @ jnp.sin(m @ c)) + 0.1, None)
+            return jax.lax.scan(turn, x, matrices)[0]
 
-    fast, plain = turns(step, 2)
-    assert 4 * control.size_of(jax.make_jaxpr(step)(jnp.ones(6))) > 0
-    batch = jnp.asarray(np.random.default_rng(1).uniform(-1.0, 1.0, (9, 6)))
-    limit, control.LARGEST_WRITTEN_OUT = control.LARGEST_WRITTEN_OUT, 1
-    try:
-        np.testing.assert_allclose(
-            jax.jit(jax.vmap(fast))(batch), jax.vmap(plain)(batch), rtol=ROUNDING, atol=ROUNDING
-        )
-    finally:
-        control.LARGEST_WRITTEN_OUT = limit
+        return turns(step, 2)
+
+    matrices = rng.normal(size=(4, 3, 3)) / 3
+    written = []
+    text_of = kernel.text_of
+    monkeypatch.setattr(kernel, "text_of", lambda *a: written.append(text_of(*a)) or written[-1])
+    x = jnp.asarray(rng.uniform(-1.0, 1.0, (lanes, 3)))
+    found = []
+    for limit in (control.LARGEST_WRITTEN_OUT, 1):
+        monkeypatch.setattr(control, "LARGEST_WRITTEN_OUT", limit)
+        found.append(jax.jit(jax.vmap(loop_over(matrices)[0]))(x))
+    wanted = jax.vmap(loop_over(matrices)[1])(x)
+    np.testing.assert_allclose(found, [wanted] * 2, rtol=ROUNDING, atol=ROUNDING)
+    sines = [text.count("call") for text in written]
+    assert sines[1] < 0.5 * sines[0]
 
 
 SPECIAL = [
