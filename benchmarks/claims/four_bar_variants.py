@@ -39,11 +39,14 @@ class Variant(NamedTuple):
         return "+".join([self.kind] + ["friction"] * self.friction + ["wear"] * self.wear)
 
 
-VARIANTS = (Variant("ideal", False, False),) + tuple(
-    Variant(kind, friction, wear)
-    for kind in WEAR_FIELDS
-    for friction in (False, True)
-    for wear in (False, True)
+VARIANTS = (
+    Variant("ideal", False, False),
+    *(
+        Variant(kind, friction, wear)
+        for kind in WEAR_FIELDS
+        for friction in (False, True)
+        for wear in (False, True)
+    ),
 )
 FULL = Variant("spatial", True, True)
 
@@ -142,7 +145,7 @@ def start_of(mechanism: jc.Mechanism) -> jax.Array:
 
 def constraint_rows(mechanism: jc.Mechanism) -> int:
     """Rows that close loops, those that the structure satisfies left out."""
-    system, layout, _ = parts(mechanism)
+    system, *_ = parts(mechanism)
     q, v = unpack_motion(system, list(start_of(mechanism)))
     motions = kinematics.link_motions(system, q, v, 0.0)
     return sum(

@@ -245,7 +245,7 @@ def exudyn_run(question: rig.Question, clearance: float, setting: float, solver:
     stepping, adaptive = settings.timeIntegration, solver == "DOPRI5"
     stepping.endTime, stepping.verboseMode = question.duration, 0
     longest = LONGEST_EXUDYN if adaptive else question.interval / setting
-    stepping.numberOfSteps = int(round(question.duration / longest))
+    stepping.numberOfSteps = round(question.duration / longest)
     stepping.explicit.computeEndOfStepAccelerations = False
     # Where a contact closes, steps are halved down to the smallest: that is how this program finds
     # the touch.

@@ -44,9 +44,7 @@ def _cond(writer, equation, which, *arguments):
     branches = equation.params["branches"]
     if len(branches) != 2:
         raise Unsupported("a choice among more than two")
-    results = []
-    for branch in branches:
-        results.append(write_closed(writer, branch, arguments))
+    results = [write_closed(writer, branch, arguments) for branch in branches]
     refuse_memory(*results[0], *results[1])
     kind = kind_of(equation.invars[0].aval.dtype)
     truth = which.item() if kind == TRUTH else compare(writer, "gt", WHOLE, which.item(), 0)

@@ -176,7 +176,7 @@ ad.primitive_jvps[loop_p] = _differentiate
 
 def _native(*values, program, rank):
     """Through the kernel. Raises `Unsupported`."""
-    constants, state = avals_of(program)
+    _, state = avals_of(program)
     batch = values[-1].shape[:rank]
     lanes = kernels.widest() if int(np.prod(batch)) > 1 else 1
     kernel = kernels.build(program, lanes)

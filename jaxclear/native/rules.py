@@ -3,8 +3,8 @@
 A rule says what one of JAX's primitives becomes as LLVM code: `(writer, equation, *inputs)` to the
 outputs, on NumPy object arrays of registers and known numbers. Shapes are NumPy's business
 (reshape, broadcast, transpose move names about and cost nothing); arithmetic writes one instruction
-for each number. The rules stand in `arithmetic`, `elementary`, `shapes`, `reductions`, `indexing` and
-`control`.
+for each number. The rules stand in `arithmetic`, `elementary`, `shapes`, `reductions`, `indexing`
+and `control`.
 """
 
 from collections.abc import Callable

@@ -113,8 +113,10 @@ CASES = {
     "reduce_precision": [(lambda x: lax.reduce_precision(x, 11, 52), (X,))],
     "broadcast_in_dim": [(lambda x: lax.broadcast_in_dim(x, (2, 2, 3), (0, 2)), (SMALL,))],
     "reshape": [(lambda x: x.reshape(3, 2), (SMALL,)), (lambda t: t.reshape(90)[17], (TABLE,))],
-    "squeeze": [(lambda x: lax.squeeze(x, (1,)), (SMALL[:, None],))]
-    + [(lambda t: lax.squeeze(t, (0,))[4], (TABLE[None],))],
+    "squeeze": [
+        (lambda x: lax.squeeze(x, (1,)), (SMALL[:, None],)),
+        (lambda t: lax.squeeze(t, (0,))[4], (TABLE[None],)),
+    ],
     "transpose": [(jnp.transpose, (SMALL,))],
     "rev": [(lambda x: lax.rev(x, (0, 1)), (SMALL,))],
     "slice": [(lambda x: x[:, 0:3:2], (SMALL,)), (lambda t: t[3:9:2, 1:], (TABLE,))],
