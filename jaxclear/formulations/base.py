@@ -61,7 +61,7 @@ class AbstractFormulation(eqx.Module):
 
     @abstractmethod
     def seen(self, mechanism: Mechanism) -> Mechanism:
-        """The mechanism as it is in this formulation (clearance joints taken for ideal ones, say)."""
+        """The mechanism as it is in this formulation (with other joints, say)."""
 
     @abstractmethod
     def impulses(self, system: System) -> tuple[tuple[str, int], ...]:

@@ -21,25 +21,26 @@ from jaxclear.formulations.contact_rows import (
     MiddleOfStep,
     TimeStep,
     by_joint,
-    split,
+)
+from jaxclear.formulations.contacts_over_step import (
+    ContactOverStep,
+    Step,
+    memories_after,
+    passive_rates_over,
 )
 from jaxclear.formulations.delassus import (
     ContactSolution,
-    ImplicitContact,
     LinearLaws,
     implicit_contact,
 )
-from jaxclear.formulations.joint_reports import ActingContact, joint_reports
 from jaxclear.formulations.law_tangent import Averaging
 from jaxclear.formulations.model import Model
-from jaxclear.formulations.state_rate import drift, link_accelerations, passive_rates
+from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
 from jaxclear.ground.numerics import positive_part, safe_divide
-from jaxclear.multibody.contact_point import PointState
-from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.kinematics import along
-from jaxclear.multibody.state import pack_memories, unpack_memories, unpack_motion
+from jaxclear.multibody.state import unpack_memories, unpack_motion
 
 # Weight of the depth of closed contacts against staying put, where coordinates are corrected.
 STIFFNESS = 100.0
@@ -67,32 +68,6 @@ class WarmStart(NamedTuple):
     depths: list
 
 
-class ContactOverStep(NamedTuple):
-    """One contact over a step: the point in its middle, indentation and its rate at the start, the
-    mass that it stops, what its laws remember."""
-
-    point: ContactPoint
-    depth: Any
-    approach: Any
-    mass: Any
-    memory: PointState
-
-
-class Step(NamedTuple):
-    """All that a step starts from."""
-
-    model: Model
-    time_step: TimeStep
-    averaging: Averaging
-    middle: MiddleOfStep
-    contacts: list[ContactOverStep]
-    equations: ImplicitContact
-
-    def per_contact(self, values: Any) -> list[tuple]:
-        """One value per row with a force, as one tuple per contact."""
-        return split(values, [contact.point.active for contact in self.contacts])
-
-
 def step(
     model: Model, time_step: TimeStep, entries: list, last: WarmStart, settings: ImplicitSettings
 ) -> tuple[list, WarmStart]:
@@ -113,8 +88,8 @@ def step(
     q = middle.end(model, mean, h)
     v = [x + h * (k + c) for x, k, c in zip(middle.v, free, caused, strict=True)]
     q, depths = _settle(whole, solution, q, v)
-    after = [*q, *v, *_memories_after(whole, solution)]
-    passive = _passive(whole, solution, mean)
+    after = [*q, *v, *memories_after(whole, solution)]
+    passive = passive_rates_over(whole, solution, mean)
     after += [x + h * rate for x, rate in zip(entries[len(after) :], passive, strict=True)]
     return after, WarmStart(free, caused, depths)
 
@@ -259,74 +234,3 @@ def _depths_worked_for(whole: Step, solution: ContactSolution) -> list:
         low, end = positive_part(contact.depth), contact.depth + whole.averaging.length * rate[0]
         out.append(jnp.where(end > low, low + share * (end - low), end))
     return out
-
-
-def _memories_after(whole: Step, solution: ContactSolution) -> list:
-    """What the laws remember at the end of the step, as entries of the state."""
-    rates, forces = whole.per_contact(solution.rates), whole.per_contact(solution.forces)
-    after = []
-    for contact, rate, force in zip(whole.contacts, rates, forces, strict=True):
-        bristles = law_tangent.bristles_after(
-            contact.point.laws, contact.memory.bristles, whole.averaging, rate, -force[0]
-        )
-        after.append(contact.memory._replace(bristles=bristles))
-    system = whole.model.system
-    memories = dict(zip(system.bearings, by_joint(system, after), strict=True))
-    return pack_memories(whole.model.layout, memories)
-
-
-def _passive(whole: Step, solution: ContactSolution, mean: list) -> list:
-    """Rates of what only follows the motion, with the forces that the step was made with."""
-    model, free_motion = whole.model, whole.middle.free_motion
-    layout, system = model.layout, model.system
-    if not layout.wear and not layout.energies:
-        return []
-    acting = _acting_contacts(whole, solution, whole.middle.change_to(mean))
-    reports = joint_reports(system, free_motion.poses, acting)
-    forces = free_motion.forces._replace(reports=reports)
-    if layout.energies:
-        motion = unpack_motion(system, [*whole.middle.halfway, *whole.middle.predicted])
-        motions = free_motion.forces.motions
-        forces = applied_forces(system, motions, reports, *motion, whole.time_step.middle)
-    accelerations, multipliers = (
-        [sp.add(a, b) for a, b in zip(free, caused, strict=True)]
-        for free, caused in (
-            (whole.equations.free, solution.accelerations),
-            (whole.equations.multipliers, solution.multipliers),
-        )
-    )
-    total = link_accelerations(system, accelerations, tuple(multipliers))
-    return passive_rates(system, layout, forces, total)
-
-
-def _acting_contacts(whole: Step, solution: ContactSolution, change: list) -> list[ActingContact]:
-    """The contacts with mean forces and rates over the step, and the mean indentation while in
-    contact; `change`: from the predicted speeds to the mean ones.
-    """
-    acting = []
-    for contact, rates, forces in zip(
-        whole.contacts,
-        whole.per_contact(solution.rates),
-        whole.per_contact(solution.forces),
-        strict=True,
-    ):
-        point = contact.point
-        idle = tuple(
-            sp.add(rate, along(row, change))
-            for row, rate in zip(
-                point.rows[point.active :], point.rates[point.active :], strict=True
-            )
-        )
-        end = contact.depth + whole.averaging.length * rates[0]
-        depth = 0.5 * (positive_part(contact.depth) + positive_part(end))
-        acting.append(
-            ActingContact(
-                point.laws,
-                point.gap_function._replace(indentation=depth),
-                (*rates, *idle),
-                positive_part(-forces[0]),
-                forces[1:],
-                PointState(None, contact.memory.bristles),
-            )
-        )
-    return acting

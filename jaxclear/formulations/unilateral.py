@@ -1,13 +1,13 @@
-r"""Unilateral contacts of a time step: percussions by Newton's law of impact and Coulomb's cones, and
-what overlaps moved apart.
+r"""Unilateral contacts of a time step: percussions by Newton's law of impact and Coulomb's cones,
+and what overlaps moved apart.
 
 Local velocities $u = G v$ of a contact: the opening speed $u_N = \dot g_N$, then the slips $u_T$.
 Over a step $u^{+} = W p + u_{free}$ with Delassus' operator $W = G M^{-1} G^T$ and percussions $p$
 [N s]. A contact whose gap is forecast to be closed, $g_N + \gamma h u_N^{-} \le 0$, obeys
 
-$$0 \le u_N^{+} + e\,u_N^{-} \perp p_N \ge 0, \qquad |p_T| \le \mu p_N,\ -p_T \text{ along } u_T^{+}$$
+$$0 \le u_N^{+} + e\,u_N^{-} \perp p_N \ge 0, \qquad |p_T| \le \mu p_N,$$
 
-where it slides. Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1,
+with $-p_T$ along $u_T^{+}$ and $|p_T| = \mu p_N$ where it slides. Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1,
 doi:10.1007/978-3-7091-2624-0_1; Jean 1999, Comput. Methods Appl. Mech. Eng. 177, 235,
 doi:10.1016/S0045-7825(98)00383-1; Acary & Brogliato 2008, Numerical Methods for Nonsmooth Dynamical
 Systems, ch. 10, doi:10.1007/978-3-540-75392-6.

@@ -21,8 +21,9 @@ from jaxclear.integrators.base import (
     Advance,
     check_count,
 )
-from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas, state_group
+from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.state_group import state_group
 from jaxclear.native import with_fast_loops
 
 # Share of an interval below which a step is given up.
@@ -55,14 +56,20 @@ class Adaptive(AbstractIntegrator):
     pathwise: ClassVar = False
     projects: ClassVar = False
     solver: diffrax.AbstractSolver = eqx.field(default_factory=diffrax.Tsit5)
-    rtol: Scalar = quantity(1e-7, "1", "relative local error of coordinates and speeds", at_least=0)
-    atol: Scalar = quantity(
-        1e-9, "1", "absolute local error of coordinates [m, rad] and speeds [m/s, rad/s]", above=0
+    rtol: Scalar = quantity(
+        1e-7, "1", "relative local error of coordinates and speeds", at_least=0, kw_only=True
     )
-    largest_step: Scalar | None = quantity(None, "s", "largest step", above=0)
-    most_steps: int = eqx.field(static=True, default=200_000)
-    capture_impacts: bool = eqx.field(static=True, default=False)
-    most_impacts: int = eqx.field(static=True, default=1000)
+    atol: Scalar = quantity(
+        1e-9,
+        "1",
+        "absolute local error of coordinates [m, rad] and speeds [m/s, rad/s]",
+        above=0,
+        kw_only=True,
+    )
+    largest_step: Scalar | None = quantity(None, "s", "largest step", above=0, kw_only=True)
+    most_steps: int = eqx.field(static=True, default=200_000, kw_only=True)
+    capture_impacts: bool = eqx.field(static=True, default=False, kw_only=True)
+    most_impacts: int = eqx.field(static=True, default=1000, kw_only=True)
 
     def __check_init__(self):
         if not isinstance(self.solver, diffrax.AbstractSolver):

@@ -19,6 +19,7 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import AbstractIntegrator, check_count
+from jaxclear.integrators.state_group import state_group
 from jaxclear.integrators.stepping import SLIVER, arrived, divide
 from jaxclear.native import while_loop
 
@@ -41,26 +42,30 @@ class FixedStep(AbstractIntegrator):
     Steps are shortened a little to meet the saving times. No error control: halve `step` to see the
     error. Stable up to about 1.6 / omega (rk4), half of that ("semi_implicit") and a quarter
     ("heun"), omega = sqrt(contact stiffness / mass), of the order of 1e4 rad/s in a steel bearing
-    (benchmarks/claims/stability.py, for K from 1e10 N/m^1.5 on; in softer contacts a step must not cross
-    the clearance). "semi_implicit" is symplectic Euler: order 1, one evaluation a step, no drift of
-    the energy; "euler" gains energy, "heun" slowly. "munthe_kaas1" to "munthe_kaas4" (order 1 to 4)
-    keep rotations on their group; see `MuntheKaas`. `contact_steps` divides a step that starts in
-    contact, or would end there at the present closing speed, into that many; free flight keeps the
-    long step, so bounces are resolved at a fraction of the cost. `capture_impacts` takes the
-    approach speed of the last step that starts open for the impact speed, in place of a state that
-    follows it within `memory_time`. `steps_per_save` fixes the number of steps between saving times
-    instead: reverse-mode derivatives (`jax.grad`) need it, forward-mode ones do not.
+    (benchmarks/claims/stability.py, for K from 1e10 N/m^1.5 on; in softer contacts a step must not
+    cross the clearance). "semi_implicit" is symplectic Euler: order 1, one evaluation a step, no
+    drift of the energy; "euler" gains energy, "heun" slowly. "munthe_kaas1" to "munthe_kaas4"
+    (order 1 to 4) keep rotations on their group; see `MuntheKaas`. `contact_steps` divides a step
+    that starts in contact, or would end there at the present closing speed, into that many; free
+    flight keeps the long step, so bounces are resolved at a fraction of the cost. `capture_impacts`
+    takes the approach speed of the last step that starts open for the impact speed, in place of a
+    state that follows it within `memory_time`. `steps_per_save` fixes the number of steps between
+    saving times instead: reverse-mode derivatives (`jax.grad`) need it, forward-mode ones do not.
     """
 
     pathwise: ClassVar = True
     projects: ClassVar = True
     step: Scalar = quantity(2e-5, "s", "largest step", above=0)
     method: str = eqx.field(static=True, default="rk4")
-    steps_per_save: int | None = eqx.field(static=True, default=None)
+    steps_per_save: int | None = eqx.field(static=True, default=None, kw_only=True)
     contact_steps: Scalar | None = quantity(
-        None, "1", "short steps in contact to one long step in free flight", at_least=1
+        None,
+        "1",
+        "short steps in contact to one long step in free flight",
+        at_least=1,
+        kw_only=True,
     )
-    capture_impacts: bool = eqx.field(static=True, default=False)
+    capture_impacts: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
         if self.method not in CHAINS and self.method not in ON_GROUPS:
@@ -181,4 +186,4 @@ class FixedStep(AbstractIntegrator):
             return self.formulation.rate(model, time, y)[0]
 
         order = ON_GROUPS[self.method]
-        return h, munthe_kaas.fixed_step(munthe_kaas.state_group(model), rate, order, time, h, y)
+        return h, munthe_kaas.fixed_step(state_group(model), rate, order, time, h, y)

@@ -20,11 +20,11 @@ class ImplicitStep(AbstractIntegrator):
 
     Order 2 in free motion. Over a step a contact force does the work that its law says (discrete
     gradient) or takes more energy out, so stiff contacts do not make motion explode, as long as the
-    iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s three iterations gain energy, `newton_iterations=30` does
-    not. An impact that the steps resolve ends with the restitution of its law, one within a step
-    with `rebound`: choose the restitution itself where stiff impacts decide. One evaluation a step;
-    `newton_iterations` on the contact laws alone, in the contact directions (2 are enough but for
-    bristles).
+    iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s three iterations gain energy,
+    `newton_iterations=30` does not. An impact that the steps resolve ends with the restitution of
+    its law, one within a step with `rebound`: choose the restitution itself where stiff impacts
+    decide. One evaluation a step; `newton_iterations` on the contact laws alone, in the contact
+    directions (2 are enough but for bristles).
 
     `rebound` sets the numerical dissipation: with theta = 1 / (1 + rebound), a linear contact mode
     omega is damped as by the theta method, amplitude per step sqrt((1 + (1 - theta)^2 z^2) / (1 +
@@ -54,10 +54,11 @@ class ImplicitStep(AbstractIntegrator):
         "share of its speed that an elastic impact keeps which the step does not resolve",
         at_least=0,
         at_most=1,
+        kw_only=True,
     )
-    newton_iterations: int = eqx.field(static=True, default=3)
-    steps_per_save: int | None = eqx.field(static=True, default=None)
-    capture_impacts: bool = eqx.field(static=True, default=False)
+    newton_iterations: int = eqx.field(static=True, default=3, kw_only=True)
+    steps_per_save: int | None = eqx.field(static=True, default=None, kw_only=True)
+    capture_impacts: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
         check_count(self.newton_iterations, "newton_iterations of integrator.ImplicitStep")

@@ -35,10 +35,11 @@ class MoreauJean(AbstractIntegrator):
     clearance, for light bodies above all), and with a restitution near 1 turning bodies gain energy
     unless step x spin is well below 1 - restitution.
 
-    Forces are impulses: `Trajectory.contact` gives the means over each saving interval. `most_sweeps`
-    over the contacts at most, until the laws hold to `tolerance` of the largest velocity; where
-    they end far from that, the run ends and says so. Derivatives are those of the contacts' present
-    states: an impact's instant does not move with them, so do not differentiate through impacts.
+    Forces are impulses: `Trajectory.contact` gives the means over each saving interval.
+    `most_sweeps` over the contacts at most, until the laws hold to `tolerance` of the largest
+    velocity; where they end far from that, the run ends and says so. Derivatives are those of the
+    contacts' present states: an impact's instant does not move with them, so do not differentiate
+    through impacts.
 
     Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comput. Methods
     Appl. Mech. Eng. 177, 235.
@@ -48,16 +49,26 @@ class MoreauJean(AbstractIntegrator):
     projects: ClassVar = True
     step: Scalar = quantity(1e-4, "s", "largest step", above=0)
     theta: Scalar = quantity(
-        0.5, "1", "weight of a step's end in its mean speed", at_least=0, at_most=1
+        0.5, "1", "weight of a step's end in its mean speed", at_least=0, at_most=1, kw_only=True
     )
     gamma: Scalar = quantity(
-        0.5, "1", "share of a step within which a gap must close to count as closed", at_least=0
+        0.5,
+        "1",
+        "share of a step within which a gap must close to count as closed",
+        at_least=0,
+        kw_only=True,
     )
-    most_sweeps: Scalar = quantity(200.0, "1", "most sweeps over the contacts in a step", above=0)
+    most_sweeps: Scalar = quantity(
+        200.0, "1", "most sweeps over the contacts in a step", above=0, kw_only=True
+    )
     tolerance: Scalar = quantity(
-        1e-12, "1", "residual of the contact laws, relative to the largest velocity", above=0
+        1e-12,
+        "1",
+        "residual of the contact laws, relative to the largest velocity",
+        above=0,
+        kw_only=True,
     )
-    project: bool = eqx.field(static=True, default=True)
+    project: bool = eqx.field(static=True, default=True, kw_only=True)
 
     @property
     def formulation(self):

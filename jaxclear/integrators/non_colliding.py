@@ -30,8 +30,8 @@ class NonColliding(AbstractIntegrator):
     friction law gives its coefficients. Midpoint rule, order 2 in smooth motion and 1 across stick
     and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
 
-    `most_sweeps` over the joints at most, until friction changes by less than `tolerance` of its bound;
-    where they end far from that (a guide about to lock itself), the run ends and says so.
+    `most_sweeps` over the joints at most, until friction changes by less than `tolerance` of its
+    bound; where they end far from that (a guide about to lock itself), the run ends and says so.
     `relaxation` rounds Coulomb's law over this share of the bound: a joint then creeps, and the
     error is of its order (None: exact). `regularised` takes a friction law as the function of the
     sliding speed that it is, for comparison: the joint creeps, and steps must be short beside the
@@ -43,17 +43,24 @@ class NonColliding(AbstractIntegrator):
     pathwise: ClassVar = True
     projects: ClassVar = True
     step: Scalar = quantity(1e-3, "s", "largest step", above=0)
-    most_sweeps: Scalar = quantity(1000.0, "1", "most sweeps over the joints in a step", above=0)
+    most_sweeps: Scalar = quantity(
+        1000.0, "1", "most sweeps over the joints in a step", above=0, kw_only=True
+    )
     tolerance: Scalar = quantity(
         1e-13,
         "1",
         "change of a joint's friction relative to its bound at which sweeps end",
         above=0,
+        kw_only=True,
     )
     relaxation: Scalar | None = quantity(
-        None, "1", "share of the bound over which friction is rounded (None: exact)", above=0
+        None,
+        "1",
+        "share of the bound over which friction is rounded (None: exact)",
+        above=0,
+        kw_only=True,
     )
-    regularised: bool = eqx.field(static=True, default=False)
+    regularised: bool = eqx.field(static=True, default=False, kw_only=True)
 
     @property
     def formulation(self):

@@ -47,8 +47,8 @@ def solved(
     one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, warm_start: Any, loose: float
 ) -> Advance:
     """The answer of steps each of which searches for percussions or friction; the last entry of the
-    warm start is the largest residual with which a search has ended, and beyond `loose` the laws are not
-    met."""
+    warm start is the largest residual with which a search has ended, and beyond `loose` the laws
+    are not met."""
     end, warm_start = march(one, steps, state, warm_start.at[-1].set(0.0))
     found = arrived(end, steps, warm_start)
     failed = (found.outcome == Outcome.REACHED) & (found.warm_start[-1] > loose)

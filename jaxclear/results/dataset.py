@@ -9,7 +9,7 @@ from jaxclear.results import histories
 from jaxclear.results.state_history import StateHistory
 
 XYZ = ["x", "y", "z"]
-# For each history its fields with dimensions, unit and meaning; {} is the name of the body or joint.
+# Fields of each history with dimension, unit and meaning; {} is the name of the body or joint.
 BODY = {
     "com": ("axis", "m", "centre of mass of {}"),
     "quaternion": ("component", "1", "orientation of {}, scalar first"),

@@ -28,8 +28,8 @@ from jaxclear.results.state_history import StateHistory
 
 
 class RunStats(eqx.Module):
-    """What a run took: steps accepted and rejected; `verdict` on its time loops is a number, `loops`
-    its sentence.
+    """What a run took: steps accepted and rejected; `verdict` on its time loops is a number,
+    `loops` its sentence.
     """
 
     accepted_steps: Int[Array, ""]

@@ -60,9 +60,7 @@ def run(
     report: bool = False,
     worn: Worn | None = None,
 ) -> Trajectory:
-    """The pure core of `simulate`: from consistent coordinates and speeds to a trajectory; maps and
-    differentiates.
-    """
+    """The pure core of `simulate`: from consistent coordinates and speeds to a trajectory."""
     formulation = integrator.formulation
     model = model_of(mechanism, formulation, balance)
     system, layout = model.system, model.layout
@@ -75,8 +73,8 @@ def run(
         start, stop, share = span
         running = outcome == Outcome.REACHED
         now = model_of_worn(model, worn)
-        piece = Interval(start, stop, weights, running)
-        result = integrator.advance(now, piece, state, warm_start)
+        ahead = Interval(start, stop, weights, running)
+        result = integrator.advance(now, ahead, state, warm_start)
         sound = jnp.all(jnp.isfinite(result.state))
         kept = jnp.where(running & sound, result.state, state)
         worn = deposit(system, layout, worn, state, kept)
@@ -92,8 +90,7 @@ def run(
         return (kept, worn, result.warm_start, outcome, ended), (kept, now.worn, counts)
 
     spans = (times[:-1], times[1:], (times[1:] - times[:-1]) / (times[-1] - times[0]))
-    begun = model_of_worn(model, worn)
-    warm_start = integrator.first_warm_start(begun, times[0], state)
+    warm_start = integrator.first_warm_start(model_of_worn(model, worn), times[0], state)
     first = (state, worn, warm_start, jnp.asarray(Outcome.REACHED), times[0])
     (_, worn, _, outcome, ended), (states, read, counts) = jax.lax.scan(interval, first, spans)
     states = jnp.concatenate([state[None], states])

@@ -1,4 +1,4 @@
-"""Depth maps of worn surfaces between saving times: new ones, and what a saving interval takes off."""
+"""Depth maps of worn surfaces: new ones, and what a saving interval takes off."""
 
 from typing import Any
 

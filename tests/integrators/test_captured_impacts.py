@@ -57,7 +57,7 @@ def test_restitution_is_the_law_s_own_whatever_the_memory_time():
 
 @pytest.mark.slow
 def test_implicit_solver_captures_them_too():
-    implicit = jc.integrator.Adaptive(KVAERNO, 1e-9, 1e-11, capture_impacts=True)
+    implicit = jc.integrator.Adaptive(KVAERNO, rtol=1e-9, atol=1e-11, capture_impacts=True)
     assert rebound(thrown(0.5, 10.0), implicit) == pytest.approx(0.5, abs=1e-6)
 
 
@@ -71,7 +71,7 @@ def test_saving_times_within_the_impact_change_nothing():
     "integrator",
     [
         jc.integrator.FixedStep(2e-6, capture_impacts=True),
-        jc.integrator.ImplicitStep(2e-6, 1.0, capture_impacts=True),
+        jc.integrator.ImplicitStep(2e-6, rebound=1.0, capture_impacts=True),
     ],
     ids=["FixedStep", "ImplicitStep"],
 )

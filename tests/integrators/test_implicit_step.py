@@ -38,7 +38,7 @@ def test_linear_contact_is_damped_as_by_the_theta_method(rebound, angle):
         loads={"gravity": jc.load.Gravity((9.81, 0.0))},
         start={"journal": (1e-4 + 1.2 * depth, 0.0, 0.0)},
     )
-    integrator = jc.integrator.ImplicitStep(STEP, rebound, newton_iterations=2)
+    integrator = jc.integrator.ImplicitStep(STEP, rebound=rebound, newton_iterations=2)
     path = np.asarray(
         jc.simulate(rig, 8 * STEP, save=9, integrator=integrator, start_concentric=False).states[
             :, 0
@@ -69,7 +69,7 @@ def test_elastic_impact_within_a_step_keeps_the_rebound(rebound):
         rig,
         2.6e-3,
         save=2,
-        integrator=jc.integrator.ImplicitStep(STEP, rebound),
+        integrator=jc.integrator.ImplicitStep(STEP, rebound=rebound),
         start_concentric=False,
     )
     velocity = np.asarray(end.body("journal").velocity[-1, :2])
@@ -159,7 +159,7 @@ def test_agrees_with_the_reference_on_a_sliding_wearing_journal():
             touching_journal(), 0.05, save=26, integrator=integrator, start_concentric=False
         )
         for integrator in (
-            jc.integrator.ImplicitStep(5e-5, 1.0),
+            jc.integrator.ImplicitStep(5e-5, rebound=1.0),
             jc.integrator.Adaptive(rtol=1e-9, atol=1e-11),
         )
     ]
@@ -255,7 +255,7 @@ def test_steps_far_longer_than_a_memory_are_stable():
         rig,
         2.6e-3,
         save=2,
-        integrator=jc.integrator.ImplicitStep(STEP, 1.0),
+        integrator=jc.integrator.ImplicitStep(STEP, rebound=1.0),
         start_concentric=False,
     )
     speed = -np.asarray(end.body("journal").velocity[-1, :2]) @ np.array([0.6, 0.8]) / 0.1

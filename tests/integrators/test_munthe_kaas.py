@@ -15,7 +15,8 @@ import jaxclear as jc
 from jaxclear.components.joint import AbstractGroupJoint
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
-from jaxclear.integrators.munthe_kaas import TABLEAUS, state_group
+from jaxclear.integrators.munthe_kaas import TABLEAUS
+from jaxclear.integrators.state_group import state_group
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare
 from jaxclear.simulation.simulate import run
@@ -261,7 +262,7 @@ def test_order_of_fixed_steps(name, order):
 def test_adaptive_steps_keep_their_tolerance_as_the_default_does():
     solver = jc.integrator.MuntheKaas(4)
     errors = [
-        error("pendulum", jc.integrator.Adaptive(solver, rtol, 1e-2 * rtol))
+        error("pendulum", jc.integrator.Adaptive(solver, rtol=rtol, atol=1e-2 * rtol))
         for rtol in (1e-6, 1e-7, 1e-8)
     ]
     # local errors of rtol add up over some tens of steps, and grow with the motion
