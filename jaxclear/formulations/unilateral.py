@@ -7,7 +7,9 @@ Over a step $u^{+} = W p + u_{free}$ with Delassus' operator $W = G M^{-1} G^T$ 
 
 $$0 \le u_N^{+} + e\,u_N^{-} \perp p_N \ge 0, \qquad |p_T| \le \mu p_N,$$
 
-with $-p_T$ along $u_T^{+}$ and $|p_T| = \mu p_N$ where it slides. Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1,
+with $-p_T$ along $u_T^{+}$ and $|p_T| = \mu p_N$ where it slides.
+
+Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1,
 doi:10.1007/978-3-7091-2624-0_1; Jean 1999, Comput. Methods Appl. Mech. Eng. 177, 235,
 doi:10.1016/S0045-7825(98)00383-1; Acary & Brogliato 2008, Numerical Methods for Nonsmooth Dynamical
 Systems, ch. 10, doi:10.1007/978-3-540-75392-6.

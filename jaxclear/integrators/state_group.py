@@ -1,4 +1,4 @@
-"""The group on which a state moves: rotations by their exponential map, everything else by addition.
+"""The group on which a state moves: rotations by their exponential map, all else by addition.
 
 A state y moves by increments u, y = y0 exp(u); the state of a mechanism is a product of its joints'
 groups and of numbers that add up.

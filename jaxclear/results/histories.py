@@ -33,12 +33,12 @@ class BodyHistory(eqx.Module):
 
 class ContactHistory(eqx.Module):
     """A clearance joint over time, in the bearing's axes (the parent's marker); one column per
-    possible contact. SI units.
+    possible contact.
 
-    `offset` from the bearing's centre to the journal's and `axis`, the journal's z axis; per
-    contact the `indentation` (positive in contact), `normal_force`, `slip_speed`, `traction`
-    (magnitude of friction) and `place` of touch; `force` and `torque` on the journal (the child),
-    about its marker.
+    `offset` [m] from the bearing's centre to the journal's and `axis` [1], the journal's z axis;
+    per contact the `indentation` [m] (positive in contact), `normal_force` [N], `slip_speed` [m/s],
+    `traction` [N] (magnitude of friction) and `place` [m] of touch; `force` [N] and `torque` [N m]
+    on the journal (the child), about its marker.
     """
 
     offset: Float[Array, "time 3"]
@@ -53,8 +53,8 @@ class ContactHistory(eqx.Module):
 
 
 class ReactionHistory(eqx.Module):
-    """Force [N] and torque [N m] that the child receives from the parent at the child's marker, in
-    ground axes.
+    """`force` [N] and `torque` [N m] that the child receives from the parent at the child's marker,
+    in ground axes.
     """
 
     force: Float[Array, "time 3"]
@@ -62,7 +62,11 @@ class ReactionHistory(eqx.Module):
 
 
 class EnergyHistory(eqx.Module):
-    """Energy balance [J]: kinetic + potential + contact_stored + losses = start + input + error."""
+    """Energy balance [J]: kinetic + potential + contact_stored + losses = start + input + error.
+
+    `contact_stored` [J] in the springs of contacts; lost since the start: `contact_loss` [J] in
+    contacts, `friction_loss` [J], `damping_loss` [J] in dampers.
+    """
 
     kinetic: Float[Array, " time"]
     potential: Float[Array, " time"]

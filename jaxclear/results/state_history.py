@@ -19,8 +19,10 @@ from jaxclear.multibody.state import Layout
 
 
 class StateHistory(eqx.Module):
-    """`states` (time, n) are the raw states, `read` the worn surfaces as the gaps saw them up to
-    each saving time; `mechanism` as the formulation sees it; `balanced`: energies are tracked."""
+    """`time` [s] and the raw `states` (time, n) [each entry its own unit: m, rad, m/s, ...]; `read`:
+    worn surfaces as the gaps saw them up to each saving time; `mechanism` as the formulation sees
+    it; `balanced`: energies are tracked.
+    """
 
     mechanism: Mechanism
     formulation: AbstractFormulation
