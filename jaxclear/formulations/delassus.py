@@ -4,7 +4,8 @@ are linear in the rates of their rows do to the motion.
 With $M \dot v = f + J^T p$ and loops closed by $C \dot v = w$, forces $p$ along the rows $J$ change
 the accelerations by $M^{-1} J^T p$ (within the closures) and the rows' by $W p$,
 $W = J M^{-1} J^T$. Source: Delassus 1917, Annales scientifiques de l'ENS 34, 95,
-doi:10.24033/asens.701; Acary & Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, doi:10.1007/978-3-540-75392-6.
+doi:10.24033/asens.701; Acary & Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems,
+doi:10.1007/978-3-540-75392-6.
 """
 
 from collections.abc import Callable

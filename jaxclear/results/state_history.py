@@ -19,7 +19,7 @@ from jaxclear.multibody.state import Layout
 
 
 class StateHistory(eqx.Module):
-    """`time` [s] and the raw `states` (time, n) [each entry its own unit: m, rad, m/s, ...]; `read`:
+    """`time` [s] and the raw `states` (time, n) [m, rad, m/s ...]; `read`:
     worn surfaces as the gaps saw them up to each saving time; `mechanism` as the formulation sees
     it; `balanced`: energies are tracked.
     """
