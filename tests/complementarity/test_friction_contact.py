@@ -48,6 +48,12 @@ def in_a_batch(solver, *data):
     return jax.vmap(lambda *one: solver.solve(FrictionContact(*one)))(*data)
 
 
+@eqx.filter_jit
+def solved(solver, problem):
+    """One problem, compiled as a whole."""
+    return solver.solve(problem)
+
+
 def solve_all(problems, dimension, solver=SWEEPS):
     """(r, v, outcome, sweeps) of up to BATCH problems (W, b, mu); r and v contact by contact."""
     size = dimension * CONTACTS
@@ -205,7 +211,7 @@ def test_contacts_of_unlike_sizes_and_pivoting_find_the_same():
     matrix, offset = half @ half.T + np.eye(3), rng.normal(size=3)
     for more in (((np.zeros(3)),), (np.full(2, 0.1), (1, 2))):
         problem = FrictionContact(matrix, offset, *more)
-        one, other = SWEEPS.solve(problem), Lemke().solve(problem)
+        one, other = solved(SWEEPS, problem), solved(Lemke(), problem)
         assert one.solved and other.solved
         np.testing.assert_allclose(one.z, other.z, atol=1e-11)
         np.testing.assert_allclose(one.w, other.w, atol=1e-11)
@@ -239,8 +245,8 @@ def test_a_contact_that_may_not_act_does_nothing():
     )
     more = (whole, np.append([-1e3, 1.0], offset), np.append(0.5, mu))
     active = np.append(False, np.ones(len(mu), bool))
-    found = SWEEPS.solve(FrictionContact(*more, active=jnp.asarray(active)))
-    alone = SWEEPS.solve(FrictionContact(matrix, offset, mu))
+    found = solved(SWEEPS, FrictionContact(*more, active=jnp.asarray(active)))
+    alone = solved(SWEEPS, FrictionContact(matrix, offset, mu))
     assert found.solved and not np.any(found.z[:2])
     np.testing.assert_allclose(found.z[2:], alone.z, rtol=1e-12, atol=1e-14)
     assert float(found.residual) < 1e-10
