@@ -239,7 +239,11 @@ def main() -> None:
             print(f"\n{name}: {len(places)}")
             print("\n".join(f"  {place}" for place in places))
     if options.json:
-        options.json.write_text(json.dumps(found, indent=1))
+        rows = [
+            {"measure": name, "value": value, "limit": " ".join(map(str, LIMITS.get(name, ())))}
+            for name, value in found.items()
+        ]
+        options.json.write_text(json.dumps({"the house": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
