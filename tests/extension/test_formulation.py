@@ -2,7 +2,6 @@
 
 from typing import ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -69,8 +68,11 @@ class PlasticSteps(jc.integrator.AbstractIntegrator):
 
     pathwise: ClassVar = False
     projects: ClassVar = True
-    formulation: PlasticContact = eqx.field(default_factory=PlasticContact)
     step: Scalar = quantity(1e-4, "s", "length of a step", above=0)
+
+    @property
+    def formulation(self):
+        return PlasticContact()
 
     def relaxing_step(self, interval):
         return None
