@@ -26,9 +26,8 @@ def public_modules():
     while left:
         path, place = left.pop()
         modules[path] = place
-        for name in place.__all__:
-            if isinstance(getattr(place, name), ModuleType):
-                left.append((f"{path}.{name}", getattr(place, name)))
+        inner = {name: getattr(place, name) for name in place.__all__}
+        left += [(f"{path}.{n}", m) for n, m in inner.items() if isinstance(m, ModuleType)]
     # heavy libraries are loaded with it, so a user imports it by itself
     modules["jaxclear.plot"] = importlib.import_module("jaxclear.plot")
     return modules

@@ -8,6 +8,7 @@ doi:10.1007/978-3-7091-2624-0_1). Source: Acary & Brogliato 2008, Numerical Meth
 Dynamical Systems, doi:10.1007/978-3-540-75392-6, sections 3.9 and 13.
 """
 
+from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -83,7 +84,7 @@ class FrictionContact(AbstractLinearProblem):
     def split(self, x: Float[Array, " m"]) -> list[Array]:
         """The parts of the contacts."""
         starts = self.starts
-        return [x[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True)]
+        return [x[a:b] for a, b in pairwise(starts)]
 
     @property
     def acts(self) -> Bool[Array, " m"]:

@@ -91,7 +91,7 @@ def _keep_relaxation(z, solved, scale, matrix, offset, kappa):
 
 @_keep_relaxation.defjvp
 def _keep_relaxation_jvp(primals, tangents):
-    z, solved, (z_scale, w_scale), matrix, offset, kappa = primals
+    _, solved, (z_scale, w_scale), matrix, _, kappa = primals
     _, _, _, d_matrix, d_offset, d_kappa = tangents
     out = _keep_relaxation(*primals)
     w = jnp.where(solved, kappa, 1.0) / jnp.where(solved, out, 1.0)

@@ -94,7 +94,6 @@ def quantity(
     at_least: float | None = None,
     below: float | None = None,
     at_most: float | None = None,
-    converter: Callable[[Any], Any] = as_number,
     **kwargs: Any,
 ) -> Any:
     """A scalar field with a unit (SI, "1" if none), a sentence of meaning and the range of its
@@ -109,7 +108,7 @@ def quantity(
         default,
         unit,
         meaning,
-        converter,
+        kwargs.pop("converter", as_number),
         kwargs,
         {k: v for k, v in bounds.items() if v is not None},
     )

@@ -48,7 +48,7 @@ class Mechanism(eqx.Module):
         *,
         start: Mapping[str, Any] | None = None,
         speeds: Mapping[str, Any] | None = None,
-        stabilisation: Baumgarte | Projection | None | str = "default",
+        stabilisation: Baumgarte | Projection | str | None = "default",
     ):
         for what, given in (("bodies", bodies), ("connections", connections)):
             validation.expect(given, Mapping, what, "a dictionary from names")

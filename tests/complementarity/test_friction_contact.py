@@ -157,7 +157,7 @@ def test_redundant_contacts_are_solved_or_told(dimension):
 def test_a_particle_on_a_plane(push, state):
     """Mass 2, mu 1/2: r = -m v in a stick, mu m v_n against the slip in a slide."""
     problem = (np.eye(3) / 2, np.array(push), np.array([0.5]))
-    r, v, _, _ = solve_all([problem], 3)[0]
+    r, _, _, _ = solve_all([problem], 3)[0]
     expected = {"stick": (2.0, -0.4, -0.2), "slide": (2.0, -0.6, -0.8), "open": (0.0, 0.0, 0.0)}[
         state
     ]
@@ -185,7 +185,7 @@ def test_turning_the_tangents_turns_the_solution():
 def test_without_friction_it_is_the_lcp_of_the_normals():
     rng = np.random.default_rng(4)
     matrix, offset, mu = random_contacts(rng, 3)
-    r, v, _, _ = solve_all([(matrix, offset, 0 * mu)], 3)[0]
+    r, _, _, _ = solve_all([(matrix, offset, 0 * mu)], 3)[0]
     assert not np.any(r[:, 1:])
     assert np.abs(np.minimum(r[:, 0], matrix[::3, ::3] @ r[:, 0] + offset[::3])).max() <= 1e-13
 

@@ -15,7 +15,7 @@ from jaxclear.ground.pose import REST
 from jaxclear.multibody import constraints, kinematics, loops
 from jaxclear.multibody.system import prepare
 
-ALL_ROWS = ("x", "y", "z") + tuple(f"{a}.{b}" for a in "xyz" for b in "xyz")
+ALL_ROWS = ("x", "y", "z", *(f"{a}.{b}" for a in "xyz" for b in "xyz"))
 
 
 def members(abstract):

@@ -33,14 +33,14 @@ class AbstractNormalLaw(AbstractLaw):
     @property
     @abstractmethod
     def restitution(self) -> Scalar | None:
-        """Coefficient of restitution [1] that the law is built around, which rigid contact takes from
-        it: 1 without loss, None where it depends on mass and speed."""
+        """Coefficient of restitution [1] that the law is built around, which rigid contact takes
+        from it: 1 without loss, None where it depends on mass and speed."""
 
     @property
     @abstractmethod
     def memory_time(self) -> Scalar | None:
-        """Time [s] within which the stored impact speed follows the approach speed while open. None:
-        the law remembers nothing, and costs no state."""
+        """Time [s] within which the stored impact speed follows the approach speed while open.
+        None: the law remembers nothing, and costs no state."""
 
     @property
     def remembers_impact_speed(self) -> bool:

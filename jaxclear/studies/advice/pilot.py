@@ -65,7 +65,7 @@ def check_count(name: str, count: Any) -> None:
 
 class Pilot(eqx.Module):
     """The problem up to a saving time, and the values (copies, variables) it is run for, nominal
-    first.
+    first; `whole` [s] is how long the problem itself lasts.
     """
 
     problem: Problem
@@ -83,10 +83,10 @@ class Pilot(eqx.Module):
 
 
 class Trial(eqx.Module):
-    """One integrator on the pilot. `responses` (copies,) by name, nan where a run failed; `cost` is
-    wall seconds for a simulated second of one copy alone, `cost_in_batch` the same of a sample in a
-    batch (nan: not measured); `compile` the seconds until its program was ready (near 0 where
-    another trial has the same); `failure` a sentence, empty if all went well."""
+    """One integrator on the pilot. `responses` (copies,) by name, nan where a run failed; `cost`
+    [s/s] is wall time for a simulated second of one copy alone, `cost_in_batch` [s/s] the same of a
+    sample in a batch (nan: not measured); `compile` [s] the time until its program was ready (near
+    0 where another trial has the same); `failure` a sentence, empty if all went well."""
 
     integrator: AbstractIntegrator
     responses: dict[str, np.ndarray]

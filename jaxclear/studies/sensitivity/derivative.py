@@ -34,7 +34,7 @@ class Derivative(eqx.Module):
     """Derivative of the mean of a response over the tolerances with respect to one variable, with
     its 95 % error.
 
-    `estimates` are the methods' own answers, `verdict` is a sentence that says whether they agree,
+    `value` and `error` are in [response/variable]; see `Sensitivity.unit`. `estimates` are the methods' own answers, `verdict` is a sentence that says whether they agree,
     and `trustworthy` whether at least two do.
     """
 
