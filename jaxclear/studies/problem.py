@@ -62,8 +62,8 @@ class Problem(eqx.Module):
 
     `response`: a function of a trajectory returning a number, or several by name. `duration` [s].
     `integrator`: `FixedStep()` by default, because equal work for every sample is what batches and
-    derivatives want. `save`: saving times, as in `simulate`; `shares` [1] are they, as shares of the
-    duration. Raises `ValueError` with a sentence
+    derivatives want. `save`: saving times, as in `simulate`; `shares` [1] are they, as shares of
+    the duration. Raises `ValueError` with a sentence
     for what cannot be asked.
     """
 

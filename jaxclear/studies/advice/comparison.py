@@ -15,9 +15,9 @@ from jaxclear.studies.verdict import Criterion
 
 
 class Comparison(eqx.Module):
-    """The work-precision curves of a pilot beside the `accuracy` [1] asked for. `names` are those of the
-    responses, `sizes` what the user gave for their size; `means`: whether means over the copies are
-    judged; `batch`: samples run together where a batch was asked for.
+    """The work-precision curves of a pilot beside the `accuracy` [1] asked for. `names` are those
+    of the responses, `sizes` what the user gave for their size; `means`: whether means over the
+    copies are judged; `batch`: samples run together where a batch was asked for.
     """
 
     accuracy: float

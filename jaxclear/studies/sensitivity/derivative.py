@@ -34,8 +34,9 @@ class Derivative(eqx.Module):
     """Derivative of the mean of a response over the tolerances with respect to one variable, with
     its 95 % error.
 
-    `value` and `error` are in [response/variable]; see `Sensitivity.unit`. `estimates` are the methods' own answers, `verdict` is a sentence that says whether they agree,
-    and `trustworthy` whether at least two do.
+    `value` and `error` are in [response/variable]; see `Sensitivity.unit`. `estimates` are the
+    methods' own answers, `verdict` is a sentence that says whether they agree, and `trustworthy`
+    whether at least two do.
     """
 
     response: str = eqx.field(static=True)
