@@ -31,15 +31,9 @@ FLOORS = (
     ("commands",),
 )
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
-LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS, LONGEST_LINE = 500, 110, 10, 130
+LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS, LONGEST_LINE = 300, 50, 8, 100
 # Libraries that a run does without: loaded when a table, a data set or a kernel is asked for.
 LATE = {"pandas", "xarray", "matplotlib", "llvmlite", "scipy"}
-CIRCLE = {"jaxclear.results.trajectory"}
-# Not yet done; each owner takes his own out.
-OWED = {
-    "results/trajectory.py",
-    "simulation/simulate.py",
-}
 # The one class that its kind does not describe: gravity acts on every body, not on markers.
 ASKED_BY_NAME = {"Gravity"}
 NOTHING_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "core", "manager"}
@@ -103,7 +97,6 @@ def test_no_circle_of_imports():
         found = {m for m in imports(path) if m in known} - {name}
         # `from room import file` is the file, not the room's own face
         wants[name] = {m for m in found if not any(o.startswith(f"{m}.") for o in found)}
-    wants |= {name: set() for name in CIRCLE}
     try:
         TopologicalSorter(wants).prepare()
     except CycleError as error:
@@ -113,8 +106,6 @@ def test_no_circle_of_imports():
 @pytest.mark.parametrize("path", FILES, ids=identify)
 def test_no_import_within_a_function(path):
     """But of libraries that most runs do without."""
-    if identify(path) in OWED:
-        return
     for function in functions(path):
         for node in ast.walk(function):
             if isinstance(node, ast.Import):
@@ -157,7 +148,7 @@ def functions(path):
 @pytest.mark.parametrize("path", FILES, ids=identify)
 def test_function_is_short_and_takes_few_arguments(path):
     for function in functions(path):
-        assert function.end_lineno - function.lineno < LONGEST_FUNCTION, function.name
+        assert function.end_lineno - function.lineno + 1 <= LONGEST_FUNCTION, function.name
         given = function.args
         arguments = [a.arg for a in chain(given.posonlyargs, given.args, given.kwonlyargs)]
         assert len(set(arguments) - {"self", "cls"}) <= MOST_ARGUMENTS, function.name
@@ -236,8 +227,6 @@ def test_members_of_a_family_are_not_told_apart_elsewhere(path):
     """
     for room_name in ("laws", "components"):
         if room(module_name(path)) == room_name:
-            continue
-        if identify(path) in OWED:
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             if not isinstance(node, ast.Call) or ast.unparse(node.func) != "isinstance":

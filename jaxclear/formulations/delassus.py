@@ -65,10 +65,10 @@ class ContactSolution(NamedTuple):
     multipliers these cause.
     """
 
-    rates: list
-    forces: list
-    accelerations: list
-    multipliers: tuple
+    rates: Any
+    forces: Any
+    accelerations: Any
+    multipliers: Any
 
 
 class ImplicitContact(NamedTuple):
@@ -85,7 +85,7 @@ def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -
     rows.
     """
     respond, constrain = constrained_inverse(free_motion.masses, free_motion.closure_rows)
-    free, multipliers = constrain(respond(free_motion.right), free_motion.wanted)
+    free, multipliers = constrain(respond(list(free_motion.right)), free_motion.wanted)
     size, still = len(free_motion.right), [0] * len(multipliers)
     responses = [constrain(respond([row.get(j, 0) for j in range(size)]), still) for row in rows]
     return DelassusOperator(rows, free, multipliers, responses)
@@ -150,7 +150,7 @@ def _in_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
     return solve
 
 
-def _in_many_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
+def _in_many_speeds(mass: Any, rows: list[ContactJacobianRow]) -> Callable:
     """The same as arrays."""
     mass = factorisation.to_array(tuple(map(tuple, mass)))
     jacobian = factorisation.to_array(

@@ -188,7 +188,9 @@ class Adaptive(AbstractIntegrator):
             depth, _ = formulation.contacts(eqx.combine(args[0], rest), t, y)
             return -jnp.max(_beyond(depth, args[1]), initial=-1.0)
 
-        finder: Any = optimistix.Bisection(rtol=0.0, atol=EVENT_TOLERANCE, flip=True)
+        finder: Any = optimistix.Bisection(  # type: ignore[call-arg]
+            rtol=0.0, atol=EVENT_TOLERANCE, flip=True
+        )
         solution = diffrax.diffeqsolve(
             self._term(eqx.combine(arrays, rest), rates),
             self.solver,

@@ -87,8 +87,8 @@ class GroupHermite(diffrax.AbstractLocalInterpolation):
     on the group throughout.
     """
 
-    t0: Any
-    t1: Any
+    t0: Any  # type: ignore[misc]
+    t1: Any  # type: ignore[misc]
     group: AbstractGroup
     y0: Any
     increment: Any
@@ -151,11 +151,11 @@ class MuntheKaas(diffrax.AbstractAdaptiveSolver):
             first = jax.lax.cond(made_jump, lambda: rate(0.0, y0), lambda: solver_state)
         slopes, y1, last = _stages(group, rate, table, range(1, len(table.nodes)), h, y0, first)
         error = group.tangent(y1, h * _combined(table.error, slopes))
-        ends = dict(
-            increment=h * _combined(table.matrix[-1], slopes),
-            start=h * slopes[0],
-            end=h * slopes[-1],
-        )
+        ends = {
+            "increment": h * _combined(table.matrix[-1], slopes),
+            "start": h * slopes[0],
+            "end": h * slopes[-1],
+        }
         return y1, error, dict(group=group, y0=y0, **ends), last, diffrax.RESULTS.successful
 
 

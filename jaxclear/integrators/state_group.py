@@ -113,7 +113,8 @@ def _entries(values, start, count):
 
 def state_group(model: Model) -> StateGroup:
     """The group of a model's states."""
-    topology, joints, spans = model.system.topology, [], []
+    topology, spans = model.system.topology, []
+    joints: list[AbstractGroupJoint] = []
     done = used = 0
 
     def plain_until(end):
