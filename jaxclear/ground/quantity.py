@@ -58,7 +58,7 @@ def as_number(value: Any) -> Any:
         raise ValueError(f"expected one number, got {value!r}.")
     number = value if isinstance(value, jax.Array) else jnp.asarray(np.asarray(value, dtype=float))
     if number.dtype != jnp.float64:
-        if not jax.config.read("jax_enable_x64"):
+        if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
             raise RuntimeError(
                 "jaxclear needs float64: leave jax_enable_x64 on (importing jaxclear switches it "
                 "on)."

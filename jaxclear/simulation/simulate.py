@@ -191,7 +191,7 @@ def simulate(
     with a sentence for a run that ends early.
     """
     check_duration(duration)
-    if jax.config.read("jax_disable_jit"):
+    if jax.config.jax_disable_jit:  # type: ignore[attr-defined]
         raise ValueError(
             "simulate compiles its loop, and jax.disable_jit is on; look into a law or a joint by "
             "calling it alone."
