@@ -76,9 +76,8 @@ def captured(contact, friction):
 @pytest.mark.parametrize("simulate", [thrown, captured])
 def test_thrown_rod_bounces_as_in_exudyn(case, simulate):
     reference = REFERENCE["cases"][case]
-    trajectory = simulate(
-        LAWS[case], LinearRamp(jnp.asarray(reference["friction"]), jnp.asarray(1e-2))
-    )
+    mu = jnp.asarray(reference["friction"])
+    trajectory = simulate(LAWS[case], LinearRamp(mu=mu, ramp_speed=jnp.asarray(1e-2)))
     com, ball = trajectory.body("rod").com[1:], trajectory.marker("rod", (-0.15, 0.0, 0.0))[1:]
     for name, found in (("com", com), ("ball", ball)):
         error = np.abs(np.asarray(found) - np.array(reference[name])).max()
@@ -87,7 +86,7 @@ def test_thrown_rod_bounces_as_in_exudyn(case, simulate):
 
 def test_law_from_outside_is_the_package_s_own():
     """Ambrosio's friction from v_0 = 0 on is the same ramp; identical arithmetic up to rounding."""
-    law = LinearRamp(jnp.asarray(0.1), jnp.asarray(1e-2))
+    law = LinearRamp(mu=jnp.asarray(0.1), ramp_speed=jnp.asarray(1e-2))
     own = jc.friction.Ambrosio(mu_kinetic=0.1, inner_speed=0.0, outer_speed=1e-2)
     speeds = jnp.array([0.0, 1e-4, 9e-3, 1e-2, 1.0])
     np.testing.assert_allclose(law.coefficient(speeds), own.coefficient(speeds), rtol=1e-14)
