@@ -76,7 +76,7 @@ class Ambrosio(AbstractSlipFriction):
     CoulombTanh.
 
     Source: Ambrósio 2003, in Virtual Nonlinear Multibody Systems, 57,
-    doi:10.1007/978-94-010-0203-5_4; Hou, Deng & Zeng 2021, J. Cent. South Univ. 28, 712, eq. 22 and
+    doi:10.1007/978-94-010-0203-5; Hou, Deng & Zeng 2021, J. Cent. South Univ. 28, 712, eq. 22 and
     23, doi:10.1007/s11771-021-4640-y.
     """
 
