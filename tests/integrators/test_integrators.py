@@ -20,7 +20,7 @@ def simulate(integrator):
 
 @pytest.fixture(scope="module")
 def reference():
-    return simulate(jc.integrator.Adaptive(diffrax.Dopri8(), 1e-11, 1e-13))
+    return simulate(jc.integrator.Adaptive(diffrax.Dopri8(), rtol=1e-11, atol=1e-13))
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def reference():
     [
         jc.integrator.Adaptive(),
         pytest.param(
-            jc.integrator.Adaptive(diffrax.Kvaerno5(root_finder=NEWTON), 1e-6, 1e-9),
+            jc.integrator.Adaptive(diffrax.Kvaerno5(root_finder=NEWTON), rtol=1e-6, atol=1e-9),
             marks=pytest.mark.slow,
         ),
         jc.integrator.FixedStep(2e-6),
@@ -90,7 +90,7 @@ ORDERS = {
 @pytest.fixture(scope="module")
 def ends():
     """Final states of the smooth motions."""
-    fine = jc.integrator.Adaptive(diffrax.Dopri8(), 1e-12, 1e-13)
+    fine = jc.integrator.Adaptive(diffrax.Dopri8(), rtol=1e-12, atol=1e-13)
     return {
         name: jc.simulate(rig, duration, save=2, integrator=fine).states[-1]
         for name, (rig, duration) in SMOOTH.items()
