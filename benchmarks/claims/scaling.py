@@ -49,42 +49,11 @@ def integrators(step: float, implicit: bool = False) -> dict[str, Any]:
     return found | ({"ImplicitStep": jc.integrator.ImplicitStep(step)} if implicit else {})
 
 
-def slider_crank() -> jc.Mechanism:
-    """The planar slider-crank of README, without wear."""
-    steel = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
-    contact = jc.contact.LankaraniNikravesh(
-        stiffness=jc.stiffness.HertzStiffness(steel, steel), restitution=0.9
-    )
-    friction = jc.friction.Ambrosio(mu_kinetic=0.03)
-    bearing = jc.clearance.PlanarJournalBearing(
-        contact, friction, bearing_radius=10e-3, clearance=0.2e-3
-    )
-    return jc.Mechanism(
-        bodies={
-            "crank": jc.Body(mass=0.3, inertia=1e-4, com=(0.025, 0.0)),
-            "rod": jc.Body(mass=0.21, inertia=2.5e-4, com=(0.06, 0.0)),
-            "slider": jc.Body(mass=0.14, inertia=1e-4),
-        },
-        connections={
-            "O": jc.Connection(
-                jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"
-            ),
-            "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0)),
-            "B": jc.Connection(bearing, "rod", "slider", at=(0.12, 0.0)),
-            "G": jc.Connection(
-                jc.joint.Prismatic(), jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")
-            ),
-        },
-        loads={"gravity": jc.load.Gravity((0.0, -9.81))},
-        start={"G": 0.17},
-    )
-
-
 # Of clearance and length [m].
 TOLERANCES = (20e-6, 50e-6)
 SCENES: dict[str, Callable[[], jc.Mechanism]] = {
     "four-bar": jc.scenes.four_bar,
-    "slider-crank": slider_crank,
+    "slider-crank": jc.scenes.slider_crank,
 }
 
 
@@ -251,7 +220,7 @@ def question(mechanism: jc.Mechanism, integrator: Any, duration: float) -> jc.Pr
 
 
 def sample_rows(quick: bool) -> list[dict[str, Any]]:
-    scenes = {"slider-crank": slider_crank} if quick else SCENES
+    scenes = {"slider-crank": jc.scenes.slider_crank} if quick else SCENES
     sizes, duration = ((1, 256), 0.01) if quick else ((1, 4, 16, 64, 256, 1024, 4096, 16384), 0.02)
     rows = []
     for scene, build in scenes.items():
@@ -373,7 +342,7 @@ def duration_rows(quick: bool) -> list[dict[str, Any]]:
 
 
 def loop_rows(quick: bool) -> list[dict[str, Any]]:
-    scenes = {"slider-crank": slider_crank} if quick else SCENES
+    scenes = {"slider-crank": jc.scenes.slider_crank} if quick else SCENES
     duration, repeats = (0.05, 3) if quick else (0.2, 5)
     rows = []
     for scene, build in scenes.items():

@@ -41,34 +41,14 @@ def candidates(shortest: float, touching: bool) -> dict[str, list]:
 
 
 def slider_crank() -> jc.Mechanism:
-    """A slider-crank at 50 rad/s, the joint of rod and slider planar with 0.1 mm clearance and
-    friction.
-    """
+    """The scene with 0.1 mm of clearance, the law to start from and smooth friction."""
     steel = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
-    bearing = jc.clearance.PlanarJournalBearing(
-        jc.contact.CarvalhoMartins(jc.stiffness.HertzStiffness(steel, steel), restitution=0.9),
-        jc.friction.CoulombTanh(mu_kinetic=0.05),
-        bearing_radius=10e-3,
+    return jc.scenes.slider_crank(
         clearance=0.1e-3,
-    )
-    return jc.Mechanism(
-        {
-            "crank": jc.Body(0.3, 1e-4, (0.025, 0.0)),
-            "rod": jc.Body(0.21, 2.5e-4, (0.06, 0.0)),
-            "slider": jc.Body(0.14, 1e-4),
-        },
-        {
-            "O": jc.Connection(
-                jc.joint.Revolute(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"
-            ),
-            "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.05, 0.0)),
-            "B": jc.Connection(bearing, "rod", "slider", at=(0.12, 0.0)),
-            "G": jc.Connection(
-                jc.joint.Prismatic(), jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")
-            ),
-        },
-        {"gravity": jc.load.Gravity((0.0, -9.81))},
-        start={"G": 0.17},
+        contact=jc.contact.CarvalhoMartins(
+            jc.stiffness.HertzStiffness(steel, steel), restitution=0.9
+        ),
+        friction=jc.friction.CoulombTanh(mu_kinetic=0.05),
     )
 
 

@@ -121,35 +121,15 @@ def stiffness(clearance: float) -> float:
 
 
 def mechanism(memory_time: float, clearance: float = CLEARANCE) -> jc.Mechanism:
-    """The rig in jaxclear."""
+    """The rig in jaxclear: the scene at this speed, without gravity."""
     steel = jc.Material(YOUNG, POISSON)
-    bearing = jc.clearance.PlanarJournalBearing(
-        contact=jc.contact.LankaraniNikravesh(
-            stiffness=jc.stiffness.HertzStiffness(steel, steel),
-            restitution=RESTITUTION,
-            memory_time=memory_time,
-        ),
-        friction=jc.friction.Ambrosio(mu_kinetic=MU),
-        bearing_radius=RADIUS,
-        clearance=clearance,
+    contact = jc.contact.LankaraniNikravesh(
+        stiffness=jc.stiffness.HertzStiffness(steel, steel),
+        restitution=RESTITUTION,
+        memory_time=memory_time,
     )
-    return jc.Mechanism(
-        bodies={
-            "crank": jc.Body(mass=0.3, inertia=1e-4, com=(CRANK / 2, 0.0)),
-            "rod": jc.Body(mass=ROD_MASS, inertia=ROD_INERTIA, com=(ROD / 2, 0.0)),
-            "slider": jc.Body(mass=SLIDER_MASS, inertia=1e-4),
-        },
-        connections={
-            "O": jc.Connection(
-                jc.joint.Revolute(drive=jc.drive.ConstantSpeed(SPEED)), "ground", "crank"
-            ),
-            "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(CRANK, 0.0)),
-            "B": jc.Connection(bearing, "rod", "slider", at=(ROD, 0.0)),
-            "G": jc.Connection(
-                jc.joint.Prismatic(), jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")
-            ),
-        },
-        start={"G": CRANK + ROD},
+    return jc.scenes.slider_crank(
+        clearance=clearance, contact=contact, crank_speed=SPEED, gravity=None
     )
 
 
