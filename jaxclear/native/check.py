@@ -14,15 +14,29 @@ from jaxclear.native.writer import Unsupported
 # than this share is no evidence.
 AGREEMENT, NUDGE, MARGIN, VAGUE = 1e-9, 4e-16, 1e3, 1e-3
 SAMPLES = 3
+# Draws that are asked where the first one disagrees.
+SECOND_LOOKS = (1, 2)
 ABSURD = 1e60
 
 
 def check(program: Program, address: int) -> None:
     """One turn of the kernel at an address on random numbers against NumPy. Raises `Unsupported`
     where they differ.
+
+    Where a difference of like numbers is exactly zero in one order of operations and rounding in
+    the other, a choice or a quotient that hangs on it differs wholly. That does not recur: two
+    more draws that agree outweigh it, and a fault shows there too.
     """
+    if _agrees(program, address, 0):
+        return
+    if not all(_agrees(program, address, draw) for draw in SECOND_LOOKS):
+        raise Unsupported("a loop whose kernel does not agree with NumPy")
+
+
+def _agrees(program: Program, address: int, draw: int) -> bool:
+    """Whether the kernel agrees with NumPy on the random numbers of a draw."""
     constants, state = avals_of(program)
-    samples = random_values([*constants, *state])
+    samples = random_values([*constants, *state], draw)
     found = _one_turn(program, address, samples)
     turn_of = evaluator(program.body)
 
@@ -30,12 +44,10 @@ def check(program: Program, address: int) -> None:
         return packed(turn_of(*sample[program.condition_constants :]))
 
     with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
-        wanted, changed = (
-            np.array([by_numpy(f(s)) for s in samples]) for f in (lambda s: s, nudged)
-        )
+        wanted = np.array([by_numpy(s) for s in samples])
+        changed = np.array([by_numpy(nudged(s)) for s in samples])
     first = np.array([packed(s[len(constants) :]) for s in samples])
-    if not agree(found, wanted, changed, first):
-        raise Unsupported("a loop whose kernel does not agree with NumPy")
+    return agree(found, wanted, changed, first)
 
 
 def _one_turn(program: Program, address: int, samples: list) -> np.ndarray:
@@ -51,9 +63,9 @@ def _one_turn(program: Program, address: int, samples: list) -> np.ndarray:
     return out
 
 
-def random_values(avals: list) -> list[list[np.ndarray]]:
-    """For each sample a value of each shape and type."""
-    rng = np.random.default_rng(0)
+def random_values(avals: list, draw: int) -> list[list[np.ndarray]]:
+    """For each sample of a draw a value of each shape and type."""
+    rng = np.random.default_rng(draw)
 
     def one(aval):
         if aval.dtype == bool:
@@ -66,8 +78,15 @@ def random_values(avals: list) -> list[list[np.ndarray]]:
 
 
 def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
-    """The same values, floats changed in their last digits."""
-    return [v * (1 + NUDGE * (-1) ** i) if v.dtype == float else v for i, v in enumerate(sample)]
+    """The same values, each float changed in its last digits, up or down by chance: what cancels
+    within an array must not cancel any more."""
+    rng = np.random.default_rng(1)
+
+    def nudge(value):
+        signs = rng.integers(0, 2, value.shape) * 2 - 1
+        return value * (1 + NUDGE * signs) if value.dtype == float else value
+
+    return [nudge(value) for value in sample]
 
 
 def agree(found: np.ndarray, wanted: np.ndarray, changed: np.ndarray, first: np.ndarray) -> bool:
