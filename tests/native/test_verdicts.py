@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxclear as jc
-from jaxclear.native import explain, kernel, verdict, while_loop
+from jaxclear.native import check, explain, kernel, verdict, while_loop
 
 KERNELS = "The time loops ran as machine code."
 
@@ -74,3 +74,24 @@ def test_a_run_tells_in_its_stats(monkeypatch):
     monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", "1")
     run = jc.simulate(rig, 1e-3, save=4, integrator=jc.integrator.FixedStep(2e-5))
     assert "switched off" in run.stats.loops
+
+
+@pytest.mark.parametrize(
+    ("refused", "factor"), [((0,), 0.93), ((0, 2), 0.94)], ids=["once", "again"]
+)
+def test_a_disagreement_that_does_not_recur_is_rounding(refused, factor, monkeypatch):
+    """One draw in some thirty falls on a knife-edge between zero and rounding (seen in the four-bar
+    with captured impacts); a fault shows in the draws after it too.
+    """
+    agrees = check._agrees
+    monkeypatch.setattr(
+        check, "_agrees", lambda *given: given[-1] not in refused and agrees(*given)
+    )
+    sentence = said(jax.jit(thrice(lambda x: factor * x)), 0.3)
+    assert sentence == KERNELS if len(refused) == 1 else "does not agree with NumPy" in sentence
+
+
+def test_the_four_bar_with_captured_impacts_has_a_kernel():
+    captured = jc.integrator.Adaptive(capture_impacts=True)
+    run = jc.simulate(jc.scenes.four_bar(), 1e-3, save=2, integrator=captured)
+    assert run.stats.loops == KERNELS
