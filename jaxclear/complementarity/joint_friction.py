@@ -43,7 +43,7 @@ class JointFriction(AbstractProblem):
 
     def load(self, k: int, friction: Float[Array, " k"], ratio: Any) -> Any:
         """N_k [N], of which friction is a share."""
-        return sp.total(_length(force) for force in self.carried(k, friction, ratio))
+        return sp.total(sp.norm(force) for force in self.carried(k, friction, ratio))
 
     def slip(self, k: int, friction: Float[Array, " k"]) -> Any:
         """s_k [m/s]."""
@@ -121,12 +121,6 @@ class BoxedGaussSeidel(AbstractSolver):
             friction = friction.at[k].set(_within(wanted, low, high, self.relaxation))
             largest = jnp.maximum(largest, jnp.maximum(low, high))
         return friction, total, largest
-
-
-def _length(vector: sp.Vec) -> Any:
-    """Length of a sparse vector, with zero derivative at zero length."""
-    squares = sp.dot(vector, vector)
-    return 0 if sp.is_zero(squares) else safe_sqrt(squares)
 
 
 def _within(x, low, high, relaxation):

@@ -13,6 +13,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxclear.ground.numerics import safe_sqrt
+
 __all__ = [
     "IDENTITY",
     "ZERO",
@@ -29,6 +31,7 @@ __all__ = [
     "minus",
     "mul",
     "neg",
+    "norm",
     "outer",
     "plus",
     "plus_matrix",
@@ -100,6 +103,12 @@ def total(terms: Any) -> Any:
 def dot(a, b) -> Any:
     """Inner product of two sequences of equal length."""
     return total(mul(x, y) for x, y in zip(a, b, strict=True))
+
+
+def norm(vector: Any) -> Any:
+    """Length of a vector, with zero derivative at zero length."""
+    squares = dot(vector, vector)
+    return 0 if is_zero(squares) else safe_sqrt(squares)
 
 
 def plus(*vectors: Vec) -> Vec:

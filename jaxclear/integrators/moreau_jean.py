@@ -5,13 +5,11 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from jaxclear.formulations.closing import closed
-from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.rigid import RigidContact
 from jaxclear.formulations.unilateral import MoreauJeanSettings
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.stepping import divide, solved
+from jaxclear.integrators.stepping import searching_steps
 
 # Residual of the contact laws, relative to the largest velocity, beyond which they are not met.
 LOOSE = 0.1
@@ -81,14 +79,11 @@ class MoreauJean(AbstractIntegrator):
         return self.formulation.warm_start(model)
 
     def advance(self, model, interval, state, warm_start):
-        steps, h = divide(interval, self.step)
         settings = MoreauJeanSettings(
             self.theta, self.gamma, self.most_sweeps, self.tolerance, self.project
         )
 
-        def one(index, state, last):
-            time_step = TimeStep(interval.start + index * h, h)
-            end, last = self.formulation.step(model, time_step, state, last, settings)
-            return closed(model, interval.start + (index + 1) * h, end), last
+        def step(time_step, state, last):
+            return self.formulation.step(model, time_step, state, last, settings)
 
-        return solved(one, steps, state, warm_start, LOOSE)
+        return searching_steps(model, interval, self.step, step, (state, warm_start), LOOSE)

@@ -6,13 +6,11 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from jaxclear.formulations.closing import closed
-from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.permanent import PermanentContact
 from jaxclear.formulations.permanent_friction import NonCollidingSettings
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.stepping import divide, solved
+from jaxclear.integrators.stepping import searching_steps
 
 # Last change of friction in a search, relative to its bound, beyond which it may be far from the
 # solution.
@@ -73,14 +71,11 @@ class NonColliding(AbstractIntegrator):
         return self.formulation.warm_start(model)
 
     def advance(self, model, interval, state, warm_start):
-        steps, h = divide(interval, self.step)
         settings = NonCollidingSettings(
             self.most_sweeps, self.tolerance, self.relaxation, self.regularised
         )
 
-        def one(index, state, last):
-            time_step = TimeStep(interval.start + index * h, h)
-            end, last = self.formulation.step(model, time_step, state, last, settings)
-            return closed(model, interval.start + (index + 1) * h, end), last
+        def step(time_step, state, last):
+            return self.formulation.step(model, time_step, state, last, settings)
 
-        return solved(one, steps, state, warm_start, LOOSE)
+        return searching_steps(model, interval, self.step, step, (state, warm_start), LOOSE)

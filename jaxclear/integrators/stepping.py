@@ -7,6 +7,9 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from jaxclear.formulations.closing import closed
+from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.model import Model
 from jaxclear.integrators.base import Advance, Interval
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.native import while_loop
@@ -43,12 +46,22 @@ def arrived(end: Any, steps: Any, warm_start: Any) -> Advance:
     return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome)
 
 
-def solved(
-    one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, warm_start: Any, loose: float
+def searching_steps(
+    model: Model, interval: Interval, longest: Any, step: Callable, carry: tuple, loose: float
 ) -> Advance:
-    """The answer of steps each of which searches for percussions or friction; the last entry of the
-    warm start is the largest residual with which a search has ended, and beyond `loose` the laws
-    are not met."""
+    """The answer of equal steps, each of which searches for percussions or friction.
+
+    `longest`: length [s] that no step exceeds; `step`: (time step, state, last) -> (state, last);
+    `carry`: state and warm start. The last entry of the warm start is the largest residual with
+    which a search has ended, and beyond `loose` the laws are not met.
+    """
+    steps, h = divide(interval, longest)
+
+    def one(index, state, last):
+        end, last = step(TimeStep(interval.start + index * h, h), state, last)
+        return closed(model, interval.start + (index + 1) * h, end), last
+
+    state, warm_start = carry
     end, warm_start = march(one, steps, state, warm_start.at[-1].set(0.0))
     found = arrived(end, steps, warm_start)
     failed = (found.outcome == Outcome.REACHED) & (found.warm_start[-1] > loose)

@@ -10,7 +10,6 @@ from jaxclear.components.clearance.base import (
     ContactLaws,
     check_clearance,
     direction,
-    norm,
 )
 from jaxclear.components.joint import Spherical
 from jaxclear.components.wear_map import SphereMap, Wearing
@@ -45,7 +44,7 @@ class BallSocket(AbstractClearance):
         return (ContactLaws(self.contact, self.friction, shape, True),)
 
     def indentations(self, offset, axes, worn):
-        overlap = norm(offset) - self.clearance
+        overlap = sp.norm(offset) - self.clearance
         if "socket" in worn:
             overlap = overlap - self.maps()["socket"][0].depth_towards(worn["socket"], *offset)
         return (overlap,)

@@ -17,7 +17,7 @@ import equinox as eqx
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete
 from jaxclear.laws.stiffness import Shape
 
@@ -114,13 +114,7 @@ def check_clearance(joint: Any, outer: str) -> None:
         )
 
 
-def norm(vector) -> Any:
-    """Length of a sparse vector, with zero derivative at zero length."""
-    squares = sp.dot(vector, vector)
-    return 0 if sp.is_zero(squares) else safe_sqrt(squares)
-
-
 def direction(vector: sp.Vec, dimensions: int) -> tuple:
     """Unit vector of the first components, zero at zero length."""
-    inverse = safe_divide(1.0, norm(vector[:dimensions]))
+    inverse = safe_divide(1.0, sp.norm(vector[:dimensions]))
     return tuple(sp.mul(inverse, component) for component in vector[:dimensions])

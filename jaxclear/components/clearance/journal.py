@@ -14,7 +14,6 @@ from jaxclear.components.clearance.base import (
     ContactLaws,
     check_clearance,
     direction,
-    norm,
 )
 from jaxclear.components.clearance.journal_base import AbstractJournalBearing
 from jaxclear.components.wear_map import CylinderMap, Wearing
@@ -62,7 +61,7 @@ class PlanarJournalBearing(AbstractJournalBearing):
             depth = self.maps()["bearing"][0].depth_at_end(
                 worn["bearing"], offset[0], offset[1], -1
             )
-        return (sp.sub(norm(offset[:2]) - self.clearance, depth),)
+        return (sp.sub(sp.norm(offset[:2]) - self.clearance, depth),)
 
     def contact_candidates(self, offset, axes, indentations):
         x, y = direction(offset, 2)
@@ -171,7 +170,7 @@ class JournalBearing(AbstractJournalBearing):
         for end, centre in zip((-1, 1), self.end_centres(offset, axes), strict=True):
             x, y = direction(centre, 2)
             lean = sp.add(sp.mul(slope[0], x), sp.mul(slope[1], y))
-            overlap = norm(centre[:2]) - self.clearance
+            overlap = sp.norm(centre[:2]) - self.clearance
             if not sp.is_zero(lean):
                 overlap = overlap + 0.5 * self.journal_radius * lean * lean
             for surface in worn:
@@ -250,6 +249,6 @@ def _slope(axis) -> tuple:
 
 def _seen_by(journal_x, x, y) -> tuple:
     """A direction of the bearing's plane in the axes of the (turned) journal."""
-    length = norm(journal_x[:2])
+    length = sp.norm(journal_x[:2])
     cosine, sine = safe_divide(journal_x[0], length), safe_divide(journal_x[1], length)
     return (cosine * x + sine * y, cosine * y - sine * x)

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
-from jaxclear.components.clearance.base import AbstractClearance, norm
+from jaxclear.components.clearance.base import AbstractClearance
 from jaxclear.components.clearance.permanent import (
     AbstractPermanentJoint,
     CarriedContact,
@@ -76,7 +76,7 @@ class PermanentRevolute(AbstractPermanentJoint):
         """force = -N n + T t with t a quarter turn ahead of n, the direction in which the journal
         leans; T = ratio |force|.
         """
-        size = norm(force)
+        size = sp.norm(force)
         normal = safe_sqrt(1 - ratio * ratio) * size
         x, y = (safe_divide(part, size * size) for part in force[:2])
         friction = ratio * size

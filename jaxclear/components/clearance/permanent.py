@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxclear.components.clearance.base import AbstractClearance, norm
+from jaxclear.components.clearance.base import AbstractClearance
 from jaxclear.components.joint import AbstractJoint, AbstractVectorJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.laws.friction import AbstractFrictionLaw
@@ -113,12 +113,12 @@ class AbstractPermanentJoint(AbstractVectorJoint):
 
 def carried_load(ends: tuple[CarryingEnd, ...]) -> Any:
     """Sum of the sizes of the carried forces [N], of which friction is a share."""
-    return sp.total(norm(end.force) for end in ends)
+    return sp.total(sp.norm(end.force) for end in ends)
 
 
 def situation(ends: tuple[CarryingEnd, ...]) -> Any:
     """Index into `SITUATIONS`."""
-    sizes = [norm(end.force) for end in ends]
+    sizes = [sp.norm(end.force) for end in ends]
     carries = [size > IDLE * sp.total(sizes) for size in sizes]
     if len(ends) == 1:
         return carries[0].astype(int)
