@@ -13,6 +13,7 @@ from jaxclear.integrators.base import (
     Advance,
     Interval,
 )
+from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.integrators.fixed_step import FixedStep
 from jaxclear.integrators.implicit_step import ImplicitStep
 from jaxclear.integrators.moreau_jean import MoreauJean
@@ -26,6 +27,9 @@ __all__ = [
     "AbstractIntegrator",
     "Adaptive",
     "Advance",
+    "Check",
+    "Checks",
+    "Figure",
     "FixedStep",
     "GroupTerm",
     "ImplicitStep",

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
+from jaxclear.integrators.checks import Check
 
 
 class Interval(NamedTuple):
@@ -33,13 +34,15 @@ class Interval(NamedTuple):
 
 class Advance(NamedTuple):
     """Outcome of one interval: state at its end, steps accepted and rejected, what helps the next
-    interval to start, `Outcome`."""
+    interval to start, `Outcome`; and the worst of the `figures` that it has kept, for each place of
+    a `Check` (each possible contact, say; None: it keeps none)."""
 
     state: State
     accepted: Int[Array, ""]
     rejected: Int[Array, ""]
     warm_start: Any
     outcome: Int[Array, ""]
+    figures: dict[Check, Float[Array, " places"]] | None = None
 
 
 class AbstractIntegrator(AbstractQuantified):

@@ -6,7 +6,8 @@ from jaxclear.ground.outcome import AbstractOutcome
 class Outcome(AbstractOutcome):
     """How a run ended. `Outcome(code).sentence` says it; only `REACHED` (0) is a success.
 
-    The last two are those of samples of a study, whose numbers do not make a mechanism.
+    `UNASSEMBLED` and `OUT_OF_RANGE` are those of samples of a study, whose numbers do not make a
+    mechanism.
     """
 
     REACHED = 0, "The run reached its end."
@@ -30,6 +31,16 @@ class Outcome(AbstractOutcome):
     OUT_OF_RANGE = (
         7,
         "A number of the mechanism lies outside its range (a negative clearance, say).",
+    )
+    LOOP_TORN = (
+        8,
+        "A loop came open by more than a run can mend: the steps are too long for this motion. "
+        "Take shorter ones, or stabilisation=jaxclear.Projection().",
+    )
+    ENERGY_GAINED = (
+        9,
+        "The mechanism gained energy that nothing gave it: the steps are too long for its contacts "
+        "or loads. Take shorter ones.",
     )
 
     @property

@@ -8,6 +8,7 @@ through.
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
@@ -142,3 +143,17 @@ def readings(system: System, worn: dict) -> dict:
         }
         for name, surfaces in worn.items()
     }
+
+
+def longest_arm(system: System) -> Any:
+    """Length [m] beside which drift of the loops is measured: the longest distance within a body
+    from its inboard joint to another joint, or its radius of gyration about that joint, if that is
+    longer."""
+    squares = [
+        sp.total(link.inertia[i][i] for i in range(3)) / (2.0 * link.mass) for link in system.links
+    ]
+    squares += [sp.dot(x, x) for x in (link.base.translation for link in system.links)]
+    closures = [*system.closures, *(bearing.closure for bearing in system.bearings.values())]
+    for closure in closures:
+        squares += [sp.dot(x.translation, x.translation) for x in (closure.parent, closure.child)]
+    return jnp.sqrt(jnp.max(sp.stack(squares)))

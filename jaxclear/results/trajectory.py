@@ -7,12 +7,14 @@ pays for none of them. The methods here are fronts of the functions that do it.
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground import sparse as sp
+from jaxclear.integrators.checks import Checks
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
@@ -45,7 +47,7 @@ class RunStats(eqx.Module):
 class Trajectory(eqx.Module):
     """A simulated run. `history` holds the states; `worn` are depth maps [m] by joint and surface
     at the end, `outcome` tells how the run ended (an `Outcome`), `ended` when [s], `stats` what it
-    cost.
+    cost, `checks` what it found out about its own numbers.
     """
 
     history: StateHistory
@@ -53,6 +55,7 @@ class Trajectory(eqx.Module):
     outcome: Int[Array, ""]
     ended: Float[Array, ""]
     stats: RunStats
+    checks: Checks = eqx.field(default_factory=Checks)
 
     @property
     def mechanism(self) -> Mechanism:
@@ -91,11 +94,25 @@ class Trajectory(eqx.Module):
 
     @property
     def result(self) -> str:
-        """A sentence: that the run reached its end, or when and why it did not."""
+        """A sentence: that the run reached its end, or when and why it did not; and what it warns
+        of."""
         sentence = Outcome(int(self.outcome)).sentence
-        if self.succeeded:
+        if not self.succeeded:
+            return f"The run ended early, after {float(self.ended):.6g} s. {sentence}"
+        if not self.warnings:
             return sentence
-        return f"The run ended early, after {float(self.ended):.6g} s. {sentence}"
+        return f"{sentence.removesuffix('.')}, with warnings: {' '.join(self.warnings)}"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each of its `checks` beyond its limit; empty for a clean run."""
+        return self.checks.warnings
+
+    def __str__(self) -> str:
+        if np.ndim(self.outcome) or isinstance(self.outcome, jax.core.Tracer):
+            return repr(self)
+        steps = f"{int(self.accepted_steps)} steps, {len(self.time)} saved instants"
+        return f"{self.result}\n{float(self.ended):.6g} s in {steps}.\n{self.checks}"
 
     def state_names(self) -> list[str]:
         """Names of the columns of `states`."""

@@ -28,6 +28,7 @@ from jaxclear.native import verdict
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation import progress
+from jaxclear.simulation.referee import refereed
 from jaxclear.simulation.wear import Worn, deposit, unworn
 
 # Weight of the laws' memories in the error control: they need not be exact, but a step longer than
@@ -87,18 +88,20 @@ def run(
         outcome = jnp.where(running, found, outcome)
         ended = jnp.where(running & (outcome == Outcome.REACHED), stop, ended)
         counts = (jnp.where(running, result.accepted, 0), jnp.where(running, result.rejected, 0))
-        return (kept, worn, result.warm_start, outcome, ended), (kept, now.worn, counts)
+        figures = {c: jnp.where(running, x, 0.0) for c, x in (result.figures or {}).items()}
+        return (kept, worn, result.warm_start, outcome, ended), (kept, now.worn, counts, figures)
 
     spans = (times[:-1], times[1:], (times[1:] - times[:-1]) / (times[-1] - times[0]))
     warm_start = integrator.first_warm_start(model_of_worn(model, worn), times[0], state)
     first = (state, worn, warm_start, jnp.asarray(Outcome.REACHED), times[0])
-    (_, worn, _, outcome, ended), (states, read, counts) = jax.lax.scan(interval, first, spans)
+    (_, worn, _, outcome, ended), saved = jax.lax.scan(interval, first, spans)
+    states, read, counts, figures = saved
     states = jnp.concatenate([state[None], states])
     read = jax.tree.map(lambda x: jnp.concatenate([x[:1], x]), read)
     history = StateHistory(mechanism, formulation, times, states, read, balance)
     accepted, rejected = counts
     stats = RunStats(accepted.sum(), rejected.sum(), verdict(outcome))
-    return Trajectory(history, worn, outcome, ended, stats)
+    return refereed(Trajectory(history, worn, outcome, ended, stats), figures)
 
 
 def model_of_worn(model: Model, worn: Worn) -> Model:

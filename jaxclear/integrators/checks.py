@@ -1,0 +1,212 @@
+"""What a run finds out about itself: running figures, each beside the limit up to which its numbers
+can be trusted, and the sentence that is said beyond.
+
+A figure is a number for each place (a joint, or the mechanism): the worst that was met. A run that
+lacks the thing has no figure for it and pays nothing. Beyond a limit the run carries a sentence;
+beyond `Check.ends_at` its numbers are certainly wrong and it ends.
+"""
+
+import enum
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxclear.integrators.outcome import Outcome
+
+# What a figure is told for: every joint that closes a loop, every possible contact, or the
+# mechanism as a whole.
+LOOPS, CONTACTS, WHOLE = "loops", "contacts", "mechanism"
+
+
+class Check(enum.IntEnum):
+    """A figure by which a run is judged: its `label` in tables, `unit`, `limit`, what the limit
+    `concerns` (motion, forces, peak forces, wear), whose it is (`of`: "loops", "contacts" or
+    "mechanism"), and the `sentence` said beyond the limit. Beyond `ends_at` the run ends, with
+    `outcome`.
+    """
+
+    label: str
+    unit: str
+    limit: float
+    concerns: str
+    of: str
+    sentence: str
+    ends_at: float
+    outcome: Outcome
+
+    def __new__(
+        cls,
+        code: int,
+        label: str,
+        unit: str,
+        limit: float,
+        concerns: str,
+        of: str,
+        sentence: str,
+        ends: tuple[float, Outcome] = (np.inf, Outcome.REACHED),
+    ):
+        member = int.__new__(cls, code)
+        member._value_ = code
+        member.label, member.unit, member.limit = label, unit, limit
+        member.concerns, member.of, member.sentence = concerns, of, sentence
+        member.ends_at, member.outcome = ends
+        return member
+
+    # Residual of a loop's closure beside the longest arm of the mechanism, at the saving times.
+    LOOP_DRIFT = (
+        0,
+        "loop drift",
+        "1",
+        1e-4,
+        "motion",
+        LOOPS,
+        'the loop closed by joint "{place}" is open by {figure:.2g} of the longest arm (limit '
+        "{limit:g}), so the motion is off: take shorter steps or "
+        "stabilisation=jaxclear.Projection()",
+        (3e-2, Outcome.LOOP_TORN),
+    )
+    # Rate at which friction changes with sliding times the step.
+    FRICTION_STEP = (
+        1,
+        "friction step",
+        "1",
+        1.0,
+        "wear",
+        CONTACTS,
+        'friction in joint "{place}" changes {figure:.2g} times as fast as the step resolves '
+        "(limit {limit:g}), so sliding, friction loss and wear may be far off: take shorter steps "
+        "or integrator.ImplicitStep",
+    )
+    # Error of the remembered impact speed.
+    IMPACT_MEMORY = (
+        2,
+        "impact memory",
+        "1",
+        1.0,
+        "motion",
+        CONTACTS,
+        'in joint "{place}" the impact speed is remembered with an error of {figure:.2g} (limit '
+        "{limit:g}), so restitution is not the law's: capture impacts, or take a shorter "
+        "memory_time",
+    )
+
+
+class Figure(eqx.Module):
+    """The worst of a figure at each of its `places`, and the end [s] of the saving interval in
+    which it was met."""
+
+    worst: Float[Array, "*batch places"]
+    time: Float[Array, "*batch places"]
+    places: tuple[str, ...] = eqx.field(static=True)
+
+
+class Checks(eqx.Module):
+    """The figures by which a run is judged. `print` shows them as a table; `warnings` are the
+    sentences of those beyond their limits. After `jax.vmap` every array has the samples in front:
+    `beyond` and `any_beyond` stay arrays, the rest is for one run.
+    """
+
+    figures: dict[Check, Figure] = eqx.field(default_factory=dict)
+
+    def beyond(self) -> dict[Check, Bool[Array, "*batch"]]:
+        """For each figure whether it is beyond its limit anywhere; samples stay in front."""
+        return {
+            check: jnp.any(figure.worst > check.limit, axis=-1)
+            for check, figure in self.figures.items()
+        }
+
+    def any_beyond(self) -> Bool[Array, "*batch"]:
+        """Whether any figure is beyond its limit."""
+        found = jnp.zeros((), bool)
+        for beyond in self.beyond().values():
+            found = found | beyond
+        return found
+
+    def rows(self) -> list[tuple[Check, float, str, float]]:
+        """(check, worst figure, its place, when [s]) of each figure of one run."""
+        out = []
+        for check, figure in self.figures.items():
+            worst = np.asarray(figure.worst)
+            at = int(np.argmax(worst))
+            out.append((check, float(worst[at]), figure.places[at], float(figure.time[at])))
+        return out
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each figure beyond its limit; empty for a clean run."""
+        return tuple(
+            _sentence(check, worst, place)
+            for check, worst, place, _ in self.rows()
+            if worst > check.limit
+        )
+
+    def table(self) -> Any:
+        """A pandas table: figure, unit, limit, where and when [s] the worst was met, what it
+        concerns, whether it is within its limit."""
+        import pandas
+
+        return pandas.DataFrame(
+            [
+                {
+                    "check": check.label,
+                    "figure": worst,
+                    "limit": check.limit,
+                    "unit": check.unit,
+                    "joint": place or "-",
+                    "time [s]": time,
+                    "concerns": check.concerns,
+                    "within": worst <= check.limit,
+                }
+                for check, worst, place, time in self.rows()
+            ]
+        )
+
+    def __str__(self) -> str:
+        lines = [f"{'check':24}{'figure':>10}{'limit':>10}  {'joint':12}concerns"]
+        for check, worst, place, _ in self.rows():
+            label = check.label if check.unit == "1" else f"{check.label} [{check.unit}]"
+            mark = "  <- beyond" if worst > check.limit else ""
+            lines.append(
+                f"{label:24}{worst:10.2g}{check.limit:10.2g}  {place or '-':12}"
+                f"{check.concerns}{mark}"
+            )
+        return "\n".join(lines) if len(lines) > 1 else "This run had nothing to check."
+
+
+def _sentence(check: Check, worst: float, place: str) -> str:
+    text = check.sentence.format(figure=worst, place=place, limit=check.limit)
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def over_run(
+    found: dict[Check, Float[Array, "intervals places"]],
+    ends: Float[Array, " intervals"],
+    places: dict[str, tuple[str, ...]],
+) -> Checks:
+    """The worst over a run of figures found in every saving interval, which end at `ends` [s];
+    `places`: names of the places by what they are of. What is not a number counts as infinite.
+    """
+    figures = {}
+    for check, each in found.items():
+        names = places[check.of]
+        if not names:
+            continue
+        known = jnp.where(jnp.isnan(each), jnp.inf, each)
+        latest = jnp.argmax(known, axis=0)
+        figures[check] = Figure(jnp.max(known, axis=0), jnp.asarray(ends)[latest], names)
+    return Checks(figures)
+
+
+def ending(
+    found: dict[Check, Float[Array, "intervals places"]],
+) -> Float[Array, " intervals"]:
+    """`Outcome` that each interval's figures call for: `REACHED` where none is certainly wrong."""
+    outcome: Any = Outcome.REACHED
+    for check, each in found.items():
+        if np.isfinite(check.ends_at):
+            bad = jnp.any(~(each <= check.ends_at), axis=-1)
+            outcome = jnp.where(bad, check.outcome, outcome)
+    return outcome

@@ -1,0 +1,76 @@
+"""A run's judgement of itself: the figures of its saving intervals gathered, and its end where they
+show that the numbers are certainly wrong.
+
+Nothing here touches the motion: what reached its end does so with the same numbers, bit for bit.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.formulations.model import Instant
+from jaxclear.ground import sparse as sp
+from jaxclear.integrators.checks import CONTACTS, LOOPS, WHOLE, Check, ending, over_run
+from jaxclear.integrators.outcome import Outcome
+from jaxclear.multibody import kinematics, loops
+from jaxclear.multibody.system import longest_arm
+from jaxclear.results.state_history import StateHistory, over_time
+from jaxclear.results.trajectory import Trajectory
+
+
+def refereed(
+    trajectory: Trajectory, figures: dict[Check, Float[Array, "intervals places"]]
+) -> Trajectory:
+    """The run with its checks: those that its integrator kept in each saving interval, and those
+    that its saved states tell. It ends where one of them is beyond what a run can mend.
+    """
+    history = trajectory.history
+    found = jax.lax.stop_gradient(figures | _of_saved_states(history))
+    ends = jnp.asarray(history.time)[1:]
+    checks = over_run(found, ends, _places(history))
+    verdict = ending(found)
+    if jnp.ndim(verdict) == 0:
+        return dataclasses.replace(trajectory, checks=checks)
+    bad = (verdict != Outcome.REACHED) & (ends <= trajectory.ended)
+    first, stops = jnp.argmax(bad), jnp.any(bad)
+    # As of every run that ended early, the last state is kept up to its planned end.
+    later = (jnp.arange(len(history.time)) > first + 1)[:, None]
+    states = jnp.where(stops & later, history.states[first + 1], history.states)
+    return dataclasses.replace(
+        trajectory,
+        history=dataclasses.replace(history, states=states),
+        outcome=jnp.where(stops, verdict[first], trajectory.outcome),
+        ended=jnp.where(stops, ends[first], trajectory.ended),
+        checks=checks,
+    )
+
+
+def _places(history: StateHistory) -> dict[str, tuple[str, ...]]:
+    """Names of the places of figures."""
+    model = history.model()
+    contacts = tuple(name for name, kinds in model.layout.memories for _ in kinds)
+    return {LOOPS: model.system.topology.loops, CONTACTS: contacts, WHOLE: ("",)}
+
+
+def _of_saved_states(history: StateHistory) -> dict[Check, Float[Array, "intervals places"]]:
+    """Figures that the states at the saving times tell."""
+    found = {}
+    if history.model().system.closures:
+        arm = longest_arm(history.model().system)
+        found[Check.LOOP_DRIFT] = over_time(history, lambda now: _openings(now, arm))[1:]
+    return found
+
+
+def _openings(now: Instant, arm: Any) -> Float[Array, " loops"]:
+    """Largest residual of each loop's closure: displacements beside the longest arm, cosines as
+    they are."""
+    openings = []
+    for closure in now.model.system.closures:
+        _, pose, _ = kinematics.relative_motion(closure, now.motions)
+        values = zip(closure.rows, loops.residuals(closure.rows, pose), strict=True)
+        shares = [abs(x) / arm if len(row) == 1 else abs(x) for row, x in values]
+        openings.append(jnp.max(sp.stack(shares), initial=0.0))
+    return jnp.stack(openings)
