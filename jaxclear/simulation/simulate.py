@@ -95,11 +95,10 @@ def run(
     warm_start = integrator.first_warm_start(model_of_worn(model, worn), times[0], state)
     first = (state, worn, warm_start, jnp.asarray(Outcome.REACHED), times[0])
     (_, worn, _, outcome, ended), saved = jax.lax.scan(interval, first, spans)
-    states, read, counts, figures = saved
-    states = jnp.concatenate([state[None], states])
+    states, read, (accepted, rejected), figures = saved
     read = jax.tree.map(lambda x: jnp.concatenate([x[:1], x]), read)
+    states = jnp.concatenate([state[None], states])
     history = StateHistory(mechanism, formulation, times, states, read, balance)
-    accepted, rejected = counts
     stats = RunStats(accepted.sum(), rejected.sum(), verdict(outcome))
     return refereed(Trajectory(history, worn, outcome, ended, stats), figures)
 

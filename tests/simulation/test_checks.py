@@ -54,12 +54,12 @@ def test_checks_stand_in_a_table_with_the_joint_and_the_limit():
 
 def test_a_batch_keeps_the_figures_of_every_sample():
     """A torn sample ends by itself."""
-    rig, integrator = ideal(1), jc.integrator.ImplicitStep(1e-3)
-    start, times = jc.assemble(rig), jnp.linspace(0.0, 0.01, 3)
+    integrator = jc.integrator.ImplicitStep(1e-3)
+    start, times = jc.assemble(ideal(1 / RPM)), jnp.linspace(0.0, 0.01, 3)
 
     def one(speed):
         faster = jc.scenes.slider_crank("ideal", crank_speed=speed)
-        return run(faster, start.coordinates, start.speeds, times, integrator)
+        return run(faster, start.coordinates, speed * start.speeds, times, integrator)
 
     found = jax.vmap(one)(jnp.array([1.0, 500.0]))
     assert found.checks.any_beyond().tolist() == [False, True]
