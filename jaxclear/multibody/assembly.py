@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.least_change import least_change
 from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
@@ -25,8 +26,6 @@ from jaxclear.multibody.system import System, prepare
 ITERATIONS = 30
 # Largest change of a coordinate in one step [rad, m]: keeps the search on the branch of the guess.
 LONGEST_STEP = 0.3
-# Relative weight of staying put against closing; far below rounding of the residuals' own scale.
-DAMPING = 1e-13
 CLOSED = 1e-8
 
 
@@ -107,15 +106,6 @@ def _rows(system, closures, q, v, time):
     return out
 
 
-def _least_change(jacobian, residual):
-    """Smallest step with jacobian @ step = residual, in the least-squares sense where rows
-    contradict.
-    """
-    normal = jacobian.T @ jacobian
-    weight = DAMPING * (jnp.trace(normal) + 1e-30)
-    return jnp.linalg.solve(normal + weight * jnp.eye(normal.shape[0]), jacobian.T @ residual)
-
-
 def assemble_arrays(mechanism: Mechanism, concentric: bool = True, time: float = 0.0) -> Start:
     """The consistent start nearest the mechanism's guess; pure, so it maps and differentiates."""
     system = prepare(mechanism)
@@ -135,14 +125,16 @@ def assemble_arrays(mechanism: Mechanism, concentric: bool = True, time: float =
 
     def improve(q, _):
         residual, _, jacobian = stacked(q, jnp.zeros_like(v))
-        step = -_least_change(jacobian, residual)
-        step = step * jnp.minimum(1.0, LONGEST_STEP / (jnp.max(jnp.abs(step)) + 1e-300))
+        step = -least_change(jacobian, residual, ones).change
+        longest = jnp.maximum(jnp.max(jnp.abs(step)), LONGEST_STEP)
+        step = step * (LONGEST_STEP / longest)
         return retract(system, q, step), None
 
+    ones = jnp.ones_like(v)
     q, _ = jax.lax.scan(improve, q, length=ITERATIONS)
     for _ in range(2):
         _, rates, jacobian = stacked(q, v)
-        v = v - _least_change(jacobian, rates)
+        v = v - least_change(jacobian, rates, ones).change
     return _started(q, v, _rows(system, closures, q, v, time))
 
 
