@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.components.clearance import ContactLaws
-from jaxclear.formulations import midpoint_step, state_rate
+from jaxclear.formulations import midpoint_step, state_rate, work_over_step
 from jaxclear.formulations.base import AbstractFormulation, ContactReport, clearance_contact
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.midpoint_step import ImplicitSettings, WarmStart
@@ -102,6 +102,12 @@ class CompliantContact(AbstractFormulation):
         """Rates of the coordinates alone: they follow from coordinates and speeds."""
         motion = unpack_motion(model.system, model.entries(state))
         return sp.stack(state_rate.coordinate_rates(model.system, *motion))
+
+    def energy_rates(self, model: Model, time: Any, state: State, mean: Any) -> Float[Array, " e"]:
+        """Rates of the energies of the balance but its input, for the forces at a state and the
+        mean speeds of the step that begins there."""
+        speeds = [mean[i] for i in range(model.layout.speeds)]
+        return sp.stack(work_over_step.energy_rates(model, time, model.entries(state), speeds))
 
     def remembers(self, model: Model) -> bool:
         """True where some contact remembers its impact speed."""

@@ -171,8 +171,18 @@ class FixedStep(AbstractIntegrator):
             kicked = jnp.concatenate([y[:n], total[n:]])
             rates = self.formulation.coordinate_rates(model, kicked)
             total = jnp.concatenate([y[:n] + h * rates, total[n:]])
+            total = self._with_energies(model, time, h, y, total)
         y = jnp.where(stage == len(CHAINS[self.method][0]) - 1, total, y)
         return (h, y, total, slope), None
+
+    def _with_energies(self, model, time, h, y, after):
+        """The energies of the balance after a semi-implicit step, where they are asked for."""
+        layout = model.layout
+        if not layout.energies:
+            return after
+        n, m, first = layout.coordinates, layout.memory_start, layout.energy_start + 1
+        powers = self.formulation.energy_rates(model, time, y, 0.5 * (y[n:m] + after[n:m]))
+        return jnp.concatenate([after[:first], y[first:] + h * powers])
 
     def _step_on_group(self, model, time, length, h, y):
         """As `_step`; the contacts are looked at beforehand, where something depends on them."""
