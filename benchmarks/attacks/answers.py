@@ -1,0 +1,148 @@
+"""What is asked of a run, as plain numbers, and how far two runs are apart.
+
+Errors are shares of the answer itself; of places, of the longest way that a body has gone (of a
+hundred clearances where that is longer); of offsets in a joint, of its clearance; of drift, of the
+longest arm. Forces are those of the joints with clearance, or else the reactions of all
+joints.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import jaxclear as jc
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.multibody.system import longest_arm
+
+RESPONSES = (
+    "place",
+    "offset",
+    "mean force",
+    "peak force",
+    "friction loss",
+    "worn volume",
+    "worn depth",
+    "drift",
+)
+# An energy below this share of what the run turns over is no answer that a user would read.
+SMALL_ENERGY = 1e-3
+# Volumes and depths below these are rounding [m3, m].
+NO_VOLUME, NO_DEPTH = 1e-24, 1e-18
+# Bodies that go less far than this many clearances only move within them.
+GAPS = 100.0
+
+
+class Answers(eqx.Module):
+    """Places (bodies, time, 3) [m]; offsets (gaps, time, 3) and clearances of the joints [m]; mean
+    and peak forces by joint [N]; energies lost in friction and turned over [J]; worn volumes and
+    depths by joint; drift and longest arm [m]."""
+
+    place: Any
+    offset: Any
+    clearance: Any
+    mean_force: Any
+    peak_force: Any
+    friction_loss: Any
+    turnover: Any
+    volume: Any
+    depth: Any
+    drift: Any
+    arm: Any
+
+
+def surfaces(mechanism: jc.Mechanism) -> tuple[tuple[str, str], ...]:
+    """(joint, surface) of everything that wears."""
+    kinds = {
+        name: connection.joint.maps()
+        for name, connection in mechanism.connections.items()
+        if name in mechanism.topology.clearances
+    }
+    return tuple((name, surface) for name, maps in kinds.items() for surface in maps)
+
+
+@eqx.filter_jit
+def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
+    """All answers of a run in one program."""
+    rig = run.mechanism
+    bodies = [run.body(name) for name in rig.bodies]
+    gaps = tuple(run.formulation.contact_joints(rig))
+    offset, clearance = jnp.zeros((0, len(run.time), 3)), jnp.zeros(0)
+    if gaps:
+        contacts = [run.contact(name) for name in gaps]
+        forces = jnp.stack([jnp.sum(contact.normal_force, axis=-1) for contact in contacts])
+        offset = jnp.stack(
+            [
+                _across(contact.offset, rig, name)
+                for contact, name in zip(contacts, gaps, strict=True)
+            ]
+        )
+        clearance = jnp.stack([jnp.asarray(_gap(rig, name)) for name in gaps])
+    else:
+        reactions = [run.reaction(name).force for name in rig.connections]
+        forces = jnp.stack([jnp.sqrt(jnp.sum(force**2, axis=-1)) for force in reactions])
+    if run.formulation.forces_are_means:
+        forces = forces[:, 1:]
+    lost, turned = jnp.zeros(()), jnp.zeros(())
+    if balance:
+        energies = run.energy_balance()
+        lost = energies.friction_loss[-1]
+        turned = jnp.max(energies.kinetic) + jnp.max(jnp.abs(energies.input))
+    drifts = [jnp.max(history) for history in run.drift().values()]
+    return Answers(
+        jnp.stack([body.com for body in bodies]),
+        offset,
+        clearance,
+        jnp.mean(forces, axis=1),
+        jnp.max(forces, axis=1),
+        lost,
+        turned,
+        jnp.array([run.worn_volume(*one)[-1] for one in wears]),
+        jnp.array([jnp.max(run.worn_depth(*one)) for one in wears]),
+        jnp.max(jnp.array([*drifts, 0.0])),
+        jnp.asarray(longest_arm(run.history.model().system)),
+    )
+
+
+def _gap(rig: jc.Mechanism, name: str) -> Any:
+    """Clearance of a joint, also of one that its formulation sees as always touching."""
+    joint = rig.connections[name].joint
+    return joint.clearance if isinstance(joint, AbstractClearance) else joint.gap.clearance
+
+
+def _across(offset: Any, rig: jc.Mechanism, name: str) -> Any:
+    """The offset in those directions that the clearance bounds: all but along a guide."""
+    joint = rig.connections[name].joint
+    bounded = jnp.array([1.0, 1.0, 1.0 * isinstance(joint, jc.clearance.BallSocket)])
+    if isinstance(joint, jc.clearance.SliderGuide):
+        bounded = jnp.array([1.0, 0.0, 0.0])
+    return offset * bounded
+
+
+def apart(one: Answers, other: Answers) -> dict[str, float]:
+    """Largest difference in each response, as a share of `other`'s; nan where there is none."""
+    travelled = np.max(np.abs(other.place - other.place[:, :1]))
+    travelled = max(travelled, GAPS * np.max(other.clearance, initial=0.0))
+    scale = max(SMALL_ENERGY * float(other.turnover), 1e-15)
+    found = {
+        "place": _share(one.place, other.place, travelled),
+        "mean force": _share(one.mean_force, other.mean_force, np.max(other.mean_force)),
+        "peak force": _share(one.peak_force, other.peak_force, np.max(other.peak_force)),
+        "drift": float(one.drift / one.arm) if one.drift > 0 else np.nan,
+    }
+    if other.clearance.size:
+        gaps = other.clearance[:, None, None]
+        found["offset"] = _share(one.offset / gaps, other.offset / gaps, 1.0)
+    if other.turnover > 0:
+        loss = max(float(other.friction_loss), scale)
+        found["friction loss"] = _share(one.friction_loss, other.friction_loss, loss)
+    if other.volume.size:
+        found["worn volume"] = _share(one.volume, other.volume, np.max(other.volume) + NO_VOLUME)
+        found["worn depth"] = _share(one.depth, other.depth, np.max(other.depth) + NO_DEPTH)
+    return {name: found.get(name, np.nan) for name in RESPONSES}
+
+
+def _share(one: Any, other: Any, size: Any) -> float:
+    worst = float(np.max(np.abs(np.asarray(one) - np.asarray(other))))
+    return worst / float(size) if size > 0 else (0.0 if worst == 0 else np.inf)

@@ -1,0 +1,76 @@
+"""The rungs that are tried, with steps and tolerances drawn at random, and what each is compared
+with.
+
+A rung is judged by its own model: compliant rungs by `Adaptive` at two tight tolerances, rigid
+contact and joints that always touch by their own steps at two short lengths. What a model is off
+is another question (`benchmarks.claims.formulations`).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jaxclear as jc
+from benchmarks.attacks.numbers import Draw
+
+I = jc.integrator  # noqa: E741
+
+
+class Rung(NamedTuple):
+    """`make(draw)`: the integrator, None for the one that `simulate` takes unasked; `kind`: whose
+    accuracy it is held to."""
+
+    make: Callable[[Draw], Any]
+    kind: str
+    model: str = "compliant"
+
+
+# Steps [s] are drawn about those that the book names.
+RUNGS: dict[str, Rung] = {
+    "default": Rung(lambda n: None, "Adaptive"),
+    "default of studies": Rung(lambda n: default_of_studies(), "default of studies"),
+    "Adaptive": Rung(lambda n: _adaptive(n.log(1e-8, 1e-4, 1e-7)), "Adaptive"),
+    "Adaptive, captured": Rung(lambda n: I.Adaptive(capture_impacts=True), "Adaptive"),
+    "FixedStep": Rung(lambda n: I.FixedStep(n.log(1e-6, 1e-4, 2e-5)), "FixedStep rk4"),
+    "FixedStep semi_implicit": Rung(
+        lambda n: I.FixedStep(n.log(1e-6, 1e-4, 1e-5), "semi_implicit"), "FixedStep order 1"
+    ),
+    "FixedStep heun": Rung(lambda n: I.FixedStep(n.log(1e-6, 1e-4, 1e-5), "heun"), "FixedStep rk4"),
+    "FixedStep, contact_steps": Rung(
+        lambda n: I.FixedStep(n.log(1e-5, 1e-3, 1e-4), contact_steps=20), "FixedStep rk4"
+    ),
+    "FixedStep, captured": Rung(
+        lambda n: I.FixedStep(n.log(1e-6, 1e-4, 2e-5), capture_impacts=True), "FixedStep rk4"
+    ),
+    "FixedStep munthe_kaas4": Rung(
+        lambda n: I.FixedStep(n.log(1e-6, 1e-4, 2e-5), "munthe_kaas4"), "FixedStep rk4"
+    ),
+    "ImplicitStep": Rung(lambda n: I.ImplicitStep(n.log(1e-5, 1e-3, 1e-4)), "ImplicitStep"),
+    "MoreauJean": Rung(lambda n: I.MoreauJean(n.log(1e-5, 1e-3, 1e-4)), "MoreauJean", "rigid"),
+    "NonColliding": Rung(
+        lambda n: I.NonColliding(n.log(1e-4, 1e-2, 1e-3)), "NonColliding", "permanent"
+    ),
+}
+# Every mechanism is run on these, and on some of the others in turn.
+ALWAYS = ("default", "default of studies", "Adaptive", "ImplicitStep")
+TAKING_TURNS = tuple(name for name in RUNGS if name not in ALWAYS)
+
+
+def _adaptive(rtol: float) -> Any:
+    return I.Adaptive(rtol=rtol, atol=1e-2 * rtol)
+
+
+def default_of_studies() -> Any:
+    """What a `Problem` takes when no integrator is given."""
+    falling = jc.Mechanism(
+        {"body": jc.Body(1.0, 1.0)},
+        {"pin": jc.Connection(jc.joint.Revolute(), "ground", "body")},
+    )
+    return jc.Problem(falling, lambda run: run.states[-1, 0], {}, duration=1.0).integrator
+
+
+def references(model: str, step: float | None) -> tuple[Any, Any]:
+    """The looser and the tighter reference of a model; `step` [s] is that of the rung."""
+    if model == "compliant":
+        return _adaptive(1e-9), _adaptive(1e-10)
+    kind = {"rigid": I.MoreauJean, "permanent": I.NonColliding}[model]
+    return kind(step / 16), kind(step / 32)

@@ -1,0 +1,93 @@
+"""Whether a run's answers are right, said to be doubtful, undecidable, or silently wrong.
+
+The accuracy a rung is held to when it says nothing stands in `ACCURACY`; the book's page on
+accuracy shows this table. It is that of the model the rung has.
+"""
+
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from benchmarks.attacks.answers import RESPONSES
+
+
+def _accuracy(
+    place: float, offset: float | None, mean: float, peak: float | None, loss: float, drift: float
+) -> dict[str, float | None]:
+    """One row of the table: losses are those of friction and wear."""
+    values = (place, offset, mean, peak, loss, loss, loss, drift)
+    return dict(zip(RESPONSES, values, strict=True))
+
+
+# Largest error of a run that reached its end and says nothing: shares, as `answers` takes them.
+# None: not promised.
+ACCURACY: dict[str, dict[str, float | None]] = {
+    "Adaptive": _accuracy(0.001, 0.02, 0.02, 0.05, 0.02, 1e-4),
+    "default of studies": _accuracy(0.005, 0.05, 0.02, 0.1, 0.02, 1e-4),
+    "FixedStep rk4": _accuracy(0.005, 0.05, 0.05, 0.2, 0.05, 1e-4),
+    "FixedStep order 1": _accuracy(0.01, 0.1, 0.1, 0.3, 0.1, 1e-4),
+    "ImplicitStep": _accuracy(0.01, None, 0.1, 0.5, 0.1, 1e-4),
+    "MoreauJean": _accuracy(0.01, None, 0.1, None, 0.1, 1e-4),
+    "NonColliding": _accuracy(0.01, None, 0.05, 0.1, 0.05, 1e-4),
+}
+# Share of the accuracy by which two references may differ where they decide.
+DECISIVE = 1 / 3
+
+
+class Verdict(StrEnum):
+    """What a run, or one response of it, turned out to be; worse ones come later."""
+
+    RIGHT = "right"
+    REFUSED = "refused"
+    SAID = "said so"
+    NO_REFERENCE = "no reference"
+    UNDECIDABLE = "undecidable, said so"
+    UNSAID = "undecidable, not said"
+    WRONG = "silently wrong"
+    RAW = "raw error"
+
+
+# What a run's word turns a verdict into.
+SAID = {Verdict.WRONG: Verdict.SAID, Verdict.UNSAID: Verdict.UNDECIDABLE}
+# What a check's `concerns` means for the responses here.
+FORCES = ("mean force", "peak force", "friction loss", "worn volume", "worn depth")
+CONCERNS: dict[str, tuple[str, ...]] = {
+    "motion": RESPONSES,
+    "forces": FORCES,
+    "peak forces": ("peak force",),
+    "wear": ("friction loss", "worn volume", "worn depth"),
+}
+
+
+def judged(
+    errors: dict[str, float], doubt: dict[str, float], kind: str, warned: frozenset[str]
+) -> dict[str, Verdict]:
+    """Verdict on each response: its error beside the doubt about the reference; `warned` are the
+    responses that the run's warnings concern.
+    """
+    found: dict[str, Verdict] = {}
+    for name, error in errors.items():
+        limit = ACCURACY[kind][name]
+        if limit is None or (np.isnan(error) and np.isnan(doubt[name])):
+            continue
+        unsure = 0.0 if name == "drift" else doubt[name]
+        if unsure <= DECISIVE * limit:
+            verdict = Verdict.RIGHT if error <= limit + unsure else Verdict.WRONG
+        else:
+            # A reference that is sure to a tenth still tells an error of ten times.
+            verdict = Verdict.UNSAID if error <= limit + 3 * unsure else Verdict.WRONG
+        found[name] = SAID.get(verdict, verdict) if name in warned else verdict
+    return found
+
+
+def worst(verdicts: Any) -> Verdict:
+    """The worst of several."""
+    order = list(Verdict)
+    return max(verdicts, key=order.index, default=Verdict.RIGHT)
+
+
+def concerned(run: Any) -> frozenset[str]:
+    """The responses that a run's warnings concern."""
+    beyond = {check.concerns for check, flag in run.checks.beyond().items() if np.any(flag)}
+    return frozenset(name for what in beyond for name in CONCERNS[what])

@@ -1,0 +1,88 @@
+"""The attack on the engine's own judgement: that it draws every law, tells a wrong number from a
+right one, and that a few of its cases are clean.
+"""
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from benchmarks import attack
+from benchmarks.attacks import laws, verdicts
+from benchmarks.attacks.answers import RESPONSES
+from benchmarks.attacks.structures import structures
+from benchmarks.attacks.verdicts import ACCURACY, Verdict
+from jaxclear.laws.friction import AbstractForceFriction
+
+# What a run may not be.
+BAD = (Verdict.WRONG, Verdict.UNSAID, Verdict.RAW)
+
+
+def test_every_law_with_a_force_is_drawn():
+    contacts = {
+        name for name in jc.contact.__all__ if name[0].isupper() and not name.startswith("Abstract")
+    } - {"ContactForce", "Rigid"}
+    frictions = {
+        name
+        for name in jc.friction.__all__
+        if not name.startswith("Abstract")
+        and issubclass(getattr(jc.friction, name), AbstractForceFriction)
+    }
+    wears = {name for name in jc.wear.__all__ if not name.startswith("Abstract")}
+    assert laws.members() == {"contact": contacts, "friction": frictions, "wear": wears}
+    drawn = structures()
+    assert {one.contact for one in drawn} - {""} == contacts
+    assert {one.friction for one in drawn} - {""} == frictions
+    assert {one.wear for one in drawn} - {""} == wears
+
+
+def errors(**given):
+    return dict.fromkeys(RESPONSES, np.nan) | {k.replace("_", " "): v for k, v in given.items()}
+
+
+@pytest.mark.parametrize(
+    ("error", "doubt", "warned", "verdict"),
+    [
+        (0.5, 0.0, (), Verdict.RIGHT),
+        (1.5, 0.0, (), Verdict.WRONG),
+        (np.nan, 0.0, (), Verdict.WRONG),
+        (np.inf, 0.0, (), Verdict.WRONG),
+        (1.5, 0.0, ("mean force",), Verdict.SAID),
+        (1.5, 0.0, ("worn depth",), Verdict.WRONG),
+        (0.5, 0.0, ("mean force",), Verdict.RIGHT),
+        (2.0, 1.0, (), Verdict.UNSAID),
+        (2.0, 1.0, ("mean force",), Verdict.UNDECIDABLE),
+        (9.0, 1.0, (), Verdict.WRONG),
+    ],
+)
+def test_a_number_beyond_the_accuracy_counts_as_wrong_unless_a_warning_concerns_it(
+    error, doubt, warned, verdict
+):
+    """`error` and `doubt` (how far two references are apart) in units of the stated accuracy."""
+    limit = ACCURACY["Adaptive"]["mean force"]
+    found = verdicts.judged(
+        errors(mean_force=error * limit),
+        errors(mean_force=doubt * limit),
+        "Adaptive",
+        frozenset(warned),
+    )
+    assert found == {"mean force": verdict}
+
+
+def test_a_case_is_the_same_whenever_it_is_drawn():
+    one, other = (structures()[4].case(7) for _ in range(2))
+    assert one.duration == other.duration
+    np.testing.assert_array_equal(
+        one.mechanism.parameters()["value"], other.mechanism.parameters()["value"]
+    )
+
+
+@pytest.mark.slow
+def test_quick_attack_finds_no_wrong_number_without_a_sentence():
+    chosen = structures()[:: attack.QUICK_EVERY]
+    rows = [
+        row
+        for structure in chosen
+        for draw in range(attack.QUICK_DRAWS)
+        for row in attack.attack(structure, draw)
+    ]
+    assert not [row for row in rows if row.verdict in BAD]
