@@ -2,11 +2,12 @@
 
     python -m benchmarks.attack [--quick] [--json FILE] [--only K ...] [--case N]
 
-Every case is a mechanism with numbers of its own. It is run by two references, one ten times
-tighter than the other, and then as users run it; every response is right within the accuracy that
-the book states for the rung, or the run said that it may not be (it was refused, ended early, or
-carries a warning that concerns the response), or the references disagree, which the run must have
-said too; or it is silently wrong. `--case N` prints all about case N.
+Every case is a mechanism with numbers of its own. It is run by references, one ten times tighter
+than the other and one whose numbers are off in the fifth digit, and then as users run it. Every
+response is right within the accuracy that the book states for the rung; or the run said that it may
+not be (it was refused, ended early, or carries a warning that concerns the response); or the
+references disagree, which the run should have said too (chaotic motion); or it is silently wrong.
+`--case N` prints all about case N.
 """
 
 import argparse
@@ -15,6 +16,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -29,6 +31,9 @@ from benchmarks.measure import report
 
 # Saving times of every run.
 SAVES = 201
+# By how much the numbers of a mechanism are never known: answers that this changes beyond the
+# accuracy are no run's to give.
+NUDGE = 1e-5
 QUICK_EVERY, QUICK_DRAWS = 6, 3
 
 
@@ -85,7 +90,7 @@ def row_of(
     structure: Structure, draw: int, rung: str, integrator: Any, run: Attempt, known: tuple
 ) -> Row:
     """The verdict on a run beside its references."""
-    loose, tight = known
+    tight, *others = known
     errors: dict[str, float] = {}
     doubt: dict[str, float] = {}
     found: dict[str, Verdict] = {}
@@ -94,18 +99,41 @@ def row_of(
         verdict = Verdict.RAW
     elif run.answers is None:
         verdict = Verdict.REFUSED
-    elif loose.answers is None or tight.answers is None:
+    elif any(one.answers is None for one in known):
         verdict = Verdict.NO_REFERENCE
         said += tuple(f"reference: {a.ended}" for a in known if a.ended)
     else:
         errors = answers.apart(run.answers, tight.answers)
-        doubt = answers.apart(loose.answers, tight.answers)
+        apart = [answers.apart(other.answers, tight.answers) for other in others]
+        doubt = {name: max(one[name] for one in apart) for name in errors}
         kind = rungs.RUNGS[rung].kind
         found = verdicts.judged(errors, doubt, kind, run.warned)
         verdict = verdicts.worst(found.values())
     number = structure.number * DRAWS + draw
     name = "default" if integrator is None else jc.studies.advice.pilot.describe(integrator)
     return Row(number, structure.name, rung, name, verdict, found, errors, doubt, said, 0.0)
+
+
+def judges(case: Case, model: str, step: float | None, balance: bool) -> tuple[Attempt, ...]:
+    """The references: the tight one, the looser one, and that of slightly other numbers."""
+    loose, tight = rungs.references(model, step)
+    rig = case.reference or case.mechanism
+    near = nudged(rig)
+    return tuple(
+        attempt(case._replace(mechanism=one), integrator, balance)
+        for one, integrator in ((rig, tight), (rig, loose), (near, loose))
+    )
+
+
+def nudged(rig: jc.Mechanism) -> jc.Mechanism:
+    """The mechanism with every number off by `NUDGE`, up or down at random."""
+    signs = np.random.default_rng(0)
+    return jax.tree.map(
+        lambda leaf: (
+            leaf * (1 + NUDGE * signs.choice([-1.0, 1.0])) if eqx.is_inexact_array(leaf) else leaf
+        ),
+        rig,
+    )
 
 
 def attack(structure: Structure, draw: int) -> list[Row]:
@@ -125,10 +153,7 @@ def attack(structure: Structure, draw: int) -> list[Row]:
         run = attempt(case, integrator, structure.balance)
         spent = time.process_time() - begun
         if rung.model not in known:
-            known[rung.model] = tuple(
-                attempt(case, reference, structure.balance)
-                for reference in rungs.references(rung.model, step)
-            )
+            known[rung.model] = judges(case, rung.model, step, structure.balance)
         row = row_of(structure, draw, name, integrator, run, known[rung.model])
         rows.append(row._replace(seconds=spent))
     return rows

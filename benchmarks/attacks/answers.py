@@ -28,8 +28,8 @@ RESPONSES = (
 )
 # An energy below this share of what the run turns over is no answer that a user would read.
 SMALL_ENERGY = 1e-3
-# Volumes and depths below these are rounding [m3, m].
-NO_VOLUME, NO_DEPTH = 1e-24, 1e-18
+# Forces, volumes and depths below these are rounding [N, m3, m].
+NO_FORCE, NO_VOLUME, NO_DEPTH = 1e-6, 1e-24, 1e-18
 # Bodies that go less far than this many clearances only move within them.
 GAPS = 100.0
 
@@ -127,8 +127,8 @@ def apart(one: Answers, other: Answers) -> dict[str, float]:
     scale = max(SMALL_ENERGY * float(other.turnover), 1e-15)
     found = {
         "place": _share(one.place, other.place, travelled),
-        "mean force": _share(one.mean_force, other.mean_force, np.max(other.mean_force)),
-        "peak force": _share(one.peak_force, other.peak_force, np.max(other.peak_force)),
+        "mean force": _share(one.mean_force, other.mean_force, np.max(other.mean_force) + NO_FORCE),
+        "peak force": _share(one.peak_force, other.peak_force, np.max(other.peak_force) + NO_FORCE),
         "drift": float(one.drift / one.arm) if one.drift > 0 else np.nan,
     }
     if other.clearance.size:

@@ -19,11 +19,13 @@ class Laws(NamedTuple):
 
 
 class Case(NamedTuple):
-    """A mechanism, how long it runs [s], and whether its journals start concentric."""
+    """A mechanism, how long it runs [s], whether its journals start concentric, and the mechanism
+    in the form in which references take it, where that is another."""
 
     mechanism: jc.Mechanism
     duration: float
     concentric: bool = True
+    reference: jc.Mechanism | None = None
 
 
 Build = Callable[[Draw, Laws], Case]

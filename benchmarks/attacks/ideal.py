@@ -87,7 +87,7 @@ def projected_slider_crank(n: Draw, laws: Laws) -> Case:
         start={"G": 0.17},
         stabilisation=jc.Projection(),
     )
-    return Case(rig, case.duration)
+    return Case(rig, case.duration, reference=scene)
 
 
 def ideal_four_bar(n: Draw, laws: Laws) -> Case:

@@ -28,7 +28,8 @@ class Rung(NamedTuple):
 RUNGS: dict[str, Rung] = {
     "default": Rung(lambda n: None, "Adaptive"),
     "default of studies": Rung(lambda n: default_of_studies(), "default of studies"),
-    "Adaptive": Rung(lambda n: _adaptive(n.log(1e-8, 1e-4, 1e-7)), "Adaptive"),
+    "Adaptive, tight": Rung(lambda n: _adaptive(n.log(1e-9, 1e-7, 1e-8)), "Adaptive"),
+    "Adaptive, loose": Rung(lambda n: _adaptive(n.log(1e-6, 1e-4, 1e-5)), "Adaptive, loose"),
     "Adaptive, captured": Rung(lambda n: I.Adaptive(capture_impacts=True), "Adaptive"),
     "FixedStep": Rung(lambda n: I.FixedStep(n.log(1e-6, 1e-4, 2e-5)), "FixedStep rk4"),
     "FixedStep semi_implicit": Rung(
@@ -51,7 +52,7 @@ RUNGS: dict[str, Rung] = {
     ),
 }
 # Every mechanism is run on these, and on some of the others in turn.
-ALWAYS = ("default", "default of studies", "Adaptive", "ImplicitStep")
+ALWAYS = ("default", "default of studies", "Adaptive, loose", "ImplicitStep")
 TAKING_TURNS = tuple(name for name in RUNGS if name not in ALWAYS)
 
 

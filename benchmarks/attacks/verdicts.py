@@ -24,6 +24,7 @@ def _accuracy(
 # None: not promised.
 ACCURACY: dict[str, dict[str, float | None]] = {
     "Adaptive": _accuracy(0.001, 0.02, 0.02, 0.05, 0.02, 1e-4),
+    "Adaptive, loose": _accuracy(0.005, 0.1, 0.1, 0.2, 0.1, 1e-4),
     "default of studies": _accuracy(0.005, 0.05, 0.02, 0.1, 0.02, 1e-4),
     "FixedStep rk4": _accuracy(0.005, 0.05, 0.05, 0.2, 0.05, 1e-4),
     "FixedStep order 1": _accuracy(0.01, 0.1, 0.1, 0.3, 0.1, 1e-4),
