@@ -20,6 +20,7 @@ from jaxclear.complementarity.problem import (
     posed,
 )
 from jaxclear.complementarity.scaling import scaled
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
 
 __all__ = ["InteriorPoint"]
@@ -62,6 +63,7 @@ class InteriorPoint(AbstractSolver):
             )
 
     def solve(self, problem: AbstractLinearProblem) -> Solution:
+        check_double_precision()
         lcp = posed(problem)
         small = scaled(lcp)
         kappa = jax.lax.stop_gradient(self.kappa) / (small.z_scale * small.w_scale)

@@ -21,6 +21,7 @@ from jaxclear.complementarity.problem import AbstractProblem, AbstractSolver, So
 from jaxclear.complementarity.projected_gauss_seidel import Iterate
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
 
 __all__ = ["BoxedGaussSeidel", "JointFriction"]
@@ -82,6 +83,7 @@ class BoxedGaussSeidel(AbstractSolver):
     )
 
     def solve(self, problem: JointFriction) -> Solution:
+        check_double_precision()
         found = self.iterate(problem)
         slips = sp.stack([problem.slip(k, found.z) for k in range(len(problem.ratios))])
         solved = jnp.where(found.residual <= self.tolerance, Outcome.SOLVED, Outcome.LIMIT)

@@ -22,6 +22,7 @@ from jaxclear.complementarity.problem import (
     posed,
 )
 from jaxclear.complementarity.scaling import Scaled, scaled, scaled_residual
+from jaxclear.ground.precision import check_double_precision
 
 __all__ = ["Lemke"]
 
@@ -73,6 +74,7 @@ class Lemke(AbstractSolver):
             )
 
     def solve(self, problem: AbstractLinearProblem) -> Solution:
+        check_double_precision()
         lcp = posed(problem)
         small = scaled(lcp)
         z, active, outcome, pivots = jax.lax.stop_gradient(self._pivot(small))

@@ -29,6 +29,7 @@ from jaxclear.complementarity.outcome import Outcome
 from jaxclear.complementarity.problem import AbstractSolver, Solution
 from jaxclear.complementarity.scaling import size_of
 from jaxclear.ground.factorisation import eliminate
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
 
 __all__ = ["Iterate", "ProjectedGaussSeidel"]
@@ -72,6 +73,7 @@ class ProjectedGaussSeidel(AbstractSolver):
     most_sweeps: Scalar = quantity(1000.0, "1", "most sweeps over the contacts", above=0)
 
     def solve(self, problem: FrictionContact) -> Solution:
+        check_double_precision()
         if not isinstance(problem, FrictionContact):
             raise ValueError(
                 f"ProjectedGaussSeidel is given a {type(problem).__name__}; it solves a "

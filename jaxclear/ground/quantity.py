@@ -23,6 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground.precision import check_double_precision
+
 __all__ = [
     "AbstractQuantified",
     "Scalar",
@@ -59,11 +61,7 @@ def as_number(value: Any) -> Any:
         raise ValueError(f"expected one number, got {value!r}.")
     number = value if isinstance(value, jax.Array) else jnp.asarray(np.asarray(value, dtype=float))
     if number.dtype != jnp.float64:
-        if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
-            raise RuntimeError(
-                "jaxclear needs float64: leave jax_enable_x64 on (importing jaxclear switches it "
-                "on)."
-            )
+        check_double_precision()
         number = number.astype(jnp.float64)
     if jnp.ndim(number) != 0:
         raise ValueError(f"expected one number, got an array of shape {jnp.shape(number)}.")

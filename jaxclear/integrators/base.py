@@ -70,6 +70,10 @@ class AbstractIntegrator(AbstractQuantified):
         """The state at the end of an interval; `warm_start` is what the last interval left to this
         one."""
 
+    def asked_step(self) -> Scalar | None:
+        """The longest step [s] that was asked for; None where nobody asked for one."""
+        return None
+
     @abstractmethod
     def relaxing_step(self, interval: Scalar | None) -> Scalar | None:
         """The step [s] over which an impact speed relaxes by an explicit formula, in a saving

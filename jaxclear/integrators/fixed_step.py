@@ -81,6 +81,9 @@ class FixedStep(AbstractIntegrator):
                 "steps depend on the motion, and reverse-mode derivatives need it fixed."
             )
 
+    def asked_step(self):
+        return self.step if self.steps_per_save is None else None
+
     def relaxing_step(self, interval):
         if self.capture_impacts:
             return None

@@ -68,6 +68,9 @@ class ImplicitStep(AbstractIntegrator):
     def formulation(self):
         return CompliantContact(self.capture_impacts)
 
+    def asked_step(self):
+        return self.step if self.steps_per_save is None else None
+
     def relaxing_step(self, interval):
         return None
 

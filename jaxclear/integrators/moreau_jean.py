@@ -72,6 +72,9 @@ class MoreauJean(AbstractIntegrator):
     def formulation(self):
         return RigidContact()
 
+    def asked_step(self):
+        return self.step
+
     def relaxing_step(self, interval):
         return None
 

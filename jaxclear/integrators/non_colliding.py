@@ -64,6 +64,9 @@ class NonColliding(AbstractIntegrator):
     def formulation(self):
         return PermanentContact()
 
+    def asked_step(self):
+        return self.step
+
     def relaxing_step(self, interval):
         return None
 

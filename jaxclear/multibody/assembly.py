@@ -18,6 +18,7 @@ from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.least_change import least_change
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
@@ -153,6 +154,7 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     `concentric=False` leaves clearance joints where the guess puts them and closes ideal loops
     only. Raises `ValueError`.
     """
+    check_double_precision()
     start = assembled(mechanism, concentric)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(start)):
         return start

@@ -13,6 +13,7 @@ from jaxclear.components.body import GROUND
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.multibody import kinematics, state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
@@ -76,6 +77,7 @@ def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
     """Maps a function of an `Instant` over the saved states; tuples of numbers become arrays with
     time first.
     """
+    check_double_precision()
     model = history.model()
     system, layout = model.system, model.layout
 

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.formulations.base import model_of
 from jaxclear.formulations.model import Model
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator, Interval
 from jaxclear.integrators.outcome import Outcome
@@ -28,7 +29,9 @@ from jaxclear.native import verdict
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation import progress
+from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.referee import refereed
+from jaxclear.simulation.step_lengths import warn_of_shortened_steps
 from jaxclear.simulation.wear import Worn, deposit, unworn
 
 # Weight of the laws' memories in the error control: they need not be exact, but a step longer than
@@ -192,14 +195,16 @@ def simulate(
     `ValueError` for a mechanism that cannot start, and, unless `throw=False`, `SimulationError`
     with a sentence for a run that ends early.
     """
+    check_double_precision()
     check_duration(duration)
     if jax.config.jax_disable_jit:  # type: ignore[attr-defined]
         raise ValueError(
             "simulate compiles its loop, and jax.disable_jit is on; look into a law or a joint by "
             "calling it alone."
         )
-    integrator = Adaptive() if integrator is None else integrator
     times = saving_times(duration, save)
+    warn_of_shortened_steps(integrator, times)
+    integrator = Adaptive() if integrator is None else integrator
     check_run(mechanism, integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     start = assemble(mechanism, start_concentric)
@@ -207,7 +212,7 @@ def simulate(
         trajectory = _run(
             mechanism, start.coordinates, start.speeds, times, integrator, balance, progress_bar
         )
-        trajectory = jax.block_until_ready(trajectory)
+        trajectory = guarded(jax.block_until_ready(trajectory), integrator)
     if throw and isinstance(trajectory.outcome, jax.core.Tracer):
         raise ValueError(
             "simulate is being traced (by jax.jit, vmap or a derivative) and cannot raise: give "

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare
 from jaxclear.studies.problem import Problem, SampleResult
@@ -63,6 +64,7 @@ def evaluate_all(
     function=evaluate_chunk,
 ) -> SampleResult:
     """Outcomes of all samples, in the order of `values`; arrays on the host."""
+    check_double_precision()
     samples = len(values)
     threads = 1 if jax.default_backend() != "cpu" else cores()
     chunk = chunk_size(problem, samples, threads) if chunk is None else min(chunk, samples)

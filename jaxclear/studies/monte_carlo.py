@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.problem import Problem
@@ -99,6 +100,7 @@ class MonteCarlo(eqx.Module):
 
 def draw(problem: Problem, samples: int, seed: int, sampling: str = "sobol") -> np.ndarray:
     """Values (samples, variables) drawn from the variables' distributions."""
+    check_double_precision()
     if sampling not in SAMPLINGS:
         raise ValueError(f"sampling is {' or '.join(SAMPLINGS)}, not {sampling!r}.")
     if not isinstance(samples, (int, np.integer)) or samples < 1:

@@ -13,12 +13,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import inside, numbers
 from jaxclear.integrators import AbstractIntegrator, FixedStep, Outcome
 from jaxclear.multibody.assembly import CLOSED, assemble_arrays
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.response import unit_of
+from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
+from jaxclear.simulation.step_lengths import warn_of_shortened_steps
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 
 
@@ -88,6 +91,7 @@ class Problem(eqx.Module):
         integrator: AbstractIntegrator | None = None,
         save: Any = 201,
     ):
+        check_double_precision()
         self.mechanism = mechanism
         self.response = dict(response) if isinstance(response, Mapping) else {"response": response}
         self.variables = dict(variables)
@@ -96,6 +100,7 @@ class Problem(eqx.Module):
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
         check_run(mechanism, self.integrator, times)
+        warn_of_shortened_steps(integrator, times)
         for name, wanted in self.response.items():
             if not callable(wanted):
                 raise ValueError(
@@ -136,13 +141,22 @@ class Problem(eqx.Module):
             mechanism = eqx.tree_at(_leaves_of(variable), mechanism, new)
         return mechanism
 
-    def evaluate(self, values: Float[Array, " variables"]) -> SampleResult:
-        """Assemble, run and take the responses for one set of values; pure."""
+    def evaluate(
+        self, values: Float[Array, " variables"], *, discrete_derivatives: bool = False
+    ) -> SampleResult:
+        """Assemble, run and take the responses for one set of values; pure.
+
+        JAX may map, compile and differentiate it. A derivative through contacts that open and close
+        is not that of the motion, and raises `ValueError`; with `discrete_derivatives` it is passed
+        on, as the derivative of the discrete run.
+        """
+        check_double_precision()
         mechanism = self.integrator.formulation.seen(self.with_values(values))
         start = assemble_arrays(mechanism)
         trajectory = run(
             mechanism, start.coordinates, start.speeds, self.shares * self.duration, self.integrator
         )
+        trajectory = guarded(trajectory, self.integrator, discrete_derivatives)
         responses = {name: response(trajectory) for name, response in self.response.items()}
         possible = jnp.all(
             jnp.stack([inside(leaf, metadata) for _, leaf, metadata in numbers(mechanism)])

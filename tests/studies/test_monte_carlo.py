@@ -182,9 +182,9 @@ def test_three_methods_find_the_derivative_of_the_closed_form(sample):
     assert "Agreed" in answers.table()["verdict"][0]
 
 
-def test_pathwise_derivatives_of_adaptive_runs_are_refused(sample):
+def test_pathwise_derivatives_of_adaptive_runs_are_refused():
     adaptive = eqx.tree_at(lambda p: p.integrator, problem(), jc.integrator.Adaptive())
-    answers = jc.sensitivity(adaptive, sample=sample, difference_samples=8, methods=("pathwise",))
+    answers = jc.sensitivity(adaptive, sample=8, difference_samples=8, methods=("pathwise",))
     derivative = answers.derivatives["swing", "length"]
     assert np.isnan(derivative.value) and "fixed-step" in derivative.estimates["pathwise"].refusal
 
@@ -262,3 +262,47 @@ def test_one_number_under_two_variables_is_refused():
         problem(
             first=jc.Variable(length, tolerance=1e-3), second=jc.Variable(length, tolerance=1e-3)
         )
+
+
+@pytest.mark.parametrize(
+    ("other", "difference"),
+    [
+        (lambda p: eqx.tree_at(lambda p: p.duration, p, 2.0), "duration is 1, not 2"),
+        (lambda p: eqx.tree_at(lambda p: p.integrator.step, p, 5e-3), "step is 0.01, not 0.005"),
+        (
+            lambda p: eqx.tree_at(lambda p: p.integrator, p, jc.integrator.ImplicitStep(1e-2)),
+            "integrator is FixedStep, not ImplicitStep",
+        ),
+        (
+            lambda p: eqx.tree_at(lambda p: p.mechanism.bodies["rod"].mass, p, jnp.asarray(2.0)),
+            r'mechanism.bodies\["rod"\].mass is 1, not 2',
+        ),
+        (
+            lambda p: problem(width=p.variables["length"]),
+            'its variables are "length", not "width"',
+        ),
+        (
+            lambda p: problem(length=jc.Variable(lambda r: r.bodies["rod"].com[0], tolerance=0.1)),
+            'distribution of "length" is Normal, not TruncatedNormal',
+        ),
+        (
+            lambda p: problem(
+                length=jc.Variable(lambda r: r.bodies["rod"].mass, jc.distribution.Normal(0.01))
+            ),
+            "another number",
+        ),
+        (
+            lambda p: eqx.tree_at(lambda p: p.response["swing"], p, lambda run: run.states[-1, 0]),
+            r'response\["swing"\] is another function',
+        ),
+    ],
+)
+def test_a_sample_of_another_problem_is_refused(sample, other, difference):
+    with pytest.raises(ValueError, match=f"sample is of another problem.*({difference})"):
+        jc.sensitivity(other(problem()), sample=sample, difference_samples=8)
+
+
+def test_a_sample_of_the_same_problem_built_anew_is_taken(sample):
+    assert sample.problem is not problem()
+    answers = jc.sensitivity(problem(), sample=sample, methods=("regression",))
+    assert np.isfinite(answers.derivatives["swing", "length"].value)

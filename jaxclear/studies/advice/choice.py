@@ -15,6 +15,7 @@ import equinox as eqx
 import numpy as np
 from tqdm import tqdm
 
+from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import AbstractIntegrator, Adaptive, Outcome
 from jaxclear.studies import verdict
 from jaxclear.studies.advice.advice import Advice, checked_accuracy
@@ -72,6 +73,7 @@ def advise(
     `monte_carlo` does; the recommended setting is then the cheapest there. Raises `ValueError` with
     a sentence for what cannot be asked and for a reference that fails.
     """
+    check_double_precision()
     accuracy, scales = checked_accuracy(accuracy), dict(scales or {})
     settings = PilotSettings() if pilot is None else pilot
     _check(problem, settings, batch, scales)

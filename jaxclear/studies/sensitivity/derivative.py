@@ -18,11 +18,13 @@ VAGUE = 3.0
 
 class Estimate(NamedTuple):
     """A derivative by one method. `error` is half the width of its 95 % interval, bias included;
-    `refusal` says why a method has no answer (then value and error are nan)."""
+    `refusal` says why a method has no answer (then value and error are nan). `doubt` says what its
+    error leaves out: such an estimate stands only beside one without doubt that agrees with it."""
 
     value: float
     error: float
     refusal: str = ""
+    doubt: str = ""
 
 
 def refused(why: str) -> Estimate:
@@ -85,7 +87,9 @@ class Sensitivity(eqx.Module):
 
 
 def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> Derivative:
-    """One answer from the methods' answers: the most certain one that another method confirms."""
+    """One answer from the methods' answers: the most certain one without doubt that another method
+    confirms. Estimates in doubt that none confirms are refused."""
+    estimates = _without_unconfirmed(estimates)
 
     def answer(value, error, method, verdict, trustworthy=False):
         return Derivative(response, variable, value, error, method, verdict, trustworthy, estimates)
@@ -93,6 +97,8 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
     order = _by_certainty(estimates)
     for name in order:
         best = estimates[name]
+        if best.doubt:
+            continue
         partners = [other for other in order if other != name and _agree(best, estimates[other])]
         if partners:
             verdict = _agreement(best, name, partners, order)
@@ -109,10 +115,23 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
     return answer(middle, spread, "spread of methods", "The methods disagree.")
 
 
+def _without_unconfirmed(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
+    """The estimates, those in doubt refused unless they lie within the error of one without."""
+    sure = [e for e in estimates.values() if not e.doubt and np.isfinite(e.value + e.error)]
+
+    def held(estimate):
+        if not estimate.doubt or any(_agree(estimate, other) for other in sure):
+            return estimate
+        which = "other methods disagree" if sure else "no other method has an answer"
+        return refused(f"{estimate.value:.4g}, but {which}, and {estimate.doubt}.")
+
+    return {name: held(estimate) for name, estimate in estimates.items()}
+
+
 def _by_certainty(estimates: dict[str, Estimate]) -> list[str]:
     """The methods with an answer that is not vague beside the most certain one, which is first."""
     answers = {name: e for name, e in estimates.items() if np.isfinite(e.value + e.error)}
-    order = sorted(answers, key=lambda name: answers[name].error)
+    order = sorted(answers, key=lambda name: (bool(answers[name].doubt), answers[name].error))
     if not order:
         return []
     largest = VAGUE * (abs(answers[order[0]].value) + answers[order[0]].error)

@@ -3,8 +3,9 @@
 `regression` reads the slope off a Monte Carlo sample (free, averages over the tolerances).
 `differences` runs the same samples with one variable moved up and down (common random numbers), at
 two widths, so that curvature shows as an error. `pathwise` carries the tangent through every step:
-exact for the discrete run and cheap, but behind many impacts it grows without bound, and then it is
-refused.
+exact for the discrete run and cheap. Where contacts open and close that is not the derivative of the
+motion: it stands only where another method confirms it, and behind many impacts it grows without
+bound and is refused.
 """
 
 import equinox as eqx
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.integrators import Outcome
+from jaxclear.simulation.derivatives import refusal
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.problem import Problem, SampleResult
@@ -104,7 +106,7 @@ def _tangents_of_chunk(problem: Problem, packed: Float[Array, "samples pairs"]) 
 
     def one(row):
         def responses(values):
-            result = problem.evaluate(values)
+            result = problem.evaluate(values, discrete_derivatives=True)
             return result.responses, (result.outcome, result.ended)
 
         _, tangents, rest = jax.jvp(responses, (row[:count],), (row[count:],), has_aux=True)
@@ -117,7 +119,7 @@ def pathwise(
     problem: Problem, values: np.ndarray, variable: int, *, progress_bar: bool = False
 ) -> dict[str, Estimate]:
     """Mean over the sample `values` (samples, variables) of the derivative of each run, with its
-    standard error; refused where it has no mean.
+    standard error; refused where it has no mean, in doubt where contacts open and close.
     """
     if not problem.integrator.pathwise:
         why = (
@@ -132,8 +134,10 @@ def pathwise(
         problem, packed, progress_bar=progress_bar, label="tangents", function=_tangents_of_chunk
     )
     good = found.outcome == Outcome.REACHED
+    seen = problem.integrator.formulation.seen(problem.mechanism)
+    doubt = refusal(seen, problem.integrator)
     return {
-        name: _mean_tangent(np.asarray(tangents)[good])
+        name: _mean_tangent(np.asarray(tangents)[good])._replace(doubt=doubt)
         for name, tangents in found.responses.items()
     }
 

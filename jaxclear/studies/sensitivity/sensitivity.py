@@ -6,6 +6,7 @@ in one (`derivative`).
 
 from collections.abc import Sequence
 
+from jaxclear.studies.identity import first_difference
 from jaxclear.studies.monte_carlo import MonteCarlo, draw, monte_carlo
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sensitivity.derivative import Sensitivity, confirmed
@@ -32,14 +33,18 @@ def sensitivity(
     how far `differences` moves a variable [its unit], by default one standard deviation of its
     distribution: a response with kinks has another slope at every scale, and the one wanted is that
     over the tolerance. `methods`: any of "regression", "differences", "pathwise" (fixed-step
-    integrators only; the cheapest while contact persists, refused where its tangents explode).
-    Raises `ValueError` with a sentence for a name that there is not.
+    integrators only; the cheapest where nothing opens and closes; through contacts it is shown only
+    where another method agrees with it, and is never the answer).
+    Raises `ValueError` with a sentence for a name that there is not, and for a sample of another
+    problem.
     """
     unknown = [method for method in methods if method not in METHODS]
     if unknown:
         raise ValueError(f"no method {unknown[0]!r}; there are {', '.join(METHODS)}.")
     wanted = _wanted(problem, variables)
-    if not isinstance(sample, MonteCarlo):
+    if isinstance(sample, MonteCarlo):
+        _check_sample(problem, sample)
+    else:
         sample = monte_carlo(problem, sample, seed=seed, progress_bar=progress_bar)
     shared = draw(problem, difference_samples, seed + 1)
     derivatives = {}
@@ -60,6 +65,16 @@ def sensitivity(
             estimates = {method: found[response] for method, found in answers.items()}
             derivatives[response, name] = confirmed(response, name, estimates)
     return Sensitivity(derivatives, sample)
+
+
+def _check_sample(problem: Problem, sample: MonteCarlo) -> None:
+    """Raises `ValueError` for a sample of another problem: its slopes would be another's too."""
+    difference = first_difference(sample.problem, problem)
+    if difference:
+        raise ValueError(
+            f"the sample is of another problem ({difference}); give a sample of this one, "
+            "jaxclear.monte_carlo(problem), or how many samples to draw."
+        )
 
 
 def _wanted(problem: Problem, variables: str | Sequence[str] | None) -> list[str]:

@@ -1,0 +1,15 @@
+"""Whether numbers are of double precision: gaps of 1e-5 m beside coordinates of 1 m have no meaning
+in single precision, so whatever computes looks first."""
+
+import jax
+
+__all__ = ["check_double_precision"]
+
+
+def check_double_precision() -> None:
+    """Raises `RuntimeError` where float64 has been switched off since jaxclear was imported."""
+    if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+        raise RuntimeError(
+            "jaxclear needs float64, and jax_enable_x64 has been switched off: leave it on "
+            "(importing jaxclear switches it on)."
+        )

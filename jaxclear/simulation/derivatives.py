@@ -1,0 +1,69 @@
+"""Which derivatives through a run are refused.
+
+Where contacts open and close, a step does not know how the instant of a touch moves with a number,
+and the derivative of the finished run is not that of the motion: after one bounce it is off by
+several per cent, after many by anything. So it is refused while it is being traced, unless the
+derivative of the discrete run is what was asked for. Where nothing opens (ideal joints, permanent
+contact) the derivative of the discrete run converges to that of the motion, and passes.
+"""
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+
+from jaxclear.ground.quantity import public_name
+from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.results.trajectory import Trajectory
+
+# What a run has computed; its mechanism and its saving times were given.
+COMPUTED = lambda run: (run.history.states, run.history.read, run.worn, run.ended)
+
+
+def refusal(mechanism: Mechanism, integrator: AbstractIntegrator) -> str:
+    """Why derivatives through runs of a mechanism are not those of its motion; "" where they are.
+    `mechanism`: as its formulation sees it.
+    """
+    joints = mechanism.topology.clearances
+    if not joints:
+        return ""
+    name = f"integrator.{public_name(type(integrator)).removeprefix('integrator.')}"
+    named = " and ".join(f'"{joint}"' for joint in joints[:2])
+    some = f"joint {named}" if len(joints) == 1 else f"joints {named}{' …' * (len(joints) > 2)}"
+    return (
+        f"contacts in {some} open and close, and a derivative through the steps of {name} misses "
+        "how the instants of touch move"
+    )
+
+
+def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = False) -> Trajectory:
+    """The run itself; differentiating it raises `ValueError` with a sentence where its derivative
+    is not that of the motion. `discrete`: derivatives of the discrete run are wanted, and pass
+    where the integrator has them (`pathwise`).
+    """
+    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(COMPUTED(run)))
+    why = refusal(run.mechanism, integrator) if traced else ""
+    if not why or (discrete and integrator.pathwise):
+        return run
+    ways = "take jaxclear.sensitivity, which compares methods and gives an error"
+    if integrator.pathwise:
+        ways += (
+            ", or jaxclear.Problem.evaluate(values, discrete_derivatives=True) for the derivative "
+            "of the discrete run as it is"
+        )
+    sentence = f"the derivative of this run would be wrong: {why}; {ways}."
+    numbers, rest = eqx.partition(COMPUTED(run), eqx.is_inexact_array)
+    return eqx.tree_at(COMPUTED, run, eqx.combine(_undifferentiated(sentence, numbers), rest))
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _undifferentiated(sentence: str, numbers: Any) -> Any:
+    """The numbers as they are."""
+    return numbers
+
+
+@_undifferentiated.defjvp
+def _refuse(sentence, primals, tangents):
+    raise ValueError(sentence)

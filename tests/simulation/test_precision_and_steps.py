@@ -1,0 +1,81 @@
+"""What is said before a run: float64 that was switched off, steps that cannot be as long as asked."""
+
+import warnings
+
+import jax
+import numpy as np
+import pytest
+
+import jaxclear as jc
+
+RIG = jc.scenes.slider_crank(wear=False)
+STEPS = jc.integrator.FixedStep(1e-4)
+CLEARANCE = {"c": jc.Variable(lambda r: r.connections["B"].joint.clearance, tolerance=1e-5)}
+
+
+def problem(**options):
+    options = {"duration": 2e-3, "save": 3, "integrator": STEPS} | options
+    return jc.Problem(RIG, jc.response.MeanContactForce("B"), CLEARANCE, **options)
+
+
+ASKED, RUN = problem(), jc.simulate(RIG, 2e-3, save=3, integrator=STEPS)
+LCP = jc.complementarity.LCP(np.eye(2), -np.ones(2))
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        lambda: jc.simulate(RIG, 2e-3, save=3, integrator=STEPS),
+        lambda: jc.assemble(RIG),
+        problem,
+        lambda: ASKED.evaluate(ASKED.nominal()),
+        lambda: jc.monte_carlo(ASKED, 4),
+        lambda: jc.sensitivity(ASKED, sample=4),
+        lambda: jc.advise(ASKED, 0.1),
+        lambda: RUN.contact("B"),
+        RUN.energy_balance,
+        lambda: jc.complementarity.Lemke().solve(LCP),
+        lambda: jc.complementarity.InteriorPoint().solve(LCP),
+    ],
+)
+def test_single_precision_is_refused_at_every_entry_that_computes(entry):
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.raises(RuntimeError, match="float64, and jax_enable_x64 has been switched off"):
+            entry()
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        jc.integrator.FixedStep(1e-4),
+        jc.integrator.FixedStep(1e-4, contact_steps=5),
+        jc.integrator.ImplicitStep(1e-4),
+        jc.integrator.NonColliding(1e-4),
+        jc.integrator.MoreauJean(1e-4),
+    ],
+    ids=lambda i: type(i).__name__,
+)
+def test_steps_longer_than_the_saving_interval_are_said(integrator):
+    def run(save):
+        return jc.simulate(RIG, 1e-3, save=save, integrator=integrator)
+
+    with pytest.warns(UserWarning, match=r"step=0.0001\) asks .* 5e-05 s: .* 2 times as many"):
+        often = run(21)
+    assert often.accepted_steps >= 20
+    with pytest.warns(UserWarning, match="longer steps than the shortest saving interval"):
+        problem(duration=1e-3, save=21, integrator=integrator)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        run(11)
+        run(4)
+
+
+def test_steps_that_nobody_asked_for_are_not_said():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        jc.simulate(RIG, 1e-4, save=101)
+        problem(duration=1e-4, save=101, integrator=None)
+        problem(duration=1e-4, save=101, integrator=jc.integrator.FixedStep(steps_per_save=1))
