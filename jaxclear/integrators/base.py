@@ -49,7 +49,8 @@ class AbstractIntegrator(AbstractQuantified):
     """Carries a state over an interval.
 
     `pathwise`: whether forward-mode derivatives
-    through its steps are those of the discrete run. `projects`: whether loops can be closed anew
+    through its steps are those of the discrete run (where contacts open and close, not those of the
+    motion). `projects`: whether loops can be closed anew
     after its steps.
     """
 

@@ -51,6 +51,8 @@ class FixedStep(AbstractIntegrator):
     takes the approach speed of the last step that starts open for the impact speed, in place of a
     state that follows it within `memory_time`. `steps_per_save` fixes the number of steps between
     saving times instead: reverse-mode derivatives (`jax.grad`) need it, forward-mode ones do not.
+    Derivatives are those of the discrete run: where contacts open and close, not those of the
+    motion (`jaxclear.sensitivity` compares methods).
     """
 
     pathwise: ClassVar = True

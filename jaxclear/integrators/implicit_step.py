@@ -38,7 +38,8 @@ class ImplicitStep(AbstractIntegrator):
     `capture_impacts` takes the approach speed at the start of the step in which a contact closes;
     otherwise the impact speed follows within `memory_time`, which may be far shorter than the step.
     `steps_per_save` fixes the number of steps between saving times: reverse-mode derivatives need
-    it, forward-mode ones do not.
+    it, forward-mode ones do not. Derivatives are those of the discrete run: where contacts open and
+    close, not those of the motion (`jaxclear.sensitivity` compares methods).
 
     Source: mean forces that conserve energy: Gonzalez 1996, J. Nonlinear Sci. 6, 449; for contact
     Laursen & Chawla 1997, Int. J. Numer. Methods Eng. 40, 863; with dissipation Armero & Petocz

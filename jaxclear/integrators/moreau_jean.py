@@ -35,9 +35,9 @@ class MoreauJean(AbstractIntegrator):
 
     Forces are impulses: `Trajectory.contact` gives the means over each saving interval.
     `most_sweeps` over the contacts at most, until the laws hold to `tolerance` of the largest
-    velocity; where they end far from that, the run ends and says so. Derivatives are those of the
-    contacts' present states: an impact's instant does not move with them, so do not differentiate
-    through impacts.
+    velocity; where they end far from that, the run ends and says so. Derivatives
+    would be those of the contacts' present states (an impact's instant does not move with them),
+    and are refused; see `jaxclear.sensitivity`.
 
     Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comput. Methods
     Appl. Mech. Eng. 177, 235.

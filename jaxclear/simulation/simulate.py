@@ -192,7 +192,8 @@ def simulate(
     and speeds as they are but for ideal loops (a journal that is to be thrown needs it). `balance`:
     also integrate the energies that `Trajectory.energy_balance` needs. Changing numbers, duration
     or tolerances does not compile again; changing the number of saving times does. Raises
-    `ValueError` for a mechanism that cannot start, and, unless `throw=False`, `SimulationError`
+    `ValueError` for a mechanism that cannot start and for a derivative through contacts that open
+    and close (see `jaxclear.sensitivity`), and, unless `throw=False`, `SimulationError`
     with a sentence for a run that ends early.
     """
     check_double_precision()

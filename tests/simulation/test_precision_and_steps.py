@@ -1,4 +1,4 @@
-"""What is said before a run: float64 that was switched off, steps that cannot be as long as asked."""
+"""What is said before a run: float64 switched off, steps that cannot be as long as asked."""
 
 import warnings
 
@@ -33,7 +33,7 @@ LCP = jc.complementarity.LCP(np.eye(2), -np.ones(2))
         lambda: jc.sensitivity(ASKED, sample=4),
         lambda: jc.advise(ASKED, 0.1),
         lambda: RUN.contact("B"),
-        RUN.energy_balance,
+        lambda: RUN.body("slider"),
         lambda: jc.complementarity.Lemke().solve(LCP),
         lambda: jc.complementarity.InteriorPoint().solve(LCP),
     ],

@@ -3,9 +3,9 @@
 `regression` reads the slope off a Monte Carlo sample (free, averages over the tolerances).
 `differences` runs the same samples with one variable moved up and down (common random numbers), at
 two widths, so that curvature shows as an error. `pathwise` carries the tangent through every step:
-exact for the discrete run and cheap. Where contacts open and close that is not the derivative of the
-motion: it stands only where another method confirms it, and behind many impacts it grows without
-bound and is refused.
+exact for the discrete run and cheap. Where contacts open and close that is not the derivative of
+the motion: it stands only where another method confirms it. Behind many impacts it grows without
+bound, and is refused.
 """
 
 import equinox as eqx
