@@ -31,8 +31,8 @@ def first_difference(one: Problem, other: Problem) -> str:
     for name in one.names:
         if _places(one, name) != _places(other, name):
             return f'variable "{name}" points at another number'
-        parts = (problem.variables[name].distribution for problem in (one, other))
-        found = _difference(*parts, f'distribution of "{name}"')
+        mine, others = one.variables[name].distribution, other.variables[name].distribution
+        found = _difference(mine, others, f'distribution of "{name}"')
         if found:
             return found
     return ""
@@ -59,10 +59,9 @@ def _difference(one: Any, other: Any, path: str) -> str:
         return "" if np.array_equal(one, other, equal_nan=True) else _said(one, other, path)
     if callable(one) and getattr(one, "__code__", None) is not None:
         return "" if _same_function(one, other) else f"{path} is another function"
-    parts = _parts(one)
-    if parts is None:
+    parts, others = _parts(one), _parts(other)
+    if parts is None or others is None:
         return "" if one == other else _said(one, other, path)
-    others = _parts(other)
     if parts.keys() != others.keys():
         return _said(one, other, path)
     found = (_difference(part, others[key], f"{path}{key}") for key, part in parts.items())
