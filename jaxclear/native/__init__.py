@@ -25,9 +25,8 @@ On its way a loop passes through these files:
 - `verdicts`: which loops became kernels, and why others did not.
 
 JAX's own loop is taken instead where a primitive has no rule, where the program is long, where the
-check fails, on an accelerator, for derivatives, and with JAXCLEAR_PLAIN_LOOPS=1. Only a fault of
-this room itself warns, once for each loop; the other reasons are in the verdict, and the logger
-`jaxclear.native.loop` gives them at level INFO.
+check fails, on an accelerator, for derivatives, and with JAXCLEAR_PLAIN_LOOPS=1. The first three
+warn, once for each reason; all reasons are in the verdict.
 
 What a kernel holds of its arguments: constants and the first state as one packed row of floats for
 each sample (whole numbers and truth values as floats, exact to 2^53); constant arrays of more than

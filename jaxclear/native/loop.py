@@ -28,6 +28,8 @@ from jaxclear.native.writer import LONGEST_IN_REGISTERS, Unsupported
 LOG = logging.getLogger(__name__)
 loop_p = Primitive("jaxclear_loop")
 loop_p.multiple_results = True
+# Reasons that have been told.
+_WARNED: set[str] = set()
 
 
 def while_loop(condition: Callable[[Any], Any], body: Callable[[Any], Any], first: Any) -> Any:
@@ -215,16 +217,26 @@ def _lower_on_cpu(ctx, *values, program, rank):
         return out
     except (Unsupported, ImportError) as missing:
         reason = f"there is no machine code for {missing}"
-        LOG.info("A loop is left to XLA: %s.", reason)
+        _warn_once(reason)
     except Exception as failure:
         # The fast path must not cost a run: say so, and let XLA compile the loop.
         reason = f"the kernel could not be written: {failure!r}"
-        warnings.warn(
-            f"jaxclear could not write a loop as machine code and runs it slowly: {failure!r}.",
-            RuntimeWarning,
-            2,
-        )
+        _warn_once(reason)
     return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=reason)
+
+
+def _warn_once(reason: str) -> None:
+    """A loop takes ten times as long as need be: said once for each reason in a process."""
+    LOG.info("A loop is left to XLA: %s.", reason)
+    if reason in _WARNED:
+        return
+    _WARNED.add(reason)
+    warnings.warn(
+        f"jaxclear runs a time loop through XLA, which takes some ten times as long to run and "
+        f"longer to compile: {reason}.",
+        RuntimeWarning,
+        2,
+    )
 
 
 mlir.register_lowering(loop_p, _lower_elsewhere)

@@ -14,7 +14,14 @@ from jaxclear.native.writer import (
 )
 
 
-@rule("copy", "copy_p", "stop_gradient", "optimization_barrier", "reduce_precision")
+@rule(
+    "copy",
+    "copy_p",
+    "stop_gradient",
+    "optimization_barrier",
+    "reduce_precision",
+    reads_memory=True,
+)
 def _same(writer, equation, *arrays):
     return list(arrays)
 
@@ -80,6 +87,12 @@ def _concatenate(writer, equation, *arrays):
 @rule("stack")
 def _stack(writer, equation, *arrays):
     return np.stack(arrays, equation.params["axis"])
+
+
+@rule("unstack")
+def _unstack(writer, equation, a):
+    rows = np.split(a, len(equation.outvars), equation.params["axis"])
+    return [row.reshape(atom.aval.shape) for row, atom in zip(rows, equation.outvars, strict=True)]
 
 
 @rule("split")

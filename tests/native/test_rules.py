@@ -74,6 +74,12 @@ def scan(x, rows):
     return last, seen, lax.scan(lambda c, r: (0.5 * c + r, c), x, rows, reverse=True)[1]
 
 
+def unstacked(x, axis):
+    """jax.numpy has no name for it: the derivative of a stack."""
+    parts = jnp.moveaxis(jnp.zeros_like(x), axis, 0)
+    return jax.vjp(lambda *p: jnp.stack(p, axis), *parts)[1](x)
+
+
 def count(x):
     return lax.while_loop(lambda s: s[0] < x[0], lambda s: (s[0] + 1.0, 1.5 * s[1]), (0.0, x))
 
@@ -122,6 +128,10 @@ CASES = {
     "slice": [(lambda x: x[:, 0:3:2], (SMALL,)), (lambda t: t[3:9:2, 1:], (TABLE,))],
     "concatenate": [(lambda x: lax.concatenate([x, x], 1), (SMALL,))],
     "stack": [(lambda x: jnp.stack([x, 2 * x], 1), (SMALL,))],
+    "unstack": [
+        (functools.partial(unstacked, axis=axis), (values,))
+        for values, axis in ((SMALL, 0), (SMALL, 1), (SMALL[0], 0))
+    ],
     "split": [(lambda x: tuple(lax.split(x, (1, 2), 1)), (SMALL,))],
     "iota": [(lambda x: lax.broadcasted_iota(d, (2, 3), 1) + x, (1,)) for d in (float, int)],
     **{

@@ -1,0 +1,137 @@
+"""Every joint, worn or not, has a kernel on every rung that takes it, with the jax that is
+installed, with the lowest that is allowed and with the newest.
+
+One primitive without a rule, and a run takes ten times as long without a word: the derivative of
+`stack` became such a one with a new jax. In the quick test kernels are written as text alone,
+neither compiled nor run; the slow one compiles and runs them.
+"""
+
+import os
+import re
+import subprocess
+import sys
+import warnings
+from importlib import metadata
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxclear as jc
+from jaxclear.multibody.assembly import assemble_arrays
+from jaxclear.native import kernel
+from jaxclear.native.verdicts import KERNELS
+from jaxclear.native.writer import Unsupported
+from jaxclear.simulation.simulate import check_run, run
+from tests.rigs.clearance_joints import JOINTS, USUAL, build
+
+RUNGS = {
+    "fixed": jc.integrator.FixedStep(),
+    "fixed, short steps in contact": jc.integrator.FixedStep(1e-4, contact_steps=5.0),
+    "on groups": jc.integrator.FixedStep(method="munthe_kaas4", capture_impacts=True),
+    "implicit": jc.integrator.ImplicitStep(),
+    "adaptive": jc.integrator.Adaptive(),
+    "adaptive, impacts captured": jc.integrator.Adaptive(capture_impacts=True),
+    "adaptive on groups": jc.integrator.Adaptive(jc.integrator.MuntheKaas()),
+    "Moreau-Jean": jc.integrator.MoreauJean(),
+    "non-colliding": jc.integrator.NonColliding(),
+}
+QUICK = ("fixed", "implicit", "adaptive", "Moreau-Jean")
+WORN = ("planar", "journal_that_wears", "ball")
+TIMES = jnp.linspace(0.0, 1e-3, 3)
+# What a rung refuses by a sentence asks for no kernel: restitutions that depend on the speed in
+# MoreauJean, worn joints and rubbing balls in NonColliding.
+REFUSALS = "restitution|wears|no form in permanent contact"
+
+
+def refused(rig, integrator):
+    try:
+        check_run(rig, integrator, TIMES)
+        integrator.formulation.seen(rig)
+    except ValueError as sentence:
+        assert re.search(REFUSALS, str(sentence)), sentence
+        return True
+    return False
+
+
+@pytest.mark.parametrize(
+    ("joint", "rung"),
+    [
+        pytest.param(j, r, marks=() if j in WORN and r in QUICK else pytest.mark.slow)
+        for j in JOINTS
+        for r in RUNGS
+    ],
+)
+def test_a_kernel_can_be_written(joint, rung, monkeypatch):
+    rig, integrator, written = build(joint, USUAL), RUNGS[rung], []
+    if refused(rig, integrator):
+        return
+
+    def write(program, lanes):
+        written.append(kernel.text_of(program, lanes))
+        raise Unsupported("a test")
+
+    monkeypatch.setattr(kernel, "build", write)
+    mechanism = integrator.formulation.seen(rig)
+
+    def states():
+        start = assemble_arrays(mechanism)
+        return run(mechanism, start.coordinates, start.speeds, TIMES, integrator).states
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        jax.jit(states).lower()
+    missing = [str(w.message) for w in said if "machine code" in str(w.message)]
+    assert written and not [m for m in missing if "a test" not in m]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rung", RUNGS)
+@pytest.mark.parametrize("joint", JOINTS)
+def test_the_kernel_passes_its_check_and_runs(joint, rung):
+    rig = build(joint, USUAL)
+    if refused(rig, RUNGS[rung]):
+        return
+    found = jc.simulate(rig, 1e-4, save=3, integrator=RUNGS[rung], throw=False)
+    assert found.stats.loops == KERNELS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", jc.scenes.__all__)
+def test_every_scene_has_a_kernel(name):
+    scene = getattr(jc.scenes, name)
+    given = {"antenna": {"friction": "regularised"}, "guide": {"friction": "regularised"}}
+    for integrator in RUNGS.values():
+        rig = scene(**given.get(name, {}))
+        if not refused(rig, integrator):
+            found = jc.simulate(rig, 1e-4, save=3, integrator=integrator, throw=False)
+            assert found.stats.loops == KERNELS
+
+
+def allowed():
+    """The lowest jax that this package allows, and the newest there is (None)."""
+    (bound,) = (r for r in metadata.requires("jaxclear") or [] if re.match(r"jax\b[^l]", r))
+    return [re.search(r">=\s*([\d.]+)", bound)[1], None]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("newest", [False, True], ids=["lowest", "newest"])
+def test_with_every_jax_that_is_allowed(newest, tmp_path):
+    """Kernels of all joints and each rule by itself, with another jax in front of the path."""
+    version = allowed()[newest]
+    wanted = [f"{name}=={version}.*" if version else name for name in ("jax", "jaxlib")]
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(tmp_path)]
+    if subprocess.run([*pip, *wanted], capture_output=True, timeout=600).returncode:
+        pytest.skip("the package registry cannot be reached")
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]),
+    }
+    tests = [__file__, os.path.join(os.path.dirname(__file__), "test_rules.py")]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-n", "0", "-q", "-k", "written or rule", "-m", "", *tests],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=1200,
+    )
+    assert done.returncode == 0, done.stdout[-3000:]
