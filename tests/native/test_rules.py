@@ -199,6 +199,8 @@ OTHER_NAMES = {
     **dict.fromkeys(("copy_p", "stop_gradient"), "copy"),
     "expand_dims": "reshape",
 }
+# Primitives that some allowed version of JAX does not know yet.
+SINCE = {"unstack": (0, 10, 2)}
 
 
 def inner_programs(jaxpr):
@@ -280,4 +282,4 @@ def test_every_rule_has_a_case(name):
     for function, arrays in CASES[name]:
         jaxpr = jax.make_jaxpr(function)(*arrays).jaxpr
         names = {e.primitive.name for inner in inner_programs(jaxpr) for e in inner.eqns}
-        assert name in names
+        assert name in names or jax.__version_info__ < SINCE.get(name, ())
