@@ -128,7 +128,19 @@ def test_with_every_jax_that_is_allowed(newest, tmp_path):
     }
     tests = [__file__, os.path.join(os.path.dirname(__file__), "test_rules.py")]
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-n", "0", "-q", "-k", "written or rule", "-m", "", *tests],
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-n",
+            "0",
+            "-q",
+            "-k",
+            "written or rule",
+            "-m",
+            "",
+            *tests,
+        ],
         env=environment,
         capture_output=True,
         text=True,
