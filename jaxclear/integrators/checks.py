@@ -10,6 +10,7 @@ import enum
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -124,6 +125,10 @@ class Checks(eqx.Module):
         for beyond in self.beyond().values():
             found = found | beyond
         return found
+
+    def of_sample(self, index: int) -> "Checks":
+        """The figures of one sample of many."""
+        return jax.tree.map(lambda array: array[index], self)
 
     def rows(self) -> list[tuple[Check, float, str, float]]:
         """(check, worst figure, its place, when [s]) of each figure of one run."""

@@ -28,14 +28,29 @@ __all__ = [
     "PointingAngle",
     "PositionError",
     "WornVolume",
+    "concerned",
     "unit_of",
 ]
+
+
+# What is off in a run where one part of it is: forces follow the motion, wear follows forces.
+REACHES = {
+    "motion": ("motion", "forces", "peak forces", "wear"),
+    "forces": ("forces", "peak forces", "wear"),
+    "peak forces": ("peak forces",),
+    "wear": ("wear",),
+}
 
 
 class AbstractResponse(AbstractQuantified):
     """A number drawn from a run; `unit` is that of the number."""
 
     unit: eqx.AbstractVar[str]
+
+    def drawn_from(self) -> str:
+        """What of a run it needs to be right: its "motion", "forces", "peak forces" or "wear", or
+        "anything". A warning that concerns something else does not concern it."""
+        return "anything"
 
     @abstractmethod
     def __call__(self, run: Trajectory) -> Scalar:
@@ -49,6 +64,9 @@ class PeakWornDepth(AbstractResponse):
     surface: str = eqx.field(static=True, default="bearing")
     unit: str = eqx.field(static=True, default="m", kw_only=True)
 
+    def drawn_from(self):
+        return "wear"
+
     def __call__(self, run):
         return jnp.max(run.worn_depth(self.joint, self.surface))
 
@@ -59,6 +77,9 @@ class WornVolume(AbstractResponse):
     joint: str = eqx.field(static=True)
     surface: str = eqx.field(static=True, default="bearing")
     unit: str = eqx.field(static=True, default="m^3", kw_only=True)
+
+    def drawn_from(self):
+        return "wear"
 
     def __call__(self, run):
         return run.worn_volume(self.joint, self.surface)[-1]
@@ -72,6 +93,9 @@ class PositionError(AbstractResponse):
     reference: Float[Array, "time 3"]
     axes: tuple[int, ...] = eqx.field(static=True, default=(0, 1, 2))
     unit: str = eqx.field(static=True, default="m", kw_only=True)
+
+    def drawn_from(self):
+        return "motion"
 
     def __call__(self, run):
         path = run.body(self.body).com
@@ -99,6 +123,9 @@ class PointingAngle(AbstractResponse):
     peak: bool = eqx.field(static=True, default=False)
     unit: str = eqx.field(static=True, default="rad", kw_only=True)
 
+    def drawn_from(self):
+        return "forces"
+
     def __call__(self, run):
         angle = tip_errors(run, self.tip, self.base, self.through)[2].pointing_angle
         return jnp.max(angle) if self.peak else safe_sqrt(jnp.mean(angle * angle))
@@ -116,6 +143,9 @@ class MeanContactForce(AbstractResponse):
     joint: str = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="N", kw_only=True)
 
+    def drawn_from(self):
+        return "forces"
+
     def __call__(self, run):
         force = jnp.sum(run.contact(self.joint).normal_force, axis=-1)
         if not run.formulation.forces_are_means:
@@ -131,6 +161,9 @@ class PeakContactForce(AbstractResponse):
     joint: str = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="N", kw_only=True)
 
+    def drawn_from(self):
+        return "peak forces"
+
     def __call__(self, run):
         return jnp.max(run.contact(self.joint).normal_force)
 
@@ -144,6 +177,9 @@ class FinalCoordinate(AbstractResponse):
     index: int = eqx.field(static=True, default=0)
     unit: str = eqx.field(static=True, default="rad", kw_only=True)
 
+    def drawn_from(self):
+        return "motion"
+
     def __call__(self, run):
         coordinates = run.coordinate(self.connection)
         if not 0 <= self.index < coordinates.shape[1]:
@@ -152,6 +188,13 @@ class FinalCoordinate(AbstractResponse):
                 f"{self.index}."
             )
         return coordinates[-1, self.index]
+
+
+def concerned(response: Any, concerns: str) -> bool:
+    """Whether a warning that `concerns` a part of a run concerns a response; any does that of a
+    plain function."""
+    needs = response.drawn_from() if isinstance(response, AbstractResponse) else "anything"
+    return needs == "anything" or needs in REACHES.get(concerns, (needs,))
 
 
 def unit_of(response: Any) -> str:

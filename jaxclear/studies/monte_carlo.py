@@ -10,18 +10,22 @@ import numpy as np
 from scipy.stats import qmc
 
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.integrators import Outcome
+from jaxclear.integrators import Checks, Outcome
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.simulate import simulate
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
 SAMPLINGS = ("sobol", "random")
 
 
 class MonteCarlo(eqx.Module):
     """Samples and their responses. Failed samples keep their row, with `nan` responses and a
-    sentence.
+    sentence; those that reached their end with warnings are counted beside them.
 
-    `values` (samples, variables) are the varied numbers, `responses` (samples,) by name.
+    `values` (samples, variables) are the varied numbers, `responses` (samples,) by name, `checks`
+    what each run found out about itself.
     """
 
     problem: Problem
@@ -30,6 +34,7 @@ class MonteCarlo(eqx.Module):
     outcome: np.ndarray
     ended: np.ndarray
     seed: int = eqx.field(static=True)
+    checks: Checks = eqx.field(default_factory=Checks)
 
     @property
     def failed(self) -> np.ndarray:
@@ -40,6 +45,46 @@ class MonteCarlo(eqx.Module):
     def failures(self) -> dict[int, str]:
         """Why each failed sample failed, by its index."""
         return {int(i): self._sentence(i) for i in self.failed}
+
+    @property
+    def warned(self) -> np.ndarray:
+        """Indices of the samples that did not fail and carry a warning."""
+        return np.setdiff1d(np.flatnonzero(any_warning(self.checks, self.count)), self.failed)
+
+    def warnings(self) -> dict[int, tuple[str, ...]]:
+        """What each of those warns of, by its index."""
+        return {int(i): self.checks.of_sample(int(i)).warnings for i in self.warned}
+
+    def concerned(self, response: str) -> np.ndarray:
+        """Indices of the samples that carry a warning which concerns this response (peak forces
+        that the steps do not resolve concern no position)."""
+        if response not in self.responses:
+            known = ", ".join(map(repr, self.responses))
+            raise ValueError(f'no response "{response}" in this study; there are {known}.')
+        found = warned_of(self.problem, response, self.checks, self.count)
+        return np.setdiff1d(np.flatnonzero(found), self.failed)
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return len(self.values)
+
+    def rerun(self, index: int) -> Trajectory:
+        """The run of one sample, alone: to look at one that failed or warned."""
+        problem = self.problem
+        return simulate(
+            problem.with_values(jnp.asarray(self.values[index])),
+            float(problem.duration),
+            integrator=problem.integrator,
+            save=np.asarray(problem.shares * problem.duration),
+            throw=False,
+        )
+
+    def sentence(self) -> str:
+        """How many samples there are, failed and warned, and of what."""
+        text = f"{self.count} samples, {len(self.failed)} failed, {len(self.warned)} with warnings"
+        counts = counted(self.checks, np.isin(np.arange(self.count), self.warned))
+        return f"{text} ({in_words(counts)})." if counts else f"{text}."
 
     def _sentence(self, i):
         named = ", ".join(
@@ -53,7 +98,8 @@ class MonteCarlo(eqx.Module):
         return f"With {named} the run ended after {self.ended[i]:.6g} s. {outcome.sentence}"
 
     def table(self) -> Any:
-        """All samples as a pandas table: variables, responses, result."""
+        """All samples as a pandas table: variables, responses, result, warnings and the responses
+        that these concern."""
         import pandas
 
         columns: dict[str, Any] = {
@@ -61,41 +107,55 @@ class MonteCarlo(eqx.Module):
         }
         columns |= self.responses
         sentences = self.failures()
-        columns["result"] = [
-            sentences.get(i, Outcome.REACHED.sentence) for i in range(len(self.values))
+        columns["result"] = [sentences.get(i, Outcome.REACHED.sentence) for i in range(self.count)]
+        warnings = self.warnings()
+        columns["warnings"] = [" ".join(warnings.get(i, ())) for i in range(self.count)]
+        concerned = {name: set(self.concerned(name)) for name in self.responses}
+        columns["in doubt"] = [
+            ", ".join(name for name, samples in concerned.items() if i in samples)
+            for i in range(self.count)
         ]
         return pandas.DataFrame(columns)
 
     def summary(self) -> Any:
         """Mean with its standard error, standard deviation and percentiles of each response, as a
-        pandas table.
+        pandas table. "warned" counts the samples with a warning that concerns the response; the
+        last two columns leave them out, all others take them in.
 
         The standard error is that of independent samples; for quasi-random ones it is an upper
         estimate.
         """
         import pandas
 
-        good = np.setdiff1d(np.arange(len(self.values)), self.failed)
+        good = np.setdiff1d(np.arange(self.count), self.failed)
         rows = []
         for name, response in self.responses.items():
             r = response[good]
             low, median, high = np.percentile(r, [5, 50, 95]) if len(r) else (np.nan,) * 3
-            spread = r.std(ddof=1) if len(r) > 1 else np.nan
+            warned = self.concerned(name)
+            spread, clean = _spread(r), response[np.setdiff1d(good, warned)]
             rows.append(
                 {
                     "response": name,
                     "unit": self.problem.units()[name],
                     "samples": len(r),
                     "failed": len(self.failed),
+                    "warned": len(warned),
                     "mean": r.mean() if len(r) else np.nan,
                     "standard error": spread / np.sqrt(max(len(r), 1)),
                     "standard deviation": spread,
                     "5 %": low,
                     "median": median,
                     "95 %": high,
+                    "mean without warned": clean.mean() if len(clean) else np.nan,
+                    "standard deviation without warned": _spread(clean),
                 }
             )
         return pandas.DataFrame(rows)
+
+
+def _spread(values: np.ndarray) -> float:
+    return float(values.std(ddof=1)) if len(values) > 1 else np.nan
 
 
 def draw(problem: Problem, samples: int, seed: int, sampling: str = "sobol") -> np.ndarray:
@@ -142,7 +202,7 @@ def monte_carlo(
 
     `sampling`: "sobol" (scrambled, quasi-random) or "random". `chunk`: samples run together, by
     default what fits memory; all chunks share one compiled program. A sample that fails is counted,
-    named and kept.
+    named and kept; so is one whose run warns of its own numbers.
     """
     values = draw(problem, samples, seed, sampling)
     outcome = evaluate_all(
@@ -153,4 +213,4 @@ def monte_carlo(
         name: np.where(good, outcome.responses[name], np.nan) for name in problem.response_names
     }
     ends = (np.asarray(outcome.outcome), np.asarray(outcome.ended))
-    return MonteCarlo(problem, values, responses, *ends, seed)
+    return MonteCarlo(problem, values, responses, *ends, seed, outcome.checks)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import inside, numbers
-from jaxclear.integrators import AbstractIntegrator, FixedStep, Outcome
+from jaxclear.integrators import AbstractIntegrator, Checks, FixedStep, Outcome
 from jaxclear.multibody.assembly import CLOSED, assemble_arrays
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.response import unit_of
@@ -53,11 +53,13 @@ class Variable(eqx.Module):
 
 
 class SampleResult(eqx.Module):
-    """Responses of one sample by name, how its run ended (`integrator.Outcome`), and when [s]."""
+    """Responses of one sample by name, how its run ended (`integrator.Outcome`), when [s], and its
+    own `checks`, whose figures beyond their limits are warnings."""
 
     responses: dict[str, Array]
     outcome: Array
     ended: Array
+    checks: Checks = eqx.field(default_factory=Checks)
 
 
 class Problem(eqx.Module):
@@ -165,9 +167,8 @@ class Problem(eqx.Module):
             [jnp.max(jnp.abs(r), initial=0.0) for r in start.residuals.values()] or [jnp.zeros(())]
         )
         outcome = jnp.where(jnp.max(left) <= CLOSED, trajectory.outcome, Outcome.UNASSEMBLED)
-        return SampleResult(
-            responses, jnp.where(possible, outcome, Outcome.OUT_OF_RANGE), trajectory.ended
-        )
+        outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
+        return SampleResult(responses, outcome, trajectory.ended, trajectory.checks)
 
 
 def _leaves_of(variable: Variable) -> Callable[[Mechanism], list]:

@@ -128,7 +128,7 @@ def test_where_nothing_opens_derivatives_pass(integrator):
     np.testing.assert_allclose(slope, 1e-3 * np.sin(omega) * omega / 2, rtol=1e-3)
 
 
-@pytest.mark.parametrize("name", ["explicit", "implicit"])
+@pytest.mark.parametrize("name", ["explicit", pytest.param("implicit", marks=pytest.mark.slow)])
 def test_a_wrong_pathwise_derivative_is_never_agreed(name):
     """With a law that remembers the impact speed, the tangent of the discrete run does not know
     that a journal that falls farther strikes faster: -1.268 for -1.212."""

@@ -58,9 +58,8 @@ def test_responses_are_those_of_the_closed_form(sample):
 
 
 def test_table_and_summary_tell_the_sample(sample):
-    assert (
-        list(sample.table().columns) == ["length", "swing", "result"] and len(sample.table()) == 128
-    )
+    columns = ["length", "swing", "result", "warnings", "in doubt"]
+    assert list(sample.table().columns) == columns and len(sample.table()) == 128
     row = sample.summary().iloc[0]
     assert row["failed"] == 0 and row["mean"] == pytest.approx(sample.responses["swing"].mean())
 

@@ -66,7 +66,7 @@ class Advice(eqx.Module):
     def sentence(self) -> str:
         """The answer in plain words."""
         found = self.comparison
-        parts = [*_recommended(found), *_doubts(found), *_if_means_count(found)]
+        parts = [*_recommended(found), *_doubts(found), *_warnings(found), *_if_means_count(found)]
         return " ".join([*parts, _present(found), _pilot(found)])
 
     def why_not(self) -> dict[str, str]:
@@ -140,7 +140,7 @@ def _remark(found: Comparison, choice: Choice) -> str:
         return "too inaccurate"
     if first is None or choice.place < first:
         return "unconfirmed: its finer neighbour is missing or fails"
-    return ""
+    return trial.warnings
 
 
 def _recommended(found: Comparison) -> Iterator[str]:
@@ -190,6 +190,16 @@ def _doubts(found: Comparison) -> Iterator[str]:
     sure = max((c.trust for c in criteria.values() if not c.by_means), default=0.0)
     if sure > 0 and all(c.limit <= found.accuracy for c in criteria.values()):
         yield f"Errors below {_percent(sure)} are within what the reference itself is known to."
+
+
+def _warnings(found: Comparison) -> Iterator[str]:
+    """What the runs of the recommended setting and of the reference warn of."""
+    for whose, trial in (
+        ("the recommended setting", found.chosen),
+        ("the reference", found.curves[REFERENCE].trials[-1]),
+    ):
+        if trial.warnings:
+            yield f"With {whose} {trial.warnings}"
 
 
 def _if_means_count(found: Comparison) -> Iterator[str]:

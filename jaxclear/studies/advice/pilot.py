@@ -21,6 +21,7 @@ from jaxclear.simulation.simulate import check_run
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.monte_carlo import draw
 from jaxclear.studies.problem import Problem, SampleResult
+from jaxclear.studies.warned import concern
 from jaxclear.studies.work_precision import tight_reference
 
 # Share of the problem's duration that a pilot runs unless told otherwise.
@@ -86,7 +87,8 @@ class Trial(eqx.Module):
     """One integrator on the pilot. `responses` (copies,) by name, nan where a run failed; `cost`
     [s/s] is wall time for a simulated second of one copy alone, `cost_in_batch` [s/s] the same of a
     sample in a batch (nan: not measured); `compile` [s] the time until its program was ready (near
-    0 where another trial has the same); `failure` a sentence, empty if all went well."""
+    0 where another trial has the same); `failure` a sentence, empty if all went well; `warnings`
+    one on the copies whose runs warn of what concerns a response."""
 
     integrator: AbstractIntegrator
     responses: dict[str, np.ndarray]
@@ -95,6 +97,7 @@ class Trial(eqx.Module):
     compile: float
     failure: str = eqx.field(static=True)
     cost_in_batch: float = np.nan
+    warnings: str = eqx.field(static=True, default="")
 
 
 @eqx.filter_jit
@@ -167,7 +170,8 @@ def measure(pilot: Pilot, integrator: AbstractIntegrator) -> Trial:
         for name in problem.response_names
     }
     failure = failure_in_words(outcomes, responses)
-    return Trial(integrator, responses, outcomes.outcome, seconds / pilot.duration, ready, failure)
+    trial = Trial(integrator, responses, outcomes.outcome, seconds / pilot.duration, ready, failure)
+    return dataclasses.replace(trial, warnings=_warnings_in_words(problem, outcomes))
 
 
 def _run_all(problem, start, values):
@@ -205,6 +209,13 @@ def _no_trial(pilot, integrator, why):
     copies = len(pilot.values)
     empty = {name: np.full(copies, np.nan) for name in pilot.problem.response_names}
     return Trial(integrator, empty, np.full(copies, Outcome.REACHED), np.nan, 0.0, why)
+
+
+def _warnings_in_words(problem: Problem, outcomes: SampleResult) -> str:
+    """A sentence on the copies that reached their end with a warning; empty if none did."""
+    reached = np.asarray(outcomes.outcome == Outcome.REACHED)
+    told = [concern(problem, name, outcomes.checks, reached) for name in problem.response_names]
+    return max(told)[1]
 
 
 def failure_in_words(outcomes: SampleResult, responses: dict[str, np.ndarray]) -> str:

@@ -14,17 +14,23 @@ from jaxclear.studies.monte_carlo import MonteCarlo
 # An answer this many times less certain than another is large agrees with anything, and confirms
 # nothing.
 VAGUE = 3.0
+# Methods agree on what is wrong as well, where more than this share of their runs is in doubt.
+FEW_WARNED = 0.05
 
 
 class Estimate(NamedTuple):
     """A derivative by one method. `error` is half the width of its 95 % interval, bias included;
     `refusal` says why a method has no answer (then value and error are nan). `doubt` says what its
-    error leaves out: such an estimate stands only beside one without doubt that agrees with it."""
+    error leaves out: such an estimate stands only beside one without doubt that agrees with it.
+    `warned` [1] is the share of its runs with warnings that concern the response, `warnings` what
+    they are."""
 
     value: float
     error: float
     refusal: str = ""
     doubt: str = ""
+    warned: float = 0.0
+    warnings: str = ""
 
 
 def refused(why: str) -> Estimate:
@@ -37,8 +43,8 @@ class Derivative(eqx.Module):
     its 95 % error.
 
     `value` and `error` are in [response/variable]; see `Sensitivity.unit`. `estimates` are the
-    methods' own answers, `verdict` is a sentence that says whether they agree, and `trustworthy`
-    whether at least two do.
+    methods' own answers, `verdict` is a sentence that says whether they agree, and which of their
+    runs warn, and `trustworthy` whether at least two do and hardly any warns.
     """
 
     response: str = eqx.field(static=True)
@@ -82,6 +88,7 @@ class Sensitivity(eqx.Module):
                 row[name] = estimate.value
                 row[f"{name} error"] = estimate.error
                 row[f"{name} refusal"] = estimate.refusal
+                row[f"{name} warnings"] = estimate.warnings
             rows.append(row)
         return pandas.DataFrame(rows)
 
@@ -92,6 +99,11 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
     estimates = _without_unconfirmed(estimates)
 
     def answer(value, error, method, verdict, trustworthy=False):
+        verdict += "".join(
+            f" In {name}, {e.warnings}" for name, e in estimates.items() if e.warnings
+        )
+        if trustworthy and max(e.warned for e in estimates.values()) > FEW_WARNED:
+            verdict, trustworthy = f"{verdict} Methods agree on what is off in a run, too.", False
         return Derivative(response, variable, value, error, method, verdict, trustworthy, estimates)
 
     order = _by_certainty(estimates)

@@ -20,6 +20,7 @@ from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.problem import Problem, SampleResult
 from jaxclear.studies.sensitivity.derivative import Estimate, refused
+from jaxclear.studies.warned import concern
 
 # A standard normal variable stays within this many deviations in 95 % of cases.
 CONFIDENCE = 1.96
@@ -41,7 +42,8 @@ def regression(sample: MonteCarlo, response: str, variable: int) -> Estimate:
 
     Source: HC3: MacKinnon & White 1985, J. Econometrics 29, 305, doi:10.1016/0304-4076(85)90158-7.
     """
-    good = np.setdiff1d(np.arange(len(sample.values)), sample.failed)
+    runs = np.isin(np.arange(sample.count), sample.failed, invert=True)
+    good = np.flatnonzero(runs)
     values = sample.values[good] - np.asarray(sample.problem.nominal())
     scale = values.std(axis=0)
     if len(good) < 4 * values.shape[1] + FEWEST:
@@ -60,7 +62,9 @@ def regression(sample: MonteCarlo, response: str, variable: int) -> Estimate:
     covariance = inverse @ (design.T * residual**2) @ design @ inverse
     deviation = np.sqrt(covariance[1 + variable, 1 + variable])
     slope = coefficients[1 + variable]
-    return Estimate(float(slope / scale[variable]), float(CONFIDENCE * deviation / scale[variable]))
+    slope, error = slope / scale[variable], CONFIDENCE * deviation / scale[variable]
+    told = concern(sample.problem, response, sample.checks, runs)
+    return Estimate(float(slope), float(error))._replace(warned=told[0], warnings=told[1])
 
 
 def differences(
@@ -76,6 +80,7 @@ def differences(
         problem, jnp.asarray(moved), progress_bar=progress_bar, label="differences"
     )
     good = np.all((found.outcome == Outcome.REACHED).reshape(4, -1), axis=0)
+    runs = np.tile(good, 4)
     estimates = {}
     for name, flat in found.responses.items():
         far_down, down, up, far_up = flat.reshape(4, -1)[:, good]
@@ -88,7 +93,9 @@ def differences(
         gap = abs(wide.mean() - narrow.mean())
         # A gap within its own noise is no sign of curvature.
         bias = max(gap - _half_interval(wide - narrow), 0.0)
-        estimates[name] = Estimate(float(wide.mean()), float(np.hypot(_half_interval(wide), bias)))
+        answer = Estimate(float(wide.mean()), float(np.hypot(_half_interval(wide), bias)))
+        share, words = concern(problem, name, found.checks, runs)
+        estimates[name] = answer._replace(warned=share, warnings=words)
     return estimates
 
 
@@ -107,7 +114,7 @@ def _tangents_of_chunk(problem: Problem, packed: Float[Array, "samples pairs"]) 
     def one(row):
         def responses(values):
             result = problem.evaluate(values, discrete_derivatives=True)
-            return result.responses, (result.outcome, result.ended)
+            return result.responses, (result.outcome, result.ended, result.checks)
 
         _, tangents, rest = jax.jvp(responses, (row[:count],), (row[count:],), has_aux=True)
         return SampleResult(tangents, *rest)
@@ -133,13 +140,15 @@ def pathwise(
     found = evaluate_all(
         problem, packed, progress_bar=progress_bar, label="tangents", function=_tangents_of_chunk
     )
-    good = found.outcome == Outcome.REACHED
+    good = np.asarray(found.outcome == Outcome.REACHED)
     seen = problem.integrator.formulation.seen(problem.mechanism)
     doubt = refusal(seen, problem.integrator)
-    return {
-        name: _mean_tangent(np.asarray(tangents)[good])._replace(doubt=doubt)
-        for name, tangents in found.responses.items()
-    }
+    estimates = {}
+    for name, tangents in found.responses.items():
+        share, words = concern(problem, name, found.checks, good)
+        answer = _mean_tangent(np.asarray(tangents)[good])
+        estimates[name] = answer._replace(doubt=doubt, warned=share, warnings=words)
+    return estimates
 
 
 def _mean_tangent(tangents: np.ndarray) -> Estimate:
