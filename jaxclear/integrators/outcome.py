@@ -18,10 +18,6 @@ class Outcome(AbstractOutcome):
     )
     TOO_MANY_STEPS = 2, "The allowed number of steps between two saved times was used up."
     NOT_FINITE = 3, "The state became infinite or not a number."
-    TOO_MANY_IMPACTS = (
-        4,
-        "The allowed number of captured impacts between two saved times was used up.",
-    )
     LAWS_NOT_MET = (
         5,
         "The laws of contact or friction were not met: the sweeps over the joints were used up far "

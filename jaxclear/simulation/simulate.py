@@ -142,10 +142,9 @@ def saving_times(duration: Any, save: Any) -> Array:
     return jnp.asarray(times if times[-1] == duration else np.concatenate([times, [duration]]))
 
 
-def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any = None) -> None:
-    """Whether a mechanism suits an integrator and its formulation; where the number of steps
-    between saving times is fixed, `times` tell their length. Raises `ValueError` with a sentence.
-    """
+def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
+    """Whether a mechanism suits an integrator and its formulation. Raises `ValueError` with a
+    sentence."""
     if not isinstance(mechanism, Mechanism):
         raise ValueError(f"what is simulated is {mechanism!r}; it must be a jaxclear.Mechanism.")
     if not isinstance(integrator, AbstractIntegrator):
@@ -161,9 +160,7 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any =
             "would take for an error; give stabilisation=jaxclear.Baumgarte(), or take an "
             "integrator with fixed steps."
         )
-    known = times is not None and not isinstance(times, jax.core.Tracer)
-    step = integrator.relaxing_step(np.max(np.diff(times)) if known else None)
-    integrator.formulation.check(mechanism, name, step)
+    integrator.formulation.check(mechanism, name)
 
 
 def check_duration(duration: Any) -> Any:
@@ -206,7 +203,7 @@ def simulate(
     times = saving_times(duration, save)
     warn_of_shortened_steps(integrator, times)
     integrator = Adaptive() if integrator is None else integrator
-    check_run(mechanism, integrator, times)
+    check_run(mechanism, integrator)
     mechanism = integrator.formulation.seen(mechanism)
     start = assemble(mechanism, start_concentric)
     with progress.bar(progress_bar, "simulating"):

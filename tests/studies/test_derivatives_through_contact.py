@@ -17,11 +17,9 @@ CLEARANCE, GRAVITY, OMEGA, TIME = 1e-3, 9.81, 3e3, 0.02
 INTEGRATORS = {
     "explicit": jc.integrator.FixedStep(2e-5),
     "explicit, reverse mode": jc.integrator.FixedStep(steps_per_save=50),
-    "explicit, captured": jc.integrator.FixedStep(2e-5, capture_impacts=True),
     "contact steps": jc.integrator.FixedStep(1e-4, contact_steps=10),
     "implicit": jc.integrator.ImplicitStep(2e-5),
     "adaptive": jc.integrator.Adaptive(),
-    "adaptive, captured": jc.integrator.Adaptive(capture_impacts=True),
     "rigid": jc.integrator.MoreauJean(1e-4),
 }
 
