@@ -13,9 +13,6 @@ from benchmarks.attacks.structures import structures
 from benchmarks.attacks.verdicts import ACCURACY, Verdict
 from jaxclear.laws.friction import AbstractForceFriction
 
-# What a run may not be.
-BAD = (Verdict.WRONG, Verdict.UNSAID, Verdict.RAW)
-
 
 def test_every_law_with_a_force_is_drawn():
     contacts = {
@@ -85,4 +82,4 @@ def test_quick_attack_finds_no_wrong_number_without_a_sentence():
         for draw in range(attack.QUICK_DRAWS)
         for row in attack.attack(structure, draw)
     ]
-    assert not [row for row in rows if row.verdict in BAD]
+    assert not [row for row in rows if row.verdict in attack.BAD]
