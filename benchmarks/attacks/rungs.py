@@ -47,6 +47,8 @@ RUNGS: dict[str, Rung] = {
         lambda n: I.NonColliding(n.log(1e-4, 1e-2, 1e-3)), "NonColliding", "permanent"
     ),
 }
+# Steps [s] of references.
+SHORTEST = 5e-7
 # Every mechanism is run on these, and on some of the others in turn.
 ALWAYS = ("default", "default of studies", "Adaptive, loose", "ImplicitStep")
 TAKING_TURNS = tuple(name for name in RUNGS if name not in ALWAYS)
@@ -70,4 +72,5 @@ def references(model: str, step: float | None) -> tuple[Any, Any]:
     if model == "compliant":
         return _adaptive(1e-9), _adaptive(1e-10)
     kind = {"rigid": I.MoreauJean, "permanent": I.NonColliding}[model]
-    return kind(step / 16), kind(step / 32)
+    # No shorter than what ends in a minute: a run of still shorter steps is compared with these.
+    return kind(max(step / 16, 2 * SHORTEST)), kind(max(step / 32, SHORTEST))
