@@ -1,7 +1,7 @@
 """One run as a user makes it, the references that judge it, and what is found.
 
 References are one run of the tight reference, one of the looser, and one of the looser for numbers
-that are off in the fifth digit: an answer that they disagree on is no run's to give.
+that are off in the fifth digit.
 """
 
 from typing import Any, NamedTuple
@@ -141,9 +141,9 @@ def find(run: Attempt, known: tuple[Attempt, ...], kind: str) -> Finding:
         why = tuple(f"reference: {one.ended}" for one in known if one.ended)
         verdict = Verdict.SAID if run.warned else Verdict.NO_REFERENCE
         return Finding(verdict, {}, {}, {}, said + why)
-    tight, *others = known
-    errors = answers.apart(run.answers, tight.answers)
-    apart = [answers.apart(other.answers, tight.answers) for other in others]
-    doubts = {name: max(one[name] for one in apart) for name in errors}
-    found = verdicts.judged(errors, doubts, kind, run.warned)
-    return Finding(verdicts.worst(found.values()), found, errors, doubts, said)
+    tight, loose, near = (one.answers for one in known)
+    errors = answers.apart(run.answers, tight)
+    doubts, spread = answers.apart(loose, tight), answers.apart(near, tight)
+    found = verdicts.judged(errors, doubts, spread, kind, run.warned)
+    unsure = {name: max(doubts[name], spread[name]) for name in errors}
+    return Finding(verdicts.worst(found.values()), found, errors, unsure, said)

@@ -7,6 +7,7 @@ are CPU seconds for a simulated second, compilation left out: alone, and a sampl
 
 import math
 import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -28,6 +29,8 @@ GOOD, LONG = 1e-4, 1.5
 # A batch is timed where a run alone is shorter than this [s CPU].
 BATCHED = 0.15
 REPEATS = 3
+# No run counts for less than this share of what a call takes.
+LEAST = 0.05
 I = jc.integrator  # noqa: E741
 
 
@@ -96,13 +99,14 @@ def measure(problem: jc.Problem, values: np.ndarray) -> Measured:
         first = jax.block_until_ready(_evaluate(problem, jnp.asarray(values[0])))
     except (ValueError, NotImplementedError) as error:
         return Measured({}, math.nan, str(error))
-    best = math.inf
+    start = eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(()))
+    best, idle = math.inf, math.inf
     for _ in range(REPEATS):
-        begun = time.process_time()
-        jax.block_until_ready(_evaluate(problem, jnp.asarray(values[0])))
-        best = min(best, time.process_time() - begun)
+        best = min(best, _seconds(lambda: _evaluate(problem, jnp.asarray(values[0]))))
         if best > 0.3 * LONG:
             break
+        idle = min(idle, _seconds(lambda: _evaluate(start, jnp.asarray(values[0]))))
+    best = _net(best, idle)
     found = [first, *(_evaluate(problem, jnp.asarray(row)) for row in values[1:])]
     ended = [int(one.outcome) for one in found]
     said = next((I.Outcome(code).sentence for code in ended if code), "")
@@ -114,13 +118,23 @@ def measure(problem: jc.Problem, values: np.ndarray) -> Measured:
 def in_batch(problem: jc.Problem, values: np.ndarray) -> float:
     """CPU seconds of a sample in a batch."""
     many = jnp.asarray(values[np.arange(BATCH) % len(values)])
-    evaluate_all(problem, many)
-    best = math.inf
-    for _ in range(REPEATS):
-        begun = time.process_time()
-        evaluate_all(problem, many)
-        best = min(best, time.process_time() - begun)
-    return best / BATCH
+    start = eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(()))
+    evaluate_all(start, many)
+    idle = min(_seconds(lambda: evaluate_all(start, many)) for _ in range(REPEATS))
+    best = min(_seconds(lambda: evaluate_all(problem, many)) for _ in range(REPEATS))
+    return _net(best, idle) / BATCH
+
+
+def _seconds(action: Callable[[], Any]) -> float:
+    """CPU seconds of an action."""
+    begun = time.process_time()
+    jax.block_until_ready(action())
+    return time.process_time() - begun
+
+
+def _net(best: float, idle: float) -> float:
+    """Time of a run less that of one of no length: assembly, responses and the way in and out."""
+    return best - idle if best - idle > LEAST * best else LEAST * best
 
 
 def curves(question: Question) -> Curves:
@@ -130,7 +144,10 @@ def curves(question: Question) -> Curves:
         PilotSettings(copies=COPIES, duration=float(question.problem.duration)),
     )
     duration = pilot.duration
-    with_one = lambda one: eqx.tree_at(lambda p: p.integrator, question.problem, one)  # noqa: E731
+
+    def with_one(one: Any) -> jc.Problem:
+        return eqx.tree_at(lambda p: p.integrator, question.problem, one)
+
     loose, tight = (measure(with_one(_adaptive(rtol)), pilot.values) for rtol in REFERENCES)
     if loose.said or tight.said:
         raise ValueError(f"the reference fails: {loose.said or tight.said}")

@@ -26,6 +26,9 @@ class FrictionLoss(AbstractResponse):
     joint: str = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="J", kw_only=True)
 
+    def drawn_from(self) -> str:
+        return "wear"
+
     def __call__(self, run: jc.Trajectory) -> Any:
         contact = run.contact(self.joint)
         power = jnp.sum(contact.traction * contact.slip_speed, axis=-1)
@@ -38,6 +41,9 @@ class MeanReaction(AbstractResponse):
     connection: str = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="N", kw_only=True)
 
+    def drawn_from(self) -> str:
+        return "forces"
+
     def __call__(self, run: jc.Trajectory) -> Any:
         return jnp.mean(_size(run.reaction(self.connection).force))
 
@@ -47,6 +53,9 @@ class PeakReaction(AbstractResponse):
 
     connection: str = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="N", kw_only=True)
+
+    def drawn_from(self) -> str:
+        return "peak forces"
 
     def __call__(self, run: jc.Trajectory) -> Any:
         return jnp.max(_size(run.reaction(self.connection).force))
@@ -139,8 +148,8 @@ def ideal_four_bar(speed: float = 10.0, share: float = 1.0) -> Question:
 
 
 def guide(speed: float = 5.0, clearance: float = 0.1e-3, transition: float = 1e-2) -> Question:
-    """The scene with smooth friction (the paper's own transition speed makes explicit steps absurdly
-    short)."""
+    """The scene with smooth friction (the paper's own transition speed makes explicit steps
+    absurdly short)."""
     duration = 0.5 / speed
     rub = jc.friction.CoulombTanh(mu_kinetic=0.1, transition_speed=transition)
     rig = jc.scenes.guide(clearance=clearance, crank_speed=speed, friction=rub)
