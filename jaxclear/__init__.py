@@ -30,6 +30,7 @@ from jaxclear.components import clearance, drive, joint, load
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import numerics, pose
+from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
 from jaxclear.laws import contact, friction, material, stiffness, wear
 from jaxclear.laws.material import Material
@@ -95,3 +96,4 @@ __all__ = [
     "vector",
     "wear",
 ]
+__getattr__ = nothing_else("jaxclear", __all__)

@@ -121,17 +121,23 @@ def problem(integrator: Any, saves: int) -> jc.Problem:
 
 
 def rungs() -> dict[str, Any]:
-    """The integrators whose steps have a length."""
+    """The integrators whose steps have a length. Impact speeds are captured, or the memory of the
+    law would set a limit.
+    """
     explicit = {
-        method: jc.integrator.FixedStep(LONGEST, method)
+        method: jc.integrator.FixedStep(LONGEST, method, capture_impacts=True)
         for method in ("euler", "semi_implicit", "heun", "rk4")
     }
-    short = jc.integrator.FixedStep(LONGEST, "rk4", contact_steps=CONTACT_STEPS)
+    short = jc.integrator.FixedStep(
+        LONGEST, "rk4", contact_steps=CONTACT_STEPS, capture_impacts=True
+    )
     implicit = {
-        f"implicit {rebound:g}": jc.integrator.ImplicitStep(LONGEST, rebound=rebound)
+        f"implicit {rebound:g}": jc.integrator.ImplicitStep(
+            LONGEST, rebound=rebound, capture_impacts=True
+        )
         for rebound in REBOUNDS
     }
-    solved = jc.integrator.ImplicitStep(LONGEST, newton_iterations=MANY)
+    solved = jc.integrator.ImplicitStep(LONGEST, newton_iterations=MANY, capture_impacts=True)
     return (
         explicit
         | {f"rk4, {CONTACT_STEPS} in contact": short}
@@ -198,7 +204,7 @@ def ladder_rows(quick: bool) -> dict[str, list[dict[str, Any]]]:
     )
     halvings, saves, seconds = (10, 21, 5.0) if quick else (HALVINGS, SAVES, 300.0)
     cases = np.array(list(product(stiffnesses, clearances)))
-    exact = jc.integrator.Adaptive(rtol=1e-9, atol=1e-12)
+    exact = jc.integrator.Adaptive(rtol=1e-9, atol=1e-12, capture_impacts=True)
     fine = evaluate_all(problem(exact, saves), cases, chunk=1)
     tables: dict[str, list[dict[str, Any]]] = {"stable": [], "accurate": []}
     for (k, c), outcome in zip(cases, fine.outcome, strict=True):

@@ -22,6 +22,7 @@ from jaxclear.complementarity.problem import (
     natural_residual,
 )
 from jaxclear.complementarity.projected_gauss_seidel import Iterate, ProjectedGaussSeidel
+from jaxclear.ground.answering import nothing_else
 
 __all__ = [
     "LCP",
@@ -40,3 +41,4 @@ __all__ = [
     "Solution",
     "natural_residual",
 ]
+__getattr__ = nothing_else("jaxclear.complementarity", __all__)

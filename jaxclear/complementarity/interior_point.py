@@ -8,7 +8,6 @@ doi:10.1137/0802028; Wright 1997, Primal-Dual Interior-Point Methods, doi:10.113
 chapters 8 and 10.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -21,7 +20,7 @@ from jaxclear.complementarity.problem import (
 )
 from jaxclear.complementarity.scaling import scaled
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import Scalar, count, quantity
 
 __all__ = ["InteriorPoint"]
 
@@ -53,14 +52,7 @@ class InteriorPoint(AbstractSolver):
     """
 
     kappa: Scalar = quantity(1e-8, "1", "product z_i w_i, in the units of the problem", above=0)
-    most_steps: int = eqx.field(static=True, default=100)
-
-    def __check_init__(self):
-        if not (isinstance(self.most_steps, int) and self.most_steps > 0):
-            raise ValueError(
-                f"most_steps of InteriorPoint is {self.most_steps!r}; it must be a positive whole "
-                "number."
-            )
+    most_steps: int = count(100, "most iterations")
 
     def solve(self, problem: AbstractLinearProblem) -> Solution:
         check_double_precision()

@@ -9,7 +9,6 @@ doi:10.1137/1.9780898719000, sections 4.4 and 4.9.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -23,6 +22,7 @@ from jaxclear.complementarity.problem import (
 )
 from jaxclear.complementarity.scaling import Scaled, scaled, scaled_residual
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.quantity import count
 
 __all__ = ["Lemke"]
 
@@ -63,15 +63,7 @@ class Lemke(AbstractSolver):
     ...), t > 0, unless z0 left in a tie). `most_pivots=None` allows 100 + 20 n.
     """
 
-    most_pivots: int | None = eqx.field(static=True, default=None)
-
-    def __check_init__(self):
-        if self.most_pivots is not None and not (
-            isinstance(self.most_pivots, int) and self.most_pivots > 0
-        ):
-            raise ValueError(
-                f"most_pivots of Lemke is {self.most_pivots!r}; it must be a positive whole number."
-            )
+    most_pivots: int | None = count(None, "most pivots")
 
     def solve(self, problem: AbstractLinearProblem) -> Solution:
         check_double_precision()

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.complementarity.outcome import Outcome
 from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.ground.wording import described
 
 __all__ = [
     "LCP",
@@ -34,7 +35,7 @@ def as_floats(value: Any) -> Float[Array, "..."]:
     try:
         return jnp.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"expected an array of numbers, got {type(value).__name__}.") from error
+        raise ValueError(f"expected an array of numbers, got {described(value)}.") from error
 
 
 def check_shapes(owner: str, expected: dict[str, tuple[Any, tuple[int, ...]]]) -> None:
@@ -84,7 +85,7 @@ class Solution(eqx.Module):
         return " ".join(f"{n} of {counts.sum()}: {Outcome(int(k)).sentence}" for k, n in ends)
 
 
-class AbstractProblem(eqx.Module):
+class AbstractProblem(AbstractQuantified):
     """A complementarity problem: unknowns z, what they must be complementary to, w."""
 
     @abstractmethod

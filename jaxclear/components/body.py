@@ -23,6 +23,7 @@ from jaxclear.ground.quantity import (
     quantity,
     vector,
 )
+from jaxclear.ground.wording import described
 
 GROUND = "ground"
 # By how much, relatively, a thin plate's moments may miss their sum through rounding.
@@ -35,11 +36,6 @@ def _inertia(value: Any) -> Any:
         if isinstance(value, (tuple, list)) or getattr(value, "ndim", 0) == 1
         else (value,)
     )
-    if len(value) not in (1, 3, 6):
-        raise ValueError(
-            f"an inertia has 1 number (about z, planar), 3 (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, "
-            f"yz), not {len(value)}."
-        )
     return as_vector(value)
 
 
@@ -55,14 +51,12 @@ class Body(AbstractQuantified):
         unit="kg m^2",
         meaning="inertia about the centre of mass, body axes",
         converter=_inertia,
+        counts=(1, 3, 6),
+        wanted="1 number (about z, planar), 3 (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, yz) [kg m^2]",
     )
-    com: tuple | None = vector(None, "m", "centre of mass in the body frame")
+    com: tuple | None = vector(None, "m", "centre of mass in the body frame", counts=(2, 3))
 
     def __check_init__(self):
-        if self.com is not None and len(self.com) not in (2, 3):
-            raise ValueError(
-                f"a Body has a centre of mass of {len(self.com)} numbers; give 2 (planar) or 3."
-            )
         values = [concrete(value) for value in self.inertia]
         if None in values or not np.all(np.isfinite(values)):
             return
@@ -103,49 +97,42 @@ class Marker(AbstractQuantified):
     """
 
     body: str = eqx.field(static=True)
-    at: tuple | None = vector(None, "m", "origin in the body frame")
+    at: tuple | None = vector(None, "m", "origin in the body frame", counts=(2, 3))
     named_axis: str = eqx.field(static=True, default="z")
-    axis: tuple | None = vector(None, "1", "direction of the marker's z axis in the body frame")
-    quaternion: tuple | None = vector(None, "1", "orientation in the body frame, scalar first")
+    axis: tuple | None = vector(
+        None, "1", "direction of the marker's z axis in the body frame", counts=(3,)
+    )
+    quaternion: tuple | None = vector(
+        None, "1", "orientation in the body frame, scalar first", counts=(4,)
+    )
 
     def __init__(self, body: str, at=None, axis="z", quaternion=None):
-        self.body = body
-        self.at = as_vector(at)
-        self.quaternion = as_vector(quaternion)
-        self.named_axis, self.axis = (
-            (axis, None) if isinstance(axis, str) else ("z", as_vector(axis))
-        )
+        self.body, self.at, self.quaternion = body, at, quaternion
+        self.named_axis, self.axis = (axis, None) if isinstance(axis, str) else ("z", axis)
+
+    def __check_init__(self):
         if self.named_axis not in AXES:
             raise ValueError(
-                f'the axis of a marker on "{body}" is {axis!r}; it may be one of {", ".join(AXES)} '
-                "or 3 numbers."
+                f'the axis of a marker on "{self.body}" is {self.named_axis!r}; it may be one of '
+                f"{', '.join(AXES)} or 3 numbers."
             )
-        if self.at is not None and len(self.at) not in (2, 3):
+        if self.quaternion is not None and (self.axis is not None or self.named_axis != "z"):
             raise ValueError(
-                f'a marker on "{body}" has {len(self.at)} coordinates; give 2 (planar) or 3.'
-            )
-        if self.quaternion is not None and (
-            len(self.quaternion) != 4 or self.axis is not None or self.named_axis != "z"
-        ):
-            raise ValueError(
-                f'a marker on "{body}" takes a quaternion (w, x, y, z) or an axis, not both.'
-            )
-        if self.axis is not None and len(self.axis) != 3:
-            raise ValueError(
-                f'the axis of a marker on "{body}" has {len(self.axis)} numbers; give 3, or one of '
-                f"{', '.join(AXES)}."
+                f'a marker on "{self.body}" takes a quaternion (w, x, y, z) or an axis, not both.'
             )
         for what, direction in (("axis", self.axis), ("quaternion", self.quaternion)):
             if direction is not None and all(concrete(x) == 0 for x in direction):
-                raise ValueError(f'the {what} of a marker on "{body}" is zero and points nowhere.')
+                raise ValueError(
+                    f'the {what} of a marker on "{self.body}" is zero and points nowhere.'
+                )
         if (
             self.axis is not None
             and concrete(self.axis[0]) == 0 == concrete(self.axis[1])
             and not self.axis[2] > 0
         ):
             raise ValueError(
-                f'the axis of a marker on "{body}" points along -z, where no frame is near: write '
-                'axis="-z".'
+                f'the axis of a marker on "{self.body}" points along -z, where no frame is near: '
+                'write axis="-z".'
             )
 
     def pose(self) -> Pose:
@@ -159,7 +146,7 @@ class Marker(AbstractQuantified):
         return Pose(rotation, sp.vec3(self.at))
 
 
-class Connection(eqx.Module):
+class Connection(AbstractQuantified):
     """A joint between a marker on the parent and a marker on the child.
 
     A body's name stands for a marker: on the parent at `at` [m, parent's frame], on the child at
@@ -167,7 +154,7 @@ class Connection(eqx.Module):
     parent.
     """
 
-    joint: Any
+    joint: AbstractJoint | AbstractClearance
     parent: Marker
     child: Marker
 
@@ -179,6 +166,12 @@ class Connection(eqx.Module):
         at: Any = None,
         axis: Any = None,
     ):
+        for side, end in (("parent", parent), ("child", child)):
+            if not isinstance(end, (str, Marker)):
+                raise ValueError(
+                    f"Connection has {side} = {described(end)}; it must be the name of a body, "
+                    '"ground", or a jaxclear.Marker.'
+                )
         if at is not None and isinstance(parent, Marker):
             raise ValueError(
                 f'a joint on "{parent.body}" gives `at` beside a marker; put the place into '

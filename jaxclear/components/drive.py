@@ -9,13 +9,13 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.numerics import smooth_step
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 
 __all__ = [
     "AbstractDrive",
@@ -25,6 +25,7 @@ __all__ = [
     "RampUp",
     "Speed",
 ]
+__getattr__ = nothing_else("jaxclear.drive", __all__)
 
 
 class AbstractDrive(AbstractQuantified):
@@ -105,7 +106,7 @@ class Speed(AbstractDrive):
 
     function: Callable
     start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
-    pieces: int = eqx.field(static=True, default=16)
+    pieces: int = count(16, "pieces of the quadrature")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         function = _as_number(self.function)

@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxclear.components.body import Marker
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import (
@@ -40,6 +41,7 @@ __all__ = [
     "Spring",
     "Torque",
 ]
+__getattr__ = nothing_else("jaxclear.load", __all__)
 
 
 class MarkerMotion(NamedTuple):
@@ -100,7 +102,9 @@ class AbstractCoordinateLoad(AbstractLoad):
 class Gravity(AbstractLoad):
     """Uniform gravity on all bodies, as an acceleration in the ground frame."""
 
-    acceleration: tuple = vector((0.0, -9.81), "m/s^2", "acceleration of free fall, ground frame")
+    acceleration: tuple = vector(
+        (0.0, -9.81), "m/s^2", "acceleration of free fall, ground frame", counts=(2, 3)
+    )
 
 
 def _vector_or_function(value: Any) -> Any:
@@ -108,15 +112,8 @@ def _vector_or_function(value: Any) -> Any:
 
 
 def _torque(value: Any) -> Any:
-    return value if callable(value) else as_vector(value if np.ndim(value) == 1 else (value,))
-
-
-def _check_count(what: str, value: Any, allowed: tuple[int, int]) -> None:
-    if not callable(value) and len(value) not in allowed:
-        raise ValueError(
-            f"a {what} has {allowed[0]} or {allowed[1]} numbers, or is a function of time; not "
-            f"{len(value)}."
-        )
+    one = np.ndim(value) == 0 and not isinstance(value, (str, dict)) and value is not None
+    return value if callable(value) else as_vector((value,) if one else value)
 
 
 def _number_or_function(value: Any) -> Any:
@@ -133,14 +130,13 @@ class Force(AbstractBodyLoad):
     """
 
     marker: Marker
-    value: tuple | Callable = eqx.field(
+    value: tuple | Callable = vector(
+        unit="N",
+        meaning="force, or a function of time",
+        counts=(2, 3),
         converter=_vector_or_function,
-        metadata={"unit": "N", "meaning": "force, or a function of time"},
     )
     follows: bool = eqx.field(static=True, default=False)
-
-    def __check_init__(self):
-        _check_count("force", self.value, (2, 3))
 
     def markers(self):
         return (self.marker,)
@@ -160,13 +156,13 @@ class Torque(AbstractBodyLoad):
     """
 
     marker: Marker
-    value: tuple | Callable = eqx.field(
-        converter=_torque, metadata={"unit": "N m", "meaning": "torque, or a function of time"}
+    value: tuple | Callable = vector(
+        unit="N m",
+        meaning="torque, or a function of time",
+        counts=(1, 3),
+        converter=_torque,
     )
     follows: bool = eqx.field(static=True, default=False)
-
-    def __check_init__(self):
-        _check_count("torque", self.value, (1, 3))
 
     def markers(self):
         return (self.marker,)
@@ -191,9 +187,8 @@ class MotorTorque(AbstractBodyLoad):
 
     bearing: Marker
     journal: Marker
-    value: Scalar | Callable = eqx.field(
-        converter=_number_or_function,
-        metadata={"unit": "N m", "meaning": "torque, or a function of time"},
+    value: Scalar | Callable = quantity(
+        unit="N m", meaning="torque, or a function of time", converter=_number_or_function
     )
 
     def markers(self):
@@ -206,6 +201,15 @@ class MotorTorque(AbstractBodyLoad):
         return Effect(actions, 0, 0, sp.dot(torque, sp.minus(motions[1].spin, motions[0].spin)))
 
 
+def _check_acts(spring: Any) -> None:
+    """Raises `ValueError` for a spring that is neither one nor a damper."""
+    if spring.stiffness is None and spring.damping is None:
+        raise ValueError(
+            f"load.{type(spring).__name__} has neither stiffness nor damping and does nothing; "
+            "give one of them, or both."
+        )
+
+
 class Spring(AbstractBodyLoad):
     """Spring and damper between two markers, along the line between them: F = k (l - l0) + d dl/dt,
     positive in tension.
@@ -213,9 +217,12 @@ class Spring(AbstractBodyLoad):
 
     start: Marker
     end: Marker
-    stiffness: Scalar | None = quantity(None, "N/m", "stiffness")
+    stiffness: Scalar | None = quantity(None, "N/m", "stiffness", at_least=0)
     free_length: Scalar = quantity(0.0, "m", "length without force", at_least=0)
     damping: Scalar | None = quantity(None, "N s/m", "viscous damping", at_least=0)
+
+    def __check_init__(self):
+        _check_acts(self)
 
     def markers(self):
         return (self.start, self.end)
@@ -250,11 +257,16 @@ class JointSpring(AbstractCoordinateLoad):
     """
 
     connection: str = eqx.field(static=True)
-    stiffness: Scalar | None = quantity(None, "N m/rad", "stiffness (N/m for a sliding joint)")
+    stiffness: Scalar | None = quantity(
+        None, "N m/rad", "stiffness (N/m for a sliding joint)", at_least=0
+    )
     rest: Scalar = quantity(0.0, "rad", "coordinate without force (m for a sliding joint)")
     damping: Scalar | None = quantity(
         None, "N m s/rad", "viscous damping (N s/m for a sliding joint)", at_least=0
     )
+
+    def __check_init__(self):
+        _check_acts(self)
 
     def force(self, time, position, speed):
         force, stored, dissipated = 0, 0, 0
@@ -272,9 +284,8 @@ class JointTorque(AbstractCoordinateLoad):
     """
 
     connection: str = eqx.field(static=True)
-    value: Scalar | Callable = eqx.field(
-        converter=_number_or_function,
-        metadata={"unit": "N m", "meaning": "torque, or a function of time"},
+    value: Scalar | Callable = quantity(
+        unit="N m", meaning="torque, or a function of time", converter=_number_or_function
     )
 
     def force(self, time, position, speed):

@@ -20,6 +20,7 @@ from jaxclear.formulations.joint_reports import reports_of_means
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent import PermanentContact
 from jaxclear.formulations.rigid import RigidContact
+from jaxclear.ground.answering import nothing_else
 from jaxclear.multibody.kinematics import along
 
 __all__ = [
@@ -41,3 +42,4 @@ __all__ = [
     "model_of",
     "reports_of_means",
 ]
+__getattr__ = nothing_else("jaxclear.formulation", __all__)

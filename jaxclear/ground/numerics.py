@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.ground.answering import nothing_else
+
 __all__ = [
     "inverse_entropy",
     "positive_part",
@@ -22,6 +24,7 @@ __all__ = [
     "smooth_sign",
     "smooth_step",
 ]
+__getattr__ = nothing_else("jaxclear.numerics", __all__)
 
 # Sums of squares below this count as zero. Far below the square of any length, speed or force of a
 # mechanism, and far enough from the smallest float64 that second derivatives (x^-3/2, and squares

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.answering import nothing_else
 
 __all__ = [
     "AXES",
@@ -27,6 +28,7 @@ __all__ = [
     "rotation_y",
     "rotation_z",
 ]
+__getattr__ = nothing_else("jaxclear.pose", __all__)
 
 
 class Pose(NamedTuple):

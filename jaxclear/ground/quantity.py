@@ -11,10 +11,8 @@ object is built from numbers; a number that is being traced was checked before, 
 """
 
 import dataclasses
-import math
-import sys
+import functools
 from collections.abc import Callable, Iterator, Mapping
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import equinox as eqx
@@ -23,7 +21,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground.answering import AnsweringMeta
+from jaxclear.ground.kinds import as_given, check_kinds, finite_and_within, range_in_words
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.wording import described, public_name
 
 __all__ = [
     "AbstractQuantified",
@@ -32,6 +33,7 @@ __all__ = [
     "as_vector",
     "check_range",
     "concrete",
+    "count",
     "inside",
     "numbers",
     "parameters",
@@ -47,6 +49,11 @@ if TYPE_CHECKING:
 else:
     Scalar = Float[Array, ""]
 
+# Compared as NumPy compares: jnp.float64 takes a microsecond each time.
+FLOAT64 = np.dtype("float64")
+# What NumPy would turn into a number, and nobody means as one.
+NO_NUMBERS = (str, bytes, dict, list, tuple, bool, np.bool_, complex, np.complexfloating)
+
 
 def as_number(value: Any) -> Any:
     """A float64 scalar (shape ()); `None` and modules pass through, anything else that is no number
@@ -57,13 +64,18 @@ def as_number(value: Any) -> Any:
     """
     if value is None or isinstance(value, eqx.Module):
         return value
-    if isinstance(value, (str, bytes, dict, list, tuple, bool)):
-        raise ValueError(f"expected one number, got {value!r}.")
-    number = value if isinstance(value, jax.Array) else jnp.asarray(np.asarray(value, dtype=float))
-    if number.dtype != jnp.float64:
+    if isinstance(value, NO_NUMBERS):
+        raise ValueError(f"expected one number, got {described(value)}.")
+    try:
+        number = value if isinstance(value, jax.Array) else jnp.asarray(np.asarray(value, float))
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"expected one number, got {described(value)}.") from None
+    if number.dtype != FLOAT64:
         check_double_precision()
+        if number.dtype == bool or jnp.iscomplexobj(number):
+            raise ValueError(f"expected one number, got one of type {number.dtype}.")
         number = number.astype(jnp.float64)
-    if jnp.ndim(number) != 0:
+    if number.ndim != 0:
         raise ValueError(f"expected one number, got an array of shape {jnp.shape(number)}.")
     return number
 
@@ -75,8 +87,13 @@ def as_vector(value: Any) -> Any:
     if value is None:
         return None
     if not isinstance(value, (tuple, list)) and np.ndim(value) != 1:
-        raise ValueError(f"expected several numbers, one for each direction, got {value!r}.")
-    return tuple(as_number(component) for component in value)
+        raise ValueError(
+            f"expected several numbers, one for each direction, got {described(value)}."
+        )
+    found = tuple(as_number(component) for component in value)
+    if any(component is None for component in found):
+        raise ValueError("expected several numbers, got None among them.")
+    return found
 
 
 def concrete(value: Any) -> float | None:
@@ -100,45 +117,74 @@ def quantity(
 
     `default` may be a number or `None`. The range is checked when an object is built (see
     `AbstractQuantified`), for all numbers of a mechanism, and for every sample of a study.
-    `converter` is for what may be given in other ways than as one number.
+    `converter` is for what may be given in other ways than as one number. `usual`: (least, largest,
+    likely slip) of what mechanisms have; beyond them a `Mechanism` warns.
     """
     bounds = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
-    return _field(
-        default,
-        unit,
-        meaning,
-        kwargs.pop("converter", as_number),
-        kwargs,
-        {k: v for k, v in bounds.items() if v is not None},
-    )
+    said = {k: v for k, v in bounds.items() if v is not None}
+    said |= {k: kwargs.pop(k) for k in METADATA if k in kwargs}
+    converter = kwargs.pop("converter", as_number)
+    return _field(default, unit, meaning, converter, kwargs, said)
+
+
+# Metadata of a field that a check reads: numbers of a vector, what it must be in words, its usual
+# range.
+METADATA = ("counts", "usual", "wanted")
 
 
 def vector(
-    default: Any = dataclasses.MISSING, unit: str = "1", meaning: str = "", **kwargs: Any
+    default: Any = dataclasses.MISSING,
+    unit: str = "1",
+    meaning: str = "",
+    *,
+    counts: tuple[int, ...] = (),
+    **kwargs: Any,
 ) -> Any:
-    """A field of two or more scalars, each its own leaf, sharing one unit."""
-    return _field(default, unit, meaning, as_vector, kwargs, {})
+    """A field of two or more scalars, each its own leaf, sharing one unit. `counts`: how many there
+    may be (any number by default).
+    """
+    said = {"counts": counts} | {k: kwargs.pop(k) for k in METADATA if k in kwargs}
+    return _field(default, unit, meaning, kwargs.pop("converter", as_vector), kwargs, said)
 
 
-def _field(default, unit, meaning, converter, kwargs, bounds):
-    metadata = {"unit": unit, "meaning": meaning} | bounds
+def count(default: Any = dataclasses.MISSING, meaning: str = "", at_least: int = 1, **kwargs: Any):
+    """A static field of a whole number: how often, how many."""
+    said = {"at_least": at_least, "meaning": meaning}
     if default is not dataclasses.MISSING:
         kwargs["default"] = default
-    return eqx.field(converter=converter, metadata=metadata, **kwargs)
+    return eqx.field(static=True, metadata=said, **kwargs)
 
 
-class AbstractQuantified(eqx.Module):
-    """What has numbers with units. Building one raises `ValueError` for a number that is not finite
-    or outside its range: `integrator.MoreauJean has gamma = -1; it must be at least 0.`
+def _field(default, unit, meaning, converter, kwargs, said):
+    metadata = {"unit": unit, "meaning": meaning} | said
+    if default is not dataclasses.MISSING:
+        kwargs["default"] = default
+    return eqx.field(converter=as_given(converter), metadata=metadata, **kwargs)
+
+
+class AbstractQuantified(eqx.Module, metaclass=AnsweringMeta):
+    """What has numbers with units. Building one raises `ValueError` for a field that holds what it
+    may not, a number that is not finite or outside its range: `integrator.MoreauJean has gamma =
+    -1; it must be at least 0.` What a class compares in a `__check_init__` of its own comes after
+    that.
     """
 
     def __check_init__(self):
-        for field in dataclasses.fields(self):
-            if "unit" in field.metadata:
-                for path, leaf, metadata in _numbers(
-                    getattr(self, field.name), field.name, field.metadata
-                ):
-                    check_range(lambda: public_name(type(self)), path, leaf, metadata)
+        if "__check_init__" not in vars(type(self)):
+            type(self)._check_fields(self)
+
+    def _check_fields(self):
+        owner = lambda: public_name(type(self))
+        check_kinds(owner, self)
+        for name, metadata in _measured(type(self)):
+            for path, leaf, said in _numbers(getattr(self, name), name, metadata):
+                check_range(owner, path, leaf, said)
+
+
+@functools.cache
+def _measured(kind: type) -> tuple[tuple[str, Mapping], ...]:
+    """The fields of a class that hold numbers with a unit."""
+    return tuple((f.name, f.metadata) for f in dataclasses.fields(kind) if "unit" in f.metadata)
 
 
 def check_range(owner: Callable[[], str], path: str, leaf: Any, metadata: Mapping) -> None:
@@ -149,8 +195,12 @@ def check_range(owner: Callable[[], str], path: str, leaf: Any, metadata: Mappin
         return
     # A Python number: comparing it costs a tenth of what an array's costs, and every call builds
     # objects.
-    value = float(leaf) if np.ndim(leaf) == 0 else leaf
-    if _fits(value, metadata) if isinstance(value, float) else np.all(inside(leaf, metadata)):
+    value = float(leaf) if leaf.ndim == 0 else leaf
+    if (
+        finite_and_within(value, metadata)
+        if isinstance(value, float)
+        else np.all(inside(leaf, metadata))
+    ):
         return
     unit = "" if metadata["unit"] == "1" else f" {metadata['unit']}"
     wanted = [range_in_words(metadata)] if range_in_words(metadata) else []
@@ -158,36 +208,6 @@ def check_range(owner: Callable[[], str], path: str, leaf: Any, metadata: Mappin
     raise ValueError(
         f"{owner()} has {path} = {np.asarray(leaf):g}{unit}; it must be {' and '.join(wanted)}."
     )
-
-
-def _fits(value: float, metadata: Mapping) -> bool:
-    """As `inside`, for one known number."""
-    return (
-        math.isfinite(value)
-        and value > metadata.get("above", -math.inf)
-        and value >= metadata.get("at_least", -math.inf)
-        and value < metadata.get("below", math.inf)
-        and value <= metadata.get("at_most", math.inf)
-    )
-
-
-def public_name(kind: type) -> str:
-    """What a user types behind `jaxclear.` for a class, such as `contact.Hertz`; the class's own
-    name where it is not of this package.
-    """
-    return _offered(sys.modules[__name__.partition(".")[0]], kind) or kind.__qualname__
-
-
-def _offered(place: ModuleType, kind: type) -> str:
-    """The path to a class by the names that modules offer; "" where there is none."""
-    for name in getattr(place, "__all__", ()):
-        thing = getattr(place, name, None)
-        if thing is kind:
-            return name
-        inner = _offered(thing, kind) if isinstance(thing, ModuleType) else ""
-        if inner:
-            return f"{name}.{inner}"
-    return ""
 
 
 def numbers(tree: Any, name: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
@@ -224,16 +244,10 @@ def inside(leaf: Any, metadata: Mapping[str, Any]) -> Any:
     return fits & (leaf <= metadata["at_most"]) if "at_most" in metadata else fits
 
 
-def range_in_words(metadata: Mapping[str, Any]) -> str:
-    """The range of a field: "above 0 and at most 1"."""
-    words = {"above": "above", "at_least": "at least", "below": "below", "at_most": "at most"}
-    return " and ".join(
-        f"{word} {metadata[key]:g}" for key, word in words.items() if key in metadata
-    )
-
-
 def _numbers(tree, path, metadata):
-    if isinstance(tree, eqx.Module):
+    if isinstance(tree, jax.Array):
+        yield path, tree, metadata
+    elif isinstance(tree, eqx.Module):
         for field in dataclasses.fields(tree):
             if not field.metadata.get("static", False):
                 inner = f"{path}.{field.name}" if path else field.name

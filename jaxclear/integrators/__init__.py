@@ -7,6 +7,7 @@ contacts. `MuntheKaas` is a solver for `Adaptive` that keeps rotations on their 
 your own derives from `AbstractIntegrator`.
 """
 
+from jaxclear.ground.answering import nothing_else
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import (
     AbstractIntegrator,
@@ -39,3 +40,4 @@ __all__ = [
     "NonColliding",
     "Outcome",
 ]
+__getattr__ = nothing_else("jaxclear.integrator", __all__)

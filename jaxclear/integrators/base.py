@@ -75,10 +75,8 @@ class AbstractIntegrator(AbstractQuantified):
         """The longest step [s] that was asked for; None where nobody asked for one."""
         return None
 
-
-def check_count(value: int | None, what: str) -> None:
-    """Raises `ValueError` for a static count that is no positive whole number; None passes."""
-    if value is not None and (
-        isinstance(value, bool) or not (isinstance(value, int) and value > 0)
-    ):
-        raise ValueError(f"{what} is {value!r}; it must be a positive whole number.")
+    @abstractmethod
+    def relaxing_step(self, interval: Scalar | None) -> Scalar | None:
+        """The step [s] over which an impact speed relaxes by an explicit formula, in a saving
+        interval of this length (None: not known). None where steps of any length are stable, or not
+        known."""

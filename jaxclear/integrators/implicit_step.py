@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
-from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.integrators.base import AbstractIntegrator, check_count
+from jaxclear.ground.quantity import Scalar, count, quantity
+from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.stepping import arrived, divide, march
 
 
@@ -35,10 +35,11 @@ class ImplicitStep(AbstractIntegrator):
     Loads that oscillate by themselves (stiff springs, dampers) are explicit: step < 2 / omega of
     them. A step should move the parts by less than a clearance, and by less than a cell of a worn
     surface, or forces at the saved instants are far off, though the motion stays bounded.
-    Impact speeds are those at the touch within a step, to order 2. `steps_per_save` fixes the
-    number of steps between saving times: reverse-mode derivatives need it, forward-mode ones do
-    not. Derivatives are those of the discrete run: where contacts open and close, not those of the
-    motion (`jaxclear.sensitivity` compares methods).
+    `capture_impacts` takes the approach speed at the start of the step in which a contact closes;
+    otherwise the impact speed follows within `memory_time`, which may be far shorter than the step.
+    `steps_per_save` fixes the number of steps between saving times: reverse-mode derivatives need
+    it, forward-mode ones do not. Derivatives are those of the discrete run: where contacts open and
+    close, not those of the motion (`jaxclear.sensitivity` compares methods).
 
     Source: mean forces that conserve energy: Gonzalez 1996, J. Nonlinear Sci. 6, 449; for contact
     Laursen & Chawla 1997, Int. J. Numer. Methods Eng. 40, 863; with dissipation Armero & Petocz
@@ -56,19 +57,19 @@ class ImplicitStep(AbstractIntegrator):
         at_most=1,
         kw_only=True,
     )
-    newton_iterations: int = eqx.field(static=True, default=3, kw_only=True)
-    steps_per_save: int | None = eqx.field(static=True, default=None, kw_only=True)
-
-    def __check_init__(self):
-        check_count(self.newton_iterations, "newton_iterations of integrator.ImplicitStep")
-        check_count(self.steps_per_save, "steps_per_save of integrator.ImplicitStep")
+    newton_iterations: int = count(3, "iterations on the contact laws", kw_only=True)
+    steps_per_save: int | None = count(None, "steps between two saving times", kw_only=True)
+    capture_impacts: bool = eqx.field(static=True, default=False, kw_only=True)
 
     @property
     def formulation(self):
-        return CompliantContact()
+        return CompliantContact(self.capture_impacts)
 
     def asked_step(self):
         return self.step if self.steps_per_save is None else None
+
+    def relaxing_step(self, interval):
+        return None
 
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model, start, state)

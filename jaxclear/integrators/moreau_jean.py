@@ -57,7 +57,7 @@ class MoreauJean(AbstractIntegrator):
         kw_only=True,
     )
     most_sweeps: Scalar = quantity(
-        200.0, "1", "most sweeps over the contacts in a step", above=0, kw_only=True
+        200.0, "1", "most sweeps over the contacts in a step", at_least=1, kw_only=True
     )
     tolerance: Scalar = quantity(
         1e-12,
@@ -74,6 +74,9 @@ class MoreauJean(AbstractIntegrator):
 
     def asked_step(self):
         return self.step
+
+    def relaxing_step(self, interval):
+        return None
 
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model)

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground.answering import refuse_misfit
 from jaxclear.ground.quantity import concrete
 from jaxclear.integrators.state_group import AbstractGroup, StateGroup
 
@@ -122,8 +123,14 @@ class MuntheKaas(diffrax.AbstractAdaptiveSolver):
     interpolation_cls: ClassVar = GroupHermite
     of_order: int = eqx.field(static=True, default=4)
 
+    def __new__(cls, *given: Any, **named: Any):
+        if given or named:
+            refuse_misfit(cls, given, named)
+        return diffrax.AbstractAdaptiveSolver.__new__(cls)
+
     def __check_init__(self):
-        if isinstance(self.of_order, bool) or self.of_order not in TABLEAUS:
+        whole = isinstance(self.of_order, int) and not isinstance(self.of_order, bool)
+        if not whole or self.of_order not in TABLEAUS:
             raise ValueError(
                 f"the order of integrator.MuntheKaas is {self.of_order!r}; it must be 1, 2, 3 or 4."
             )

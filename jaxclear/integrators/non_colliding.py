@@ -42,7 +42,7 @@ class NonColliding(AbstractIntegrator):
     projects: ClassVar = True
     step: Scalar = quantity(1e-3, "s", "largest step", above=0)
     most_sweeps: Scalar = quantity(
-        1000.0, "1", "most sweeps over the joints in a step", above=0, kw_only=True
+        1000.0, "1", "most sweeps over the joints in a step", at_least=1, kw_only=True
     )
     tolerance: Scalar = quantity(
         1e-13,
@@ -66,6 +66,9 @@ class NonColliding(AbstractIntegrator):
 
     def asked_step(self):
         return self.step
+
+    def relaxing_step(self, interval):
+        return None
 
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model)

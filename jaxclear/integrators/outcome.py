@@ -18,10 +18,9 @@ class Outcome(AbstractOutcome):
     )
     TOO_MANY_STEPS = 2, "The allowed number of steps between two saved times was used up."
     NOT_FINITE = 3, "The state became infinite or not a number."
-    ENERGY_GAINED = (
+    TOO_MANY_IMPACTS = (
         4,
-        "The mechanism gained energy that nothing gave it: the steps are too long for its contacts "
-        "or loads. Take shorter ones.",
+        "The allowed number of captured impacts between two saved times was used up.",
     )
     LAWS_NOT_MET = (
         5,
@@ -37,6 +36,11 @@ class Outcome(AbstractOutcome):
         8,
         "A loop came open by more than a run can mend: the steps are too long for this motion. "
         "Take shorter ones, or stabilisation=jaxclear.Projection().",
+    )
+    ENERGY_GAINED = (
+        9,
+        "The mechanism gained energy that nothing gave it: the steps are too long for its contacts "
+        "or loads. Take shorter ones.",
     )
 
     @property

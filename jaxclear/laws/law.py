@@ -7,8 +7,13 @@ number without a name is refused. Laws, materials and fits may be given by posit
 from typing import Any
 
 import equinox as eqx
+import jax
+import numpy as np
 
-from jaxclear.ground.quantity import AbstractQuantified, concrete, public_name
+from jaxclear.ground.quantity import AbstractQuantified, concrete
+from jaxclear.ground.wording import described, public_name
+
+NUMBERS = (int, float, np.number, np.ndarray, jax.Array)
 
 
 class AbstractLaw(AbstractQuantified):
@@ -16,9 +21,10 @@ class AbstractLaw(AbstractQuantified):
 
     def __new__(cls, *slots: Any, **numbers: Any):
         for slot, name in zip(slots, cls.__dataclass_fields__, strict=False):
-            if not (slot is None or isinstance(slot, eqx.Module)):
+            if isinstance(slot, NUMBERS):
                 raise ValueError(
-                    f"{public_name(cls)} takes its numbers by name: {cls.__name__}({name}={slot})."
+                    f"{public_name(cls)} takes its numbers by name: "
+                    f"{cls.__name__}({name}={described(slot)})."
                 )
         return eqx.Module.__new__(cls)
 

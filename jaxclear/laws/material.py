@@ -4,6 +4,8 @@ One question: which elastic modulus does a pair of surfaces press with? Sources 
 beside each factory.
 """
 
+from jaxclear.ground.answering import answering, nothing_else
+from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
 __all__ = [
@@ -12,6 +14,7 @@ __all__ = [
     "combined_modulus",
     "steel",
 ]
+__getattr__ = nothing_else("jaxclear.material", __all__)
 
 
 class Material(AbstractQuantified):
@@ -26,6 +29,7 @@ class Material(AbstractQuantified):
         return self.young_modulus / (1 - self.poisson_ratio * self.poisson_ratio)
 
 
+@answering
 def combined_modulus(a: Material, b: Material) -> Scalar:
     r""":math:`E^*` [Pa] of two bodies pressed together: :math:`1/E^* = (1 - \nu_a^2)/E_a +
     (1 - \nu_b^2)/E_b`.
@@ -33,6 +37,8 @@ def combined_modulus(a: Material, b: Material) -> Scalar:
     Symmetric in the two; below either body's plane-strain modulus. Source: Johnson 1985, Contact
     Mechanics, ch. 4, doi:10.1017/CBO9781139171731.
     """
+    for body in (a, b):
+        expect(body, Material, "what combined_modulus presses together", "a jaxclear.Material")
     return 1 / (1 / a.plane_strain_modulus + 1 / b.plane_strain_modulus)
 
 

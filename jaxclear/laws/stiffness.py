@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
+from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.arguments import expect
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, concrete, quantity
 from jaxclear.laws.material import Material, combined_modulus
@@ -28,6 +30,7 @@ __all__ = [
     "Shape",
     "fitted",
 ]
+__getattr__ = nothing_else("jaxclear.stiffness", __all__)
 
 # Hertz: F = 4/3 E* sqrt(R) delta^(3/2) for two spheres (Johnson 1985, eq. 4.23).
 HERTZ_SPHERE = 4 / 3
@@ -145,6 +148,8 @@ def fitted(law, shape: Shape):
     """The law with every fit, at any depth, replaced by its number for this shape; differentiable
     in the shape.
     """
+
+    expect(shape, Shape, "the shape that a law is fitted to", "a jaxclear.stiffness.Shape")
 
     def settle(node):
         return jnp.asarray(as_number(node.value(shape))) if isinstance(node, AbstractFit) else node

@@ -7,6 +7,7 @@ wear map's business.
 
 from abc import abstractmethod
 
+from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.law import AbstractLaw
 
@@ -15,6 +16,7 @@ __all__ = [
     "Archard",
     "Fouvry",
 ]
+__getattr__ = nothing_else("jaxclear.wear", __all__)
 
 
 class AbstractWearLaw(AbstractLaw):

@@ -17,6 +17,8 @@ from jaxtyping import Array, Float
 from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.least_change import least_change
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.multibody import constraints, kinematics
@@ -147,6 +149,7 @@ def _started(q, v, rows) -> Start:
 assembled = eqx.filter_jit(assemble_arrays)
 
 
+@answering
 def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     """Consistent start of a mechanism with numbers; refuses, by name, loops that do not close or
     say nothing new.
@@ -155,6 +158,8 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     only. Raises `ValueError`.
     """
     check_double_precision()
+    expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")
+    check_flags("assemble", concentric=concentric)
     start = assembled(mechanism, concentric)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(start)):
         return start

@@ -11,6 +11,7 @@ from jaxclear.components.body import GROUND, Marker
 from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground.transform import Transform, from_pose, inverse
+from jaxclear.ground.wording import unknown
 from jaxclear.multibody.mechanism import Mechanism
 
 __all__ = ["Chain", "ChainJoint", "chain"]
@@ -93,19 +94,13 @@ def chain(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...]
 def _check(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...]) -> None:
     known = (GROUND, *mechanism.bodies)
     for what, body in (("base", base), ("tip", tip.body)):
-        if body not in known:
-            raise ValueError(
-                f'the {what} is on "{body}", which does not exist; there are '
-                f"{', '.join(map(repr, known))}."
-            )
+        if not isinstance(body, str) or body not in known:
+            raise ValueError(f"the {what} is on {unknown('body', body, known)}")
     if base == tip.body:
         raise ValueError(f'the tip is on the base "{base}" itself; no joint lies between them.')
     for name in through:
         if name not in mechanism.connections:
-            raise ValueError(
-                f'no joint "{name}" to go through; there are '
-                f"{', '.join(map(repr, mechanism.connections))}."
-            )
+            raise ValueError(unknown("joint to go through", name, mechanism.connections))
 
 
 def _ways(

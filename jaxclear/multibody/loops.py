@@ -30,7 +30,7 @@ class Baumgarte(AbstractQuantified):
     beta: Scalar = quantity(50.0, "1/s", "stiffness of the drift", at_least=0)
 
 
-class Projection(eqx.Module):
+class Projection(AbstractQuantified):
     """After every step coordinates and speeds are moved back onto the closures, by the least change
     in the metric of the masses.
 

@@ -8,22 +8,41 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
-import numpy as np
 
 from jaxclear.components.body import Body, Connection
 from jaxclear.components.load import AbstractLoad
-from jaxclear.ground.quantity import as_number, parameters
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.quantity import AbstractQuantified, as_number, parameters
+from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.topology import Topology, grow
 
 
-def _guess(value: Any) -> tuple:
-    values = tuple(value) if isinstance(value, (tuple, list)) or np.ndim(value) else (value,)
-    return tuple(as_number(x) for x in values)
+def _guess(what: str, value: Any) -> tuple:
+    several = isinstance(value, (tuple, list)) or getattr(value, "ndim", 0)
+    values = tuple(value) if several else (value,)
+    try:
+        found = tuple(as_number(x) for x in values)
+    except ValueError:
+        found = (None,)
+    if not found or any(x is None or isinstance(x, eqx.Module) for x in found):
+        raise ValueError(f"{what} is {described(value)}; it must be one number or several.")
+    return found
 
 
-class Mechanism(eqx.Module):
+def _by_name(what: str, given: Any) -> dict[str, Any]:
+    """A dictionary from names, each a text that says something."""
+    expect(given, Mapping, what, "a dictionary from names")
+    for name in given:
+        if not isinstance(name, str) or not name.strip():
+            raise ValueError(
+                f"a name in {what} is {described(name)}; it must be a text that is not empty."
+            )
+    return dict(given)
+
+
+class Mechanism(AbstractQuantified):
     """Bodies held together by connections, under loads.
 
     `start` gives rough joint coordinates by connection (or floating body): 1 number, all the
@@ -50,19 +69,20 @@ class Mechanism(eqx.Module):
         speeds: Mapping[str, Any] | None = None,
         stabilisation: Baumgarte | Projection | str | None = "default",
     ):
-        for what, given in (("bodies", bodies), ("connections", connections)):
-            validation.expect(given, Mapping, what, "a dictionary from names")
-        self.bodies, self.connections = dict(bodies), dict(connections)
-        self.loads = dict(loads or {})
-        self.start = {name: _guess(value) for name, value in (start or {}).items()}
-        self.speeds = {name: _guess(value) for name, value in (speeds or {}).items()}
+        self.bodies = _by_name("bodies", bodies)
+        self.connections = _by_name("connections", connections)
+        self.loads = _by_name("loads", {} if loads is None else loads)
+        self.start, self.speeds = (
+            {n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, given or {}).items()}
+            for what, given in (("start", start), ("speeds", speeds))
+        )
         validation.check_parts(self.bodies, self.connections, self.loads)
         validation.check_finite("the mechanism", {"start": self.start, "speeds": self.speeds})
         self.topology = grow(self.bodies, self.connections)
-        chosen: Any = Baumgarte() if stabilisation == "default" else stabilisation
-        self.stabilisation = chosen
-        validation.expect(
-            chosen,
+        usual = isinstance(stabilisation, str) and stabilisation == "default"
+        self.stabilisation = Baumgarte() if usual else stabilisation  # type: ignore[assignment]
+        expect(
+            self.stabilisation,
             (Baumgarte, Projection, type(None)),
             "stabilisation",
             "a jaxclear.Baumgarte, a jaxclear.Projection, or None for none",

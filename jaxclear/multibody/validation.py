@@ -6,8 +6,7 @@ numbers that were changed afterwards, drives, loads and starts that fit the tree
 """
 
 import dataclasses
-from types import UnionType
-from typing import Any, get_args
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,15 +17,12 @@ from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, AbstractLoad, Gravity
+from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.kinds import check_kinds
 from jaxclear.ground.quantity import check_range, numbers
+from jaxclear.ground.wording import listed, nearest
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.topology import Topology, joint_of
-
-
-def expect(thing: Any, kind: Any, what: str, wanted: str) -> None:
-    """Raises `ValueError` unless the thing is of a kind."""
-    if not isinstance(thing, kind):
-        raise ValueError(f"{what} is {thing!r}; it must be {wanted}.")
 
 
 def check_parts(bodies: dict, connections: dict, loads: dict) -> None:
@@ -81,7 +77,8 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
         for marker in load.markers():
             _check_body(f'load "{name}" acts on', marker.body, bodies)
     if isinstance(load, AbstractCoordinateLoad):
-        joint = connections[load.connection].joint if load.connection in connections else None
+        check_known(f'joint for load "{name}" to act on', load.connection, connections)
+        joint = connections[load.connection].joint
         if not isinstance(joint, AbstractJoint) or len(joint.home) != 1:
             raise ValueError(
                 f'load "{name}" acts on the coordinate of joint "{load.connection}", which must be '
@@ -91,9 +88,10 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
 
 def _check_body(what: str, body: str, bodies: dict) -> None:
     if body not in bodies and body != GROUND:
+        close = nearest(body, [*bodies, GROUND])
         raise ValueError(
-            f'{what} body "{body}", which does not exist: the bodies are '
-            f"{', '.join(map(repr, bodies))} and '{GROUND}'."
+            f'{what} body "{body}", which does not exist: the bodies are {listed(bodies)} and '
+            f'"{GROUND}".' + (f' Did you mean "{close}"?' if close else "")
         )
 
 
@@ -117,23 +115,14 @@ def _check_reach(bodies: dict, connections: dict) -> None:
 
 
 def _check_slots(what: str, module: eqx.Module) -> None:
-    """Slots for laws, drives, markers and the like must hold one of their family."""
+    """Fields must hold what they are declared to, also where one was changed after its part was
+    built.
+    """
+    check_kinds(lambda: what, module)
     for field in dataclasses.fields(module):
-        kinds = get_args(field.type) if isinstance(field.type, UnionType) else (field.type,)
-        if not all(isinstance(kind, type) and kind is not Any for kind in kinds):
-            continue
-        families = [kind for kind in kinds if issubclass(kind, eqx.Module)]
         value = getattr(module, field.name)
-        if value is None and field.default is not None and type(None) not in kinds:
-            raise ValueError(f"{what} has {field.name} None; it needs one.")
-        if families and set(kinds) <= {*families, type(None)}:
-            if not isinstance(value, kinds):
-                names = ["None" if kind is type(None) else kind.__name__ for kind in kinds]
-                raise ValueError(
-                    f"{what} has {field.name} {value!r}; it must be {' or '.join(names)}."
-                )
-            if value is not None:
-                _check_slots(f"{what}, {field.name},", value)
+        if isinstance(value, eqx.Module):
+            _check_slots(f"{what}, {field.name},", value)
 
 
 def check_values(what: str, part: Any) -> None:
@@ -183,9 +172,10 @@ def check_start(
     for what, given in (("start", start), ("speeds", speeds)):
         for name in given:
             if name not in branches:
+                close = nearest(name, branches)
                 raise ValueError(
                     f'{what} names "{name}", which carries no coordinates; those that do are '
-                    f"{', '.join(map(repr, branches))}."
+                    f"{listed(branches)}." + (f' Did you mean "{close}"?' if close else "")
                 )
             if branches[name].coordinate_count == 0:
                 raise ValueError(

@@ -2,6 +2,7 @@
 neither shows nor saves it.
 """
 
+from jaxclear.ground.answering import nothing_else
 from jaxclear.plot.motion import angular_velocity, displacement, end_centres, journal_ends
 from jaxclear.plot.pointing import pointing_budget
 from jaxclear.plot.studies import monte_carlo, sensitivity, work_precision
@@ -19,3 +20,4 @@ __all__ = [
     "wear_unrolled",
     "work_precision",
 ]
+__getattr__ = nothing_else("jaxclear.plot", __all__)

@@ -11,6 +11,8 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.components.body import GROUND, Marker
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import expect
 from jaxclear.multibody.chain import Chain
 from jaxclear.multibody.product_of_exponentials import TipError
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
@@ -144,6 +146,7 @@ def _text(values: np.ndarray) -> str:
     return f"{np.sqrt(np.mean(values**2)):.3g} (rms), {values.max():.3g} (largest)"
 
 
+@answering
 def pointing_error(
     trajectory: Trajectory,
     tip: Marker | str,
@@ -188,11 +191,8 @@ def pointing_error(
 
 def _check(trajectory: Trajectory, nominal: Trajectory | None) -> None:
     for run in (trajectory, *([] if nominal is None else [nominal])):
-        if not isinstance(run, Trajectory):
-            raise ValueError(
-                f"pointing_error is given a {type(run).__name__}; it takes a run, as "
-                "jaxclear.simulate returns it."
-            )
+        wanted = "a run, as jaxclear.simulate returns it"
+        expect(run, Trajectory, "what pointing_error is given", wanted)
     if nominal is not None and MOTION in trajectory.mechanism.connections:
         raise ValueError(
             f'joint "{MOTION}" bears the name of the contribution of differing coordinates; '

@@ -9,13 +9,17 @@ from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND, Marker
+from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.kinds import as_given
 from jaxclear.ground.numerics import safe_sqrt
-from jaxclear.ground.quantity import AbstractQuantified, Scalar
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, count
+from jaxclear.ground.wording import described
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
@@ -31,6 +35,7 @@ __all__ = [
     "concerned",
     "unit_of",
 ]
+__getattr__ = nothing_else("jaxclear.response", __all__)
 
 
 # What is off in a run where one part of it is: forces follow the motion, wear follows forces.
@@ -90,12 +95,37 @@ class PositionError(AbstractResponse):
     times, along some or all of the ground's axes."""
 
     body: str = eqx.field(static=True)
-    reference: Float[Array, "time 3"]
-    axes: tuple[int, ...] = eqx.field(static=True, default=(0, 1, 2))
+    reference: Float[Array, "time 3"] = eqx.field(
+        converter=as_given(lambda path: jnp.asarray(path, float))
+    )
+    axes: tuple[int, ...] = eqx.field(
+        static=True,
+        default=(0, 1, 2),
+        metadata={"wanted": "a tuple of axes: 0 for x, 1 for y, 2 for z"},
+    )
     unit: str = eqx.field(static=True, default="m", kw_only=True)
 
     def drawn_from(self):
         return "motion"
+
+    def __check_init__(self):
+        shape = getattr(self.reference, "shape", ())
+        if len(shape) != 2 or shape[1] != 3:
+            raise ValueError(
+                f"response.PositionError has reference = {described(self.reference)}; it must be a "
+                "path: an array (saving times, 3) [m], such as run.body(name).com."
+            )
+        known = not isinstance(self.reference, jax.core.Tracer)
+        if known and not np.all(np.isfinite(self.reference)):
+            raise ValueError(
+                "response.PositionError has a reference that is not finite; every place [m] of the "
+                "path must be."
+            )
+        if not self.axes or not set(self.axes) <= {0, 1, 2}:
+            raise ValueError(
+                f"response.PositionError has axes = {self.axes}; it must name some of 0, 1 and 2 "
+                "(x, y and z)."
+            )
 
     def __call__(self, run):
         path = run.body(self.body).com
@@ -174,7 +204,7 @@ class FinalCoordinate(AbstractResponse):
     """
 
     connection: str = eqx.field(static=True)
-    index: int = eqx.field(static=True, default=0)
+    index: int = count(0, "number of the coordinate", at_least=0)
     unit: str = eqx.field(static=True, default="rad", kw_only=True)
 
     def drawn_from(self):
@@ -182,10 +212,10 @@ class FinalCoordinate(AbstractResponse):
 
     def __call__(self, run):
         coordinates = run.coordinate(self.connection)
-        if not 0 <= self.index < coordinates.shape[1]:
+        if self.index >= coordinates.shape[1]:
             raise ValueError(
-                f'"{self.connection}" has {coordinates.shape[1]} coordinates; there is no number '
-                f"{self.index}."
+                f'"{self.connection}" has {coordinates.shape[1]} coordinates; the index of '
+                f"response.FinalCoordinate, {self.index}, must be below that."
             )
         return coordinates[-1, self.index]
 

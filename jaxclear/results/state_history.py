@@ -14,6 +14,7 @@ from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.wording import unknown
 from jaxclear.multibody import kinematics, state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
@@ -66,11 +67,8 @@ class StateHistory(eqx.Module):
 
 def check_known(name: str, names: Any, kind: str) -> None:
     """Raises `ValueError` where there is no such thing."""
-    if name not in names or name == GROUND:
-        raise ValueError(
-            f'no {kind} "{name}" in this mechanism; there are '
-            f"{', '.join(map(repr, names)) or 'none'}."
-        )
+    if not isinstance(name, str) or name not in names or name == GROUND:
+        raise ValueError(unknown(kind, name, names, " in this mechanism"))
 
 
 def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:

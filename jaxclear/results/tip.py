@@ -13,7 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.body import Marker
+from jaxclear.ground.arguments import expect
 from jaxclear.ground.transform import transform
+from jaxclear.ground.wording import described
 from jaxclear.multibody.chain import Chain, chain
 from jaxclear.multibody.product_of_exponentials import (
     ChainConfiguration,
@@ -31,14 +33,20 @@ def checked_tip(tip: Any) -> Marker:
     """A tip as a marker; a body's name stands for its frame."""
     if isinstance(tip, str):
         return Marker(tip)
-    if not isinstance(tip, Marker):
-        raise ValueError(f"the tip is {tip!r}; it must be a jaxclear.Marker or the name of a body.")
+    expect(tip, Marker, "the tip", "a jaxclear.Marker or the name of a body")
     return tip
 
 
 def checked_through(through: Any) -> tuple[str, ...]:
     """Names of connections; a single name may stand alone."""
-    return (through,) if isinstance(through, str) else tuple(through)
+    if isinstance(through, str):
+        return (through,)
+    names = isinstance(through, (tuple, list)) and all(isinstance(name, str) for name in through)
+    if not names:
+        raise ValueError(
+            f"through is {described(through)}; it must be names of connections, or one name."
+        )
+    return tuple(through)
 
 
 @eqx.filter_jit

@@ -12,8 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.arguments import check_known
 from jaxclear.integrators.checks import Checks
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import state
@@ -127,7 +129,7 @@ class Trajectory(eqx.Module):
         """Place of a point of a body, given in the body frame [m], in the ground frame over
         time."""
         motion = self.body(body)
-        place = sp.stack(sp.vec3(tuple(at)))
+        place = sp.stack(Marker(body, at).pose().translation)
         return motion.origin + jnp.einsum("tij,j->ti", motion.rotation, place)
 
     def contact(self, name: str) -> ContactHistory:
@@ -175,11 +177,12 @@ class Trajectory(eqx.Module):
         return self.worn[joint][surface]
 
     def _check_wears(self, joint, surface):
-        if surface not in self.worn.get(joint, {}):
+        check_known("joint", joint, self.mechanism.connections, " in this mechanism")
+        if not isinstance(surface, str) or surface not in self.worn.get(joint, {}):
             wearing = ", ".join(f'"{j}" {s}' for j, surfaces in self.worn.items() for s in surfaces)
             raise ValueError(
-                f'surface "{surface}" of joint "{joint}" does not wear; those that do: '
-                f"{wearing or 'none'}."
+                f'surface "{surface}" of joint "{joint}" does not wear; there are '
+                f"{wearing or 'none that do'}."
             )
 
     def drift(self) -> dict[str, Float[Array, " time"]]:

@@ -1,8 +1,10 @@
 """The mechanisms of the papers, and a slider-crank, ready to run."""
 
+from jaxclear.ground.answering import nothing_else
 from jaxclear.scenes.antenna import antenna
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.scenes.guide import guide
 from jaxclear.scenes.slider_crank import slider_crank
 
 __all__ = ["antenna", "four_bar", "guide", "slider_crank"]
+__getattr__ = nothing_else("jaxclear.scenes", __all__)

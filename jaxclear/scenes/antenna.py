@@ -28,6 +28,8 @@ from jaxclear.components import clearance as clearances
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.joint import Free, Revolute
 from jaxclear.components.load import MotorTorque
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, ThreeZone
@@ -86,13 +88,11 @@ def driving_torques(drive: str | tuple) -> tuple[Any, Any]:
     """
     if isinstance(drive, tuple) and len(drive) == 2:
         return drive
+    check_known("drive of the antenna (beside two torques)", drive, DRIVES)
     if drive == "periodic":
         first, second = TORQUES
         return PeriodicTorque(first), PeriodicTorque(second)
-    if drive == "step":
-        return StepTorque(TORQUES[0], PUSH, BRAKE), StepTorque(TORQUES[1], HOLD)
-    allowed = ", ".join(map(repr, DRIVES))
-    raise ValueError(f"the drive of the antenna is {allowed} or two torques, not {drive!r}.")
+    return StepTorque(TORQUES[0], PUSH, BRAKE), StepTorque(TORQUES[1], HOLD)
 
 
 def friction_law(friction: Any) -> AbstractFrictionLaw | None:
@@ -101,23 +101,20 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
     """
     if friction is None or isinstance(friction, AbstractFrictionLaw):
         return friction
+    check_known("friction of the antenna (beside a law, and None)", friction, FRICTIONS)
     if friction == "set_valued":
         return Coulomb(mu_kinetic=MU_KINETIC, mu_static=MU_STATIC)
-    if friction == "regularised":
-        return ThreeZone(
-            mu_static=MU_STATIC,
-            mu_kinetic=MU_KINETIC,
-            static_speed=STATIC_SPEED,
-            kinetic_speed=KINETIC_SPEED,
-        )
-    allowed = ", ".join(map(repr, FRICTIONS))
-    raise ValueError(f"the friction of the antenna is {allowed} or a law, not {friction!r}.")
+    return ThreeZone(
+        mu_static=MU_STATIC,
+        mu_kinetic=MU_KINETIC,
+        static_speed=STATIC_SPEED,
+        kinetic_speed=KINETIC_SPEED,
+    )
 
 
 def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
     """A joint of the antenna: "spatial" (FSRJ) or "planar" (FPRJ) with clearance, or "ideal"."""
-    if kind not in KINDS:
-        raise ValueError(f"the joints of the antenna are {', '.join(KINDS)}, not {kind!r}.")
+    check_known("kind of antenna", kind, KINDS)
     if kind == "ideal":
         return Revolute()
     contact = CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=RESTITUTION)
@@ -153,6 +150,7 @@ def _bodies(offset: float) -> dict[str, Body]:
     }
 
 
+@answering
 def antenna(
     kind: str = "spatial",
     clearance: float = 0.2e-3,
@@ -170,6 +168,8 @@ def antenna(
     kind leaves a journal free to tilt and slide unless its joint always touches: take it with
     integrator.NonColliding only. Everything starts at rest, link 2 level.
     """
+    check_number("clearance of antenna", clearance, "m", above=0)
+    check_number("offset of antenna", offset, "m")
     joint = bearing(kind, clearance, friction_law(friction))
     places = {
         "J1": (Marker("satellite", (0.0, 0.0, 0.5 * SATELLITE_HEIGHT)), Marker("link1")),

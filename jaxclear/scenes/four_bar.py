@@ -30,6 +30,8 @@ from jaxclear.components.drive import ConstantSpeed
 from jaxclear.components.joint import Revolute, Spherical
 from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_flags, check_known, check_number
 from jaxclear.laws.contact import LankaraniNikravesh
 from jaxclear.laws.friction import ThreeZone
 from jaxclear.laws.material import steel
@@ -91,6 +93,7 @@ def _link(mass: float, length: float, offset: float | None = None) -> Body:
     return Body(mass, (spin, swing, swing), (0.5 * length, 0.0))
 
 
+@answering
 def four_bar(
     kind: str = "spatial",
     clearance: float = 0.2e-3,
@@ -108,8 +111,10 @@ def four_bar(
     `cells` of the wear map around and along the bearing. `follower_offset` [m]: distance between
     the planes of coupler and follower (spatial only).
     """
-    if kind not in KINDS:
-        raise ValueError(f"the joint of the four-bar is {', '.join(KINDS)}, not {kind!r}.")
+    check_known("kind of four_bar", kind, KINDS)
+    check_number("clearance of four_bar", clearance, "m", above=0)
+    check_number("follower_offset of four_bar", follower_offset, "m")
+    check_flags("four_bar", friction=friction, wear=wear)
     joint = bearing(kind, clearance, friction=friction, wear=wear, cells=cells)
     spatial = kind == "spatial"
     foot = (GROUND, 0.0, follower_offset) if spatial else (GROUND, 0.0)

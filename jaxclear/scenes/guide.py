@@ -34,6 +34,8 @@ from jaxclear.components.clearance import SliderGuide
 from jaxclear.components.drive import AbstractDrive, ConstantSpeed
 from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.components.load import AbstractLoad, Gravity, JointTorque
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, CoulombTanh
 from jaxclear.laws.material import steel
@@ -55,7 +57,7 @@ REGULARISING_SPEED = 1e-4
 # Radius of the slider's rounded corners [m].
 CORNER_RADIUS = 5e-3
 KINDS = ("guide", "ideal")
-FRICTIONS = ("set_valued", "regularised", None)
+FRICTIONS = ("set_valued", "regularised")
 
 
 def friction_law(friction: Any) -> AbstractFrictionLaw | None:
@@ -64,21 +66,17 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
     """
     if friction is None or isinstance(friction, AbstractFrictionLaw):
         return friction
+    check_known("friction of the guide (beside a law, and None)", friction, FRICTIONS)
     if friction == "set_valued":
         return Coulomb(mu_kinetic=MU)
-    if friction == "regularised":
-        return CoulombTanh(mu_kinetic=MU, transition_speed=REGULARISING_SPEED)
-    allowed = ", ".join(map(repr, FRICTIONS))
-    raise ValueError(f"the friction of the guide is {allowed} or a law, not {friction!r}.")
+    return CoulombTanh(mu_kinetic=MU, transition_speed=REGULARISING_SPEED)
 
 
 def slider_joint(kind: str, clearance: Any, friction: AbstractFrictionLaw | None) -> Any:
     """The joint of slider and guide: "guide" with a gap of `clearance` [m] on each side, or
     "ideal".
     """
-    if kind not in KINDS:
-        allowed = " or ".join(map(repr, KINDS))
-        raise ValueError(f"the joint of slider and guide is {allowed}, not {kind!r}.")
+    check_known("kind of guide", kind, KINDS)
     if kind == "ideal":
         return Prismatic()
     return SliderGuide(
@@ -100,6 +98,13 @@ def _bodies() -> dict[str, Body]:
     }
 
 
+def _from_pivot_to_crank(crank_angle: Any) -> tuple[Any, Any]:
+    """Distance [m] and direction [rad] from C to the crank's end."""
+    along, across = GROUND_DISTANCE + CRANK * jnp.cos(crank_angle), CRANK * jnp.sin(crank_angle)
+    return jnp.hypot(along, across), jnp.arctan2(across, along)
+
+
+@answering
 def guide(
     kind: str = "guide",
     clearance: float = 0.1e-3,
@@ -120,20 +125,22 @@ def guide(
     your own drive (starting at `crank_angle`), or None: a free crank that starts so, under `torque`
     [N m] (a number or a function of time). `gravity` [m/s2] along -y, None: absent.
     """
+    check_number("clearance of guide", clearance, "m", above=0)
+    check_number("crank_angle of guide", crank_angle, "rad")
     joint = slider_joint(kind, clearance, friction_law(friction))
     if isinstance(drive, str):
+        check_known("drive of guide (beside a drive of your own, and None)", drive, ["constant"])
         drive = ConstantSpeed(crank_speed, crank_angle)
     if drive is not None and torque is not None:
         raise ValueError(
             "the crank of the guide is driven and under a torque; give drive=None for the torque "
             "to move it."
         )
-    # From C to the crank's end.
-    along, across = GROUND_DISTANCE + CRANK * jnp.cos(crank_angle), CRANK * jnp.sin(crank_angle)
-    reach, tilt = jnp.hypot(along, across), jnp.arctan2(across, along)
-    weight: dict[str, AbstractLoad] = (
-        {} if gravity is None else {"gravity": Gravity((0.0, -gravity))}
-    )
+    reach, tilt = _from_pivot_to_crank(crank_angle)
+    weight: dict[str, AbstractLoad] = {}
+    if gravity is not None:
+        check_number("gravity of guide", gravity, "m/s^2")
+        weight["gravity"] = Gravity((0.0, -gravity))
     motor: dict[str, AbstractLoad] = {} if torque is None else {"torque": JointTorque("O", torque)}
     free = drive is None
     return Mechanism(

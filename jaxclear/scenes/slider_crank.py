@@ -21,6 +21,8 @@ from jaxclear.components.drive import AbstractDrive, ConstantSpeed
 from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.laws.contact import AbstractContactLaw, LankaraniNikravesh
 from jaxclear.laws.friction import AbstractFrictionLaw, Ambrosio
 from jaxclear.laws.material import Material
@@ -53,6 +55,7 @@ def bearing(
     )
 
 
+@answering
 def slider_crank(
     kind: Any = "planar",
     clearance: float = 0.2e-3,
@@ -72,16 +75,14 @@ def slider_crank(
     `crank_speed` [rad/s], or your own `drive` of the crank. `gravity` [m/s2] along -y, None:
     absent. Raises ValueError for another word as `kind`.
     """
-    if isinstance(kind, str) and kind not in KINDS:
-        raise ValueError(
-            f"the joint of the slider-crank is {' or '.join(map(repr, KINDS))}, or a joint of your "
-            f"own, not {kind!r}."
-        )
     joint = kind
-    if kind == "planar":
-        joint = bearing(clearance, contact, friction, wear)
-    elif kind == "ideal":
-        joint = Revolute()
+    if isinstance(kind, str):
+        check_known("kind of slider_crank (beside a joint of your own)", kind, KINDS)
+        check_number("clearance of slider_crank", clearance, "m", above=0)
+        planar = kind == "planar"
+        joint = bearing(clearance, contact, friction, wear) if planar else Revolute()
+    if gravity is not None:
+        check_number("gravity of slider_crank", gravity, "m/s^2")
     if drive is None:
         drive = ConstantSpeed(crank_speed)
     return Mechanism(

@@ -17,7 +17,10 @@ from jaxtyping import Array, Float
 
 from jaxclear.formulations.base import model_of
 from jaxclear.formulations.model import Model
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator, Interval
 from jaxclear.integrators.outcome import Outcome
@@ -125,14 +128,18 @@ def saving_times(duration: Any, save: Any) -> Array:
     """Times to save at: a number of equally spaced ones, or the given ones with 0 in front if it is
     missing.
     """
-    if np.ndim(save) == 0:
-        if isinstance(save, str) or int(save) != save or save < 2:
+    if not isinstance(save, (list, tuple)) and not getattr(save, "ndim", 0):
+        whole = isinstance(save, (int, float, np.number)) and not isinstance(save, bool)
+        if not whole or not 2 <= save < np.inf or int(save) != save:
             raise ValueError(
-                f"save={save!r}: give a whole number of saving times, at least 2, or the times "
-                "themselves."
+                f"save={described(save)}: it must be a whole number of saving times, at least 2, "
+                "or the times themselves."
             )
         return jnp.linspace(0.0, jnp.asarray(duration, float), int(save))
-    times = np.asarray(save, float)
+    try:
+        times = np.asarray(save, float)
+    except (TypeError, ValueError):
+        raise ValueError(f"save={described(save)}: the times to save at must be numbers.") from None
     rising = times.ndim == 1 and times.size > 0 and np.all(np.diff(times) > 0)
     if not (rising and times[0] >= 0 and times[-1] <= float(duration)):
         raise ValueError(
@@ -142,16 +149,13 @@ def saving_times(duration: Any, save: Any) -> Array:
     return jnp.asarray(times if times[-1] == duration else np.concatenate([times, [duration]]))
 
 
-def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
-    """Whether a mechanism suits an integrator and its formulation. Raises `ValueError` with a
-    sentence."""
-    if not isinstance(mechanism, Mechanism):
-        raise ValueError(f"what is simulated is {mechanism!r}; it must be a jaxclear.Mechanism.")
-    if not isinstance(integrator, AbstractIntegrator):
-        raise ValueError(
-            f"the integrator is {integrator!r}; it must be one of jaxclear.integrator, such as "
-            "Adaptive()."
-        )
+def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any = None) -> None:
+    """Whether a mechanism suits an integrator and its formulation; where the number of steps
+    between saving times is fixed, `times` tell their length. Raises `ValueError` with a sentence.
+    """
+    expect(mechanism, Mechanism, "what is simulated", "a jaxclear.Mechanism")
+    wanted = "one of jaxclear.integrator, such as Adaptive()"
+    expect(integrator, AbstractIntegrator, "the integrator", wanted)
     name = f"integrator.{type(integrator).__name__}"
     if mechanism.projects and not integrator.projects:
         raise ValueError(
@@ -160,16 +164,18 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
             "would take for an error; give stabilisation=jaxclear.Baumgarte(), or take an "
             "integrator with fixed steps."
         )
-    integrator.formulation.check(mechanism, name)
+    known = times is not None and not isinstance(times, jax.core.Tracer)
+    step = integrator.relaxing_step(np.max(np.diff(times)) if known else None)
+    integrator.formulation.check(mechanism, name, step)
 
 
 def check_duration(duration: Any) -> Any:
     """The duration, if it is a positive number of seconds. Raises `ValueError`."""
-    if not 0 < float(duration) < np.inf:
-        raise ValueError(f"the duration is {duration} s; it must be positive and finite.")
+    check_number("the duration", duration, "s", above=0)
     return duration
 
 
+@answering
 def simulate(
     mechanism: Mechanism,
     duration: float,
@@ -190,20 +196,21 @@ def simulate(
     also integrate the energies that `Trajectory.energy_balance` needs. Changing numbers, duration
     or tolerances does not compile again; changing the number of saving times does. Raises
     `ValueError` for a mechanism that cannot start and for a derivative through contacts that open
-    and close (see `jaxclear.sensitivity`), and, unless `throw=False`, `SimulationError`
-    with a sentence for a run that ends early.
+    and close (see `jaxclear.sensitivity`), and, unless `throw=False`, `SimulationError` with a
+    sentence for a run that ends early.
     """
     check_double_precision()
     check_duration(duration)
+    check_flags("simulate", balance=balance, progress_bar=progress_bar, throw=throw)
     if jax.config.jax_disable_jit:  # type: ignore[attr-defined]
         raise ValueError(
             "simulate compiles its loop, and jax.disable_jit is on; look into a law or a joint by "
             "calling it alone."
         )
     times = saving_times(duration, save)
-    warn_of_shortened_steps(integrator, times)
     integrator = Adaptive() if integrator is None else integrator
-    check_run(mechanism, integrator)
+    check_run(mechanism, integrator, times)
+    warn_of_shortened_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     start = assemble(mechanism, start_concentric)
     with progress.bar(progress_bar, "simulating"):

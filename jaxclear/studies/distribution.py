@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float
 
+from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "TruncatedNormal",
     "Uniform",
 ]
+__getattr__ = nothing_else("jaxclear.distribution", __all__)
 
 # What a distribution describes tells its unit.
 UNIT = "(in the varied number's unit)"

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags, check_known, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import Checks, Outcome
 from jaxclear.results.trajectory import Trajectory
@@ -161,16 +163,13 @@ def _spread(values: np.ndarray) -> float:
 def draw(problem: Problem, samples: int, seed: int, sampling: str = "sobol") -> np.ndarray:
     """Values (samples, variables) drawn from the variables' distributions."""
     check_double_precision()
-    if sampling not in SAMPLINGS:
-        raise ValueError(f"sampling is {' or '.join(SAMPLINGS)}, not {sampling!r}.")
-    if not isinstance(samples, (int, np.integer)) or samples < 1:
-        raise ValueError(
-            f"a Monte Carlo study needs at least one sample, a whole number of them, not "
-            f"{samples!r}."
-        )
+    expect(problem, Problem, "what is sampled", "a jaxclear.Problem")
+    check_known("sampling", sampling, SAMPLINGS)
+    check_count("the number of samples", samples)
+    check_count("seed", seed, at_least=0)
     count = len(problem.variables)
     if count == 0:
-        raise ValueError("the problem has no variables; nothing would vary.")
+        raise ValueError("the problem has no variables; nothing would vary: give it some.")
     if sampling == "sobol":
         # A power of two keeps the sequence balanced; what is more than asked for is left out.
         power = int(np.ceil(np.log2(samples)))
@@ -189,6 +188,7 @@ def draw(problem: Problem, samples: int, seed: int, sampling: str = "sobol") -> 
     return np.stack(columns, axis=1)
 
 
+@answering
 def monte_carlo(
     problem: Problem,
     samples: int = 1024,
@@ -205,6 +205,9 @@ def monte_carlo(
     named and kept; so is one whose run warns of its own numbers.
     """
     values = draw(problem, samples, seed, sampling)
+    if chunk is not None:
+        check_count("chunk of monte_carlo", chunk)
+    check_flags("monte_carlo", progress_bar=progress_bar)
     outcome = evaluate_all(
         problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
     )

@@ -11,10 +11,13 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import inside, numbers
+from jaxclear.ground.quantity import AbstractQuantified, inside, numbers
+from jaxclear.ground.wording import described, nearest
 from jaxclear.integrators import AbstractIntegrator, Checks, FixedStep, Outcome
 from jaxclear.multibody.assembly import CLOSED, assemble_arrays
 from jaxclear.multibody.mechanism import Mechanism
@@ -25,7 +28,7 @@ from jaxclear.simulation.step_lengths import warn_of_shortened_steps
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 
 
-class Variable(eqx.Module):
+class Variable(AbstractQuantified):
     """A number of the mechanism that varies: `where(mechanism)` returns its leaf, or several leaves
     that vary together.
 
@@ -47,9 +50,13 @@ class Variable(eqx.Module):
         if distribution is not None and tolerance is None:
             self.distribution = distribution
         elif tolerance is not None and distribution is None:
+            check_number("tolerance of a Variable", tolerance, above=0)
             self.distribution = TruncatedNormal(tolerance / 3, bound=tolerance)
         else:
-            raise ValueError("a variable takes a distribution or a tolerance, one of the two.")
+            raise ValueError(
+                "a Variable takes a distribution or a tolerance; give one of the two, not "
+                "both or neither."
+            )
 
 
 class SampleResult(eqx.Module):
@@ -62,7 +69,7 @@ class SampleResult(eqx.Module):
     checks: Checks = eqx.field(default_factory=Checks)
 
 
-class Problem(eqx.Module):
+class Problem(AbstractQuantified):
     """A mechanism, the numbers in it that vary, how it is run, and the responses wanted of a run.
 
     `response`: a function of a trajectory returning a number, or several by name. `duration` [s].
@@ -95,18 +102,21 @@ class Problem(eqx.Module):
     ):
         check_double_precision()
         self.mechanism = mechanism
-        self.response = dict(response) if isinstance(response, Mapping) else {"response": response}
-        self.variables = dict(variables)
+        expect(mechanism, Mechanism, "the mechanism of a Problem", "a jaxclear.Mechanism")
+        self.response = _by_name("response", response)
+        self.variables = _by_name("variables", variables)
         self.integrator = FixedStep() if integrator is None else integrator
         times = saving_times(check_duration(duration), save)
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
-        check_run(mechanism, self.integrator)
+        check_run(mechanism, self.integrator, times)
         warn_of_shortened_steps(integrator, times)
         for name, wanted in self.response.items():
-            if not callable(wanted):
+            if not callable(wanted) or isinstance(wanted, type):
+                hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
                 raise ValueError(
-                    f'response "{name}" is {wanted!r}; it must be a function of a trajectory.'
+                    f'response "{name}" is {described(wanted)}; it must be a function of a '
+                    f"trajectory, such as one of jaxclear.response{hint}."
                 )
             if name in self.variables:
                 raise ValueError(
@@ -159,7 +169,10 @@ class Problem(eqx.Module):
             mechanism, start.coordinates, start.speeds, self.shares * self.duration, self.integrator
         )
         trajectory = guarded(trajectory, self.integrator, discrete_derivatives)
-        responses = {name: response(trajectory) for name, response in self.response.items()}
+        responses = {
+            name: _one_number(name, response(trajectory))
+            for name, response in self.response.items()
+        }
         possible = jnp.all(
             jnp.stack([inside(leaf, metadata) for _, leaf, metadata in numbers(mechanism)])
         )
@@ -169,6 +182,40 @@ class Problem(eqx.Module):
         outcome = jnp.where(jnp.max(left) <= CLOSED, trajectory.outcome, Outcome.UNASSEMBLED)
         outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
         return SampleResult(responses, outcome, trajectory.ended, trajectory.checks)
+
+
+def _by_name(what: str, given: Any) -> dict[str, Any]:
+    """What varies or is wanted, by name; a response alone is called "response"."""
+    if what == "response" and not isinstance(given, Mapping):
+        return {what: given}
+    expect(given, Mapping, f"{what} of a Problem", "a dictionary from names")
+    if what == "response" and not given:
+        raise ValueError("response of a Problem is empty; it must hold at least one.")
+    for name in given:
+        expect(name, str, f"a name in {what} of a Problem", "a text")
+    return dict(given)
+
+
+def _one_number(name: str, value: Any) -> Array:
+    """What a response answers, which studies take for one number."""
+    number = isinstance(value, (int, float, np.number, np.ndarray, jax.Array))
+    if not number or jnp.shape(value) != ():
+        hint = " It returns nothing: is a `return` missing?" if value is None else ""
+        raise ValueError(
+            f'response "{name}" gives {described(value)} for a run; it must be one number, such as '
+            f"a mean or the largest.{hint}"
+        )
+    return jnp.asarray(value, float)
+
+
+def _meant(error: Exception, mechanism: Mechanism) -> str:
+    """The name that was probably meant where a `where` found none; "" where there is none."""
+    if isinstance(error, AttributeError) and error.name:
+        close = nearest(error.name, [n for n in dir(error.obj) if not n.startswith("_")])
+    else:
+        key = error.args[0] if isinstance(error, KeyError) and error.args else ""
+        close = nearest(key, [*mechanism.connections, *mechanism.bodies, *mechanism.loads])
+    return f' Did you mean "{close}"?' if close else ""
 
 
 def _leaves_of(variable: Variable) -> Callable[[Mechanism], list]:
@@ -189,18 +236,17 @@ def _check_apart(leaves: dict[str, list]) -> None:
 
 
 def _check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:
-    if not isinstance(variable, Variable):
-        raise ValueError(f'variable "{name}" is {variable!r}; it must be a jaxclear.Variable.')
+    expect(variable, Variable, f'variable "{name}"', "a jaxclear.Variable")
     try:
         target = variable.where(mechanism)
     except (KeyError, AttributeError, TypeError, IndexError) as error:
         raise ValueError(
             f'variable "{name}" points at nothing in this mechanism: its `where` fails with '
-            f"{type(error).__name__}: {error}."
+            f"{type(error).__name__}: {error}.{_meant(error, mechanism)}"
         ) from error
     leaves = target if isinstance(target, (tuple, list)) else [target]
     if not leaves or not all(eqx.is_array(leaf) and jnp.ndim(leaf) == 0 for leaf in leaves):
         raise ValueError(
             f'variable "{name}" must point at numbers of the mechanism; where(mechanism) gives '
-            f"{target!r}."
+            f"{described(target)}."
         )

@@ -18,6 +18,7 @@ from jaxclear.components.clearance.permanent import (
     carried_load,
     situation,
 )
+from jaxclear.ground.answering import nothing_else
 
 __all__ = [
     "SITUATIONS",
@@ -38,3 +39,4 @@ __all__ = [
     "carried_load",
     "situation",
 ]
+__getattr__ = nothing_else("jaxclear.clearance", __all__)

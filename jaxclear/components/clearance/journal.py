@@ -137,6 +137,13 @@ class JournalBearing(AbstractJournalBearing):
                 f"{length:g} m; the journal must reach through the bearing, because contact is "
                 "evaluated at the bearing's two end planes."
             )
+        hole = concrete(self.bearing_radius)
+        collar = None if self.flange is None else concrete(self.flange.radius)
+        if hole is not None and collar is not None and collar <= hole:
+            raise ValueError(
+                f"a JournalBearing has a flange of radius {collar:g} m in a hole of {hole:g} m; it "
+                "must be larger than the hole to stop the journal."
+            )
 
     @property
     def axes(self) -> tuple[int, ...]:

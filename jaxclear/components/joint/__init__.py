@@ -8,6 +8,7 @@ from jaxclear.components.joint.base import (
 )
 from jaxclear.components.joint.group import Free, Planar, Spherical
 from jaxclear.components.joint.vector import Cylindrical, Fixed, Prismatic, Revolute, Universal
+from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.pose import FLIP
 
 __all__ = [
@@ -25,3 +26,4 @@ __all__ = [
     "Spherical",
     "Universal",
 ]
+__getattr__ = nothing_else("jaxclear.joint", __all__)

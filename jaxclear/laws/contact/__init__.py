@@ -5,6 +5,7 @@ usual products have names of their own, any other is `ContactForce(force, factor
 and rigid contact stand by themselves. A new law is a subclass of an abstract base.
 """
 
+from jaxclear.ground.answering import nothing_else
 from jaxclear.laws.contact import cylinder, dissipation, elastic
 from jaxclear.laws.contact.additive import AdamsImpact, KelvinVoigt
 from jaxclear.laws.contact.base import (
@@ -71,3 +72,4 @@ __all__ = [
     "dissipation",
     "elastic",
 ]
+__getattr__ = nothing_else("jaxclear.contact", __all__)

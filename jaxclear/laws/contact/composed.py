@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+from jaxclear.ground.wording import listed, nearest
 from jaxclear.laws.contact import cylinder, dissipation, elastic
 from jaxclear.laws.contact.base import (
     AbstractContactLaw,
@@ -21,9 +22,14 @@ from jaxclear.laws.contact.base import (
 
 
 class ImpactMemory(AbstractQuantified):
-    """What goes with the speed of first touch, where a dissipation factor asks for it. The engine
-    takes that speed at the touch itself."""
+    """How the speed of first touch is remembered, where a dissipation factor asks for it."""
 
+    memory_time: Scalar = quantity(
+        1e-4,
+        "s",
+        "time constant with which the stored impact speed follows the approach speed while open",
+        above=0,
+    )
     slowest_impact: Scalar = quantity(
         1e-3,
         "m/s",
@@ -54,11 +60,12 @@ class ContactForce(AbstractContactLaw):
         dissipation: AbstractDissipation | None = None,
         memory: ImpactMemory | None = None,
     ):
-        remembers = dissipation is not None and dissipation.remembers_impact_speed
-        if memory is not None and not remembers:
+        known = isinstance(dissipation, AbstractDissipation)
+        remembers = known and dissipation.remembers_impact_speed
+        if isinstance(memory, ImpactMemory) and not remembers:
             raise ValueError(
-                "this contact law has a slowest_impact, but no dissipation factor "
-                "that asks for the impact speed; leave it out."
+                "this contact law has memory_time or slowest_impact, but no dissipation factor "
+                "that asks for the impact speed; leave them out."
             )
         self.elastic, self.dissipation = elastic, dissipation
         self.memory = ImpactMemory() if remembers and memory is None else memory
@@ -68,7 +75,12 @@ class ContactForce(AbstractContactLaw):
             for part in (self.elastic, self.dissipation, self.memory):
                 if name in _fields(type(part)):
                     return getattr(part, name)
-        raise AttributeError(f"a contact law of these parts has no {name}.")
+        numbers = [
+            n for p in (self.elastic, self.dissipation, self.memory) for n in _fields(type(p))
+        ]
+        raise AttributeError(
+            f"a contact law of these parts has no {name}; it has {listed(numbers)}."
+        )
 
     @property
     def restitution(self) -> Scalar | None:
@@ -76,8 +88,9 @@ class ContactForce(AbstractContactLaw):
         return 1.0 if self.dissipation is None else self.dissipation.restitution
 
     @property
-    def remembers_impact_speed(self) -> bool:
-        return self.memory is not None
+    def memory_time(self) -> Scalar | None:
+        """Time constant [s] of the remembered impact speed."""
+        return None if self.memory is None else self.memory.memory_time
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
         force = self.elastic_force(indentation)
@@ -111,7 +124,12 @@ def _product(
     def build(*slots: Any, **numbers: Any) -> ContactForce:
         unknown = sorted(set(numbers).difference(known))
         if unknown:
-            raise ValueError(f"contact.{name} has no number {', '.join(unknown)}.")
+            close = nearest(unknown[0], known)
+            hint = f' Did you mean "{close}"?' if close else ""
+            raise ValueError(
+                f"contact.{name} has no number {', '.join(unknown)}; it takes {listed(known)}."
+                f"{hint}"
+            )
         own, lossy, remembered = (
             {number: value for number, value in numbers.items() if number in _fields(part)}
             for part in (force, loss, ImpactMemory)

@@ -12,6 +12,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.numerics import inverse_entropy, positive_part, power, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractElasticForce
@@ -27,6 +28,7 @@ __all__ = [
     "Radzimovsky",
     "TwoSidedJohnson",
 ]
+__getattr__ = nothing_else("jaxclear.contact.cylinder", __all__)
 
 # In x = -w ln w (w: load, x: indentation) the law turns back at -ln w = 1; it is followed up to -ln
 # w = 2, where the slope dw/dx is 1, and continued with that slope.

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
+from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractDissipation
 
@@ -28,6 +29,7 @@ __all__ = [
     "MarhefkaOrin",
     "ZhiyingQishao",
 ]
+__getattr__ = nothing_else("jaxclear.contact.dissipation", __all__)
 
 # Gonthier et al. 2004 solve the relation numerically; steps that carry it to rounding for 0.02 <=
 # e.

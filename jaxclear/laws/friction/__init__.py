@@ -4,6 +4,7 @@ Slip laws are functions of the sliding speed, bristle laws remember a deflection
 set-valued. A new law is a subclass of one of the abstract bases and serves every formulation.
 """
 
+from jaxclear.ground.answering import nothing_else
 from jaxclear.laws.friction.base import (
     AbstractForceFriction,
     AbstractFrictionLaw,
@@ -39,3 +40,4 @@ __all__ = [
     "ThreeZone",
     "Threlfall",
 ]
+__getattr__ = nothing_else("jaxclear.friction", __all__)

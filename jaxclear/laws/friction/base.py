@@ -11,7 +11,8 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import Scalar, concrete, quantity
+from jaxclear.ground.wording import public_name
 from jaxclear.laws.law import AbstractLaw
 
 
@@ -23,6 +24,17 @@ def mu_static_field() -> Any:
 def mu_kinetic_field() -> Any:
     """Field of a kinetic friction coefficient [1]."""
     return quantity(0.1, "1", "kinetic friction coefficient mu_d", at_least=0)
+
+
+def check_static(law: Any) -> None:
+    """Raises `ValueError` where static friction is below kinetic friction; numbers that are being
+    traced pass."""
+    kinetic, static = concrete(law.mu_kinetic), concrete(law.mu_static)
+    if kinetic is not None and static is not None and static < kinetic:
+        raise ValueError(
+            f"{public_name(type(law))} has mu_static {static:g} below mu_kinetic {kinetic:g}; at "
+            "rest it must be at least that of sliding: give both."
+        )
 
 
 class AbstractFrictionLaw(AbstractLaw):

@@ -12,7 +12,12 @@ import jax.numpy as jnp
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.laws.friction.base import AbstractForceFriction, mu_kinetic_field, mu_static_field
+from jaxclear.laws.friction.base import (
+    AbstractForceFriction,
+    check_static,
+    mu_kinetic_field,
+    mu_static_field,
+)
 from jaxclear.laws.friction.coulomb import Coulomb
 from jaxclear.laws.friction.slip import stribeck_level
 
@@ -140,6 +145,9 @@ class LuGre(AbstractBristleFriction):
     viscous: Scalar | None = quantity(
         None, "s/m", "viscous coefficient per sliding speed (None: absent)", at_least=0
     )
+
+    def __check_init__(self):
+        check_static(self)
 
     def coulomb(self) -> Coulomb:
         return Coulomb(mu_kinetic=self.mu_kinetic, mu_static=self.mu_static)

@@ -4,8 +4,8 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from jaxclear.ground.quantity import Scalar, concrete, quantity
-from jaxclear.laws.friction.base import AbstractSetValuedFriction, mu_kinetic_field
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.friction.base import AbstractSetValuedFriction, check_static, mu_kinetic_field
 
 # Sliding slower than this [m/s] is rounding of a contact that sticks.
 STICKING_SPEED = 1e-10
@@ -29,12 +29,7 @@ class Coulomb(AbstractSetValuedFriction):
     bristles: ClassVar[int] = 0
 
     def __check_init__(self):
-        kinetic, static = concrete(self.mu_kinetic), concrete(self.mu_static)
-        if kinetic is not None and static is not None and static < kinetic:
-            raise ValueError(
-                f"friction.Coulomb has mu_static {static} below mu_kinetic {kinetic}; at rest it "
-                "is at least that of sliding."
-            )
+        check_static(self)
 
     def coulomb(self) -> "Coulomb":
         return self

@@ -11,7 +11,12 @@ import jax.numpy as jnp
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import smooth_sign, smooth_step
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.laws.friction.base import AbstractForceFriction, mu_kinetic_field, mu_static_field
+from jaxclear.laws.friction.base import (
+    AbstractForceFriction,
+    check_static,
+    mu_kinetic_field,
+    mu_static_field,
+)
 from jaxclear.laws.friction.coulomb import Coulomb
 from jaxclear.laws.law import check_increasing
 
@@ -118,6 +123,7 @@ class ThreeZone(AbstractSlipFriction):
     )
 
     def __check_init__(self):
+        check_static(self)
         check_increasing(self, "static_speed", "kinetic_speed")
 
     def coulomb(self) -> Coulomb:
@@ -150,6 +156,7 @@ class AdamsStep(AbstractSlipFriction):
     kinetic_speed: Scalar = quantity(1e-2, "m/s", "friction transition speed v_d", above=0)
 
     def __check_init__(self):
+        check_static(self)
         check_increasing(self, "static_speed", "kinetic_speed")
 
     def coulomb(self) -> Coulomb:
@@ -206,6 +213,9 @@ class BengisuAkay(AbstractSlipFriction):
         1e3, "s/m", "rate xi at which friction falls from static to kinetic", at_least=0
     )
 
+    def __check_init__(self):
+        check_static(self)
+
     def coulomb(self) -> Coulomb:
         return Coulomb(mu_kinetic=self.mu_kinetic, mu_static=self.mu_static)
 
@@ -239,6 +249,7 @@ class Stribeck(AbstractSlipFriction):
     )
 
     def __check_init__(self):
+        check_static(self)
         check_increasing(self, "transition_speed", "stribeck_speed")
 
     def coulomb(self) -> Coulomb:

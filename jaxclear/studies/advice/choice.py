@@ -15,6 +15,14 @@ import equinox as eqx
 import numpy as np
 from tqdm import tqdm
 
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import (
+    check_count,
+    check_flags,
+    check_known,
+    check_number,
+    expect,
+)
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import AbstractIntegrator, Adaptive, Outcome
 from jaxclear.studies import verdict
@@ -25,7 +33,6 @@ from jaxclear.studies.advice.pilot import (
     Pilot,
     PilotSettings,
     Trial,
-    check_count,
     describe,
     measure,
     pilot_of,
@@ -52,6 +59,7 @@ DEARER_THAN_REFERENCE, TOO_DEAR, TOO_DEAR_IN_BATCH = 1.5, 4.0, 40.0
 MOST_GROWTH = 2.5
 
 
+@answering
 def advise(
     problem: Problem,
     accuracy: float = 0.01,
@@ -74,7 +82,7 @@ def advise(
     a sentence for what cannot be asked and for a reference that fails.
     """
     check_double_precision()
-    accuracy, scales = checked_accuracy(accuracy), dict(scales or {})
+    accuracy, scales = checked_accuracy(accuracy), {} if scales is None else scales
     settings = PilotSettings() if pilot is None else pilot
     _check(problem, settings, batch, scales)
     short = pilot_of(problem, settings)
@@ -82,6 +90,7 @@ def advise(
         default_candidates(short.problem, settings.reference) if candidates is None else candidates
     )
     check_candidates(tried, (REFERENCE, PRESENT))
+    check_flags("advise", means=means, progress_bar=progress_bar)
     if means:
         check_means(len(short.values))
     with tqdm(total=len(tried) + 2, desc="advice", disable=not progress_bar) as bar:
@@ -98,9 +107,8 @@ def advise(
     if batch is not None:
         for name, curve in curves.items():
             curves[name] = _timed_in_batch(short, curve, criteria, batch)
-    names = problem.response_names
-    found = Comparison(accuracy, short, {REFERENCE: known} | curves, scales, names, means, batch)
-    return Advice(problem, found)
+    names, curves = problem.response_names, {REFERENCE: known} | curves
+    return Advice(problem, Comparison(accuracy, short, curves, scales, names, means, batch))
 
 
 def _allowance(
@@ -220,11 +228,10 @@ def _why_no_reference(pilot: Pilot, trial: Trial) -> str:
 def _check(
     problem: Any, pilot: PilotSettings, batch: int | None, scales: Mapping[str, float]
 ) -> None:
-    if not isinstance(problem, Problem):
-        raise ValueError(f"advice is given on a jaxclear.Problem, not on {problem!r}.")
-    if not isinstance(pilot, PilotSettings):
-        raise ValueError(f"the pilot is {pilot!r}; it must be a jaxclear.PilotSettings.")
-    check_count("batch", 1 if batch is None else batch)
+    expect(scales, Mapping, "scales of advise", "a dictionary: a size by response")
+    expect(problem, Problem, "what advice is given on", "a jaxclear.Problem")
+    expect(pilot, PilotSettings, "the pilot", "a jaxclear.PilotSettings")
+    check_count("batch of advise", 1 if batch is None else batch)
     whole = float(problem.duration)
     if pilot.duration is not None and not 0 < pilot.duration <= whole:
         raise ValueError(
@@ -232,11 +239,5 @@ def _check(
             f"problem's {whole:.6g} s."
         )
     for name, size in scales.items():
-        if name not in problem.response_names:
-            known = ", ".join(map(repr, problem.response_names))
-            raise ValueError(f'no response "{name}" in this problem; there are {known}.')
-        if not 0 < size < np.inf:
-            raise ValueError(
-                f'the scale of response "{name}" is {size!r}; it must be positive and finite, in '
-                "its own unit."
-            )
+        check_known("response", name, problem.response_names, " in this problem")
+        check_number(f'the scale of response "{name}" (in its own unit)', size, above=0)

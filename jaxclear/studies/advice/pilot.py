@@ -8,7 +8,6 @@ Steps and tolerances are numbers, so each kind of integrator compiles once.
 
 import dataclasses
 import time
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground.arguments import check_number
+from jaxclear.ground.quantity import AbstractQuantified, count
 from jaxclear.integrators import AbstractIntegrator, Adaptive, Outcome
 from jaxclear.simulation.simulate import check_run
 from jaxclear.studies.batch import evaluate_all
@@ -35,7 +36,7 @@ MOST_TAKEN_OFF = 0.95
 ALWAYS_SAID = ("step", "rtol", "atol")
 
 
-class PilotSettings(eqx.Module):
+class PilotSettings(AbstractQuantified):
     """Which short runs an advice is founded on.
 
     `copies`: nominal and perturbed runs; more of them where the answer says that motion is chaotic.
@@ -44,24 +45,14 @@ class PilotSettings(eqx.Module):
     tolerances.
     """
 
-    copies: int = eqx.field(static=True, default=8)
+    copies: int = count(8, "nominal and perturbed runs")
     duration: float | None = eqx.field(static=True, default=None)
-    seed: int = eqx.field(static=True, default=0)
+    seed: int = count(0, "seed that draws the copies", at_least=0)
     reference: Adaptive = eqx.field(default_factory=tight_reference)
 
     def __check_init__(self):
-        check_count("copies", self.copies)
-        if not isinstance(self.reference, Adaptive):
-            raise ValueError(
-                f"the reference is {self.reference!r}; it must be an integrator.Adaptive, whose "
-                "tolerances can be varied."
-            )
-
-
-def check_count(name: str, count: Any) -> None:
-    """Raises `ValueError` for what is no whole number, at least 1."""
-    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
-        raise ValueError(f"{name} is {count!r}; it must be a whole number, at least 1.")
+        if self.duration is not None:
+            check_number("duration of PilotSettings", self.duration, "s", above=0)
 
 
 class Pilot(eqx.Module):
@@ -147,7 +138,7 @@ def measure(pilot: Pilot, integrator: AbstractIntegrator) -> Trial:
     problem = eqx.tree_at(lambda p: p.integrator, pilot.problem, integrator)
     begun = time.perf_counter()
     try:
-        check_run(problem.mechanism, integrator)
+        check_run(problem.mechanism, integrator, np.asarray(problem.shares * problem.duration))
         start = eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(()))
         jax.block_until_ready(evaluate_one(start, jnp.asarray(pilot.values[0])))
     except (ValueError, TypeError, NotImplementedError) as error:

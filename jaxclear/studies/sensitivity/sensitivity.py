@@ -5,7 +5,11 @@ in one (`derivative`).
 """
 
 from collections.abc import Sequence
+from typing import Any
 
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_known, check_number, expect
+from jaxclear.ground.wording import listed
 from jaxclear.studies.identity import first_difference
 from jaxclear.studies.monte_carlo import MonteCarlo, draw, monte_carlo
 from jaxclear.studies.problem import Problem
@@ -15,6 +19,7 @@ from jaxclear.studies.sensitivity.methods import differences, pathwise, regressi
 METHODS = ("regression", "differences", "pathwise")
 
 
+@answering
 def sensitivity(
     problem: Problem,
     variables: str | Sequence[str] | None = None,
@@ -38,9 +43,8 @@ def sensitivity(
     Raises `ValueError` with a sentence for a name that there is not, and for a sample of another
     problem.
     """
-    unknown = [method for method in methods if method not in METHODS]
-    if unknown:
-        raise ValueError(f"no method {unknown[0]!r}; there are {', '.join(METHODS)}.")
+    expect(problem, Problem, "what is differentiated", "a jaxclear.Problem")
+    _check(sample, difference_samples, width, methods)
     wanted = _wanted(problem, variables)
     if isinstance(sample, MonteCarlo):
         _check_sample(problem, sample)
@@ -77,13 +81,28 @@ def _check_sample(problem: Problem, sample: MonteCarlo) -> None:
         )
 
 
+def _check(sample: Any, difference_samples: Any, width: Any, methods: Any) -> None:
+    """What a study of derivatives may be asked for."""
+    expect(methods, (tuple, list), "methods of sensitivity", f"some of {listed(METHODS)}")
+    if not methods:
+        raise ValueError(
+            f"methods of sensitivity is empty; it must hold some of {listed(METHODS)}."
+        )
+    for method in methods:
+        check_known("method of sensitivity", method, METHODS)
+    if not isinstance(sample, MonteCarlo):
+        check_count("sample of sensitivity (a Monte Carlo study, or how many samples)", sample)
+    check_count("difference_samples of sensitivity", difference_samples)
+    if width is not None:
+        check_number("width of sensitivity", width, above=0)
+
+
 def _wanted(problem: Problem, variables: str | Sequence[str] | None) -> list[str]:
     """The names asked for. Raises `ValueError` for one that the problem does not have."""
     if variables is None:
         return list(problem.names)
-    wanted = [variables] if isinstance(variables, str) else list(variables)
+    wanted = [variables] if isinstance(variables, str) else variables
+    expect(wanted, (list, tuple), "variables of sensitivity", "names of the problem's variables")
     for name in wanted:
-        if name not in problem.names:
-            known = ", ".join(map(repr, problem.names))
-            raise ValueError(f'no variable "{name}" in this problem; there are {known}.')
-    return wanted
+        check_known("variable", name, problem.names, " in this problem")
+    return list(wanted)

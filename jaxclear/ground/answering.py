@@ -1,0 +1,143 @@
+"""What answers to a name that there is not: a class or function called with a wrong argument, a
+module asked for what it does not offer.
+
+Python's own errors name neither what there is nor what was probably meant. Nothing here costs a
+call that is right.
+"""
+
+import functools
+import importlib.util
+import inspect
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
+
+import equinox as eqx
+
+from jaxclear.ground.wording import described, listed, nearest, public_name
+
+if TYPE_CHECKING:
+    from equinox._module._module import _ModuleMeta as ModuleMeta
+else:
+    ModuleMeta = type(eqx.Module)
+
+__all__ = ["AnsweringMeta", "answering", "nothing_else", "refuse_misfit"]
+
+P, R = ParamSpec("P"), TypeVar("R")
+KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+
+
+class AnsweringMeta(ModuleMeta):
+    """Of classes that refuse wrong arguments with a sentence."""
+
+    def __new__(mcs, name: str, bases: tuple, namespace: dict, **kwargs: Any):
+        own = namespace.get("__check_init__")
+        if own is not None and any(isinstance(base, AnsweringMeta) for base in bases):
+            namespace = namespace | {"__check_init__": _after_fields(own)}
+        return ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
+
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return ModuleMeta.__call__(cls, *args, **kwargs)
+        except TypeError:
+            if inspect.isabstract(cls) or cls.__name__.startswith("Abstract"):
+                raise TypeError(
+                    f"{public_name(cls)} is what a family has in common and cannot be built; it "
+                    f"needs a class of its own{_members(cls)}."
+                ) from None
+            sentence = _misfit(cls, args, kwargs)
+            if sentence:
+                raise TypeError(sentence) from None
+            raise
+
+
+def _after_fields(own: Callable[[Any], None]) -> Callable[[Any], None]:
+    """A class's own check, which may take for granted that every field holds what it may."""
+
+    @functools.wraps(own)
+    def check(self: Any) -> None:
+        # Of the class: binding a method to a module costs more than the check.
+        type(self)._check_fields(self)
+        own(self)
+
+    return check
+
+
+def _members(family: type) -> str:
+    """Some final classes of a family, in words."""
+    found, left = [], list(family.__subclasses__())
+    while left:
+        kind = left.pop(0)
+        left += kind.__subclasses__()
+        if not kind.__name__.startswith("Abstract"):
+            found.append(public_name(kind))
+    return f", such as {found[0]}" if found else ""
+
+
+def answering(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, which answers wrong arguments with a sentence."""
+
+    @functools.wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except TypeError:
+            sentence = _misfit(function, args, kwargs)
+            if sentence:
+                raise TypeError(sentence) from None
+            raise
+
+    return called
+
+
+def refuse_misfit(called: Callable, args: tuple, kwargs: dict) -> None:
+    """Raises `TypeError` with a sentence where arguments do not fit a function or class."""
+    sentence = _misfit(called, args, kwargs)
+    if sentence:
+        raise TypeError(sentence)
+
+
+def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
+    """Why these arguments do not fit a function's signature; "" where they do."""
+    signature = inspect.signature(called)
+    try:
+        signature.bind(*args, **kwargs)
+    except TypeError:
+        pass
+    else:
+        return ""
+    name, parameters = public_name(called), signature.parameters
+    known = [p.name for p in parameters.values() if p.kind in KEYWORDS]
+    takes = f"{name} takes {listed(known)}" if known else f"{name} takes no arguments"
+    for given in kwargs:
+        if given not in known:
+            close = nearest(given, known)
+            hint = f' Did you mean "{close}"?' if close else ""
+            return f'{name} has no argument "{given}"; {takes}.{hint}'
+    ordered = [p.name for p in parameters.values() if p.kind in ORDERED]
+    if len(args) > len(ordered):
+        surplus = described(args[len(ordered)])
+        return f"{name} is given {surplus} without a name; give it as one of {listed(known)}."
+    twice = set(ordered[: len(args)]) & set(kwargs)
+    if twice:
+        return f"{name} is given {listed(sorted(twice))} twice, by place and by name; give it once."
+    needed = [p.name for p in parameters.values() if p.default is p.empty and p.kind in KEYWORDS]
+    missing = [one for one in needed if one not in {*ordered[: len(args)], *kwargs}]
+    return f"{name} needs {listed(missing)}; {takes}."
+
+
+def nothing_else(module: str, offered: list[str]) -> Callable[[str], NoReturn]:
+    """The `__getattr__` of a module: for any name beyond those offered, a sentence."""
+
+    def refuse(name: str) -> NoReturn:
+        path = f"{module} has no {name!r}"
+        if name.startswith("__"):
+            raise AttributeError(f"{path}.")
+        if importlib.util.find_spec(f"{module.partition('.')[0]}.{name}") is not None:
+            raise AttributeError(f"{path} yet: write `from {module} import {name}` first.")
+        close = nearest(name, offered)
+        hint = f" Did you mean {close}?" if close else ""
+        members = [one for one in offered if not one.startswith("Abstract")]
+        raise AttributeError(f"{path}; it offers {', '.join(members)}.{hint}")
+
+    return refuse

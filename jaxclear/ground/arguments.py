@@ -1,0 +1,64 @@
+"""What a function is given, checked by name before anything runs: a flag, a count, a number, a word
+of a few, a thing of a kind. What is being traced was checked before.
+
+Each raises `ValueError` with a sentence that says what was given and what would be right.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxclear.ground.kinds import finite_and_within, range_in_words
+from jaxclear.ground.quantity import as_number
+from jaxclear.ground.wording import described, unknown
+
+__all__ = ["check_count", "check_flags", "check_known", "check_number", "expect"]
+
+
+def expect(thing: Any, kind: Any, what: str, wanted: str) -> None:
+    """A thing of a kind."""
+    if not isinstance(thing, kind):
+        built = isinstance(thing, type) and isinstance(kind, type) and issubclass(thing, kind)
+        hint = f": build one, {thing.__name__}(...)" if built else ""
+        raise ValueError(f"{what} is {described(thing)}; it must be {wanted}{hint}.")
+
+
+def check_flags(owner: str, **flags: Any) -> None:
+    """Arguments of a function that are True or False."""
+    for name, value in flags.items():
+        if not isinstance(value, (bool, np.bool_)):
+            raise ValueError(f"{name} of {owner} is {described(value)}; it must be True or False.")
+
+
+def check_count(what: str, value: Any, at_least: int = 1) -> None:
+    """A whole number."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or value < at_least:
+        raise ValueError(
+            f"{what} is {described(value)}; it must be a whole number, at least {at_least}."
+        )
+
+
+def check_number(what: str, value: Any, unit: str = "", **bounds: float) -> None:
+    """One finite number [unit], within bounds named as those of `quantity` (above, at_least, below,
+    at_most)."""
+    unit = f" [{unit}]" if unit else ""
+    limits = range_in_words(bounds)
+    wanted = f"one finite number{unit}{', ' if limits else ''}{limits}"
+    try:
+        number = as_number(value)
+    except ValueError:
+        number = None
+    if isinstance(number, jax.core.Tracer):
+        return
+    if not isinstance(number, jax.Array) or not finite_and_within(float(number), bounds):
+        raise ValueError(f"{what} is {described(value)}; it must be {wanted}.")
+
+
+def check_known(what: str, name: Any, known: Iterable[str], where: str = "") -> None:
+    """A name among those that there are."""
+    known = list(known)
+    if not isinstance(name, str) or name not in known:
+        raise ValueError(unknown(what, name, known, where))

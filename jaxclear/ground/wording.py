@@ -1,0 +1,99 @@
+"""How a refusal is worded: what was given, what there is instead, and which name was probably
+meant.
+"""
+
+import difflib
+import sys
+from collections.abc import Iterable
+from types import ModuleType
+from typing import Any
+
+__all__ = ["described", "listed", "nearest", "offered_like", "public_name", "unknown"]
+
+# Longest text of a value in a sentence, and the most names that one lists.
+LONGEST, MOST_NAMES = 60, 16
+# Share of letters in common from which on a name counts as a slip of the pen (difflib's own).
+ALIKE = 0.6
+
+
+def described(value: Any) -> str:
+    """What was given, in a few words: a number as it is, of anything large its kind."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    if value is None or isinstance(value, (str, bytes, bool, int, float, complex)):
+        text = repr(value)
+    elif isinstance(value, (list, tuple, dict, set)):
+        kind = type(value).__name__
+        text = f"({', '.join(map(described, value))})" if isinstance(value, tuple) else repr(value)
+        if not value:
+            return f"an empty {kind}"
+        if isinstance(value, (dict, set)) or len(text) > LONGEST:
+            return f"a {kind} of {len(value)}"
+    elif isinstance(getattr(value, "shape", None), tuple):
+        if value.shape:
+            return f"an array of shape {value.shape}"
+        text = str(value)
+    elif callable(value) and getattr(value, "__name__", ""):
+        return f"the function {value.__name__}"
+    else:
+        kind = type(value).__name__
+        return f"{'an' if kind[0] in 'AEIOU' else 'a'} {kind}"
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+
+
+def listed(names: Iterable[Any]) -> str:
+    """Names in a row, in quotes; the first of many."""
+    names = list(names)
+    text = ", ".join(f'"{name}"' for name in names[:MOST_NAMES])
+    return f"{text} and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else text
+
+
+def nearest(name: Any, known: Iterable[Any]) -> str:
+    """The known name that is most like another, whatever its capitals; "" where none is."""
+    by_small = {str(one).lower(): str(one) for one in known}
+    found = difflib.get_close_matches(str(name).lower(), by_small, 1, ALIKE)
+    return by_small[found[0]] if found else ""
+
+
+def unknown(what: str, name: Any, known: Iterable[Any], where: str = "") -> str:
+    """A sentence for a name that there is not, with those that there are and the nearest; `where`:
+    in what, such as " in this mechanism"."""
+    known = list(known)
+    if not isinstance(name, str):
+        return (
+            f"a {what} is named by text, one of {listed(known) or 'none'}; not {described(name)}."
+        )
+    close = nearest(name, known)
+    hint = f' Did you mean "{close}"?' if close else ""
+    if not known:
+        return f'no {what} "{name}"{where}; there is none.'
+    verb = "is" if len(known) == 1 else "are"
+    return f'no {what} "{name}"{where}; there {verb} {listed(known)}.{hint}'
+
+
+def public_name(kind: Any) -> str:
+    """What a user types behind `jaxclear.` for a class or function, such as `contact.Hertz`; its
+    own name where it is not of this package.
+    """
+    return _offered(sys.modules[__name__.partition(".")[0]], kind) or kind.__qualname__
+
+
+def offered_like(name: str, path: str) -> str:
+    """What a user types for the thing most like `name` in the module of a public path."""
+    place: Any = sys.modules[__name__.partition(".")[0]]
+    for part in path.split(".")[:-1]:
+        place = getattr(place, part)
+    found = nearest(name, [n for n in place.__all__ if not n.startswith("Abstract")])
+    return f"{place.__name__.partition('.')[0]}.{path.rpartition('.')[0]}.{found}" if found else ""
+
+
+def _offered(place: ModuleType, kind: Any) -> str:
+    """The path to a thing by the names that modules offer; "" where there is none."""
+    for name in getattr(place, "__all__", ()):
+        thing = getattr(place, name, None)
+        if thing is kind:
+            return name
+        inner = _offered(thing, kind) if isinstance(thing, ModuleType) else ""
+        if inner:
+            return f"{name}.{inner}"
+    return ""
