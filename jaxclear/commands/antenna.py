@@ -16,6 +16,7 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands import antenna_figures as draw
 from jaxclear.commands.arguments import add_out, at_least
+from jaxclear.commands.reported import report_warnings
 from jaxclear.scenes.antenna import BASE, BEARING_RADIUS, HOLD, JOINTS, KINDS, TIP, antenna
 
 __all__ = ["HELP", "declare", "friction_runs", "friction_table", "motion_table", "run", "study"]
@@ -105,6 +106,7 @@ def study(folder: Path, duration: float = 4.0) -> None:
     periodic = {kind: _simulate(kind, "periodic", duration) for kind in reversed(KINDS)}
     print("step drive: Coulomb's law and two regularised ones", flush=True)
     stepped = friction_runs(HOLD)
+    report_warnings(periodic | stepped)
     found = {
         "periodic": jc.pointing_error(periodic["spatial"], TIP, BASE),
         "step": jc.pointing_error(stepped[COULOMB], TIP, BASE),

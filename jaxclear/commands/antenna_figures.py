@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
+from jaxclear.plot.canvas import captioned, warned
 from jaxclear.results.pointing_error import PointingError, shift, turn
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP
@@ -46,7 +47,7 @@ def motion(runs: Mapping[str, Trajectory]) -> Figure:
     for row, label in enumerate(("angle [rad]", "speed [rad/s]", "off the ideal angle [rad]")):
         axes[row][0].set_ylabel(label)
     figure.legend(*axes[0][0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
-    return figure
+    return warned(figure, runs)
 
 
 def stick_slip(
@@ -84,7 +85,7 @@ def stick_slip(
     axes[0][1].set_title("close up")
     lines = axes[0][0].get_legend_handles_labels()
     figure.legend(*lines, ncols=len(runs), fontsize=9, loc="outside lower center")
-    return figure
+    return warned(figure, runs)
 
 
 def _shade(axis, time, held):
@@ -127,7 +128,8 @@ def errors(found: Mapping[str, PointingError]) -> Figure:
         axes[0][column].set_title(f"{drive} drive")
         axes[1][column].set_xlabel("time [s]")
     figure.legend(*axes[0][0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
-    return figure
+    said = [f"Warning ({drive}): {w}" for drive, error in found.items() for w in error.warnings]
+    return captioned(figure, said)
 
 
 def tip_paths(run: Trajectory, error: PointingError) -> tuple[np.ndarray, np.ndarray]:
@@ -175,4 +177,4 @@ def tip_path(run: Trajectory, error: PointingError, nominal: Trajectory, scale: 
     axis.legend(loc="upper left", fontsize=9)
     largest = MILLI * np.linalg.norm(actual - ideal, axis=1).max()
     axis.set_title(f"Path of the tip seen from the satellite (largest departure {largest:.2f} mm)")
-    return figure
+    return warned(figure, {"": run, "ideal": nominal})

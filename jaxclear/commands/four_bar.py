@@ -15,6 +15,7 @@ import pandas
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.arguments import add_out, add_quiet, at_least
+from jaxclear.commands.reported import report_samples, report_warnings
 from jaxclear.scenes.four_bar import CLEARANCES, four_bar
 
 __all__ = ["HELP", "declare", "paper_runs", "problem", "run", "run_table", "study"]
@@ -59,12 +60,14 @@ def paper_runs(duration: float, saves: int, show: bool) -> dict[float, Any]:
         print(f"clearance {1e3 * clearance:.2f} mm ({kind} joint)", flush=True)
         rig = four_bar(kind, clearance or LARGEST)
         runs[clearance] = jc.simulate(rig, duration, save=saves, progress_bar=show)
+        report_warnings({f"clearance {1e3 * clearance:.2f} mm": runs[clearance]})
     return runs
 
 
 def problem(duration: float, saves: int, clearance: float = LARGEST) -> jc.Problem:
     """Peak worn depth and follower error over clearance and link lengths."""
     ideal = jc.simulate(four_bar("ideal"), duration, save=saves)
+    report_warnings({"the ideal mechanism": ideal})
     reference = ideal.body("follower").com
     length = {
         "crank length": lambda rig: rig.connections["A"].parent.at[0],
@@ -167,8 +170,7 @@ def _monte_carlo(question: jc.Problem, samples: int, folder: Path, show: bool) -
     sample.table().to_csv(folder / "monte_carlo.csv", index=False)
     sample.summary().to_csv(folder / "monte_carlo_summary.csv", index=False)
     _show(sample.summary())
-    for index, sentence in sample.failures().items():
-        print(f"sample {index} failed. {sentence}")
+    report_samples(sample)
     return sample
 
 

@@ -15,6 +15,7 @@ import pandas
 import jaxclear as jc
 from jaxclear.commands import guide_figures as draw
 from jaxclear.commands.arguments import add_out, add_quiet, positive
+from jaxclear.commands.reported import report_warnings
 from jaxclear.scenes.guide import CRANK_SPEED, guide
 
 __all__ = ["HELP", "declare", "impacts", "run", "study"]
@@ -76,6 +77,7 @@ def study(folder: Path, clearance: float = SMALL_CLEARANCE, show: bool = True) -
         integrator=jc.integrator.Adaptive(rtol=RTOL),
         progress_bar=show,
     )
+    report_warnings({"permanent contact": touching, "small clearance": compliant})
     switchings = touching.switchings("P")
     instants = np.asarray(switchings["time [s]"])
     tables = {"switchings": switchings, "impacts": impacts(compliant, instants)}

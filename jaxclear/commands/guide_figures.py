@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from jaxclear.components.clearance import SITUATIONS
+from jaxclear.plot.canvas import warned
 from jaxclear.scenes.guide import CRANK_SPEED
 
 __all__ = ["corner_forces", "reactions", "switching_window"]
@@ -63,7 +64,7 @@ def corner_forces(run: Any, instants: np.ndarray) -> Figure:
     upper = total[:, 0] < 0
     _strip(axes[2], angle, np.where((codes == LINE) & upper, LINE + 1, codes))
     axes[0].set_title("Slider in its guide: which corners carry")
-    return figure
+    return warned(figure, {"": run})
 
 
 def _strip(axis: Any, edges: np.ndarray, codes: np.ndarray) -> None:
@@ -105,7 +106,7 @@ def switching_window(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
     axes[0, 0].set_ylabel("corner force, permanent contact [N]")
     axes[1, 0].set_ylabel(f"corner force, gap of {gap:g} µm [N]")
     axes[0, 0].legend(fontsize=8)
-    return figure
+    return warned(figure, {"permanent contact": run, "small clearance": compliant})
 
 
 def reactions(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
@@ -135,4 +136,4 @@ def reactions(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
     axes[0].legend(fontsize=8, loc="upper right")
     axes[2].legend(fontsize=8, loc="upper right")
     axes[0].set_title("Reactions of the crank's joints over one turn")
-    return figure
+    return warned(figure, {"permanent contact": run, "small clearance": compliant})

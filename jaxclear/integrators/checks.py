@@ -130,6 +130,14 @@ class Checks(eqx.Module):
         """The figures of one sample of many."""
         return jax.tree.map(lambda array: array[index], self)
 
+    def attributes(self) -> dict[str, str]:
+        """Each figure of one run beside its limit, by name, as text that goes with saved data."""
+        return {
+            f"check_{check.label.replace(' ', '_')}": f"{worst:.6g} (limit {check.limit:g})"
+            + (f", joint {place}" if place else "")
+            for check, worst, place, _ in self.rows()
+        }
+
     def rows(self) -> list[tuple[Check, float, str, float]]:
         """(check, worst figure, its place, when [s]) of each figure of one run."""
         out = []

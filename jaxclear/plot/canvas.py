@@ -1,7 +1,9 @@
 """What the figures share: an empty canvas, shades of one colour, readable units, a joint's setting
-for a title.
+for a title, the warnings of the runs shown for a caption.
 """
 
+import textwrap
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -10,9 +12,12 @@ from matplotlib.figure import Figure
 
 from jaxclear.results.trajectory import Trajectory
 
-__all__ = ["MICRO", "MILLI", "canvas", "readable", "setting", "shades"]
+__all__ = ["MICRO", "MILLI", "canvas", "captioned", "readable", "setting", "shades", "warned"]
 
 MILLI, MICRO = 1e3, 1e6
+# A caption holds so many sentences, in letters of this size [pt]; so many of them fill an inch, and
+# a line is so high [inch].
+MOST_SENTENCES, LETTERS, PER_INCH, LINE = 3, 7, 18, 0.13
 
 
 def canvas(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.5), **kwargs: Any):
@@ -30,6 +35,39 @@ def setting(run: Trajectory, joint: str) -> str:
     """The joint's clearance and the duration of the run, for a title."""
     clearance = float(run.mechanism.connections[joint].joint.clearance)
     return f" (clearance {MILLI * clearance:g} mm, {float(run.time[-1]):g} s)"
+
+
+def captioned(figure: Figure, sentences: Sequence[str]) -> Figure:
+    """The figure, made higher by the sentences below it; as it is without any."""
+    if not sentences:
+        return figure
+    said = list(sentences[:MOST_SENTENCES])
+    if len(sentences) > MOST_SENTENCES:
+        said.append(f"And {len(sentences) - MOST_SENTENCES} more.")
+    width = int(PER_INCH * figure.get_figwidth())
+    text = "\n".join(textwrap.fill(sentence, width) for sentence in said)
+    below = LINE * (text.count("\n") + 2)
+    whole = figure.get_figheight() + below
+    figure.set_figheight(whole)
+    # The layout would set a legend outside the axes and a label of the figure upon each other.
+    for legend in figure.legends:
+        legend.set_bbox_to_anchor((0.0, below / whole, 1.0, 1.0), figure.transFigure)
+        below += legend.get_window_extent().height / figure.dpi + LINE
+    room = (0.0, below / whole, 1.0, 1.0 - below / whole)
+    figure.set_layout_engine("constrained", rect=room)
+    figure.text(0.01, 0.5 * LINE / whole, text, fontsize=LETTERS, color="C3", va="bottom")
+    return figure
+
+
+def warned(figure: Figure, runs: Mapping[str, Trajectory]) -> Figure:
+    """The figure with what the runs it shows warn of below it; `runs` by what they are called
+    ("" where there is one)."""
+    sentences = [
+        f"Warning{f' ({name})' if name else ''}: {sentence}"
+        for name, run in runs.items()
+        for sentence in run.warnings
+    ]
+    return captioned(figure, sentences)
 
 
 def readable(values: np.ndarray, unit: str) -> tuple[float, str]:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxclear.plot.canvas import MICRO, MILLI, canvas, setting, shades
+from jaxclear.plot.canvas import MICRO, MILLI, canvas, setting, shades, warned
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["angular_velocity", "displacement", "end_centres", "journal_ends"]
@@ -44,7 +44,7 @@ def displacement(runs: Mapping[str, Trajectory], ideal: Trajectory, body: str) -
         loc="outside lower center",
     )
     axes[0].set_title(f"Centre of mass of the {body}")
-    return figure
+    return warned(figure, {**runs, "ideal": ideal})
 
 
 def angular_velocity(
@@ -62,7 +62,7 @@ def angular_velocity(
     axes[1].axhline(0.0, color="k", lw=0.6)
     axes[1].set_ylabel("difference from ideal [rad/s]")
     axes[1].set_xlabel("time [s]")
-    return figure
+    return warned(figure, {label: run, "ideal": ideal})
 
 
 def journal_ends(run: Trajectory, joint: str) -> Figure:
@@ -101,7 +101,7 @@ def journal_ends(run: Trajectory, joint: str) -> Figure:
     axes[0].set_ylabel("y in the bearing [µm]")
     figure.suptitle(f"Ends of the journal of {joint}{setting(run, joint)}")
     axes[1].legend(loc="upper right", fontsize=8)
-    return figure
+    return warned(figure, {"": run})
 
 
 def end_centres(run: Trajectory, joint: str) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxclear.plot.canvas import canvas, readable
+from jaxclear.plot.canvas import canvas, captioned, readable
 from jaxclear.results.pointing_error import PointingError, shift, turn
 
 __all__ = ["pointing_budget"]
@@ -50,4 +50,4 @@ def pointing_budget(error: PointingError) -> Figure:
         *axes[0][0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=5
     )
     figure.suptitle(f'Error of the tip on "{error.tip}" seen from "{error.base}"')
-    return figure
+    return captioned(figure, [f"Warning: {sentence}" for sentence in error.warnings])

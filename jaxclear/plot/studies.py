@@ -1,12 +1,13 @@
 """Figures of studies: spread of responses, derivatives with errors, work against precision."""
 
+import textwrap
 from typing import Any
 
 import matplotlib.ticker
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxclear.plot.canvas import canvas, readable
+from jaxclear.plot.canvas import canvas, captioned, readable
 from jaxclear.studies.advice.advice import Advice
 from jaxclear.studies.advice.curve import PRESENT, REFERENCE
 from jaxclear.studies.advice.pilot import describe
@@ -19,6 +20,8 @@ __all__ = ["monte_carlo", "sensitivity", "work_precision"]
 BESIDE = (REFERENCE, PRESENT)
 # An error of ten times the response is drawn no higher.
 LARGEST_ERROR = 10.0
+# Letters in a line of a verdict above an axis.
+VERDICT_WIDTH = 70
 
 
 def monte_carlo(study: MonteCarlo) -> Figure:
@@ -38,8 +41,24 @@ def monte_carlo(study: MonteCarlo) -> Figure:
     figure.legend(
         *axes[0][0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=2
     )
-    figure.suptitle(f"Monte Carlo, {len(study.values)} samples, {len(study.failed)} failed")
-    return figure
+    figure.suptitle(f"Monte Carlo, {study.count} samples, {len(study.failed)} failed")
+    return captioned(figure, _warned_samples(study))
+
+
+def _warned_samples(study: MonteCarlo) -> list[str]:
+    """How many samples warn, and what the means are without them."""
+    if not len(study.warned):
+        return []
+    rows = study.summary().to_dict("records")
+    return [
+        study.sentence(),
+        *(
+            f"{row['response']}: {row['warned']} in doubt; the mean is {row['mean']:.4g} with "
+            f"them, {row['mean without warned']:.4g} without [{row['unit']}]."
+            for row in rows
+            if row["warned"]
+        ),
+    ]
 
 
 def sensitivity(study: Sensitivity) -> Figure:
@@ -72,7 +91,7 @@ def sensitivity(study: Sensitivity) -> Figure:
         axis.axvline(0.0, color="0.7", lw=0.8)
         axis.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
         axis.set_xlabel(f"d({response}) / d({variable}) [{study.unit(response, variable)}]")
-        axis.set_title(derivative.verdict, fontsize=8, wrap=True)
+        axis.set_title(textwrap.fill(derivative.verdict, VERDICT_WIDTH), fontsize=8)
     return figure
 
 
@@ -111,4 +130,4 @@ def work_precision(advice: Advice) -> Figure:
     axis.set_title(f"Recommended, {cheapest}: {describe(advice.recommended)}", fontsize=10)
     lines = axis.get_legend_handles_labels()
     figure.legend(*lines, fontsize=8, loc="outside lower center", ncols=3)
-    return figure
+    return captioned(figure, advice.warnings())

@@ -5,7 +5,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxclear.components.wear_map import CylinderMap
-from jaxclear.plot.canvas import MICRO, MILLI, canvas, setting
+from jaxclear.plot.canvas import MICRO, MILLI, canvas, setting, warned
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["wear_surface", "wear_unrolled"]
@@ -40,7 +40,7 @@ def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing") -> Figu
         color="C1",
     )
     axes[1].set_xlabel("deepest in row [µm]")
-    return figure
+    return warned(figure, {"": run})
 
 
 def _stretched(values):
@@ -82,4 +82,4 @@ def wear_surface(
     axis.set_box_aspect((1, 1, 1.2))
     deepest = np.degrees(float(wear_map.angles()[int(depth.max(axis=1).argmax())]))
     axis.view_init(elev=22.0, azim=deepest + 25.0)
-    return figure
+    return warned(figure, {"": run})

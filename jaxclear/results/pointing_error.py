@@ -34,8 +34,8 @@ class PointingError(eqx.Module):
     `exact` is the logarithm of the displacement from the nominal to the actual tip, `model` its
     first order, the sum of `contributions` by joint (and "motion" against another run).
     `pointing_angle` [rad] lies between the z axes of the two tips, `position_error` [m] between
-    their origins. `budget()` shares the error out among the joints, `sentence()` says it in words,
-    `jaxclear.plot.pointing_budget` draws it.
+    their origins; `warnings` are those of the run. `budget()` shares the error out among the
+    joints, `sentence()` says it in words, `jaxclear.plot.pointing_budget` draws it.
     """
 
     time: np.ndarray
@@ -48,6 +48,7 @@ class PointingError(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     tip: str = eqx.field(static=True)
     base: str = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def budget(self) -> Any:
         """What each joint contributes, as a pandas table with the model's and the exact error as
@@ -107,7 +108,7 @@ class PointingError(eqx.Module):
                 )
         return (
             f"{text} The adjoint error model is within {100 * self.model_error:.2g} % of the "
-            "largest exact error."
+            f"largest exact error.{''.join(f' {warning}' for warning in self.warnings)}"
         )
 
     def __str__(self) -> str:
@@ -186,6 +187,7 @@ def pointing_error(
         tuple(contributions),
         checked_tip(tip).body,
         base,
+        trajectory.warnings + (() if nominal is None else nominal.warnings),
     )
 
 

@@ -197,5 +197,7 @@ class Trajectory(eqx.Module):
 
     def to_dataset(self) -> Any:
         """Everything as an xarray Dataset with units."""
-        attributes = {"result": self.result, "accepted_steps": int(self.accepted_steps)}
+        said = {"result": self.result, "warnings": " ".join(self.warnings)}
+        attributes = {**said, "accepted_steps": int(self.accepted_steps)}
+        attributes.update(self.checks.attributes())
         return dataset.to_dataset(self.history, self.worn, attributes)

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear import plot
+from jaxclear.commands.reported import report_samples
 from jaxclear.integrators import Check
 from jaxclear.results.response import concerned
 from jaxclear.studies.sensitivity.derivative import Estimate, confirmed
@@ -124,3 +126,13 @@ def test_kinds_are_told_most_frequent_first(study):
     assert concern(study.problem, "slider", study.checks, ~among | among)[0] == pytest.approx(
         len(study.warned) / 64
     )
+
+
+def test_they_are_told_in_print_and_below_the_histogram(study, capsys):
+    report_samples(study)
+    first, *told, last = capsys.readouterr().out.splitlines()
+    assert first == study.sentence()
+    assert told[0].startswith(f"sample {study.warned[0]} warns. The loop closed by")
+    assert last == f"and {len(study.warned) - 5} more, in the table."
+    caption = " ".join(text.get_text() for text in plot.monte_carlo(study).texts)
+    assert study.sentence() in caption and "in doubt; the mean is" in caption

@@ -69,6 +69,10 @@ class Advice(eqx.Module):
         parts = [*_recommended(found), *_doubts(found), *_warnings(found), *_if_means_count(found)]
         return " ".join([*parts, _present(found), _pilot(found)])
 
+    def warnings(self) -> list[str]:
+        """What the runs of the recommended setting and of the reference warn of, in sentences."""
+        return list(_warnings(self.comparison))
+
     def why_not(self) -> dict[str, str]:
         """Why each other method is not the one recommended, in a sentence."""
         found, reasons = self.comparison, {}
