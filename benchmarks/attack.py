@@ -16,133 +16,49 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
-import numpy as np
 
-import jaxclear as jc
-from benchmarks.attacks import answers, rungs, verdicts
+from benchmarks.attacks import rungs
 from benchmarks.attacks.answers import RESPONSES
-from benchmarks.attacks.bearings import Case
+from benchmarks.attacks.attempts import Asked, Finding, attempt, find, judges
 from benchmarks.attacks.numbers import Draw
 from benchmarks.attacks.structures import DRAWS, NUMBERS, Structure, structures
 from benchmarks.attacks.verdicts import Verdict
 from benchmarks.measure import report
+from jaxclear.studies.advice.pilot import describe
 
 # Saving times of every run.
 SAVES = 201
-# By how much the numbers of a mechanism are never known: answers that this changes beyond the
-# accuracy are no run's to give.
-NUDGE = 1e-5
 QUICK_EVERY, QUICK_DRAWS = 6, 3
-
-
-class Attempt(NamedTuple):
-    """What came of a run: its answers, or the sentence it ended with; `raw`: no sentence but a
-    traceback; `warned`: the responses that its warnings concern, `sentences` the warnings."""
-
-    answers: Any
-    ended: str
-    raw: bool = False
-    warned: frozenset[str] = frozenset()
-    sentences: tuple[str, ...] = ()
-
-
-def attempt(case: Case, integrator: Any, balance: bool) -> Attempt:
-    """Run a case as a user would."""
-    try:
-        run = jc.simulate(
-            case.mechanism,
-            case.duration,
-            integrator=integrator,
-            save=SAVES,
-            start_concentric=case.concentric,
-            balance=balance,
-            throw=False,
-        )
-        if not run.succeeded:
-            return Attempt(None, run.result)
-        wears = answers.surfaces(run.mechanism)
-        found = jax.tree.map(np.asarray, answers.read(run, balance, wears))
-        return Attempt(found, "", False, verdicts.concerned(run), run.warnings)
-    except ValueError as error:
-        return Attempt(None, str(error))
-    except Exception as error:
-        return Attempt(None, f"{type(error).__name__}: {error}", True)
+# What a run may not be.
+BAD = (Verdict.WRONG, Verdict.UNSAID, Verdict.RAW)
 
 
 class Row(NamedTuple):
-    """One run of one case: errors and verdicts by response, its own verdict, what it said."""
+    """One run of one case: what was found, and CPU seconds."""
 
     case: int
     mechanism: str
     rung: str
     integrator: str
-    verdict: Verdict
-    verdicts: dict[str, Verdict]
-    errors: dict[str, float]
-    doubt: dict[str, float]
-    said: tuple[str, ...]
+    found: Finding
     seconds: float
 
-
-def row_of(
-    structure: Structure, draw: int, rung: str, integrator: Any, run: Attempt, known: tuple
-) -> Row:
-    """The verdict on a run beside its references."""
-    tight, *others = known
-    errors: dict[str, float] = {}
-    doubt: dict[str, float] = {}
-    found: dict[str, Verdict] = {}
-    said = tuple(s for s in (run.ended, *run.sentences) if s)
-    if run.raw:
-        verdict = Verdict.RAW
-    elif run.answers is None:
-        verdict = Verdict.REFUSED
-    elif any(one.answers is None for one in known):
-        verdict = Verdict.NO_REFERENCE
-        said += tuple(f"reference: {a.ended}" for a in known if a.ended)
-    else:
-        errors = answers.apart(run.answers, tight.answers)
-        apart = [answers.apart(other.answers, tight.answers) for other in others]
-        doubt = {name: max(one[name] for one in apart) for name in errors}
-        kind = rungs.RUNGS[rung].kind
-        found = verdicts.judged(errors, doubt, kind, run.warned)
-        verdict = verdicts.worst(found.values())
-    number = structure.number * DRAWS + draw
-    name = "default" if integrator is None else jc.studies.advice.pilot.describe(integrator)
-    return Row(number, structure.name, rung, name, verdict, found, errors, doubt, said, 0.0)
-
-
-def judges(case: Case, model: str, step: float | None, balance: bool) -> tuple[Attempt, ...]:
-    """The references: the tight one, the looser one, and that of slightly other numbers."""
-    loose, tight = rungs.references(model, step)
-    rig = case.reference or case.mechanism
-    near = nudged(rig)
-    return tuple(
-        attempt(case._replace(mechanism=one), integrator, balance)
-        for one, integrator in ((rig, tight), (rig, loose), (near, loose))
-    )
-
-
-def nudged(rig: jc.Mechanism) -> jc.Mechanism:
-    """The mechanism with every number off by `NUDGE`, up or down at random."""
-    signs = np.random.default_rng(0)
-    return jax.tree.map(
-        lambda leaf: (
-            leaf * (1 + NUDGE * signs.choice([-1.0, 1.0])) if eqx.is_inexact_array(leaf) else leaf
-        ),
-        rig,
-    )
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on the run."""
+        return self.found.verdict
 
 
 def attack(structure: Structure, draw: int) -> list[Row]:
     """All runs of one case."""
+    number = structure.number * DRAWS + draw
     try:
         case = structure.case(draw)
     except ValueError as error:
-        print(f"case {structure.number * DRAWS + draw} was refused: {error}", flush=True)
+        print(f"case {number} was refused: {error}", flush=True)
         return []
+    asked = Asked(SAVES, structure.balance)
     known: dict[Any, tuple] = {}
     rows = []
     for place, name in enumerate(structure.rungs):
@@ -150,12 +66,13 @@ def attack(structure: Structure, draw: int) -> list[Row]:
         integrator = rung.make(Draw(NUMBERS, structure.number, draw, place, plain=draw == 0))
         step = None if rung.model == "compliant" else float(integrator.step)
         begun = time.process_time()
-        run = attempt(case, integrator, structure.balance)
+        run = attempt(case, integrator, asked)
         spent = time.process_time() - begun
         if rung.model not in known:
-            known[rung.model] = judges(case, rung.model, step, structure.balance)
-        row = row_of(structure, draw, name, integrator, run, known[rung.model])
-        rows.append(row._replace(seconds=spent))
+            known[rung.model] = judges(case, rung.model, step, asked)
+        found = find(run, known[rung.model], rung.kind)
+        words = "default" if integrator is None else describe(integrator)
+        rows.append(Row(number, structure.name, name, words, found, spent))
     return rows
 
 
@@ -166,7 +83,7 @@ def summary(rows: list[Row]) -> list[dict[str, Any]]:
         own = [row for row in rows if rung in (row.rung, "all")]
         counts = Counter(row.verdict for row in own)
         right = [row for row in own if row.verdict == Verdict.RIGHT]
-        warned = sum(bool(row.said) for row in right)
+        warned = sum(bool(row.found.said) for row in right)
         table.append(
             {"rung": rung, "runs": len(own)}
             | {str(verdict): counts[verdict] for verdict in Verdict}
@@ -180,7 +97,7 @@ def by_response(rows: list[Row]) -> list[dict[str, Any]]:
     return [
         {"response": name}
         | {
-            str(verdict): sum(row.verdicts.get(name) == verdict for row in rows)
+            str(verdict): sum(row.found.verdicts.get(name) == verdict for row in rows)
             for verdict in Verdict
         }
         for name in RESPONSES
@@ -189,26 +106,26 @@ def by_response(rows: list[Row]) -> list[dict[str, Any]]:
 
 def accused(rows: list[Row]) -> list[dict[str, Any]]:
     """The runs whose numbers are wrong without a sentence, and those that broke."""
-    bad = (Verdict.WRONG, Verdict.UNSAID, Verdict.RAW)
-    table = []
-    for row in rows:
-        if row.verdict in bad:
-            off = [
-                f"{name} {row.errors[name]:.2g}"
-                + (f" (+-{row.doubt[name]:.1g})" if name != "drift" else "")
-                for name, verdict in row.verdicts.items()
-                if verdict in bad
-            ]
-            table.append(
-                {
-                    "case": row.case,
-                    "mechanism": row.mechanism,
-                    "integrator": row.integrator,
-                    "verdict": str(row.verdict),
-                    "off by": ", ".join(off) or " ".join(row.said)[:100],
-                }
-            )
-    return table
+    return [
+        {
+            "case": row.case,
+            "mechanism": row.mechanism,
+            "integrator": row.integrator,
+            "verdict": str(row.verdict),
+            "off by": _off(row.found) or " ".join(row.found.said)[:100],
+        }
+        for row in rows
+        if row.verdict in BAD
+    ]
+
+
+def _off(found: Finding) -> str:
+    return ", ".join(
+        f"{name} {found.errors[name]:.2g}"
+        + (f" (+-{found.doubts[name]:.1g})" if name != "drift" else "")
+        for name, verdict in found.verdicts.items()
+        if verdict in BAD
+    )
 
 
 def explain(number: int) -> None:
@@ -219,12 +136,13 @@ def explain(number: int) -> None:
     print(case.mechanism.parameters().to_string())
     for row in attack(structure, number % DRAWS):
         print(f"\n{row.rung}, {row.integrator}: {row.verdict} ({row.seconds:.2g} s CPU)")
-        for name in row.verdicts:
+        found = row.found
+        for name in found.verdicts:
             print(
-                f"  {name:14s} {row.verdicts[name]:22s} error {row.errors[name]:9.2e}"
-                f"  references apart {row.doubt[name]:9.2e}"
+                f"  {name:14s} {found.verdicts[name]:22s} error {found.errors[name]:9.2e}"
+                f"  references apart {found.doubts[name]:9.2e}"
             )
-        for sentence in row.said:
+        for sentence in found.said:
             print("  said:", sentence)
 
 

@@ -122,11 +122,12 @@ def _across(offset: Any, rig: jc.Mechanism, name: str) -> Any:
 
 def apart(one: Answers, other: Answers) -> dict[str, float]:
     """Largest difference in each response, as a share of `other`'s; nan where there is none."""
-    travelled = np.max(np.abs(other.place - other.place[:, :1]))
+    ways = [run.place - run.place[:, :1] for run in (one, other)]
+    travelled = np.max(np.abs(ways[1]))
     travelled = max(travelled, GAPS * np.max(other.clearance, initial=0.0))
     scale = max(SMALL_ENERGY * float(other.turnover), 1e-15)
     found = {
-        "place": _share(one.place, other.place, travelled),
+        "place": _share(*ways, travelled),
         "mean force": _share(one.mean_force, other.mean_force, np.max(other.mean_force) + NO_FORCE),
         "peak force": _share(one.peak_force, other.peak_force, np.max(other.peak_force) + NO_FORCE),
         "drift": float(one.drift / one.arm) if one.drift > 0 else np.nan,

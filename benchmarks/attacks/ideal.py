@@ -38,12 +38,12 @@ def _chain(n: Draw, stiffness: float | None, damping: float | None) -> Case:
 
 def damped_chain(n: Draw, laws: Laws) -> Case:
     """Dampers from soft to far stiffer than any step."""
-    return _chain(n, None, n.log(1.0, 1e5, 1e2))
+    return _chain(n, None, n.log(1.0, 1e4, 1e2))
 
 
 def sprung_chain(n: Draw, laws: Laws) -> Case:
     """Springs from soft to stiff."""
-    return _chain(n, n.log(1.0, 1e6, 1e2), n.log(1e-2, 10.0, 0.1))
+    return _chain(n, n.log(1.0, 1e5, 1e2), n.log(1e-2, 10.0, 0.1))
 
 
 def bob_on_spring(n: Draw, laws: Laws) -> Case:

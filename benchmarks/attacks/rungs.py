@@ -30,7 +30,6 @@ RUNGS: dict[str, Rung] = {
     "default of studies": Rung(lambda n: default_of_studies(), "default of studies"),
     "Adaptive, tight": Rung(lambda n: _adaptive(n.log(1e-9, 1e-7, 1e-8)), "Adaptive"),
     "Adaptive, loose": Rung(lambda n: _adaptive(n.log(1e-6, 1e-4, 1e-5)), "Adaptive, loose"),
-    "Adaptive, captured": Rung(lambda n: I.Adaptive(capture_impacts=True), "Adaptive"),
     "FixedStep": Rung(lambda n: I.FixedStep(n.log(1e-6, 1e-4, 2e-5)), "FixedStep rk4"),
     "FixedStep semi_implicit": Rung(
         lambda n: I.FixedStep(n.log(1e-6, 1e-4, 1e-5), "semi_implicit"), "FixedStep order 1"
@@ -38,9 +37,6 @@ RUNGS: dict[str, Rung] = {
     "FixedStep heun": Rung(lambda n: I.FixedStep(n.log(1e-6, 1e-4, 1e-5), "heun"), "FixedStep rk4"),
     "FixedStep, contact_steps": Rung(
         lambda n: I.FixedStep(n.log(1e-5, 1e-3, 1e-4), contact_steps=20), "FixedStep rk4"
-    ),
-    "FixedStep, captured": Rung(
-        lambda n: I.FixedStep(n.log(1e-6, 1e-4, 2e-5), capture_impacts=True), "FixedStep rk4"
     ),
     "FixedStep munthe_kaas4": Rung(
         lambda n: I.FixedStep(n.log(1e-6, 1e-4, 2e-5), "munthe_kaas4"), "FixedStep rk4"
@@ -51,6 +47,8 @@ RUNGS: dict[str, Rung] = {
         lambda n: I.NonColliding(n.log(1e-4, 1e-2, 1e-3)), "NonColliding", "permanent"
     ),
 }
+# Steps [s] of references.
+SHORTEST = 5e-7
 # Every mechanism is run on these, and on some of the others in turn.
 ALWAYS = ("default", "default of studies", "Adaptive, loose", "ImplicitStep")
 TAKING_TURNS = tuple(name for name in RUNGS if name not in ALWAYS)
@@ -74,4 +72,5 @@ def references(model: str, step: float | None) -> tuple[Any, Any]:
     if model == "compliant":
         return _adaptive(1e-9), _adaptive(1e-10)
     kind = {"rigid": I.MoreauJean, "permanent": I.NonColliding}[model]
-    return kind(step / 16), kind(step / 32)
+    # No shorter than what ends in a minute: a run of still shorter steps is compared with these.
+    return kind(max(step / 16, 2 * SHORTEST)), kind(max(step / 32, SHORTEST))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.attacks.answers import RESPONSES
+from jaxclear.results.response import REACHES
 
 
 def _accuracy(
@@ -34,6 +35,8 @@ ACCURACY: dict[str, dict[str, float | None]] = {
 }
 # Share of the accuracy by which two references may differ where they decide.
 DECISIVE = 1 / 3
+# An error of this many times the doubt is an error all the same.
+FAR = 3.0
 
 
 class Verdict(StrEnum):
@@ -51,35 +54,47 @@ class Verdict(StrEnum):
 
 # What a run's word turns a verdict into.
 SAID = {Verdict.WRONG: Verdict.SAID, Verdict.UNSAID: Verdict.UNDECIDABLE}
-# What a check's `concerns` means for the responses here.
-FORCES = ("mean force", "peak force", "friction loss", "worn volume", "worn depth")
-CONCERNS: dict[str, tuple[str, ...]] = {
-    "motion": RESPONSES,
-    "forces": FORCES,
-    "peak forces": ("peak force",),
-    "wear": ("friction loss", "worn volume", "worn depth"),
-}
+# What of a run each response is drawn from, as `jaxclear.response` says it.
+DRAWN_FROM: dict[str, str] = dict(
+    zip(
+        RESPONSES,
+        ("motion", "motion", "forces", "peak forces", "wear", "wear", "wear", "motion"),
+        strict=True,
+    )
+)
 
 
 def judged(
-    errors: dict[str, float], doubt: dict[str, float], kind: str, warned: frozenset[str]
+    errors: dict[str, float],
+    doubts: dict[str, float],
+    spread: dict[str, float],
+    kind: str,
+    warned: frozenset[str],
 ) -> dict[str, Verdict]:
-    """Verdict on each response: its error beside the doubt about the reference; `warned` are the
-    responses that the run's warnings concern.
+    """Verdict on each response by its error; `doubts`: how far the two references are apart;
+    `spread`: how far an answer moves with numbers in the fifth digit, which excuses an error but
+    does not make a right answer doubtful; `warned`: the responses that the run's warnings concern.
     """
     found: dict[str, Verdict] = {}
     for name, error in errors.items():
         limit = ACCURACY[kind][name]
-        if limit is None or (np.isnan(error) and np.isnan(doubt[name])):
+        if limit is None or (np.isnan(error) and np.isnan(doubts[name])):
             continue
-        unsure = 0.0 if name == "drift" else doubt[name]
-        if unsure <= DECISIVE * limit:
-            verdict = Verdict.RIGHT if error <= limit + unsure else Verdict.WRONG
-        else:
-            # A reference that is sure to a tenth still tells an error of ten times.
-            verdict = Verdict.UNSAID if error <= limit + 3 * unsure else Verdict.WRONG
+        # Drift is measured on the run itself.
+        doubt, moved = (0.0, 0.0) if name == "drift" else (doubts[name], spread[name])
+        verdict = _alone(error, limit, doubt, moved)
         found[name] = SAID.get(verdict, verdict) if name in warned else verdict
     return found
+
+
+def _alone(error: float, limit: float, doubt: float, moved: float) -> Verdict:
+    if doubt <= DECISIVE * limit and error <= limit + doubt:
+        return Verdict.RIGHT
+    unsure = max(doubt, moved)
+    # A reference that is sure to a tenth still tells an error of ten times.
+    if unsure > DECISIVE * limit and error <= limit + FAR * unsure:
+        return Verdict.UNSAID
+    return Verdict.WRONG
 
 
 def worst(verdicts: Any) -> Verdict:
@@ -91,4 +106,5 @@ def worst(verdicts: Any) -> Verdict:
 def concerned(run: Any) -> frozenset[str]:
     """The responses that a run's warnings concern."""
     beyond = {check.concerns for check, flag in run.checks.beyond().items() if np.any(flag)}
-    return frozenset(name for what in beyond for name in CONCERNS[what])
+    reached = {part for what in beyond for part in REACHES[what]}
+    return frozenset(name for name, part in DRAWN_FROM.items() if part in reached)

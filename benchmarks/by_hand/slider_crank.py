@@ -2,7 +2,7 @@
 write.
 
 Coordinates are the rod's angle and the slider's place. Two ways to hold the impact speed: a memory
-that follows the approach speed, which is jaxclear's law (`memory_time` > 0), and exact capture, in
+that follows the approach speed, as in many programs (`memory_time` > 0), and exact capture, in
 which the step that would enter the contact is shortened to end at first touch (`memory_time` = 0).
 `slider_crank_in_c` is the same in C. Beside the fixed steps stands an adaptive run, for a user who
 writes that by hand as well.

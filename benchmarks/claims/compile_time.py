@@ -31,7 +31,6 @@ RUNGS = (
     "FixedStep(contact_steps=4.0)",
     "ImplicitStep()",
     "Adaptive()",
-    "Adaptive(capture_impacts=True)",
 )
 LIMIT = 5.0
 

@@ -30,7 +30,6 @@ RUNGS: dict[str, tuple[Callable, float]] = {
     "FixedStep semi_implicit": (lambda: KINDS.FixedStep(2e-5, "semi_implicit"), 0.02),
     "ImplicitStep": (lambda: KINDS.ImplicitStep(1e-4), 0.05),
     "Adaptive": (lambda: KINDS.Adaptive(), 0.02),
-    "Adaptive captured": (lambda: KINDS.Adaptive(capture_impacts=True), 0.02),
     "MoreauJean": (lambda: KINDS.MoreauJean(1e-4), 0.05),
     "NonColliding": (lambda: KINDS.NonColliding(1e-3), 0.2),
 }
@@ -173,7 +172,7 @@ def figures() -> dict[str, Callable[[], Callable[[], Any]]]:
     found: dict[str, Callable] = {}
     for scene in JOINTS:
         for rung in RUNGS:
-            if scene in ("guide", "antenna") and rung.endswith(("captured", "semi_implicit")):
+            if scene in ("guide", "antenna") and rung.endswith("semi_implicit"):
                 continue
             found[f"{scene}, {rung}, alone"] = lambda s=scene, r=rung: one_run(s, r)
             found[f"{scene}, {rung}, batch"] = lambda s=scene, r=rung: batch(s, r)

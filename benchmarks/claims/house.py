@@ -161,7 +161,7 @@ class _Witness(jc.contact.AbstractContactLaw):
     """A linear spring that remembers through which own functions it was reached."""
 
     frames: list = eqx.field(static=True)
-    memory_time, restitution = None, 1.0
+    remembers_impact_speed, restitution = False, 1.0
 
     def normal_force(self, indentation, rate, impact_speed):
         stack = traceback.extract_stack()[:-1]

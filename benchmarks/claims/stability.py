@@ -121,23 +121,17 @@ def problem(integrator: Any, saves: int) -> jc.Problem:
 
 
 def rungs() -> dict[str, Any]:
-    """The integrators whose steps have a length. Impact speeds are captured, or the memory of the
-    law would set a limit.
-    """
+    """The integrators whose steps have a length."""
     explicit = {
-        method: jc.integrator.FixedStep(LONGEST, method, capture_impacts=True)
+        method: jc.integrator.FixedStep(LONGEST, method)
         for method in ("euler", "semi_implicit", "heun", "rk4")
     }
-    short = jc.integrator.FixedStep(
-        LONGEST, "rk4", contact_steps=CONTACT_STEPS, capture_impacts=True
-    )
+    short = jc.integrator.FixedStep(LONGEST, "rk4", contact_steps=CONTACT_STEPS)
     implicit = {
-        f"implicit {rebound:g}": jc.integrator.ImplicitStep(
-            LONGEST, rebound=rebound, capture_impacts=True
-        )
+        f"implicit {rebound:g}": jc.integrator.ImplicitStep(LONGEST, rebound=rebound)
         for rebound in REBOUNDS
     }
-    solved = jc.integrator.ImplicitStep(LONGEST, newton_iterations=MANY, capture_impacts=True)
+    solved = jc.integrator.ImplicitStep(LONGEST, newton_iterations=MANY)
     return (
         explicit
         | {f"rk4, {CONTACT_STEPS} in contact": short}
@@ -204,7 +198,7 @@ def ladder_rows(quick: bool) -> dict[str, list[dict[str, Any]]]:
     )
     halvings, saves, seconds = (10, 21, 5.0) if quick else (HALVINGS, SAVES, 300.0)
     cases = np.array(list(product(stiffnesses, clearances)))
-    exact = jc.integrator.Adaptive(rtol=1e-9, atol=1e-12, capture_impacts=True)
+    exact = jc.integrator.Adaptive(rtol=1e-9, atol=1e-12)
     fine = evaluate_all(problem(exact, saves), cases, chunk=1)
     tables: dict[str, list[dict[str, Any]]] = {"stable": [], "accurate": []}
     for (k, c), outcome in zip(cases, fine.outcome, strict=True):

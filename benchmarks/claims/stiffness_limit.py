@@ -101,9 +101,7 @@ def rigid(step: float, grid: float) -> Motion:
 
 def compliant(stiffness: float, grid: float) -> Motion:
     law = jc.contact.CarvalhoMartins(stiffness=stiffness, restitution=RESTITUTION)
-    return path(
-        law, jc.integrator.Adaptive(rtol=RTOL, atol=RTOL * 1e-2, capture_impacts=True), grid
-    )
+    return path(law, jc.integrator.Adaptive(rtol=RTOL, atol=RTOL * 1e-2), grid)
 
 
 def impacts(found: Motion) -> list[float]:
@@ -186,9 +184,7 @@ def four_bar_means(law: Any, integrator: Any) -> dict[str, float]:
 
 def four_bar_rows(stiffnesses: tuple[float, ...], steps: tuple[float, ...]) -> list[dict[str, Any]]:
     """Compliant contact, stiffer and stiffer, then rigid contact, finer and finer."""
-    adaptive = jc.integrator.Adaptive(
-        rtol=FOUR_BAR_RTOL, atol=FOUR_BAR_RTOL * 1e-3, capture_impacts=True
-    )
+    adaptive = jc.integrator.Adaptive(rtol=FOUR_BAR_RTOL, atol=FOUR_BAR_RTOL * 1e-3)
     compliant = {
         f"K = {k:g} N/m^1.5": (
             jc.contact.CarvalhoMartins(stiffness=k, restitution=RESTITUTION),

@@ -1,101 +1,169 @@
-"""Error against cost of every rung, as `jaxclear.advise` measures it: slider-crank and four-bar, a
-table and a picture of each.
+"""Error against cost of every rung, for every scene and all that is asked of it: the book's tables
+and pictures of speed traded for accuracy.
 
-Errors are those of means over a few nearly equal runs, against a tight adaptive reference. Rungs of
+    python -m benchmarks.claims.work_precision [--quick] [--scene NAME ...] [--json FILE]
+        [--figures DIR]
+
+Errors are judged by `Adaptive` at two tight tolerances (`benchmarks.trade.curves`). Rungs of
 another formulation (rigid contact, joints that always touch) come no nearer than their model: where
-their points stop falling is what the model is off. Pictures go to `figures` beside this file (or
-`--figures`).
+their points stop falling is what the model is off. With `--json` the scenes that are measured
+replace their rows in the file, the summary is made anew from all of it, and the pictures are drawn
+from the file.
 """
 
 import argparse
+import json
+import math
+import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import jax
 import matplotlib
 
 matplotlib.use("Agg")
-import jaxclear as jc
-from benchmarks.measure import report
-from jaxclear import plot
-from jaxclear.scenes import four_bar
+import matplotlib.pyplot as plt
 
-STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)
-COPIES = 8
+from benchmarks.trade.curves import Curves, curves
+from benchmarks.trade.questions import SCENES
 
-
-def candidates(shortest: float, touching: bool) -> dict[str, list]:
-    """Every kind of integrator, coarse to fine; `touching`: also the one whose joints always
-    touch."""
-    kinds = jc.integrator
-    steps = [step for step in STEPS if step >= shortest]
-    rungs = {
-        "Adaptive": [kinds.Adaptive(rtol=10.0**-n, atol=10.0 ** -(n + 2)) for n in range(3, 10)],
-        "FixedStep rk4": [kinds.FixedStep(step) for step in steps],
-        "FixedStep semi-implicit": [kinds.FixedStep(step, "semi_implicit") for step in steps],
-        "FixedStep, 16 in contact": [kinds.FixedStep(step, contact_steps=16.0) for step in steps],
-        "ImplicitStep": [kinds.ImplicitStep(step) for step in steps],
-        "MoreauJean": [kinds.MoreauJean(step) for step in steps],
-    }
-    if touching:
-        rungs["NonColliding"] = [kinds.NonColliding(step) for step in steps]
-    return rungs
+FIGURES = Path(__file__).resolve().parents[2] / "notebooks" / "_figures"
+QUICK = ("slider-crank, ideal",)
+ACCURACY = 0.01
+ALONE, BATCH = "alone [ms/s]", "in a batch [ms/s]"
+# Titles of the tables: of every setting of a scene, and of the summaries.
+POINTS = "{scene}: every setting"
+SUMMARY = {
+    ALONE: "CPU time alone [ms for a simulated second] to 1 %",
+    BATCH: "CPU time of a sample in a batch [ms for a simulated second] to 1 %",
+}
+DOUBT = "references apart"
+ERROR = "error in "
+Rows = list[dict[str, Any]]
 
 
-def slider_crank() -> jc.Mechanism:
-    """The scene with 0.1 mm of clearance, the law to start from and smooth friction."""
-    steel = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
-    return jc.scenes.slider_crank(
-        clearance=0.1e-3,
-        contact=jc.contact.CarvalhoMartins(
-            jc.stiffness.HertzStiffness(steel, steel), restitution=0.9
-        ),
-        friction=jc.friction.CoulombTanh(mu_kinetic=0.05),
+def rows_of(found: Curves) -> Rows:
+    """A row for every setting; the first one tells how far the references are apart."""
+    doubt = {f"{ERROR}{name}": value for name, value in found.doubts.items()}
+    first = {"rung": "reference", "setting": DOUBT, ALONE: 1e3 * found.reference, BATCH: None}
+    rows = [first | doubt | {"said": ""}]
+    for point in found.points:
+        row = {"rung": point.rung, "setting": point.setting, ALONE: _milli(point.alone)}
+        row |= {BATCH: _milli(point.in_batch)}
+        row |= {f"{ERROR}{name}": point.errors.get(name) for name in found.doubts}
+        rows.append(row | {"said": point.said})
+    return rows
+
+
+def _milli(seconds: float) -> float | None:
+    return 1e3 * seconds if math.isfinite(seconds) else None
+
+
+def scenes_in(document: dict[str, Rows]) -> Iterator[tuple[str, Rows]]:
+    """Scenes of a document in their order, with their rows."""
+    for scene in SCENES:
+        title = POINTS.format(scene=scene)
+        if title in document:
+            yield scene, document[title]
+
+
+def responses_of(rows: Rows) -> list[str]:
+    """Names of the responses of a scene."""
+    return [name.removeprefix(ERROR) for name in rows[0] if name.startswith(ERROR)]
+
+
+def cheapest(rows: Rows, rung: str, response: str, cost: str) -> str:
+    """Cost of the coarsest setting of a rung that is within the accuracy and whose finer one is
+    too; in brackets the smallest error [%] where there is none."""
+    own = [row for row in rows if row["rung"] == rung]
+    errors = [row[ERROR + response] for row in own]
+    good = [error is not None and error <= ACCURACY for error in errors]
+    for place, row in enumerate(own):
+        if all(good[place : place + 2]):
+            return "not measured" if row[cost] is None else f"{row[cost]:.3g}"
+    known = [error for error in errors if error is not None and math.isfinite(error)]
+    return f"({100 * min(known):.2g} %)" if known else "fails"
+
+
+def summary(document: dict[str, Rows], cost: str) -> Rows:
+    """A row for every scene and response, a column for every rung."""
+    parts = list(scenes_in(document))
+    rungs = list(dict.fromkeys(row["rung"] for _, rows in parts for row in rows[1:]))
+    table = []
+    for scene, rows in parts:
+        own = {row["rung"] for row in rows}
+        for name in responses_of(rows):
+            row = {"scene": scene, "response": name}
+            row[f"{DOUBT} [%]"] = f"{100 * rows[0][ERROR + name]:.1g}"
+            cells = {r: cheapest(rows, r, name, cost) if r in own else None for r in rungs}
+            table.append(row | cells)
+    return table
+
+
+def draw(scene: str, rows: Rows, folder: Path) -> Path:
+    """A picture of a scene: a panel for every response, a line for every rung; filled: alone,
+    hollow: a sample in a batch."""
+    names = responses_of(rows)
+    across = min(3, len(names))
+    down = -(-len(names) // across)
+    figure, axes = plt.subplots(
+        down, across, figsize=(4.0 * across, 3.1 * down), squeeze=False, layout="constrained"
     )
+    rungs = list(dict.fromkeys(row["rung"] for row in rows[1:]))
+    for axis, name in zip(axes.flat, names, strict=False):
+        for number, rung in enumerate(rungs):
+            own = [row for row in rows if row["rung"] == rung and row[ERROR + name]]
+            for cost, style in ((ALONE, "o-"), (BATCH, "o:")):
+                points = [(row[cost], row[ERROR + name]) for row in own if row[cost]]
+                if points:
+                    fill = f"C{number}" if cost == ALONE else "none"
+                    label = rung if cost == ALONE else None
+                    axis.loglog(
+                        *zip(*points, strict=True), style, color=f"C{number}", mfc=fill, ms=4, lw=1,
+                        label=label,
+                    )  # fmt: skip
+        axis.axhline(ACCURACY, color="k", lw=0.6)
+        axis.set(title=name, xlabel="CPU time [ms for a simulated s]", ylabel="error [1]")
+        axis.grid(alpha=0.3)
+    for axis in axes.flat[len(names) :]:
+        axis.set_visible(False)
+    figure.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    path = folder / f"work_precision_{slug(scene)}.png"
+    figure.savefig(path, dpi=80)
+    plt.close(figure)
+    return path
 
 
-def questions(quick: bool) -> dict[str, tuple[jc.Problem, bool]]:
-    """What is asked of each mechanism, and whether its joints may be taken as always touching."""
-    duration = 0.05 if quick else 0.25
-    clearance = jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=1e-6)
-    force = {"mean force": jc.response.MeanContactForce("B")}
-    place = {"slider's end": jc.response.FinalCoordinate("G", unit="m")}
-    crank = jc.Problem(
-        slider_crank(), force | place, {"clearance": clearance}, duration=duration, save=501
-    )
-    duration = 0.2 if quick else 0.628
-    worn = {"worn volume": jc.response.WornVolume("B")}
-    bars = jc.Problem(
-        four_bar("spatial"), force | worn, {"clearance": clearance}, duration=duration, save=251
-    )
-    return {"slider-crank": (crank, True), "four-bar": (bars, False)}
-
-
-def rows_of(advice) -> list[dict]:
-    table = advice.table().reset_index()
-    return [dict(row) for row in table.to_dict("records")]
+def slug(scene: str) -> str:
+    """A scene's name in that of a file."""
+    return scene.replace(", ", "_").replace("-", "_")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="short runs, long steps only")
+    parser.add_argument("--quick", action="store_true", help="one scene without clearance")
+    parser.add_argument("--scene", nargs="*", choices=SCENES, help="these scenes alone")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
-    parser.add_argument(
-        "--figures", type=Path, default=Path(__file__).parent / "figures", metavar="DIR"
-    )
+    parser.add_argument("--figures", type=Path, default=FIGURES, metavar="DIR")
     options = parser.parse_args()
-    options.figures.mkdir(parents=True, exist_ok=True)
-    for name, (problem, touching) in questions(options.quick).items():
-        tried = candidates(5e-5 if options.quick else 2e-6, touching)
-        advice = jc.advise(
-            problem,
-            0.01,
-            candidates=tried,
-            pilot=jc.PilotSettings(copies=COPIES, duration=float(problem.duration)),
-            means=True,
-        )
-        print(advice.sentence())
-        report(f"{name}: error and cost, method by method", rows_of(advice), options)
-        figure = plot.work_precision(advice)
-        figure.savefig(options.figures / f"work_precision_{name.replace('-', '_')}.png", dpi=110)
+    known = json.loads(options.json.read_text()) if options.json and options.json.exists() else {}
+    about = known.pop("about", None)
+    for scene in options.scene or (QUICK if options.quick else SCENES):
+        begun = time.process_time()
+        known[POINTS.format(scene=scene)] = rows_of(curves(SCENES[scene]()))
+        print(f"{scene}: {time.process_time() - begun:.0f} s CPU", flush=True)
+        jax.clear_caches()
+        document = {title: summary(known, cost) for cost, title in SUMMARY.items()}
+        document |= {POINTS.format(scene=s): rows for s, rows in scenes_in(known)}
+        if options.json:
+            told = {} if about is None else {"about": about}
+            options.json.write_text(json.dumps(told | document, indent=1) + "\n")
+            draw(scene, known[POINTS.format(scene=scene)], options.figures)
+    for cost, title in SUMMARY.items():
+        print(f"\n{title}")
+        for row in summary(known, cost):
+            print("  ".join("-" if value is None else str(value) for value in row.values()))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@ a line more in `JAXCLEAR`.
 """
 
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -43,26 +43,18 @@ STEPS, TOLERANCES = (
 )
 
 
-def _fixed(step, **options):
-    return jc.integrator.FixedStep(step, **options)
+def _fixed(step):
+    return jc.integrator.FixedStep(step)
 
 
-def _adaptive(rtol, **options):
-    return jc.integrator.Adaptive(rtol=rtol, atol=rig.ATOL_SHARE * rtol, **options)
+def _adaptive(rtol):
+    return jc.integrator.Adaptive(rtol=rtol, atol=rig.ATOL_SHARE * rtol)
 
 
 JAXCLEAR = {
-    "jaxclear FixedStep rk4": Entry("remembered", STEPS, _fixed),
-    "jaxclear Adaptive": Entry("remembered", TOLERANCES, _adaptive, True, FEW),
+    "jaxclear FixedStep rk4": Entry("captured", STEPS, _fixed),
+    "jaxclear Adaptive": Entry("captured", TOLERANCES, _adaptive, True, FEW),
 }
-if "capture_impacts" in jc.integrator.FixedStep.__dataclass_fields__:
-    JAXCLEAR["jaxclear FixedStep rk4, captured"] = Entry(
-        "captured", STEPS, partial(_fixed, capture_impacts=True)
-    )
-if "capture_impacts" in jc.integrator.Adaptive.__dataclass_fields__:
-    JAXCLEAR["jaxclear Adaptive, captured"] = Entry(
-        "captured", TOLERANCES, partial(_adaptive, capture_impacts=True), True, FEW
-    )
 
 
 def peak_force(trajectory: jc.Trajectory) -> jax.Array:
@@ -95,7 +87,7 @@ def _run(mechanism, coordinates, speeds, times, integrator):
 
 def program(name: str, entry: Entry, question: rig.Question) -> Program:
     """jaxclear as a program among others."""
-    mechanism = rig.mechanism(rig.LAWS[entry.law].memory_time or rig.LAWS["remembered"].memory_time)
+    mechanism = rig.mechanism()
     start = jc.assemble(mechanism)
     times = jnp.linspace(0.0, question.duration, question.saves * FINER_SAVES + 1)
 

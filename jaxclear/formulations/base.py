@@ -52,12 +52,9 @@ class AbstractFormulation(eqx.Module):
     forces_are_means: eqx.AbstractClassVar[bool]
 
     @abstractmethod
-    def check(self, mechanism: Mechanism, integrator: str, step: Any | None) -> None:
-        """Raises `ValueError` with a sentence where a law cannot serve this formulation.
-
-        `integrator`: its name for the sentence. `step`: length [s] over which an impact speed
-        relaxes explicitly; None where any length is stable, or not known.
-        """
+    def check(self, mechanism: Mechanism, integrator: str) -> None:
+        """Raises `ValueError` with a sentence where a law cannot serve this formulation;
+        `integrator`: its name for the sentence."""
 
     @abstractmethod
     def seen(self, mechanism: Mechanism) -> Mechanism:

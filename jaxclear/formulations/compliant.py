@@ -7,20 +7,19 @@ state.
 
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations import midpoint_step, state_rate, work_over_step
 from jaxclear.formulations.base import AbstractFormulation, ContactReport, clearance_contact
 from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.midpoint_step import ImplicitSettings, WarmStart
 from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part
-from jaxclear.ground.quantity import concrete
-from jaxclear.multibody import dynamics, kinematics
+from jaxclear.ground.grouping import map_alike
+from jaxclear.multibody import contact_point, dynamics, kinematics
 from jaxclear.multibody.forces import applied_forces, contact_reports
 from jaxclear.multibody.state import (
     impact_speed_places,
@@ -29,27 +28,18 @@ from jaxclear.multibody.state import (
     unpack_motion,
 )
 
-# Steps per time constant of a law's memory below which an explicit method lets it explode (2 for
-# Euler and Heun, 2.8 for rk4).
-MEMORY_STEPS = 2.0
-Depths = Float[Array, " contacts"]
-
 
 class CompliantContact(AbstractFormulation):
-    """Contact forces are functions of indentation, its rate, and what the laws remember.
-
-    `captured`: remembered impact speeds stand still, because the integrator sets them where
-    contacts close.
+    """Contact forces are functions of indentation, its rate, and what the laws remember; impact
+    speeds stand still, because the steps set them where contacts close (`impact_speed`).
     """
 
     forces_are_means: ClassVar = False
-    captured: bool = eqx.field(static=True, default=False)
 
-    def check(self, mechanism, integrator, step):
+    def check(self, mechanism, integrator):
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
                 _check_laws(name, laws)
-                _check_memory(name, laws, concrete(step))
 
     def seen(self, mechanism):
         return mechanism
@@ -69,10 +59,8 @@ class CompliantContact(AbstractFormulation):
     def contact(self, instant: Instant, name: str) -> ContactReport:
         return clearance_contact(instant, self.forces(instant).reports[name], name)
 
-    def rate(self, model: Model, time: Any, state: State) -> tuple[State, Depths, Depths]:
-        """Rate of the state, and of every possible contact the indentation [m] and its rate [m/s],
-        from one evaluation.
-        """
+    def rate(self, model: Model, time: Any, state: State) -> tuple[State, ContactMotion]:
+        """Rate of the state, and the motion of every possible contact, from one evaluation."""
         system, layout, entries = model.system, model.layout, model.entries(state)
         q, v = unpack_motion(system, entries)
         motions = kinematics.link_motions(system, q, v, time)
@@ -85,18 +73,19 @@ class CompliantContact(AbstractFormulation):
             *pack_memories(layout, {name: report.memory_rates for name, report in reports.items()}),
             *state_rate.passive_rates(system, layout, forces, solution),
         ]
-        if self.captured:
-            for place in impact_speed_places(layout):
-                if place is not None:
-                    rates[place] = 0
-        return sp.stack(rates), *_depths(reports)
+        points = [point for report in reports.values() for point in report.points]
+        return sp.stack(rates), _stacked([(point.indentation, point.rate) for point in points])
 
-    def contacts(self, model: Model, time: Any, state: State) -> tuple[Depths, Depths]:
-        """Indentation [m] and its rate [m/s] of every possible contact."""
-        entries = model.entries(state)
-        motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
-        memories = unpack_memories(model.layout, entries)
-        return _depths(contact_reports(model.system, motions, memories, model.worn))
+    def contacts(self, model: Model, time: Any, state: State) -> ContactMotion:
+        """Indentation and its rate of every possible contact, from the geometry alone."""
+        motion = unpack_motion(model.system, model.entries(state))
+        motions = kinematics.link_motions(model.system, *motion, time)
+        calls = []
+        for name, bearing in model.system.bearings.items():
+            relative = kinematics.relative_motion(bearing.closure, motions)[2]
+            calls.append((bearing.joint, relative, model.worn.get(name, {})))
+        found = map_alike(contact_point.indentation_rates, calls)
+        return _stacked([point for joint in found for point in joint])
 
     def coordinate_rates(self, model: Model, state: State) -> Float[Array, " q"]:
         """Rates of the coordinates alone: they follow from coordinates and speeds."""
@@ -114,22 +103,28 @@ class CompliantContact(AbstractFormulation):
         return any(place is not None for place in impact_speed_places(model.layout))
 
     def remember(
-        self, model: Model, state: State, wanted: Bool[Array, " contacts"], approach: Depths
+        self,
+        model: Model,
+        state: State,
+        before: ContactMotion,
+        after: ContactMotion,
+        length: Any,
     ) -> State:
-        """The state with the remembered impact speed set to max(approach, 0) [m/s] at those
-        contacts that are `wanted`.
-        """
-        entries = model.entries(state)
-        for i, place in enumerate(impact_speed_places(model.layout)):
+        """The state at the end of a step of `length` [s] with the impact speeds of contacts that
+        have closed or parted in it."""
+        entries, places = model.entries(state), impact_speed_places(model.layout)
+        held = sp.stack([0 if place is None else entries[place] for place in places])
+        speeds = remembered(held, before, after, length)
+        for i, place in enumerate(places):
             if place is not None:
-                entries[place] = jnp.where(wanted[i], positive_part(approach[i]), entries[place])
+                entries[place] = speeds[i]
         return sp.stack(entries)
 
     def warm_start(self, model: Model, time: Any, state: State) -> Float[Array, " h"]:
         """What the first implicit step is handed: no accelerations, and the contacts as they
         are."""
         speeds = jnp.zeros(2 * model.layout.speeds)
-        return jnp.concatenate([speeds, self.contacts(model, time, state)[0]])
+        return jnp.concatenate([speeds, self.contacts(model, time, state).depths])
 
     def implicit_step(
         self,
@@ -144,15 +139,15 @@ class CompliantContact(AbstractFormulation):
         count = model.layout.speeds
         numbers = [warm_start[i] for i in range(len(warm_start))]
         last = WarmStart(numbers[:count], numbers[count : 2 * count], numbers[2 * count :])
-        settings = ImplicitSettings(bias, newton_iterations, self.captured)
+        settings = ImplicitSettings(bias, newton_iterations)
         after, now = midpoint_step.step(model, time_step, model.entries(state), last, settings)
         return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths])
 
 
-def _depths(reports: dict) -> tuple[Depths, Depths]:
-    points = [point for report in reports.values() for point in report.points]
-    depths = sp.stack([point.indentation for point in points])
-    return depths, sp.stack([point.rate for point in points])
+def _stacked(points: list) -> ContactMotion:
+    """The motion of all contacts from (indentation, rate) of each."""
+    depths, rates = ([point[i] for point in points] for i in (0, 1))
+    return ContactMotion(sp.stack(depths), sp.stack(rates))
 
 
 def _check_laws(name: str, laws: ContactLaws) -> None:
@@ -168,15 +163,4 @@ def _check_laws(name: str, laws: ContactLaws) -> None:
             f'joint "{name}" has set-valued friction {type(friction).__name__}, which has no '
             "force law: take integrator.MoreauJean or NonColliding, or a regularised law such as "
             "friction.ThreeZone or friction.LuGre."
-        )
-
-
-def _check_memory(name: str, laws: ContactLaws, step: float | None) -> None:
-    """Raises `ValueError` where explicit steps [s] are too long for the memory of a law."""
-    memory = concrete(laws.contact.memory_time)
-    if step is not None and memory is not None and step > MEMORY_STEPS * memory:
-        raise ValueError(
-            f'steps of {step:.6g} s are too long for joint "{name}": its contact law remembers '
-            f"the impact speed with memory_time {memory} s and would explode; take steps below "
-            f"{MEMORY_STEPS * memory:.3g} s, a longer memory_time, or capture_impacts=True."
         )

@@ -96,18 +96,6 @@ def tangent(
     return Tangent(tuple(forces), tuple(dampings))
 
 
-def approached(
-    laws: ContactLaws, speed: Any, averaging: Averaging, captured: bool, depth: Any, rate: Any
-) -> Any:
-    """Impact speed that a contact remembers in a step that starts with `depth` and `rate`: frozen
-    where closed; where open it follows the approach speed, exponentially in `memory_time`, or at
-    once where it is `captured`."""
-    if speed is None:
-        return None
-    share = 1.0 if captured else -jnp.expm1(-averaging.length / laws.contact.memory_time)
-    return jnp.where(depth < 0, speed + share * (positive_part(rate) - speed), speed)
-
-
 def bristles_after(
     laws: ContactLaws, bristles: tuple, averaging: Averaging, rates: tuple, normal: Any
 ) -> tuple:

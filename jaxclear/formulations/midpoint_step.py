@@ -33,6 +33,7 @@ from jaxclear.formulations.delassus import (
     LinearLaws,
     implicit_contact,
 )
+from jaxclear.formulations.impact_speed import Flight, taken_in_flight
 from jaxclear.formulations.law_tangent import Averaging
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.state_rate import drift
@@ -51,11 +52,10 @@ LEAST_LIGHTNESS = 1e-12
 
 class ImplicitSettings(NamedTuple):
     """How a step is made: bias of the mean forces towards the step's end, Newton iterations on the
-    contact laws, whether impact speeds are taken at once where contacts close."""
+    contact laws."""
 
     bias: Any
     newton_iterations: int
-    captured: bool
 
 
 class WarmStart(NamedTuple):
@@ -76,8 +76,8 @@ def step(
     averaging = Averaging(h, settings.bias)
     accelerations = [a + b for a, b in zip(last.smooth, last.contact, strict=True)]
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
-    contacts = _contacts_at_start(model, averaging, settings.captured, middle, entries, last.depths)
     equations = implicit_contact(middle.free_motion)
+    contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last.depths)
     whole = Step(model, time_step, averaging, middle, contacts, equations)
     solution = _iterate(whole, last.contact, settings.newton_iterations)
     free, caused = equations.free, solution.accelerations
@@ -97,23 +97,26 @@ def step(
 def _contacts_at_start(
     model: Model,
     averaging: Averaging,
-    captured: bool,
     middle: MiddleOfStep,
+    free: list,
     entries: list,
     depths: list,
 ) -> list[ContactOverStep]:
-    """The contacts with which a step begins; `depths`: their indentations."""
+    """The contacts with which a step begins; `depths`: their indentations, `free`: accelerations
+    without contact."""
     back = middle.change_to(middle.v)
+    half = 0.5 * averaging.length
     memories = unpack_memories(model.layout, entries)
     remembered = [memory for joint in memories.values() for memory in joint]
     contacts = []
     for point, depth, memory in zip(middle.free_motion.contacts, depths, remembered, strict=True):
         approach = sp.add(point.rates[0], along(point.rows[0], back))
-        speed = law_tangent.approached(
-            point.laws, memory.impact_speed, averaging, captured, depth, approach
-        )
+        if memory.impact_speed is not None:
+            gain = half * along(point.rows[0], free)
+            flight = Flight(depth, point.gap_function.indentation, approach, gain)
+            speed = taken_in_flight(memory.impact_speed, flight, averaging.length)
+            memory = memory._replace(impact_speed=speed)
         mass = 1.0 / (_lightness(point, middle.free_motion.diagonal) + LEAST_LIGHTNESS)
-        memory = memory._replace(impact_speed=speed)
         contacts.append(ContactOverStep(point, depth, approach, mass, memory))
     return contacts
 

@@ -54,7 +54,7 @@ class PermanentContact(AbstractFormulation):
 
     forces_are_means: ClassVar = True
 
-    def check(self, mechanism, integrator, step):
+    def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
 
     def seen(self, mechanism):

@@ -41,7 +41,7 @@ class RigidContact(AbstractFormulation):
 
     forces_are_means: ClassVar = True
 
-    def check(self, mechanism, integrator, step):
+    def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():

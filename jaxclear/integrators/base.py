@@ -74,9 +74,3 @@ class AbstractIntegrator(AbstractQuantified):
     def asked_step(self) -> Scalar | None:
         """The longest step [s] that was asked for; None where nobody asked for one."""
         return None
-
-    @abstractmethod
-    def relaxing_step(self, interval: Scalar | None) -> Scalar | None:
-        """The step [s] over which an impact speed relaxes by an explicit formula, in a saving
-        interval of this length (None: not known). None where steps of any length are stable, or not
-        known."""

@@ -81,18 +81,6 @@ class Check(enum.IntEnum):
         "(limit {limit:g}), so sliding, friction loss and wear may be far off: take shorter steps "
         "or integrator.ImplicitStep",
     )
-    # Error of the remembered impact speed.
-    IMPACT_MEMORY = (
-        2,
-        "impact memory",
-        "1",
-        1.0,
-        "motion",
-        CONTACTS,
-        'in joint "{place}" the impact speed is remembered with an error of {figure:.2g} (limit '
-        "{limit:g}), so restitution is not the law's: capture impacts, or take a shorter "
-        "memory_time",
-    )
 
 
 class Figure(eqx.Module):

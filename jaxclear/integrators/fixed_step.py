@@ -48,12 +48,12 @@ class FixedStep(AbstractIntegrator):
     drift of the energy; "euler" gains energy, "heun" slowly. "munthe_kaas1" to "munthe_kaas4"
     (order 1 to 4) keep rotations on their group; see `MuntheKaas`. `contact_steps` divides a step
     that starts in contact, or would end there at the present closing speed, into that many; free
-    flight keeps the long step, so bounces are resolved at a fraction of the cost. `capture_impacts`
-    takes the approach speed of the last step that starts open for the impact speed, in place of a
-    state that follows it within `memory_time`. `steps_per_save` fixes the number of steps between
-    saving times instead: reverse-mode derivatives (`jax.grad`) need it, forward-mode ones do not.
-    Derivatives are those of the discrete run: where contacts open and close, not those of the
-    motion (`jaxclear.sensitivity` compares methods).
+    flight keeps the long step, so bounces are resolved at a fraction of the cost. `steps_per_save`
+    fixes the number of steps between saving times instead: reverse-mode derivatives (`jax.grad`)
+    need it, forward-mode ones do not. Impact speeds are those at the touch within a step, to the
+    third power of the step; a force that begins as the 3/2th power of the indentation limits the
+    order of a run through impacts to 5/2. Derivatives are those of the discrete run: where contacts
+    open and close, not those of the motion (`jaxclear.sensitivity` compares methods).
     """
 
     pathwise: ClassVar = True
@@ -68,7 +68,6 @@ class FixedStep(AbstractIntegrator):
         at_least=1,
         kw_only=True,
     )
-    capture_impacts: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
         if self.method not in CHAINS and self.method not in ON_GROUPS:
@@ -83,90 +82,87 @@ class FixedStep(AbstractIntegrator):
     def asked_step(self):
         return self.step if self.steps_per_save is None else None
 
-    def relaxing_step(self, interval):
-        if self.capture_impacts:
-            return None
-        if self.steps_per_save is not None:
-            return None if interval is None else interval / self.steps_per_save
-        return self.step
-
     @property
     def formulation(self):
-        return CompliantContact(self.capture_impacts)
+        return CompliantContact()
 
     def first_warm_start(self, model, start, state):
-        return ()
+        """The contacts at the start of the last step, and its length [s]: a touch in it is found
+        where the next step begins."""
+        if not self.formulation.remembers(model):
+            return None
+        return self.formulation.contacts(model, start, state), jnp.ones(())
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
         if self.contact_steps is not None:
-            end, steps = self._steps_that_meet_contacts(model, interval, h, state)
-            return arrived(end, steps, ())
+            return self._steps_that_meet_contacts(model, interval, h, state, warm_start)
 
         def turn(carry):
-            index, y = carry
-            y = self._step(model, interval.start + index * h, lambda *_: h, h, y)[1]
-            return index + 1, closed(model, interval.start + (index + 1) * h, y)
+            index, y, last = carry
+            _, y, last = self._step(model, interval.start + index * h, lambda _: h, h, y, last)
+            return index + 1, closed(model, interval.start + (index + 1) * h, y), last
 
+        first = (jnp.zeros((), int), state, warm_start)
         if self.steps_per_save is None:
-            first = (jnp.zeros((), int), state)
-            end = while_loop(lambda carry: carry[0] < steps, turn, first)[1]
+            _, end, last = while_loop(lambda carry: carry[0] < steps, turn, first)
         else:
             turns = jnp.arange(self.steps_per_save)
-            end = jax.lax.scan(lambda y, index: (turn((index, y))[1], None), state, turns)[0]
-        return arrived(end, steps, ())
+            scanned = lambda carry, index: (turn((index, *carry))[1:], None)
+            end, last = jax.lax.scan(scanned, (state, warm_start), turns)[0]
+        return arrived(end, steps, last)
 
-    def _steps_that_meet_contacts(self, model, interval, longest, state):
+    def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
         stop = interval.stop
 
         def choose(left):
-            def length(depth, closing):
-                near = jnp.any((depth >= 0) | (depth + jnp.maximum(closing, 0.0) * longest > 0))
+            def length(contacts):
+                coming = jnp.maximum(contacts.rates, 0.0) * longest
+                near = jnp.any((contacts.depths >= 0) | (contacts.depths + coming > 0))
                 h = jnp.where(near, longest / self.contact_steps, longest)
                 return jnp.where(h > left * (1 - SLIVER), left, h)
 
             return length
 
         def one(carry):
-            time, steps, y = carry
-            h, y = self._step(model, time, choose(stop - time), longest, y)
+            time, steps, y, last = carry
+            h, y, last = self._step(model, time, choose(stop - time), longest, y, last)
             # The step that was cut to what was left ends exactly at the end.
             time = jnp.where(h == stop - time, stop, time + h)
-            return time, steps + 1, closed(model, time, y)
+            return time, steps + 1, closed(model, time, y), last
 
-        _, steps, end = while_loop(
-            lambda carry: carry[0] < stop, one, (interval.start, jnp.zeros((), int), state)
-        )
-        return end, steps
+        first = (interval.start, jnp.zeros((), int), state, warm_start)
+        _, steps, end, last = while_loop(lambda carry: carry[0] < stop, one, first)
+        return arrived(end, steps, last)
 
-    def _step(self, model, time, length, h, y):
-        """The length and the end of a step. `length(depths, closing speeds)` chooses it [s] by the
-        contacts at its start; `h` is the longest. Stages are a loop: the equations stand in the
-        program once.
+    def _step(self, model, time, length, h, y, last):
+        """The length and the end of a step, and what it leaves to the next. `length(contacts)`
+        chooses it [s] by the contacts at its start; `h` is the longest. Stages are a loop: the
+        equations stand in the program once.
         """
         if self.method in ON_GROUPS:
-            return self._step_on_group(model, time, length, h, y)
+            return self._step_on_group(model, time, length, h, y, last)
         stages = np.arange(len(CHAINS[self.method][0]))
         stage = functools.partial(self._stage, model, time, length)
-        (h, y, _, _), _ = jax.lax.scan(stage, (h, y, y, jnp.zeros_like(y)), stages)
-        return h, y
+        (h, y, _, _, last), _ = jax.lax.scan(stage, (h, y, y, jnp.zeros_like(y), last), stages)
+        return h, y, last
 
     def _stage(self, model, time, length, carry, stage):
-        """One stage of a step; its first one decides the step's `length` from the contacts it
-        sees."""
-        h, y, total, slope = carry
+        """One stage of a step; its first one decides the step's `length` from the contacts it sees,
+        and sets impact speeds of contacts that have closed in the last one."""
+        h, y, total, slope, last = carry
         nodes, weights = (jnp.asarray(part) for part in CHAINS[self.method])
-        slope, depth, closing = self.formulation.rate(
+        slope, contacts = self.formulation.rate(
             model, time + nodes[stage] * h, y + (h * nodes[stage]) * slope
         )
         opens = stage == 0
-        h = jnp.where(opens, length(depth, closing), h)
-        if self.capture_impacts:
-            caught = opens & (depth < 0)
-            y, total = (
-                self.formulation.remember(model, part, caught, closing) for part in (y, total)
-            )
+        h = jnp.where(opens, length(contacts), h)
+        if last is not None:
+            before, taken = last
+            aware = self.formulation.remember(model, y, before, contacts, taken)
+            y, total = jnp.where(opens, aware, y), jnp.where(opens, aware, total)
+            last = jax.tree.map(lambda a, b: jnp.where(opens, a, b), (contacts, h), last)
         total = total + (h * weights[stage]) * slope
         if self.method == "semi_implicit":
             n = model.layout.coordinates
@@ -175,7 +171,7 @@ class FixedStep(AbstractIntegrator):
             total = jnp.concatenate([y[:n] + h * rates, total[n:]])
             total = self._with_energies(model, time, h, y, total)
         y = jnp.where(stage == len(CHAINS[self.method][0]) - 1, total, y)
-        return (h, y, total, slope), None
+        return (h, y, total, slope, last), None
 
     def _with_energies(self, model, time, h, y, after):
         """The energies of the balance after a semi-implicit step, where they are asked for."""
@@ -186,16 +182,17 @@ class FixedStep(AbstractIntegrator):
         powers = self.formulation.energy_rates(model, time, y, 0.5 * (y[n:m] + after[n:m]))
         return jnp.concatenate([after[:first], y[first:] + h * powers])
 
-    def _step_on_group(self, model, time, length, h, y):
+    def _step_on_group(self, model, time, length, h, y, last):
         """As `_step`; the contacts are looked at beforehand, where something depends on them."""
-        if self.capture_impacts or self.contact_steps is not None:
-            depth, closing = self.formulation.contacts(model, time, y)
-            h = length(depth, closing)
-            if self.capture_impacts:
-                y = self.formulation.remember(model, y, depth < 0, closing)
+        if last is not None or self.contact_steps is not None:
+            contacts = self.formulation.contacts(model, time, y)
+            h = length(contacts)
+            if last is not None:
+                y = self.formulation.remember(model, y, last[0], contacts, last[1])
+                last = contacts, h
 
         def rate(time, y):
             return self.formulation.rate(model, time, y)[0]
 
         order = ON_GROUPS[self.method]
-        return h, munthe_kaas.fixed_step(state_group(model), rate, order, time, h, y)
+        return h, munthe_kaas.fixed_step(state_group(model), rate, order, time, h, y), last

@@ -2,7 +2,6 @@
 
 from typing import ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -35,11 +34,10 @@ class ImplicitStep(AbstractIntegrator):
     Loads that oscillate by themselves (stiff springs, dampers) are explicit: step < 2 / omega of
     them. A step should move the parts by less than a clearance, and by less than a cell of a worn
     surface, or forces at the saved instants are far off, though the motion stays bounded.
-    `capture_impacts` takes the approach speed at the start of the step in which a contact closes;
-    otherwise the impact speed follows within `memory_time`, which may be far shorter than the step.
-    `steps_per_save` fixes the number of steps between saving times: reverse-mode derivatives need
-    it, forward-mode ones do not. Derivatives are those of the discrete run: where contacts open and
-    close, not those of the motion (`jaxclear.sensitivity` compares methods).
+    Impact speeds are those at the touch within a step, to order 2. `steps_per_save` fixes the
+    number of steps between saving times: reverse-mode derivatives need it, forward-mode ones do
+    not. Derivatives are those of the discrete run: where contacts open and close, not those of the
+    motion (`jaxclear.sensitivity` compares methods).
 
     Source: mean forces that conserve energy: Gonzalez 1996, J. Nonlinear Sci. 6, 449; for contact
     Laursen & Chawla 1997, Int. J. Numer. Methods Eng. 40, 863; with dissipation Armero & Petocz
@@ -59,17 +57,13 @@ class ImplicitStep(AbstractIntegrator):
     )
     newton_iterations: int = count(3, "iterations on the contact laws", kw_only=True)
     steps_per_save: int | None = count(None, "steps between two saving times", kw_only=True)
-    capture_impacts: bool = eqx.field(static=True, default=False, kw_only=True)
 
     @property
     def formulation(self):
-        return CompliantContact(self.capture_impacts)
+        return CompliantContact()
 
     def asked_step(self):
         return self.step if self.steps_per_save is None else None
-
-    def relaxing_step(self, interval):
-        return None
 
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model, start, state)

@@ -75,9 +75,6 @@ class MoreauJean(AbstractIntegrator):
     def asked_step(self):
         return self.step
 
-    def relaxing_step(self, interval):
-        return None
-
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model)
 

@@ -67,9 +67,6 @@ class NonColliding(AbstractIntegrator):
     def asked_step(self):
         return self.step
 
-    def relaxing_step(self, interval):
-        return None
-
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model)
 

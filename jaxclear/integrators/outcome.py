@@ -18,9 +18,10 @@ class Outcome(AbstractOutcome):
     )
     TOO_MANY_STEPS = 2, "The allowed number of steps between two saved times was used up."
     NOT_FINITE = 3, "The state became infinite or not a number."
-    TOO_MANY_IMPACTS = (
+    ENERGY_GAINED = (
         4,
-        "The allowed number of captured impacts between two saved times was used up.",
+        "The mechanism gained energy that nothing gave it: the steps are too long for its contacts "
+        "or loads. Take shorter ones.",
     )
     LAWS_NOT_MET = (
         5,
@@ -36,11 +37,6 @@ class Outcome(AbstractOutcome):
         8,
         "A loop came open by more than a run can mend: the steps are too long for this motion. "
         "Take shorter ones, or stabilisation=jaxclear.Projection().",
-    )
-    ENERGY_GAINED = (
-        9,
-        "The mechanism gained energy that nothing gave it: the steps are too long for its contacts "
-        "or loads. Take shorter ones.",
     )
 
     @property

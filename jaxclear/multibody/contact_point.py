@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part, rounded_norm, safe_sqrt
+from jaxclear.ground.numerics import rounded_norm, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody.loops import Relative
 
@@ -23,8 +23,8 @@ SLIP_ROUNDING = 1e-14
 
 
 class PointState(NamedTuple):
-    """What one possible contact remembers: speed of first touch [m/s] and bristle deflections [m],
-    where its laws do.
+    """What one possible contact remembers: speed of first touch [m/s], 0 while apart, and bristle
+    deflections [m], where its laws do.
     """
 
     impact_speed: Any
@@ -102,14 +102,24 @@ def evaluate(
     speeds, responses = [], []
     for laws, contact, state in zip(contact_laws, gap_functions, memory, strict=True):
         rate, slip = contact_speeds(joint, pose, contact, velocity, spin)
-        normal = laws.contact.normal_force(contact.indentation, rate, state.impact_speed)
+        impact_speed = impact_speed_now(state.impact_speed, rate)
+        normal = laws.contact.normal_force(contact.indentation, rate, impact_speed)
         speed, tractions, bristle_rates = slip_speed(slip), (), ()
         if laws.friction is not None:
             tractions, bristle_rates = laws.friction.tractions(normal, state.bristles, slip, speed)
-        remembered = _impact_speed_rate(laws, contact.indentation, rate, state)
+        # Steps set the impact speed where a contact closes; it has no rate.
+        standing = None if state.impact_speed is None else 0.0
         speeds.append((rate, slip))
-        responses.append(Response(normal, speed, tractions, PointState(remembered, bristle_rates)))
+        responses.append(Response(normal, speed, tractions, PointState(standing, bristle_rates)))
     return assemble(joint, contact_laws, pose, gap_functions, tuple(speeds), tuple(responses))
+
+
+def impact_speed_now(remembered: Any, rate: Any) -> Any:
+    """Impact speed [m/s] that a law is given: the remembered one, or, in the step in which the
+    contact closes, the rate of the moment."""
+    if remembered is None:
+        return None
+    return jnp.where(remembered > 0, remembered, jnp.abs(rate))
 
 
 def gap_function(
@@ -128,6 +138,16 @@ def gap_function(
 def depths(joint: AbstractClearance, pose: Pose, worn: dict[str, Any]) -> tuple:
     """Indentation of every possible contact of a joint [m]."""
     return joint.indentations(pose.translation, _axes(joint, pose), worn)
+
+
+def indentation_rates(joint: AbstractClearance, relative: Relative, worn: dict) -> tuple:
+    """(indentation [m], its rate [m/s]) of every possible contact of a joint."""
+    pose, velocity, spin = relative
+    contacts = gap_function(joint, pose, worn)
+    return tuple(
+        (contact.indentation, contact_speeds(joint, pose, contact, velocity, spin)[0])
+        for contact in contacts
+    )
 
 
 def contact_speeds(
@@ -229,16 +249,6 @@ def _indentations(joint, offset, axes, worn):
             slopes[i] = slope
         gradients.append(jax.tree.unflatten(structure, slopes))
     return values, gradients
-
-
-def _impact_speed_rate(laws, indentation, rate, memory):
-    """The remembered speed follows the approach speed while the contact is open and stays while it
-    is closed.
-    """
-    if memory.impact_speed is None:
-        return None
-    follow = (positive_part(rate) - memory.impact_speed) / laws.contact.memory_time
-    return jnp.where(indentation < 0, follow, 0.0)
 
 
 def _wear_rates(joint, contact_laws, offset, axes, indentations, reports):

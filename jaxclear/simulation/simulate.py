@@ -149,10 +149,9 @@ def saving_times(duration: Any, save: Any) -> Array:
     return jnp.asarray(times if times[-1] == duration else np.concatenate([times, [duration]]))
 
 
-def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any = None) -> None:
-    """Whether a mechanism suits an integrator and its formulation; where the number of steps
-    between saving times is fixed, `times` tell their length. Raises `ValueError` with a sentence.
-    """
+def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
+    """Whether a mechanism suits an integrator and its formulation. Raises `ValueError` with a
+    sentence."""
     expect(mechanism, Mechanism, "what is simulated", "a jaxclear.Mechanism")
     wanted = "one of jaxclear.integrator, such as Adaptive()"
     expect(integrator, AbstractIntegrator, "the integrator", wanted)
@@ -164,9 +163,7 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any =
             "would take for an error; give stabilisation=jaxclear.Baumgarte(), or take an "
             "integrator with fixed steps."
         )
-    known = times is not None and not isinstance(times, jax.core.Tracer)
-    step = integrator.relaxing_step(np.max(np.diff(times)) if known else None)
-    integrator.formulation.check(mechanism, name, step)
+    integrator.formulation.check(mechanism, name)
 
 
 def check_duration(duration: Any) -> Any:
@@ -209,7 +206,7 @@ def simulate(
         )
     times = saving_times(duration, save)
     integrator = Adaptive() if integrator is None else integrator
-    check_run(mechanism, integrator, times)
+    check_run(mechanism, integrator)
     warn_of_shortened_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     start = assemble(mechanism, start_concentric)

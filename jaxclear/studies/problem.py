@@ -109,7 +109,7 @@ class Problem(AbstractQuantified):
         times = saving_times(check_duration(duration), save)
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
-        check_run(mechanism, self.integrator, times)
+        check_run(mechanism, self.integrator)
         warn_of_shortened_steps(integrator, times)
         for name, wanted in self.response.items():
             if not callable(wanted) or isinstance(wanted, type):

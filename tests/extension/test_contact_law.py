@@ -36,7 +36,7 @@ class Leaking(jc.contact.AbstractContactLaw):
     stiffness: Scalar = quantity(1e7, "N/m", "stiffness")
     damping: Scalar = quantity(1e6, "N s/m^2", "damping per indentation")
     restitution: ClassVar[None] = None
-    memory_time: ClassVar[None] = None
+    remembers_impact_speed: ClassVar[bool] = False
 
     def normal_force(self, indentation, rate, impact_speed):
         damper = self.damping * jc.numerics.positive_part(indentation) * rate

@@ -19,7 +19,7 @@ class PlasticContact(jc.formulation.AbstractFormulation):
 
     forces_are_means: ClassVar = True
 
-    def check(self, mechanism, integrator, step):
+    def check(self, mechanism, integrator):
         for name in mechanism.topology.clearances:
             if any(laws.friction for laws in mechanism.connections[name].joint.contact_laws()):
                 raise ValueError(f'joint "{name}" rubs, which {integrator} knows nothing of.')
@@ -73,9 +73,6 @@ class PlasticSteps(jc.integrator.AbstractIntegrator):
     @property
     def formulation(self):
         return PlasticContact()
-
-    def relaxing_step(self, interval):
-        return None
 
     def first_warm_start(self, model, start, state):
         return ()

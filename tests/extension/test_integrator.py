@@ -23,9 +23,6 @@ class Ralston(jc.integrator.AbstractIntegrator):
     def formulation(self):
         return jc.formulation.CompliantContact()
 
-    def relaxing_step(self, interval):
-        return self.step
-
     def first_warm_start(self, model, start, state):
         return ()
 

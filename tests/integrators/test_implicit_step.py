@@ -101,7 +101,6 @@ def rough(stiffness):
     law = jc.contact.CarvalhoMartins(
         stiffness=stiffness,
         restitution=0.8 * one,
-        memory_time=1e-4 * one,
         slowest_impact=1e-3 * one,
     )
     return law, jc.friction.ThreeZone(
@@ -151,9 +150,7 @@ def test_energy_never_grows(kind, laws):
 
 
 def test_agrees_with_the_reference_on_a_sliding_wearing_journal():
-    """Measured 8e-7 m and 3e-5; memories follow the approach speed in both, so their lag is the
-    same.
-    """
+    """Measured 8e-7 m and 3e-5."""
     runs = [
         jc.simulate(
             touching_journal(), 0.05, save=26, integrator=integrator, start_concentric=False
@@ -244,23 +241,6 @@ def test_rest_is_finite_with_its_derivative():
     for offset in (0.0, 1e-4, 1.1e-4):
         value, slope = go(jnp.array([offset, 0.0, 0.0]))
         assert np.isfinite(value).all() and np.isfinite(slope).all()
-
-
-def test_steps_far_longer_than_a_memory_are_stable():
-    """Relaxation of 1 us under steps of 100 us; explicit steps are refused here
-    (test_integrators)."""
-    law = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.5, memory_time=1e-6)
-    rig = held_journal(law, speeds=(0.06, 0.08, 0.0))
-    end = jc.simulate(
-        rig,
-        2.6e-3,
-        save=2,
-        integrator=jc.integrator.ImplicitStep(STEP, rebound=1.0),
-        start_concentric=False,
-    )
-    speed = -np.asarray(end.body("journal").velocity[-1, :2]) @ np.array([0.6, 0.8]) / 0.1
-    # Steps of a quarter of the contact's period: measured 0.507.
-    assert speed == pytest.approx(0.5, abs=0.02)
 
 
 @pytest.mark.parametrize(

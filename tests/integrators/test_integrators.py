@@ -134,28 +134,6 @@ def test_symplectic_steps_keep_the_energy_of_a_swing():
     assert float(abs(run.states[-200:, 0]).max()) == pytest.approx(0.3, rel=0.1)
 
 
-def test_steps_too_long_for_a_memory_are_refused_by_name():
-    with pytest.raises(
-        ValueError, match='joint "B": its contact law remembers the impact speed with memory_time'
-    ):
-        jc.simulate(touching_journal(), 0.05, integrator=jc.integrator.FixedStep(1e-3))
-
-
-def test_steps_per_save_too_few_for_a_memory_are_refused_by_name():
-    few = jc.integrator.FixedStep(steps_per_save=2)
-    with pytest.raises(ValueError, match='steps of 0.001 s are too long for joint "B"'):
-        jc.simulate(touching_journal(), 0.05, save=26, integrator=few)
-    with pytest.raises(ValueError, match='steps of 0.001 s are too long for joint "B"'):
-        jc.Problem(
-            touching_journal(),
-            jc.response.MeanContactForce("B"),
-            {},
-            duration=0.05,
-            save=26,
-            integrator=few,
-        )
-
-
 def test_a_run_that_ends_early_says_when_and_why():
     few = jc.integrator.Adaptive(most_steps=5)
     with pytest.raises(

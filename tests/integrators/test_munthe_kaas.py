@@ -288,7 +288,7 @@ def test_quaternion_stays_unit_over_1e5_steps():
     )
 
 
-def test_captured_impacts_agree_with_ordinary_steps():
+def test_impacts_on_the_group_agree_with_ordinary_steps():
     """A floating body in the plane is a group too; a touch is found inside a step, on the group."""
     bearing = jc.clearance.PlanarJournalBearing(
         jc.contact.Flores(stiffness=1e7, restitution=0.5), clearance=1e-3
@@ -300,9 +300,9 @@ def test_captured_impacts_agree_with_ordinary_steps():
         speeds={"journal": (0.05, 0.0, 2.0)},
     )
     integrators = (
-        jc.integrator.Adaptive(jc.integrator.MuntheKaas(4), capture_impacts=True),
-        jc.integrator.FixedStep(1e-6, "munthe_kaas3", contact_steps=2, capture_impacts=True),
-        jc.integrator.FixedStep(1e-6, capture_impacts=True),
+        jc.integrator.Adaptive(jc.integrator.MuntheKaas(4)),
+        jc.integrator.FixedStep(1e-6, "munthe_kaas3", contact_steps=2),
+        jc.integrator.FixedStep(1e-6),
     )
     runs = [
         jc.simulate(drop, 0.03, save=7, integrator=i, start_concentric=False) for i in integrators

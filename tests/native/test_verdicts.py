@@ -93,7 +93,6 @@ def test_a_disagreement_that_does_not_recur_is_rounding(refused, factor, monkeyp
     assert sentence == KERNELS if len(refused) == 1 else "does not agree with NumPy" in sentence
 
 
-def test_the_four_bar_with_captured_impacts_has_a_kernel():
-    captured = jc.integrator.Adaptive(capture_impacts=True)
-    run = jc.simulate(jc.scenes.four_bar(), 1e-3, save=2, integrator=captured)
+def test_the_adaptive_four_bar_has_a_kernel():
+    run = jc.simulate(jc.scenes.four_bar(), 1e-3, save=2, integrator=jc.integrator.Adaptive())
     assert run.stats.loops == KERNELS

@@ -9,7 +9,7 @@ import pytest
 
 import jaxclear as jc
 
-STEPS = jc.integrator.FixedStep(1e-4)
+STEPS = jc.integrator.FixedStep(2e-5)
 RIG = jc.scenes.slider_crank(wear=False)
 
 

@@ -17,11 +17,9 @@ CLEARANCE, GRAVITY, OMEGA, TIME = 1e-3, 9.81, 3e3, 0.02
 INTEGRATORS = {
     "explicit": jc.integrator.FixedStep(2e-5),
     "explicit, reverse mode": jc.integrator.FixedStep(steps_per_save=50),
-    "explicit, captured": jc.integrator.FixedStep(2e-5, capture_impacts=True),
     "contact steps": jc.integrator.FixedStep(1e-4, contact_steps=10),
     "implicit": jc.integrator.ImplicitStep(2e-5),
     "adaptive": jc.integrator.Adaptive(),
-    "adaptive, captured": jc.integrator.Adaptive(capture_impacts=True),
     "rigid": jc.integrator.MoreauJean(1e-4),
 }
 
@@ -129,18 +127,17 @@ def test_where_nothing_opens_derivatives_pass(integrator):
 
 
 @pytest.mark.parametrize("name", ["explicit", pytest.param("implicit", marks=pytest.mark.slow)])
-def test_a_wrong_pathwise_derivative_is_never_agreed(name):
-    """With a law that remembers the impact speed, the tangent of the discrete run does not know
-    that a journal that falls farther strikes faster: -1.268 for -1.212."""
+def test_pathwise_knows_that_a_longer_fall_strikes_faster(name):
+    """-1.212 by differences of tight runs. Impact speeds are taken at the touch, so the tangent of
+    the discrete run follows them (-1.268 when they relaxed to the approach speed); alone it is
+    still refused, because nothing confirms it."""
     asked = problem(INTEGRATORS[name])
     sample = jc.monte_carlo(asked, 32)
-    for methods in (("regression", "differences", "pathwise"), ("regression", "pathwise")):
-        answers = jc.sensitivity(asked, sample=sample, methods=methods, difference_samples=16)
-        found = answers.derivatives["height", "c"]
-        assert "pathwise" not in found.verdict and found.method != "pathwise"
-        assert found.trustworthy == (len(methods) == 3)
-        assert "misses how the instants of touch move" in found.estimates["pathwise"].refusal
-        assert abs(found.value + 1.212) < 0.01
+    answers = jc.sensitivity(
+        asked, sample=sample, methods=("regression", "pathwise"), difference_samples=16
+    ).derivatives["height", "c"]
+    assert answers.trustworthy and abs(answers.value + 1.212) < 0.01
+    assert abs(answers.estimates["pathwise"].value + 1.212) < 0.02
     alone = jc.sensitivity(asked, sample=sample, methods=("pathwise",), difference_samples=16)
     alone = alone.derivatives["height", "c"]
     assert np.isnan(alone.value) and not alone.trustworthy

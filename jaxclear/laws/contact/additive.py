@@ -29,7 +29,7 @@ class KelvinVoigt(AbstractContactLaw):
         1e-7, "m", "indentation at which the damper acts in full", above=0
     )
     restitution: ClassVar[None] = None
-    memory_time: ClassVar[None] = None
+    remembers_impact_speed: ClassVar[bool] = False
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
         damper = self.damping * smooth_step(indentation, 0.0, self.onset_depth) * rate
@@ -60,7 +60,7 @@ class AdamsImpact(AbstractContactLaw):
         1e-5, "m", "indentation d_max at which damping is largest", above=0
     )
     restitution: ClassVar[None] = None
-    memory_time: ClassVar[None] = None
+    remembers_impact_speed: ClassVar[bool] = False
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
         damper = smooth_step(indentation, 0.0, self.full_damping_depth, 0.0, self.damping) * rate

@@ -38,14 +38,8 @@ class AbstractNormalLaw(AbstractLaw):
 
     @property
     @abstractmethod
-    def memory_time(self) -> Scalar | None:
-        """Time [s] within which the stored impact speed follows the approach speed while open.
-        None: the law remembers nothing, and costs no state."""
-
-    @property
     def remembers_impact_speed(self) -> bool:
-        """Whether the engine must supply the speed of first touch."""
-        return self.memory_time is not None
+        """Whether the engine must supply the speed of first touch: one entry of the state."""
 
     @abstractmethod
     def elastic_force(self, indentation: Scalar) -> Scalar:

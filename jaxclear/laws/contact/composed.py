@@ -22,14 +22,9 @@ from jaxclear.laws.contact.base import (
 
 
 class ImpactMemory(AbstractQuantified):
-    """How the speed of first touch is remembered, where a dissipation factor asks for it."""
+    """What goes with the speed of first touch, where a dissipation factor asks for it. The engine
+    takes that speed at the touch itself."""
 
-    memory_time: Scalar = quantity(
-        1e-4,
-        "s",
-        "time constant with which the stored impact speed follows the approach speed while open",
-        above=0,
-    )
     slowest_impact: Scalar = quantity(
         1e-3,
         "m/s",
@@ -64,8 +59,8 @@ class ContactForce(AbstractContactLaw):
         remembers = known and dissipation.remembers_impact_speed
         if isinstance(memory, ImpactMemory) and not remembers:
             raise ValueError(
-                "this contact law has memory_time or slowest_impact, but no dissipation factor "
-                "that asks for the impact speed; leave them out."
+                "this contact law has a slowest_impact, but no dissipation factor "
+                "that asks for the impact speed; leave it out."
             )
         self.elastic, self.dissipation = elastic, dissipation
         self.memory = ImpactMemory() if remembers and memory is None else memory
@@ -88,9 +83,8 @@ class ContactForce(AbstractContactLaw):
         return 1.0 if self.dissipation is None else self.dissipation.restitution
 
     @property
-    def memory_time(self) -> Scalar | None:
-        """Time constant [s] of the remembered impact speed."""
-        return None if self.memory is None else self.memory.memory_time
+    def remembers_impact_speed(self) -> bool:
+        return self.memory is not None
 
     def normal_force(self, indentation: Scalar, rate: Scalar, impact_speed: Scalar) -> Scalar:
         force = self.elastic_force(indentation)

@@ -20,7 +20,7 @@ class Rigid(AbstractNormalLaw):
         0.9, "1", "coefficient of restitution c_e, 0 <= c_e <= 1", at_least=0, at_most=1
     )
     compliant: ClassVar[bool] = False
-    memory_time: ClassVar[None] = None
+    remembers_impact_speed: ClassVar[bool] = False
 
     def elastic_force(self, indentation: Scalar) -> Scalar:
         """Nothing is stored."""

@@ -138,7 +138,7 @@ def measure(pilot: Pilot, integrator: AbstractIntegrator) -> Trial:
     problem = eqx.tree_at(lambda p: p.integrator, pilot.problem, integrator)
     begun = time.perf_counter()
     try:
-        check_run(problem.mechanism, integrator, np.asarray(problem.shares * problem.duration))
+        check_run(problem.mechanism, integrator)
         start = eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(()))
         jax.block_until_ready(evaluate_one(start, jnp.asarray(pilot.values[0])))
     except (ValueError, TypeError, NotImplementedError) as error:

@@ -1,0 +1,149 @@
+"""One run as a user makes it, the references that judge it, and what is found.
+
+References are one run of the tight reference, one of the looser, and one of the looser for numbers
+that are off in the fifth digit.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxclear as jc
+from benchmarks.attacks import answers, rungs, verdicts
+from benchmarks.attacks.bearings import Case
+from benchmarks.attacks.verdicts import Verdict
+from jaxclear.integrators import Adaptive
+from jaxclear.multibody.system import prepare
+from jaxclear.simulation import simulate as simulation
+from jaxclear.simulation.wear import unworn
+
+# By how much the numbers of a mechanism are never known: answers that this changes beyond the
+# accuracy are no run's to give.
+NUDGE = 1e-5
+
+
+class Asked(NamedTuple):
+    """How a case is run: number of saving times, whether the energy balance is kept, and the depth
+    [m] to which surfaces are worn at the start (None: fresh, by `jaxclear.simulate`)."""
+
+    saves: int = 201
+    balance: bool = True
+    worn: float | None = None
+
+
+class Attempt(NamedTuple):
+    """What came of a run: its answers, or the sentence it ended with; `raw`: no sentence but a
+    traceback; `warned`: the responses that its warnings concern, `sentences` the warnings."""
+
+    answers: Any
+    ended: str
+    raw: bool = False
+    warned: frozenset[str] = frozenset()
+    sentences: tuple[str, ...] = ()
+
+
+class Finding(NamedTuple):
+    """Verdict on a run; verdicts, errors and doubts (how far references are apart) by response, and
+    what was said."""
+
+    verdict: Verdict
+    verdicts: dict[str, Verdict]
+    errors: dict[str, float]
+    doubts: dict[str, float]
+    said: tuple[str, ...]
+
+
+def attempt(case: Case, integrator: Any, asked: Asked) -> Attempt:
+    """Run a case as a user would."""
+    try:
+        run = _run(case, integrator, asked)
+        if not run.succeeded:
+            return Attempt(None, run.result)
+        wears = answers.surfaces(run.mechanism)
+        found = jax.tree.map(np.asarray, answers.read(run, asked.balance, wears))
+        return Attempt(found, "", False, verdicts.concerned(run), run.warnings)
+    except ValueError as error:
+        return Attempt(None, str(error))
+    except Exception as error:
+        return Attempt(None, f"{type(error).__name__}: {error}", True)
+
+
+def _run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
+    if asked.worn is not None:
+        return _worn_run(case, Adaptive() if integrator is None else integrator, asked)
+    return jc.simulate(
+        case.mechanism,
+        case.duration,
+        integrator=integrator,
+        save=asked.saves,
+        start_concentric=case.concentric,
+        balance=asked.balance,
+        throw=False,
+    )
+
+
+_compiled = eqx.filter_jit(simulation.run)
+
+
+def _worn_run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
+    """As `jaxclear.simulate`, with surfaces worn on one side."""
+    times = simulation.saving_times(case.duration, asked.saves)
+    simulation.check_run(case.mechanism, integrator, times)
+    rig = integrator.formulation.seen(case.mechanism)
+    start = jc.assemble(rig, case.concentric)
+    worn = jax.tree.map(lambda depth: asked.worn * _hollow(depth), unworn(prepare(rig)))
+    return _compiled(
+        rig, start.coordinates, start.speeds, times, integrator, asked.balance, False, worn
+    )
+
+
+def _hollow(depth: Any) -> Any:
+    """A smooth hollow around -y: 1 in its middle, 0 on the far side."""
+    around = depth.shape[0]
+    angle = 2 * jnp.pi * (jnp.arange(around) + 0.5) / around
+    return jnp.ones(depth.shape) * (0.5 * (1 - jnp.sin(angle)))[:, None]
+
+
+def judges(case: Case, model: str, step: float | None, asked: Asked) -> tuple[Attempt, ...]:
+    """The references: the tight one, the looser one, and that of slightly other numbers."""
+    loose, tight = rungs.references(model, step)
+    rig = case.reference or case.mechanism
+    near = nudged(rig)
+    return tuple(
+        attempt(case._replace(mechanism=one), integrator, asked)
+        for one, integrator in ((rig, tight), (rig, loose), (near, loose))
+    )
+
+
+def nudged(rig: jc.Mechanism) -> jc.Mechanism:
+    """The mechanism with every number off by `NUDGE`, up or down at random."""
+    signs = np.random.default_rng(0)
+
+    def moved(leaf: Any) -> Any:
+        if not eqx.is_inexact_array(leaf):
+            return leaf
+        return leaf * (1 + NUDGE * signs.choice([-1.0, 1.0]))
+
+    return jax.tree.map(moved, rig)
+
+
+def find(run: Attempt, known: tuple[Attempt, ...], kind: str) -> Finding:
+    """The verdict on a run beside its references, held to the accuracy of its `kind`."""
+    said = tuple(sentence for sentence in (run.ended, *run.sentences) if sentence)
+    if run.raw:
+        return Finding(Verdict.RAW, {}, {}, {}, said)
+    if run.answers is None:
+        return Finding(Verdict.REFUSED, {}, {}, {}, said)
+    if any(one.answers is None for one in known):
+        why = tuple(f"reference: {one.ended}" for one in known if one.ended)
+        verdict = Verdict.SAID if run.warned else Verdict.NO_REFERENCE
+        return Finding(verdict, {}, {}, {}, said + why)
+    tight, loose, near = (one.answers for one in known)
+    errors = answers.apart(run.answers, tight)
+    doubts, spread = answers.apart(loose, tight), answers.apart(near, tight)
+    found = verdicts.judged(errors, doubts, spread, kind, run.warned)
+    unsure = {name: max(doubts[name], spread[name]) for name in errors}
+    return Finding(verdicts.worst(found.values()), found, errors, unsure, said)

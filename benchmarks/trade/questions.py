@@ -1,0 +1,195 @@
+"""Every scene as a problem: what varies, how long it runs, and all that is asked of it.
+
+Friction losses are those of the saved instants (force times sliding speed), so that every
+formulation can tell them; reactions stand in for contact forces where joints are ideal.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+import jaxclear as jc
+from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.results.response import AbstractResponse
+from jaxclear.scenes.antenna import BASE, TIP
+
+SAVES = 201
+# Tolerances of the number that varies, as a share of it.
+TOLERANCE = 1e-2
+
+
+class FrictionLoss(AbstractResponse):
+    """Energy that friction takes in a clearance joint over the run [J], from the saved instants."""
+
+    joint: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="J", kw_only=True)
+
+    def drawn_from(self) -> str:
+        return "wear"
+
+    def __call__(self, run: jc.Trajectory) -> Any:
+        contact = run.contact(self.joint)
+        power = jnp.sum(contact.traction * contact.slip_speed, axis=-1)
+        return jnp.sum(0.5 * (power[1:] + power[:-1]) * jnp.diff(run.time))
+
+
+class MeanReaction(AbstractResponse):
+    """Mean force in a connection over the saved instants [N]."""
+
+    connection: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="N", kw_only=True)
+
+    def drawn_from(self) -> str:
+        return "forces"
+
+    def __call__(self, run: jc.Trajectory) -> Any:
+        return jnp.mean(_size(run.reaction(self.connection).force))
+
+
+class PeakReaction(AbstractResponse):
+    """Largest force in a connection at the saved instants [N]."""
+
+    connection: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="N", kw_only=True)
+
+    def drawn_from(self) -> str:
+        return "peak forces"
+
+    def __call__(self, run: jc.Trajectory) -> Any:
+        return jnp.max(_size(run.reaction(self.connection).force))
+
+
+def _size(force: Any) -> Any:
+    return safe_sqrt(jnp.sum(force * force, axis=-1))
+
+
+class Question(NamedTuple):
+    """A problem, and the rungs that its scene cannot be run on."""
+
+    problem: jc.Problem
+    without: tuple[str, ...] = ()
+
+
+def _forces(joint: str) -> dict[str, Callable]:
+    return {
+        "mean force": jc.response.MeanContactForce(joint),
+        "peak force": jc.response.PeakContactForce(joint),
+        "friction loss": FrictionLoss(joint),
+    }
+
+
+def _worn(joint: str) -> dict[str, Callable]:
+    return {
+        "worn volume": jc.response.WornVolume(joint),
+        "worn depth": jc.response.PeakWornDepth(joint),
+    }
+
+
+def _reactions(connection: str) -> dict[str, Callable]:
+    return {"mean force": MeanReaction(connection), "peak force": PeakReaction(connection)}
+
+
+def _away(body: str, ideal: jc.Mechanism, duration: float) -> dict[str, Callable]:
+    """Distance of a body from where it is in the ideal mechanism."""
+    path = jc.simulate(ideal, duration, save=SAVES).body(body).com
+    return {"position error": jc.response.PositionError(body, path)}
+
+
+def _clearance(*joints: str) -> dict[str, jc.Variable]:
+    return {
+        "clearance": jc.Variable(
+            lambda rig: [rig.connections[name].joint.clearance for name in joints],
+            tolerance=TOLERANCE * 1e-4,
+        )
+    }
+
+
+def _mass(body: str) -> dict[str, jc.Variable]:
+    return {"mass": jc.Variable(lambda rig: rig.bodies[body].mass, tolerance=TOLERANCE * 0.1)}
+
+
+def slider_crank(speed: float = 50.0, clearance: float = 0.1e-3, share: float = 0.5) -> Question:
+    """The scene with wear, half a turn."""
+    duration = share * 6.28 / speed
+    rig = jc.scenes.slider_crank(clearance=clearance, crank_speed=speed, wear=True)
+    ideal = jc.scenes.slider_crank("ideal", crank_speed=speed)
+    asked = _forces("B") | _worn("B") | _away("slider", ideal, duration)
+    problem = jc.Problem(rig, asked, _clearance("B"), duration=duration, save=SAVES)
+    return Question(problem, ("NonColliding",))
+
+
+def ideal_slider_crank(speed: float = 50.0, share: float = 1.0) -> Question:
+    """The scene without clearance, a turn."""
+    rig = jc.scenes.slider_crank("ideal", crank_speed=speed)
+    asked = _reactions("B") | {"place": jc.response.FinalCoordinate("G", unit="m")}
+    return Question(jc.Problem(rig, asked, _mass("rod"), duration=share * 6.0 / speed, save=SAVES))
+
+
+def four_bar(kind: str, speed: float = 10.0, clearance: float = 0.2e-3) -> Question:
+    """The scene, its first part, in which impacts are strong and then fade."""
+    duration = 2.0 / speed
+    rig = jc.scenes.four_bar(kind, clearance, crank_speed=speed)
+    ideal = jc.scenes.four_bar("ideal", crank_speed=speed)
+    asked = _forces("B") | _worn("B")
+    if kind == "planar":
+        asked |= _away("follower", ideal, duration)
+    problem = jc.Problem(rig, asked, _clearance("B"), duration=duration, save=SAVES)
+    return Question(problem, ("NonColliding",))
+
+
+def ideal_four_bar(speed: float = 10.0, share: float = 1.0) -> Question:
+    """The scene without clearance, a turn."""
+    rig = jc.scenes.four_bar("ideal", crank_speed=speed)
+    asked = _reactions("B") | {"place": jc.response.FinalCoordinate("D")}
+    problem = jc.Problem(rig, asked, _mass("coupler"), duration=share * 6.28 / speed, save=SAVES)
+    return Question(problem)
+
+
+def guide(speed: float = 5.0, clearance: float = 0.1e-3, transition: float = 1e-2) -> Question:
+    """The scene with smooth friction (the paper's own transition speed makes explicit steps
+    absurdly short)."""
+    duration = 0.5 / speed
+    rub = jc.friction.CoulombTanh(mu_kinetic=0.1, transition_speed=transition)
+    rig = jc.scenes.guide(clearance=clearance, crank_speed=speed, friction=rub)
+    ideal = jc.scenes.guide("ideal", crank_speed=speed)
+    asked = _forces("P") | _away("slider", ideal, duration)
+    return Question(jc.Problem(rig, asked, _clearance("P"), duration=duration, save=SAVES))
+
+
+def ideal_guide(speed: float = 5.0, share: float = 1.0) -> Question:
+    """The scene without clearance, a turn."""
+    rig = jc.scenes.guide("ideal", crank_speed=speed)
+    asked = _reactions("P") | {"place": jc.response.FinalCoordinate("C")}
+    return Question(
+        jc.Problem(rig, asked, _mass("slider"), duration=share * 6.28 / speed, save=SAVES),
+    )
+
+
+def antenna(clearance: float = 0.2e-3, duration: float = 0.1) -> Question:
+    """The scene with friction that is a function of the speed, at the start of its manoeuvre."""
+    rig = jc.scenes.antenna("spatial", clearance, friction="regularised")
+    asked = {"pointing": jc.response.PointingAngle(TIP, BASE)} | _forces("J1")
+    problem = jc.Problem(rig, asked, _clearance("J1", "J2"), duration=duration, save=SAVES)
+    return Question(problem, ("MoreauJean", "FixedStep, contact_steps"))
+
+
+def ideal_antenna(duration: float = 1.0) -> Question:
+    """The scene without clearance, a second."""
+    rig = jc.scenes.antenna("ideal")
+    asked = _reactions("J1") | {"place": jc.response.FinalCoordinate("J2")}
+    return Question(jc.Problem(rig, asked, _mass("link1"), duration=duration, save=SAVES))
+
+
+SCENES: dict[str, Callable[[], Question]] = {
+    "slider-crank": slider_crank,
+    "slider-crank, ideal": ideal_slider_crank,
+    "four-bar, planar": lambda: four_bar("planar"),
+    "four-bar, spatial": lambda: four_bar("spatial"),
+    "four-bar, ideal": ideal_four_bar,
+    "guide": guide,
+    "guide, ideal": ideal_guide,
+    "antenna": antenna,
+    "antenna, ideal": ideal_antenna,
+}
