@@ -24,6 +24,8 @@ from jaxclear.native import with_fast_loops
 
 # Share of the time at which a step is given up: a few roundings, below which time stands still.
 SMALLEST_STEP = 1e-14
+# Power of a step's share by which tolerances follow: of the order of the usual solvers.
+FINER_TOLERANCE = 4
 
 
 class Adaptive(AbstractIntegrator):
@@ -64,6 +66,10 @@ class Adaptive(AbstractIntegrator):
     most_steps: int = count(200_000, "most steps between two saving times", kw_only=True)
 
     @property
+    def usual_step(self):
+        return 0.0
+
+    @property
     def formulation(self):
         return CompliantContact()
 
@@ -84,9 +90,10 @@ class Adaptive(AbstractIntegrator):
 
     def _controller(self, interval):
         weights = interval.error_weights
+        finer = interval.share**FINER_TOLERANCE
         return diffrax.PIDController(
-            rtol=self.rtol,
-            atol=self.atol,
+            rtol=self.rtol * finer,
+            atol=self.atol * finer,
             # diffrax reports a failed implicit stage as an infinite error of all entries: 0 times
             # infinity must not enter.
             norm=lambda error: jnp.max(

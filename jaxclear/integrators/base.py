@@ -23,13 +23,15 @@ class Interval(NamedTuple):
 
     `error_weights` scale each entry's error for an error control; 0 where an entry only follows the
     others. Where `running` is False the run has ended before and the outcome will be ignored: an
-    integrator may then save the work.
+    integrator may then save the work. `share` of its usual length that a step is to have (of its
+    usual error, where steps follow an error).
     """
 
     start: Scalar
     stop: Scalar
     error_weights: Float[Array, " n"]
     running: Bool[Array, ""]
+    share: Scalar | float = 1.0
 
 
 class Advance(NamedTuple):
@@ -73,4 +75,11 @@ class AbstractIntegrator(AbstractQuantified):
 
     def asked_step(self) -> Scalar | None:
         """The longest step [s] that was asked for; None where nobody asked for one."""
+        return None
+
+    @property
+    def usual_step(self) -> Scalar | None:
+        """Length [s] of its steps, which heed `Interval.share`, so that a run can check itself with
+        finer ones; 0 where it finds their length itself. None: it does neither.
+        """
         return None

@@ -17,16 +17,15 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.integrators.outcome import Outcome
 
-# What a figure is told for: every joint that closes a loop, every possible contact, or the
-# mechanism as a whole.
-LOOPS, CONTACTS, WHOLE = "loops", "contacts", "mechanism"
+# What a figure is told for: every joint that closes a loop, every speed of the tree, every possible
+# contact, every worn surface of it, or the mechanism as a whole.
+LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
 
 
 class Check(enum.IntEnum):
     """A figure by which a run is judged: its `label` in tables, `unit`, `limit`, what the limit
-    `concerns` (motion, forces, peak forces, wear), whose it is (`of`: "loops", "contacts" or
-    "mechanism"), and the `sentence` said beyond the limit. Beyond `ends_at` the run ends, with
-    `outcome`.
+    `concerns` (motion, forces, peak forces, wear), whose it is (`of`), and the `sentence` said
+    beyond the limit. Beyond `ends_at` the run ends, by `outcome`.
     """
 
     label: str
@@ -61,13 +60,46 @@ class Check(enum.IntEnum):
         0,
         "loop drift",
         "1",
-        1e-4,
+        5e-4,
         "motion",
         LOOPS,
         'the loop closed by joint "{place}" is open by {figure:.2g} of the longest arm (limit '
         "{limit:g}), so the motion is off: take shorter steps or "
         "stabilisation=jaxclear.Projection()",
         (3e-2, Outcome.LOOP_TORN),
+    )
+    # What half the step changes, in the windows of `simulation.spot_checks`.
+    HALVED_MEAN_FORCES = (
+        3,
+        "halved steps: mean force",
+        "1",
+        0.05,
+        "motion",
+        SPEEDS,
+        'with steps of half the length the mean forces that move joint "{place}" change by '
+        "{figure:.2g} of themselves (limit {limit:g}), so motion and forces are off: take shorter "
+        "steps",
+    )
+    HALVED_FORCES = (
+        4,
+        "halved steps: force",
+        "1",
+        0.1,
+        "forces",
+        SPEEDS,
+        'with steps of half the length the forces at an instant that move joint "{place}" change '
+        "by {figure:.2g} of themselves (limit {limit:g}), so forces are off, though the motion may "
+        "be right: take shorter steps",
+    )
+    HALVED_WEAR = (
+        5,
+        "halved steps: wear",
+        "1",
+        0.05,
+        "wear",
+        SURFACES,
+        'with steps of half the length the wear of joint "{place}" changes by {figure:.2g} of '
+        "itself (limit {limit:g}), so worn volumes and depths are off: take shorter steps",
     )
     # Rate at which friction changes with sliding times the step.
     FRICTION_STEP = (

@@ -83,6 +83,12 @@ class FixedStep(AbstractIntegrator):
         return self.step if self.steps_per_save is None else None
 
     @property
+    def usual_step(self):
+        # A fixed number of steps is for reverse-mode derivatives, into which a shadow of the run
+        # that goes wrong would leak.
+        return self.step if self.steps_per_save is None else None
+
+    @property
     def formulation(self):
         return CompliantContact()
 

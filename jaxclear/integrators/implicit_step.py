@@ -59,6 +59,12 @@ class ImplicitStep(AbstractIntegrator):
     steps_per_save: int | None = count(None, "steps between two saving times", kw_only=True)
 
     @property
+    def usual_step(self):
+        # A fixed number of steps is for reverse-mode derivatives, into which a shadow of the run
+        # that goes wrong would leak.
+        return self.step if self.steps_per_save is None else None
+
+    @property
     def formulation(self):
         return CompliantContact()
 

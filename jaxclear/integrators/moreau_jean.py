@@ -69,6 +69,10 @@ class MoreauJean(AbstractIntegrator):
     project: bool = eqx.field(static=True, default=True, kw_only=True)
 
     @property
+    def usual_step(self):
+        return self.step
+
+    @property
     def formulation(self):
         return RigidContact()
 

@@ -61,6 +61,10 @@ class NonColliding(AbstractIntegrator):
     regularised: bool = eqx.field(static=True, default=False, kw_only=True)
 
     @property
+    def usual_step(self):
+        return self.step
+
+    @property
     def formulation(self):
         return PermanentContact()
 

@@ -19,12 +19,12 @@ SLIVER = 1e-9
 
 
 def divide(interval: Interval, step: Any, fixed: int | None = None) -> tuple[Any, Any]:
-    """(number of steps, their length [s]): the fewest equal ones no longer than `step`, or the
-    `fixed` number.
+    """(number of steps, their length [s]): the fewest equal ones no longer than `step`, more by the
+    share of their length that the interval asks for; or the `fixed` number.
     """
     start, stop = interval.start, interval.stop
     count = jnp.maximum(jnp.ceil((stop - start) / step * (1 - SLIVER)), 1.0)
-    count = count if fixed is None else jnp.asarray(float(fixed))
+    count = jnp.ceil(count / interval.share) if fixed is None else jnp.asarray(float(fixed))
     return count.astype(int), (stop - start) / count
 
 

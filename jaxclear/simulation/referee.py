@@ -9,16 +9,29 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
-from jaxclear.integrators.checks import CONTACTS, LOOPS, WHOLE, Check, ending, over_run
+from jaxclear.integrators.checks import (
+    CONTACTS,
+    LOOPS,
+    SPEEDS,
+    SURFACES,
+    WHOLE,
+    Check,
+    ending,
+    over_run,
+)
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import kinematics, loops
 from jaxclear.multibody.system import longest_arm
 from jaxclear.results.state_history import StateHistory, over_time
 from jaxclear.results.trajectory import Trajectory
+
+# Saved states of a run, at most, that are looked at: a loop that has come open stays so for long.
+LOOKS = 50
 
 
 def refereed(
@@ -52,16 +65,40 @@ def _places(history: StateHistory) -> dict[str, tuple[str, ...]]:
     """Names of the places of figures."""
     model = history.model()
     contacts = tuple(name for name, kinds in model.layout.memories for _ in kinds)
-    return {LOOPS: model.system.topology.loops, CONTACTS: contacts, WHOLE: ("",)}
+    topology = model.system.topology
+    return {
+        LOOPS: topology.loops,
+        SPEEDS: tuple(b.name for b in topology.branches for _ in range(b.speed_count)),
+        CONTACTS: contacts,
+        SURFACES: tuple(slot.bearing for slot in model.layout.wear),
+        WHOLE: ("",),
+    }
 
 
 def _of_saved_states(history: StateHistory) -> dict[Check, Float[Array, "intervals places"]]:
     """Figures that the states at the saving times tell."""
     found = {}
-    if history.model().system.closures:
-        arm = longest_arm(history.model().system)
-        found[Check.LOOP_DRIFT] = over_time(history, lambda now: _openings(now, arm))[1:]
+    system = history.model().system
+    if system.closures:
+        arm, count = longest_arm(system), len(history.time) - 1
+        looked = _spread(count)
+        rows = np.concatenate([[0], 1 + looked])
+        openings = over_time(_at(history, rows), lambda now: _openings(now, arm))[1:]
+        found[Check.LOOP_DRIFT] = jnp.zeros((count, openings.shape[1])).at[looked].set(openings)
     return found
+
+
+def _spread(count: int) -> np.ndarray:
+    """Up to `LOOKS` of so many saving intervals, evenly spread, the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, LOOKS)).round().astype(int))
+
+
+def _at(history: StateHistory, rows: np.ndarray) -> StateHistory:
+    """The history at some of its saving times."""
+    time, states, read = jax.tree.map(
+        lambda x: jnp.asarray(x)[rows], (history.time, history.states, history.read)
+    )
+    return dataclasses.replace(history, time=time, states=states, read=read)
 
 
 def _openings(now: Instant, arm: Any) -> Float[Array, " loops"]:

@@ -1,46 +1,28 @@
 """From a mechanism to a trajectory: the start is assembled, then the state is carried from one
-saving time to the next.
-
-Worn surfaces enter the gap as they were at the last saving time, and are updated at every saving
-time: wear is slow, the motion is fast, and a map that is constant within an interval costs the
-equations of motion nothing but its reading.
+saving time to the next (`loop`).
 """
 
-import dataclasses
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from jaxclear.formulations.base import model_of
-from jaxclear.formulations.model import Model
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
-from jaxclear.integrators.base import AbstractIntegrator, Interval
-from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.assembly import assemble
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.state import Layout
-from jaxclear.multibody.system import readings
-from jaxclear.native import verdict
-from jaxclear.results.state_history import StateHistory
-from jaxclear.results.trajectory import RunStats, Trajectory
+from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.derivatives import guarded
-from jaxclear.simulation.referee import refereed
+from jaxclear.simulation.loop import run
 from jaxclear.simulation.step_lengths import warn_of_shortened_steps
-from jaxclear.simulation.wear import Worn, deposit, unworn
-
-# Weight of the laws' memories in the error control: they need not be exact, but a step longer than
-# their time constant would make them explode (tests/oracles/test_contact_conservation.py has a long
-# flight that failed with weight 0).
-MEMORY_WEIGHT = 1e-2
 
 
 class SimulationError(RuntimeError):
@@ -55,70 +37,6 @@ class SimulationError(RuntimeError):
 
     def __str__(self) -> str:
         return self.args[0]
-
-
-def run(
-    mechanism: Mechanism,
-    coordinates: Array,
-    speeds: Array,
-    times: Float[Array, " saves"],
-    integrator: AbstractIntegrator,
-    balance: bool = False,
-    report: bool = False,
-    worn: Worn | None = None,
-) -> Trajectory:
-    """The pure core of `simulate`: from consistent coordinates and speeds to a trajectory."""
-    formulation = integrator.formulation
-    model = model_of(mechanism, formulation, balance)
-    system, layout = model.system, model.layout
-    state = jnp.concatenate([coordinates, speeds, jnp.zeros(layout.size - layout.memory_start)])
-    worn = unworn(system) if worn is None else worn
-    weights = _error_weights(layout)
-
-    def interval(carry, span):
-        state, worn, warm_start, outcome, ended = carry
-        start, stop, share = span
-        running = outcome == Outcome.REACHED
-        now = model_of_worn(model, worn)
-        ahead = Interval(start, stop, weights, running)
-        result = integrator.advance(now, ahead, state, warm_start)
-        sound = jnp.all(jnp.isfinite(result.state))
-        kept = jnp.where(running & sound, result.state, state)
-        worn = deposit(system, layout, worn, state, kept)
-        if report:
-            jax.debug.callback(progress.advance, share)
-        # What is not held to a tolerance (memories, worn volumes) can be lost while the steps still
-        # succeed.
-        lost = ~sound & (result.outcome == Outcome.REACHED)
-        found = jnp.where(lost, Outcome.NOT_FINITE, result.outcome)
-        outcome = jnp.where(running, found, outcome)
-        ended = jnp.where(running & (outcome == Outcome.REACHED), stop, ended)
-        counts = (jnp.where(running, result.accepted, 0), jnp.where(running, result.rejected, 0))
-        figures = {c: jnp.where(running, x, 0.0) for c, x in (result.figures or {}).items()}
-        return (kept, worn, result.warm_start, outcome, ended), (kept, now.worn, counts, figures)
-
-    spans = (times[:-1], times[1:], (times[1:] - times[:-1]) / (times[-1] - times[0]))
-    warm_start = integrator.first_warm_start(model_of_worn(model, worn), times[0], state)
-    first = (state, worn, warm_start, jnp.asarray(Outcome.REACHED), times[0])
-    (_, worn, _, outcome, ended), saved = jax.lax.scan(interval, first, spans)
-    states, read, (accepted, rejected), figures = saved
-    read = jax.tree.map(lambda x: jnp.concatenate([x[:1], x]), read)
-    states = jnp.concatenate([state[None], states])
-    history = StateHistory(mechanism, formulation, times, states, read, balance)
-    stats = RunStats(accepted.sum(), rejected.sum(), verdict(outcome))
-    return refereed(Trajectory(history, worn, outcome, ended, stats), figures)
-
-
-def model_of_worn(model: Model, worn: Worn) -> Model:
-    """The model with its gaps reading surfaces of these depths."""
-    return dataclasses.replace(model, worn=readings(model.system, worn))
-
-
-def _error_weights(layout: Layout) -> Float[Array, " n"]:
-    """Weights of the state's entries in an error control."""
-    rest = layout.size - layout.memory_start - layout.memory_count
-    counts = np.array([layout.memory_start, layout.memory_count, rest])
-    return jnp.repeat(jnp.array([1.0, MEMORY_WEIGHT, 0.0]), counts)
 
 
 _run = eqx.filter_jit(run)
