@@ -5,11 +5,12 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is two functions, and two that tell what became of the loops:
+The boundary is two functions, two that tell what became of the loops, and two for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
-- `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence.
+- `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence;
+- `stoppable()`: what runs within it ends at once on Ctrl-C, or by `stop()` (see `stopping`).
 
 On its way a loop passes through these files:
 
@@ -19,7 +20,7 @@ On its way a loop passes through these files:
 - `writer`: the text under construction. An array is a NumPy array of register names, so reshaping
   costs nothing and a sum of three numbers is two instructions.
 - `functions`: sine, cosine and angle for several samples at once.
-- `kernel`: the loop compiled by LLVM; `call_frame`: how XLA calls it.
+- `kernel`: the loop compiled by LLVM (`machine`); `call_frame`, `dispatch`: how XLA calls it.
 - `check`, with `by_numpy`: one turn of each new kernel on random numbers against NumPy, operation
   by operation, before it is used.
 - `verdicts`: which loops became kernels, and why others did not.
@@ -42,6 +43,7 @@ give it a case in tests/native/test_rules.py.
 """
 
 from jaxclear.native.loop import while_loop, with_fast_loops
+from jaxclear.native.stopping import stop, stoppable
 from jaxclear.native.verdicts import explain, verdict
 
-__all__ = ["explain", "verdict", "while_loop", "with_fast_loops"]
+__all__ = ["explain", "stop", "stoppable", "verdict", "while_loop", "with_fast_loops"]

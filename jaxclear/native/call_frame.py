@@ -1,4 +1,4 @@
-"""How XLA calls a kernel: the function it enters, and the loop over samples behind it.
+"""How a kernel is called: the function that takes XLA's frame, and the loop over samples behind it.
 
 A custom call receives one frame that points to its arrays. `HANDLER` reads the packed rows, the
 arrays kept in memory and the place of the result out of it; `SAMPLES` brings `lanes` samples at a
@@ -7,7 +7,6 @@ XLA's foreign function interface, version by version: `interface_version` looks 
 comes with jaxlib, and refuses another layout.
 """
 
-import ctypes
 import functools
 import re
 from collections.abc import Sequence
@@ -21,23 +20,6 @@ from jaxclear.native.writer import Unsupported
 HANDLER = """
 define ptr @{name}(ptr %frame) {{
 entry:
-  %extension_place = getelementptr i8, ptr %frame, i64 8
-  %extension = load ptr, ptr %extension_place
-  %plain = icmp eq ptr %extension, null
-  br i1 %plain, label %execute, label %describe
-describe:
-  %metadata_place = getelementptr i8, ptr %extension, i64 24
-  %metadata = load ptr, ptr %metadata_place
-  %major = getelementptr i8, ptr %metadata, i64 24
-  store i32 {major}, ptr %major
-  %minor = getelementptr i8, ptr %metadata, i64 28
-  store i32 {minor}, ptr %minor
-  %traits = getelementptr i8, ptr %metadata, i64 32
-  store i32 0, ptr %traits
-  %state = getelementptr i8, ptr %metadata, i64 40
-  store i64 0, ptr %state
-  ret ptr null
-execute:
   %arguments_place = getelementptr i8, ptr %frame, i64 72
   %arguments = load ptr, ptr %arguments_place
   %results_place = getelementptr i8, ptr %frame, i64 112
@@ -50,8 +32,8 @@ execute:
   %outer = sub i64 %rank, 1
   br label %count
 count:
-  %axis = phi i64 [ 0, %execute ], [ %next_axis, %multiply ]
-  %samples = phi i64 [ 1, %execute ], [ %more, %multiply ]
+  %axis = phi i64 [ 0, %entry ], [ %next_axis, %multiply ]
+  %samples = phi i64 [ 1, %entry ], [ %more, %multiply ]
   %counted = icmp sge i64 %axis, %outer
   br i1 %counted, label %gather, label %multiply
 multiply:
@@ -155,7 +137,15 @@ STRUCTURES = (
     "int64_t size; XLA_FFI_RetType* types; void** rets; };",
     "struct XLA_FFI_CallFrame { size_t struct_size; XLA_FFI_Extension_Base* extension_start; "
     "const XLA_FFI_Api* api; XLA_FFI_ExecutionContext* ctx; XLA_FFI_ExecutionStage stage; "
-    "XLA_FFI_Args args; XLA_FFI_Rets rets; ",
+    "XLA_FFI_Args args; XLA_FFI_Rets rets; XLA_FFI_Attrs attrs; ",
+    "struct XLA_FFI_Attrs { size_t struct_size; XLA_FFI_Extension_Base* extension_start; "
+    "int64_t size; XLA_FFI_AttrType* types; XLA_FFI_ByteSpan** names; void** attrs; };",
+    "struct XLA_FFI_Scalar { XLA_FFI_DataType dtype; void* value; }",
+    "struct XLA_FFI_Api { size_t struct_size; XLA_FFI_Extension_Base* extension_start; "
+    "XLA_FFI_Api_Version api_version; const XLA_FFI_InternalApi* internal_api; "
+    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_Create);",
+    "struct XLA_FFI_Error_Create_Args { size_t struct_size; "
+    "XLA_FFI_Extension_Base* extension_start; const char* message; XLA_FFI_Error_Code errc; };",
     "struct XLA_FFI_Metadata { size_t struct_size; XLA_FFI_Api_Version api_version; "
     "XLA_FFI_Handler_Traits traits; XLA_FFI_TypeId state_type_id; };",
     "struct XLA_FFI_Metadata_Extension { XLA_FFI_Extension_Base extension_base; "
@@ -203,10 +193,7 @@ def text(name: str, lanes: int, width: int, height: int, in_memory: Sequence[int
             f"  %k{i} = getelementptr ptr, ptr %big, i64 %j{i}",
             f"  store ptr %i{i}, ptr %k{i}",
         ]
-    major, minor = interface_version()
-    handler = HANDLER.format(
-        name=name, major=major, minor=minor, arrays=1 + len(in_memory), loads="\n".join(loads)
-    )
+    handler = HANDLER.format(name=name, arrays=1 + len(in_memory), loads="\n".join(loads))
     samples = SAMPLES.format(
         name=name,
         inputs=max(width * lanes, 1),
@@ -218,13 +205,3 @@ def text(name: str, lanes: int, width: int, height: int, in_memory: Sequence[int
         pointers="\n".join(pointers),
     )
     return samples + handler
-
-
-def register(name: str, address: int) -> None:
-    """Make the function at this address known to XLA under a name."""
-    capsule = ctypes.pythonapi.PyCapsule_New
-    capsule.restype, capsule.argtypes = (
-        ctypes.py_object,
-        [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p],
-    )
-    jax.ffi.register_ffi_target(name, capsule(address, None, None), platform="cpu", api_version=1)

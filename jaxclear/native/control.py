@@ -10,7 +10,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from jaxclear.native.arithmetic import compare
 from jaxclear.native.rules import array_of, each, refuse_memory, rule, write_closed
-from jaxclear.native.writer import TRUTH, WHOLE, Unsupported, Writer, kind_of
+from jaxclear.native.writer import FLOAT, STOP_FLAG, TRUTH, WHOLE, Unsupported, Writer, kind_of
 
 # Loops of known length are written out up to this many turns, and while they have at most so many
 # equations.
@@ -183,13 +183,13 @@ def loop(
     body: Callable,
     carry: Any,
     kinds: list[str],
-    most: str | None = None,
+    outermost: bool = False,
 ) -> list:
     """A while loop over arrays of registers: every sample stops by itself, the loop ends with the
     last one.
 
-    `most`: a register (i64) with the largest number of turns; where it is given, the first turn is
-    taken in any case.
+    The `outermost` one looks at `writer.most` and at the flag that stops all kernels; what it had
+    not finished then becomes nan. A loop within it is bounded too while a kernel is checked.
     """
     refuse_memory(*carry)
     head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
@@ -198,14 +198,12 @@ def loop(
     writer.say(f"br label %{head}")
     writer.start(head)
     registers, places = [writer.fresh("s") for _ in flat], len(writer.lines)
-    turn = writer.fresh("turn") if most else None
+    turn = writer.fresh("turn")
     region, outer = writer.enter(), writer.active
     truth = condition(_shaped(registers, carry))
     if outer is not None:
         truth = writer.operate("and {type} {0}, {1}", TRUTH, truth, outer)
-    go = writer.any(truth)
-    if most:
-        go, truth = _within_turns(writer, go, truth, turn, most)
+    go, truth, stopped = _bounded(writer, truth, turn, outermost)
     writer.say(f"br i1 {go}, label %{inside}, label %{behind}")
     writer.start(inside)
     writer.active = truth if writer.lanes > 1 else None
@@ -221,12 +219,12 @@ def loop(
     phis = []
     for name, new, (old, kind) in zip(registers, found, flat, strict=True):
         phis.append(_phi(writer, name, kind, (old, new), ends))
-    if most:
-        phis.append(_phi_of_turns(turn, writer.put(f"add i64 {turn}, 1"), ends))
+    phis.append(_phi_of_turns(turn, writer.put(f"add i64 {turn}, 1"), ends))
     writer.lines[places:places] = phis
     writer.say(f"br label %{head}")
     writer.start(behind)
-    return _shaped(registers, carry)
+    kinds_of_all = [kind for _, kind in flat]
+    return _shaped(_spoilt(writer, stopped, registers, kinds_of_all), carry)
 
 
 def _shaped(values, like):
@@ -239,15 +237,50 @@ def _shaped(values, like):
     return out
 
 
-def _within_turns(writer, go, truth, turn, most):
+def _bounded(writer, truth, turn, outermost):
+    """Whether to go on, each sample's truth, and (of the outermost loop) whether it was stopped."""
+    go = writer.any(truth)
+    if outermost:
+        go, truth = _within_turns(writer, go, truth, turn)
+        go, stopped = _unless_stopped(writer, go)
+        return go, truth, stopped
+    allowed = writer.put(f"icmp slt i64 {turn}, {writer.most_inside}")
+    return writer.put(f"and i1 {go}, {allowed}"), truth, None
+
+
+def _within_turns(writer, go, truth, turn):
     """Whether to go on, and each sample's truth, where the number of turns is bounded: with a bound
     of one the first turn is taken whatever the condition says."""
     early = writer.put(f"icmp slt i64 {turn}, 1")
-    forced = writer.put(f"icmp eq i64 {most}, 1")
+    forced = writer.put(f"icmp eq i64 {writer.most}, 1")
     first = writer.put(f"and i1 {early}, {forced}")
-    allowed = writer.put(f"icmp slt i64 {turn}, {most}")
+    allowed = writer.put(f"icmp slt i64 {turn}, {writer.most}")
     go = writer.put(f"and i1 {go}, {allowed}")
     go = writer.put(f"or i1 {go}, {first}")
     wide = writer.wide(TRUTH)
     yes, own = writer.text(True, TRUTH), writer.text(truth, TRUTH)
     return go, writer.put(f"select i1 {forced}, {wide} {yes}, {wide} {own}")
+
+
+def _unless_stopped(writer, go):
+    """Whether to go on, and whether it is the flag that says no; a kernel under check is not
+    stopped."""
+    flag = writer.put(f"load volatile i64, ptr {STOP_FLAG}")
+    raised = writer.put(f"icmp ne i64 {flag}, 0")
+    free = writer.put(f"icmp ne i64 {writer.most}, 1")
+    stopped = writer.put(f"and i1 {raised}, {free}")
+    onward = writer.put(f"xor i1 {stopped}, true")
+    return writer.put(f"and i1 {go}, {onward}"), stopped
+
+
+def _spoilt(writer, stopped, registers, kinds):
+    """What a loop leaves: nan where it was stopped, which nobody takes for an answer."""
+    if stopped is None:
+        return registers
+    wide, nan = writer.wide(FLOAT), writer.text(float("nan"), FLOAT)
+    return [
+        writer.put(f"select i1 {stopped}, {wide} {nan}, {wide} {register}")
+        if kind == FLOAT
+        else register
+        for register, kind in zip(registers, kinds, strict=True)
+    ]

@@ -1,33 +1,44 @@
 """Machine code of a whole while loop, called from compiled JAX programs.
 
-The loop is written by the rules, compiled by LLVM, checked on random numbers, and made known to XLA
-under a name that its text decides. Samples run `lanes` at a time.
+The loop is written by the rules, compiled by LLVM, checked on random numbers, and entered in the
+table of `dispatch` under a number that its text decides. Samples run `lanes` at a time.
 """
 
 import hashlib
-from typing import Any, NamedTuple
+import threading
+import weakref
+from typing import Any
 
 import numpy as np
 
 from jaxclear.native import (  # noqa: F401  (rules register themselves when imported)
     call_frame,
+    dispatch,
     elementary,
     functions,
     indexing,
+    machine,
     shapes,
+    stopping,
 )
+from jaxclear.native.by_numpy import LONGEST_LOOP
 from jaxclear.native.check import check
 from jaxclear.native.control import loop
 from jaxclear.native.program import Program, avals_of, floats_in, in_memory
 from jaxclear.native.rules import array_of, write_closed
-from jaxclear.native.writer import FLOAT, TRUTH, WHOLE, InMemory, Writer, kind_of
+from jaxclear.native.writer import (
+    ENDLESS,
+    FLOAT,
+    STOP_FLAG,
+    TRUTH,
+    WHOLE,
+    InMemory,
+    Writer,
+    kind_of,
+)
 
-
-class Kernel(NamedTuple):
-    """Compiled code: the name under which XLA knows it, and its address for a direct call."""
-
-    name: str
-    address: int
+# Turns after which a loop within the loop is given up while a kernel is checked.
+MOST_TURNS = 10 * LONGEST_LOOP
 
 
 def text_of(program: Program, lanes: int) -> str:
@@ -37,15 +48,16 @@ def text_of(program: Program, lanes: int) -> str:
     c, b = program.condition_constants, program.body_constants
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], values[c + b :]
     kinds = [kind_of(a.dtype) for a in avals_of(program)[1]]
-    forced = writer.put("icmp sgt i64 %most, 0")
-    most = writer.put(f"select i1 {forced}, i64 %most, i64 {2**62}")
+    checked = writer.put("icmp sgt i64 %most, 0")
+    writer.most = writer.put(f"select i1 {checked}, i64 %most, i64 {ENDLESS}")
+    writer.most_inside = writer.put(f"select i1 {checked}, i64 {MOST_TURNS}, i64 {ENDLESS}")
     last = loop(
         writer,
         lambda s: write_closed(writer, program.condition, [*fixed_condition, *s])[0].item(),
         lambda s: write_closed(writer, program.body, [*fixed_body, *s]),
         first,
         kinds,
-        most,
+        outermost=True,
     )
     numbers = [
         (value, kind) for array, kind in zip(last, kinds, strict=True) for value in array.flat
@@ -109,42 +121,39 @@ def _store(writer: Writer, position: int, value: Any, kind: str) -> None:
     writer.say(f"store {writer.wide(FLOAT)} {word}, ptr {place}")
 
 
-def _machine() -> Any:
-    """LLVM's description of this processor; an engine takes it over, so each needs its own."""
-    import llvmlite.binding as llvm
+class Kernel:
+    """Compiled code: the number by which a program calls it, and its address for a direct call.
 
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    features = llvm.get_host_cpu_features().flatten()
-    target = llvm.Target.from_default_triple()
-    return target.create_target_machine(
-        opt=3, cpu=llvm.get_host_cpu_name(), features=features, jit=True
-    )
-
-
-def widest() -> int:
-    """Samples that one vector register of this processor holds, twice over where registers are
-    short.
+    It goes with the last program that keeps it: its number then leaves the table, and its machine
+    code the memory.
     """
-    import llvmlite.binding as llvm
 
-    return 8 if llvm.get_host_cpu_features().get("avx512f") else 4
+    def __init__(self, number: int, name: str, engine: Any):
+        self.number, self.address = number, engine.get_function_address(f"{name}.samples")
+        self._engine = engine
+        self._entry = engine.get_function_address(name)
+        weakref.finalize(self, dispatch.remove, number, self._entry).atexit = False
+
+    def publish(self) -> None:
+        """Programs may call it from now on."""
+        dispatch.enter(self.number, self._entry)
 
 
-_ENGINES: dict[str, tuple[Any, Kernel]] = {}
+# Two threads that compile the same loop share one kernel.
+_BUILDING = threading.RLock()
+_KERNELS: "weakref.WeakValueDictionary[int, Kernel]" = weakref.WeakValueDictionary()
 
 
 def build(program: Program, lanes: int) -> Kernel:
-    """Compile, register with XLA, and check. Raises `Unsupported`."""
-    call_frame.interface_version()
+    """Compile, check, and make known. Raises `Unsupported`."""
+    dispatch.known_to_xla()
     text = text_of(program, lanes)
     constants, state = avals_of(program)
     kept = list(zip([*constants, *state], in_memory(program), strict=True))
     long = [aval for aval, is_long in kept if is_long]
-    mark = hashlib.sha256(f"{text}{lanes}{[a.shape for a in long]}".encode()).hexdigest()[:24]
-    name = f"jaxclear_{mark}"
-    if name in _ENGINES:
-        return _ENGINES[name][1]
+    mark = hashlib.sha256(f"{text}{lanes}{[a.shape for a in long]}".encode()).hexdigest()
+    number = max(int(mark[:16], 16) >> 1, 1)
+    name = f"jaxclear_{mark[:24]}"
     frame = call_frame.text(
         name,
         lanes,
@@ -152,23 +161,12 @@ def build(program: Program, lanes: int) -> Kernel:
         height=floats_in(state),
         in_memory=[int(np.prod(aval.shape)) for aval in long],
     )
-    engine = _compiled(text.replace("@NAME", f"@{name}") + frame)
-    kernel = Kernel(name, engine.get_function_address(f"{name}.samples"))
-    check(program, kernel.address)
-    call_frame.register(name, engine.get_function_address(name))
-    _ENGINES[name] = (engine, kernel)
-    return kernel
-
-
-def _compiled(text: str) -> Any:
-    """An engine that holds the machine code; the code lives as long as it does."""
-    import llvmlite.binding as llvm
-
-    module = llvm.parse_assembly(text)
-    machine = _machine()
-    options = llvm.create_pipeline_tuning_options(speed_level=2)
-    passes = llvm.create_pass_builder(machine, options)
-    passes.getModulePassManager().run(module, passes)
-    engine = llvm.create_mcjit_compiler(module, machine)
-    engine.finalize_object()
-    return engine
+    whole = text.replace("@NAME", f"@{name}").replace(STOP_FLAG, stopping.flag_in_llvm()) + frame
+    with _BUILDING:
+        kernel = _KERNELS.get(number)
+        if kernel is None:
+            kernel = Kernel(number, name, machine.compiled(whole))
+            check(program, kernel.address)
+            kernel.publish()
+            _KERNELS[number] = kernel
+        return kernel

@@ -19,8 +19,10 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
+from jaxclear.native import dispatch
 from jaxclear.native import kernel as kernels
 from jaxclear.native.control import CALLS
+from jaxclear.native.machine import widest
 from jaxclear.native.program import Program, avals_of, floats_in, in_memory
 from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, tell
 from jaxclear.native.writer import LONGEST_IN_REGISTERS, Unsupported
@@ -176,12 +178,10 @@ batching.primitive_batchers[loop_p] = _batch
 ad.primitive_jvps[loop_p] = _differentiate
 
 
-def _native(*values, program, rank):
-    """Through the kernel. Raises `Unsupported`."""
+def _native(*values, program, rank, number):
+    """Through the kernel of this number."""
     _, state = avals_of(program)
     batch = values[-1].shape[:rank]
-    lanes = kernels.widest() if int(np.prod(batch)) > 1 else 1
-    kernel = kernels.build(program, lanes)
     kept = in_memory(program)
     rows = [
         jnp.reshape(v.astype(float), (*batch, -1))
@@ -191,7 +191,8 @@ def _native(*values, program, rank):
     big = [v for v, k in zip(values, kept, strict=True) if k]
     height = floats_in(state)
     shape = jax.ShapeDtypeStruct((*batch, height), jnp.float64)
-    packed = jax.ffi.ffi_call(kernel.name, shape)(jnp.concatenate(rows, -1), *big)
+    call = jax.ffi.ffi_call(dispatch.TARGET, shape)
+    packed = call(jnp.concatenate(rows, -1), *big, kernel=np.int64(number))
     out, position = [], 0
     for aval in state:
         size = int(np.prod(aval.shape))
@@ -211,8 +212,12 @@ def _lower_on_cpu(ctx, *values, program, rank):
     if os.environ.get("JAXCLEAR_PLAIN_LOOPS", "0") not in ("", "0"):
         return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=SWITCHED_OFF)
     try:
+        batch = ctx.avals_in[-1].shape[:rank]
+        kernel = kernels.build(program, widest() if int(np.prod(batch)) > 1 else 1)
+        # The compiled program keeps it.
+        ctx.module_context.add_keepalive(kernel)
         lower = mlir.lower_fun(_native, multiple_results=True)
-        out = lower(ctx, *values, program=program, rank=rank)
+        out = lower(ctx, *values, program=program, rank=rank, number=kernel.number)
         tell(ctx, None)
         return out
     except (Unsupported, ImportError) as missing:

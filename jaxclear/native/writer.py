@@ -13,8 +13,13 @@ from typing import Any
 import numpy as np
 
 FLOAT, WHOLE, TRUTH = "double", "i64", "i1"
+# Stands in the text for the place of the flag that stops all kernels, which each process has
+# elsewhere.
+STOP_FLAG = "STOP_FLAG"
 # Beyond this many instructions XLA's loops over arrays are the better program.
 MOST_INSTRUCTIONS = 60_000
+# More turns than any loop takes.
+ENDLESS = 2**62
 # An array longer than this stays in memory and is read by index; shorter ones live in registers.
 LONGEST_IN_REGISTERS = 64
 
@@ -55,6 +60,8 @@ class Writer:
         self.needs: set[str] = set()
         self.block = "entry"
         self.active: str | None = None
+        # Registers with the largest number of turns of the outermost loop, and of loops within it.
+        self.most, self.most_inside = str(ENDLESS), str(ENDLESS)
         self._count = 0
         self._seen: dict[tuple, Any] = {}
 

@@ -18,6 +18,7 @@ from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.assembly import assemble
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.native import stoppable
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.derivatives import guarded
@@ -128,7 +129,7 @@ def simulate(
     warn_of_shortened_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     start = assemble(mechanism, start_concentric)
-    with progress.bar(progress_bar, "simulating"):
+    with stoppable(), progress.bar(progress_bar, "simulating"):
         trajectory = _run(
             mechanism, start.coordinates, start.speeds, times, integrator, balance, progress_bar
         )

@@ -18,6 +18,7 @@ from tqdm import tqdm
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare
+from jaxclear.native import stop, stoppable
 from jaxclear.studies.problem import Problem, SampleResult
 
 # Memory for one chunk [bytes] on machines with a few GiB a core; states are saved for every sample
@@ -73,20 +74,25 @@ def evaluate_all(
     padded = jnp.concatenate([values, jnp.repeat(values[-1:], count * chunk - samples, axis=0)])
     pieces = padded.reshape(count, chunk, -1)
 
-    # Compile before the threads start, or each of them would: the same program, on a run of no
-    # length.
-    if count > 1:
-        jax.block_until_ready(
-            function(eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(())), pieces[0])
-        )
-
     def one(piece):
         return jax.tree.map(np.asarray, jax.block_until_ready(function(problem, piece)))
 
-    with tqdm(total=samples, desc=label, disable=not progress_bar) as bar:
+    with stoppable(), tqdm(total=samples, desc=label, disable=not progress_bar) as bar:
+        # Compile before the threads start, or each of them would: the same program, on a run of no
+        # length.
+        if count > 1:
+            jax.block_until_ready(
+                function(eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(())), pieces[0])
+            )
         outcomes = []
         with ThreadPoolExecutor(threads) as pool:
-            for outcome in pool.map(one, pieces):
-                outcomes.append(outcome)
-                bar.update(min(chunk, samples - bar.n))
+            try:
+                for outcome in pool.map(one, pieces):
+                    outcomes.append(outcome)
+                    bar.update(min(chunk, samples - bar.n))
+            except BaseException:
+                # The machine is to be idle when the user has the word again.
+                stop()
+                pool.shutdown(wait=True, cancel_futures=True)
+                raise
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:samples], *outcomes)

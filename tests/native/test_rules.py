@@ -200,7 +200,7 @@ OTHER_NAMES = {
     "expand_dims": "reshape",
 }
 # Primitives that some allowed version of JAX does not know yet.
-SINCE = {"unstack": (0, 10, 2)}
+SINCE = {"stack": (0, 10, 2), "unstack": (0, 10, 2)}
 
 
 def inner_programs(jaxpr):

@@ -1,0 +1,84 @@
+"""Kernels go with the programs that call them, and a program whose kernel has gone says so."""
+
+import ctypes
+import gc
+import os
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxclear  # noqa: F401  (float64)
+from jaxclear.native import dispatch, kernel, while_loop
+
+PROGRAMS = 30
+
+
+def program(number, terms=3):
+    def step(x):
+        return 0.1 * sum(jnp.sin(x * k + number) for k in range(terms))
+
+    run = jax.jit(
+        lambda x: while_loop(lambda s: s[0] < 3, lambda s: (s[0] + 1, step(s[1])), (0, x))
+    )
+    return run, run(jnp.ones(3))[1]
+
+
+def resident():
+    """Memory that this process holds [bytes]."""
+    gc.collect()
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096
+
+
+def test_kernels_are_freed_with_their_programs():
+    kept, _ = program(0.5)
+    gc.collect()
+    table, known = dispatch.size(), len(kernel._KERNELS)
+    for number in range(6):
+        program(number)
+    gc.collect()
+    assert dispatch.size() <= table and len(kernel._KERNELS) <= known
+    again, wanted = program(0.5)
+    assert jnp.array_equal(kept(jnp.ones(3))[1], wanted)
+    del again
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="no /proc here")
+@pytest.mark.slow
+def test_memory_stays_flat_when_programs_are_dropped():
+    """XLA keeps some 0.7 MB of a program that is dropped; a kernel took 2 MB beside that."""
+    for number in range(5):
+        program(1000 + number, 20)
+    before = resident()
+    for number in range(PROGRAMS):
+        program(2000 + number, 20)
+    assert resident() - before < PROGRAMS * 1.5e6
+
+
+def test_a_program_whose_kernel_has_gone_says_so():
+    run, _ = program(7.5)
+    own = [k for k in kernel._KERNELS.values() if dispatch.TABLE[2 * dispatch._place(k.number)]]
+    addresses = {k.number: k._entry for k in own}
+    try:
+        for number, address in addresses.items():
+            dispatch.remove(number, address)
+        with pytest.raises(ValueError, match="kernel of this program"):
+            jax.block_until_ready(run(jnp.zeros(3)))
+    finally:
+        for number, address in addresses.items():
+            dispatch.enter(number, address)
+    assert jnp.isfinite(run(jnp.zeros(3))[1]).all()
+
+
+def test_another_kernel_takes_the_place_of_one_that_has_gone(monkeypatch):
+    """Numbers that begin at one place of the table stand behind each other."""
+    monkeypatch.setattr(dispatch, "TABLE", (ctypes.c_int64 * (2 * dispatch.PLACES))())
+    first, second, third = (1 + k * dispatch.PLACES for k in range(3))
+    dispatch.enter(first, 11)
+    dispatch.enter(second, 22)
+    dispatch.remove(first, 99)
+    assert dispatch.size() == 2
+    dispatch.remove(first, 11)
+    dispatch.enter(third, 33)
+    assert dispatch.size() == 2 and list(dispatch.TABLE[2:6]) == [third, 33, second, 22]

@@ -1,0 +1,128 @@
+"""Ctrl-C is answered within a second and leaves the machine idle; nothing that was stopped looks
+like an answer.
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear  # noqa: F401  (float64)
+from jaxclear.native import stop, stoppable, while_loop
+from jaxclear.native.stopping import FLAG
+
+# What runs is started warm; then Ctrl-C comes from outside, as from a terminal.
+PROGRAM = """
+import os, sys, time
+import jaxclear as jc
+
+rig = jc.scenes.slider_crank(wear=False)
+step = jc.integrator.FixedStep(1e-6)
+
+def problem(duration):
+    varied = {"c": jc.Variable(lambda r: r.connections["B"].joint.clearance, tolerance=1e-6)}
+    return jc.Problem(rig, lambda r: r.states[-1, 0], varied, duration=duration, integrator=step,
+                      save=3)
+
+go = {
+    "simulate": lambda duration: jc.simulate(rig, duration, save=3, integrator=step),
+    "monte_carlo": lambda duration: jc.monte_carlo(problem(duration), 64, chunk=8),
+}[sys.argv[1]]
+go(1e-5)
+print("begins", flush=True)
+try:
+    go(300.0)
+    print("finished", flush=True)
+except KeyboardInterrupt:
+    print("interrupted", time.time(), flush=True)
+    used = time.process_time()
+    time.sleep(0.5)
+    print("idle" if time.process_time() - used < 0.1 else "busy", flush=True)
+    go(1e-5)
+    print("runs again", flush=True)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of a terminal")
+@pytest.mark.parametrize("study", ["simulate", "monte_carlo"])
+def test_ctrl_c_is_answered_at_once_and_leaves_the_machine_idle(study):
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, study], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout.readline() == "begins\n"
+        time.sleep(0.5)
+        asked = time.time()
+        process.send_signal(signal.SIGINT)
+        said, when = process.stdout.readline().split()
+        assert said == "interrupted" and float(when) - asked < 1
+        assert process.communicate(timeout=60)[0].splitlines() == ["idle", "runs again"]
+    finally:
+        process.kill()
+
+
+def count(limit):
+    first = (jnp.zeros((), int), 0.5)
+    return while_loop(lambda s: s[0] < limit, lambda s: (s[0] + 1, jnp.cos(s[1])), first)[1]
+
+
+FOR_EVER = 10**15
+
+
+def test_what_was_stopped_is_no_number_and_the_next_run_is_right():
+    run = jax.jit(count)
+    wanted = float(run(100))
+    threading.Timer(0.3, stop).start()
+    found = []
+    with pytest.raises(KeyboardInterrupt, match="stopped"), stoppable():
+        found.append(float(run(FOR_EVER)))
+    assert np.isnan(found[0]) and FLAG[0] == 0
+    with stoppable():
+        assert float(run(100)) == wanted
+
+
+def test_runs_of_other_threads_are_stopped_and_say_so():
+    run, said = jax.jit(count), []
+
+    def other():
+        with pytest.raises(KeyboardInterrupt), stoppable():
+            run(FOR_EVER).block_until_ready()
+        said.append(True)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    time.sleep(0.3)
+    with pytest.raises(KeyboardInterrupt), stoppable():
+        raise KeyboardInterrupt
+    thread.join(10)
+    assert said == [True] and FLAG[0] == 0
+
+
+def test_without_a_run_a_stop_changes_nothing():
+    stop()
+    assert FLAG[0] == 0
+
+
+def test_whoever_listened_to_signals_before_hears_them_and_listens_again():
+
+    hears, tells = socket.socketpair()
+    hears.settimeout(5)
+    tells.setblocking(False)
+    before = signal.set_wakeup_fd(tells.fileno())
+    caught = signal.signal(signal.SIGTERM, lambda *_: None)
+    try:
+        with stoppable():
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert hears.recv(1) == bytes([signal.SIGTERM])
+        assert signal.set_wakeup_fd(before) == tells.fileno()
+    finally:
+        signal.signal(signal.SIGTERM, caught)
+        signal.set_wakeup_fd(before)
