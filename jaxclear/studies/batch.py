@@ -90,9 +90,10 @@ def evaluate_all(
                 for outcome in pool.map(one, pieces):
                     outcomes.append(outcome)
                     bar.update(min(chunk, samples - bar.n))
-            except BaseException:
+            except BaseException as reason:
                 # The machine is to be idle when the user has the word again.
-                stop()
+                if isinstance(reason, KeyboardInterrupt):
+                    stop()
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:samples], *outcomes)
