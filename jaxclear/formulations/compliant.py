@@ -13,15 +13,17 @@ from jaxtyping import Array, Float
 from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations import midpoint_step, state_rate, work_over_step
 from jaxclear.formulations.base import AbstractFormulation, ContactReport, clearance_contact
-from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.midpoint_step import ImplicitSettings, WarmStart
 from jaxclear.formulations.model import Instant, Model, State
+from jaxclear.formulations.slip_over_step import PastSlip
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
 from jaxclear.multibody import contact_point, dynamics, kinematics
 from jaxclear.multibody.forces import applied_forces, contact_reports
 from jaxclear.multibody.state import (
+    components,
     impact_speed_places,
     pack_memories,
     unpack_memories,
@@ -123,8 +125,18 @@ class CompliantContact(AbstractFormulation):
     def warm_start(self, model: Model, time: Any, state: State) -> Float[Array, " h"]:
         """What the first implicit step is handed: no accelerations, and the contacts as they
         are."""
+        entries = model.entries(state)
+        motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
+        _, points = contact_points(model, motions)
+        depths = [point.gap_function.indentation for point in points]
+        slips = [
+            x
+            for point in points
+            for slip in point.rates[1 : point.active]
+            for x in PastSlip(0.0, slip, slip)
+        ]
         speeds = jnp.zeros(2 * model.layout.speeds)
-        return jnp.concatenate([speeds, self.contacts(model, time, state).depths])
+        return jnp.concatenate([speeds, sp.stack(depths), sp.stack(slips)])
 
     def implicit_step(
         self,
@@ -138,10 +150,20 @@ class CompliantContact(AbstractFormulation):
         """The state after an implicit step, and what it hands on to the next."""
         count = model.layout.speeds
         numbers = [warm_start[i] for i in range(len(warm_start))]
-        last = WarmStart(numbers[:count], numbers[count : 2 * count], numbers[2 * count :])
+        directions = [
+            count - 1
+            for bearing in model.system.bearings.values()
+            for count in components(model.system, bearing)
+        ]
+        smooth, contact, depths, slips = split(
+            numbers, [count, count, len(directions), 3 * sum(directions)]
+        )
+        past = [PastSlip(*slip) for slip in split(slips, [3] * sum(directions))]
+        last = WarmStart(list(smooth), list(contact), list(depths), split(past, directions))
         settings = ImplicitSettings(bias, newton_iterations)
         after, now = midpoint_step.step(model, time_step, model.entries(state), last, settings)
-        return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths])
+        slips = [x for contact in now.slips for slip in contact for x in slip]
+        return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths, *slips])
 
 
 def _stacked(points: list) -> ContactMotion:

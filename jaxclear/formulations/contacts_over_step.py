@@ -3,7 +3,7 @@ and energies by the mean forces with which the step was made."""
 
 from typing import Any, NamedTuple
 
-from jaxclear.formulations import law_tangent
+from jaxclear.formulations import law_tangent, slip_over_step
 from jaxclear.formulations.contact_rows import (
     ContactPoint,
     MiddleOfStep,
@@ -15,24 +15,26 @@ from jaxclear.formulations.delassus import ContactSolution, ImplicitContact
 from jaxclear.formulations.joint_reports import ActingContact, joint_reports
 from jaxclear.formulations.law_tangent import Averaging
 from jaxclear.formulations.model import Model
+from jaxclear.formulations.slip_over_step import Braking, SlipAtStart
 from jaxclear.formulations.state_rate import link_accelerations, passive_rates
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.multibody.contact_point import PointState
 from jaxclear.multibody.forces import applied_forces
-from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import pack_memories, unpack_motion
 
 
 class ContactOverStep(NamedTuple):
     """One contact over a step: the point in its middle, indentation and its rate at the start, the
-    mass that it stops, what its laws remember."""
+    mass that it stops, what its laws remember, when its friction is taken, how it slides."""
 
     point: ContactPoint
     depth: Any
     approach: Any
     mass: Any
     memory: PointState
+    braking: Braking | None
+    slips: tuple[SlipAtStart, ...]
 
 
 class Step(NamedTuple):
@@ -44,6 +46,15 @@ class Step(NamedTuple):
     middle: MiddleOfStep
     contacts: list[ContactOverStep]
     equations: ImplicitContact
+
+    def reaches(self) -> list:
+        """Change of each row's rate by the acceleration that contact adds to it [s]."""
+        out: list[Any] = []
+        for contact in self.contacts:
+            others = contact.point.active - 1
+            out.append(self.averaging.reach)
+            out += [contact.braking.reach] * others if others else []
+        return out
 
     def per_contact(self, values: Any) -> list[tuple]:
         """One value per row with a force, as one tuple per contact."""
@@ -64,13 +75,14 @@ def memories_after(whole: Step, solution: ContactSolution) -> list:
     return pack_memories(whole.model.layout, memories)
 
 
-def passive_rates_over(whole: Step, solution: ContactSolution, mean: list) -> list:
-    """Rates of what only follows the motion, with the forces that the step was made with."""
+def passive_rates_over(whole: Step, solution: ContactSolution, ends: list) -> list:
+    """Rates of what only follows the motion, with the forces that the step was made with; `ends`:
+    slips at its end along the directions in its middle."""
     model, free_motion = whole.model, whole.middle.free_motion
     layout, system = model.layout, model.system
     if not layout.wear and not layout.energies:
         return []
-    acting = _acting_contacts(whole, solution, whole.middle.change_to(mean))
+    acting = _acting_contacts(whole, solution, ends)
     reports = joint_reports(system, free_motion.poses, acting)
     forces = free_motion.forces._replace(reports=reports)
     if layout.energies:
@@ -88,34 +100,35 @@ def passive_rates_over(whole: Step, solution: ContactSolution, mean: list) -> li
     return passive_rates(system, layout, forces, total)
 
 
-def _acting_contacts(whole: Step, solution: ContactSolution, change: list) -> list[ActingContact]:
+def _acting_contacts(whole: Step, solution: ContactSolution, ends: list) -> list[ActingContact]:
     """The contacts with mean forces and rates over the step, and the mean indentation while in
-    contact; `change`: from the predicted speeds to the mean ones.
+    contact; `ends`: slips at the end.
     """
     acting = []
-    for contact, rates, forces in zip(
+    for contact, slid, rates, forces in zip(
         whole.contacts,
+        ends,
         whole.per_contact(solution.rates),
         whole.per_contact(solution.forces),
         strict=True,
     ):
         point = contact.point
-        idle = tuple(
-            sp.add(rate, along(row, change))
-            for row, rate in zip(
-                point.rows[point.active :], point.rates[point.active :], strict=True
+        slip, speed = slip_over_step.mean_slip(contact.slips, slid), None
+        if contact.braking is not None:
+            speed = slip_over_step.wearing_speed(
+                point.laws, slip, positive_part(-forces[0]), forces[1:]
             )
-        )
         end = contact.depth + whole.averaging.length * rates[0]
         depth = 0.5 * (positive_part(contact.depth) + positive_part(end))
         acting.append(
             ActingContact(
                 point.laws,
                 point.gap_function._replace(indentation=depth),
-                (*rates, *idle),
+                (rates[0], *slip),
                 positive_part(-forces[0]),
                 forces[1:],
                 PointState(None, contact.memory.bristles),
+                speed,
             )
         )
     return acting

@@ -72,12 +72,13 @@ class ContactSolution(NamedTuple):
 
 
 class ImplicitContact(NamedTuple):
-    """Free accelerations and closure multipliers without contact, and `solve(reach, unmoved,
-    laws)`: what contact adds where rates = unmoved + reach J k, k the accelerations it causes."""
+    """Free accelerations and closure multipliers without contact, and `solve(reaches, unmoved,
+    laws)`: what contact adds where rates = unmoved + reach J k, k the accelerations it causes, and
+    each row has a reach [s] of its own."""
 
     free: list
     multipliers: tuple
-    solve: Callable[[Any, list, LinearLaws], ContactSolution]
+    solve: Callable[[list, list, LinearLaws], ContactSolution]
 
 
 def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -> DelassusOperator:
@@ -95,8 +96,8 @@ def implicit_contact(free_motion: FreeMotion) -> ImplicitContact:
     """The equations of an instant, solved without contact and ready to be solved with it.
 
     Two ways to one solution, in the fewest unknowns: in the free speeds, (M + reach J^T D J) k =
-    J^T p(unmoved), where these are no more than the rows; otherwise in the rows, (1 + reach sqrt(D)
-    W sqrt(D)) z = sqrt(D) (about - ...).
+    J^T p(unmoved), where these are no more than the rows; otherwise in the rows, (1 + S W S) z =
+    sqrt(D / reach) (about - ...), S = sqrt(reach D).
     """
     rows = [row for contact in free_motion.contacts for row in contact.rows[: contact.active]]
     size = len(free_motion.right)
@@ -131,9 +132,9 @@ def _in_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
     # iterated upon.
     squares = [{(i, j): sp.mul(row[i], row[j]) for i in row for j in row if j <= i} for row in rows]
 
-    def solve(reach, unmoved, laws):
+    def solve(reaches, unmoved, laws):
         matrix, right = [list(line) for line in mass], [0] * size
-        for square, damping in zip(squares, laws.dampings, strict=True):
+        for square, damping, reach in zip(squares, laws.dampings, reaches, strict=True):
             weight = reach * damping
             for (i, j), entry in square.items():
                 matrix[i][j] = sp.add(matrix[i][j], sp.mul(entry, weight))
@@ -143,7 +144,7 @@ def _in_speeds(mass: list, rows: list[ContactJacobianRow]) -> Callable:
         found = list(factorisation.solve(factorisation.factor(matrix), tuple(right)))
         rates = [
             sp.add(u, sp.mul(along(row, found), reach))
-            for u, row in zip(unmoved, rows, strict=True)
+            for u, row, reach in zip(unmoved, rows, reaches, strict=True)
         ]
         return ContactSolution(rates, laws.at(rates), found, ())
 
@@ -157,10 +158,10 @@ def _in_many_speeds(mass: Any, rows: list[ContactJacobianRow]) -> Callable:
         tuple(tuple(row.get(j, 0) for j in range(len(mass))) for row in rows)
     )
 
-    def solve(reach, unmoved, laws):
-        unmoved = sp.stack(unmoved)
+    def solve(reaches, unmoved, laws):
+        unmoved, reach = sp.stack(unmoved), sp.stack(reaches)
         forces, dampings, about = (sp.stack(part) for part in laws)
-        factor = jsl.cho_factor(mass + (reach * jacobian.T * dampings) @ jacobian, lower=True)
+        factor = jsl.cho_factor(mass + (jacobian.T * (reach * dampings)) @ jacobian, lower=True)
         found = jsl.cho_solve(factor, jacobian.T @ (forces + dampings * (about - unmoved)))
         rates = unmoved + reach * (jacobian @ found)
         final = forces + dampings * (about - rates)
@@ -170,34 +171,32 @@ def _in_many_speeds(mass: Any, rows: list[ContactJacobianRow]) -> Callable:
 
 
 def _in_rows(operator: DelassusOperator) -> Callable:
-    """In the forces along the rows, made symmetric by the roots of their dampings."""
+    """In the forces along the rows, made symmetric by the roots of their dampings and reaches."""
     gains = operator.matrix()
     count = len(gains)
 
-    def moved(unmoved, reach, forces):
+    def moved(unmoved, reaches, forces):
         return [
             sp.add(u, sp.mul(reach, sp.dot(line, forces)))
-            for u, line in zip(unmoved, gains, strict=True)
+            for u, line, reach in zip(unmoved, gains, reaches, strict=True)
         ]
 
-    def solve(reach, unmoved, laws):
-        roots = [safe_sqrt(damping) for damping in laws.dampings]
+    def solve(reaches, unmoved, laws):
+        roots = [safe_sqrt(d * reach) for d, reach in zip(laws.dampings, reaches, strict=True)]
         matrix = [
-            [
-                sp.add(sp.mul(gains[i][j], reach * roots[i] * roots[j]), int(i == j))
-                for j in range(count)
-            ]
+            [sp.add(sp.mul(gains[i][j], roots[i] * roots[j]), int(i == j)) for j in range(count)]
             for i in range(count)
         ]
-        held = moved(unmoved, reach, laws.forces)
+        held = moved(unmoved, reaches, laws.forces)
         right = tuple(
-            root * sp.sub(a, u) for root, a, u in zip(roots, laws.about, held, strict=True)
+            root / reach * sp.sub(a, u)
+            for root, reach, a, u in zip(roots, reaches, laws.about, held, strict=True)
         )
         shares = factorisation.solve(factorisation.factor(matrix), right)
         final = [
             sp.add(f, root * share)
             for f, root, share in zip(laws.forces, roots, shares, strict=True)
         ]
-        return ContactSolution(moved(unmoved, reach, final), final, *operator.under(final))
+        return ContactSolution(moved(unmoved, reaches, final), final, *operator.under(final))
 
     return solve

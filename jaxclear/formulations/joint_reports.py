@@ -23,7 +23,8 @@ TOUCHING = 1e-9
 
 class ActingContact(NamedTuple):
     """A contact with the forces that act in it: normal [N], pushing apart, and friction [N] on the
-    journal along each sliding direction, at the rates of its rows."""
+    journal along each sliding direction, at the rates of its rows; `slid`: speed [m/s] with which
+    it wears, where that is not the slip's."""
 
     laws: ContactLaws
     gap_function: GapFunction
@@ -31,6 +32,7 @@ class ActingContact(NamedTuple):
     normal: Any
     tractions: tuple
     memory: PointState = PointState(None, ())
+    slid: Any = None
 
 
 def joint_reports(
@@ -45,7 +47,7 @@ def joint_reports(
         for contact in own:
             slip = tuple(contact.rates[1:])
             speeds.append((contact.rates[0], slip))
-            speed = contact_point.slip_speed(slip)
+            speed = contact_point.slip_speed(slip) if contact.slid is None else contact.slid
             responses.append(Response(contact.normal, speed, contact.tractions, contact.memory))
         reports[name] = contact_point.assemble(
             bearing.joint,

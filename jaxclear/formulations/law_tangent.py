@@ -14,7 +14,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.components.clearance import ContactLaws
+from jaxclear.formulations.slip_over_step import Braking
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.laws.friction.base import Unhindered
 from jaxclear.multibody import contact_point
 from jaxclear.multibody.contact_point import PointState
 
@@ -75,10 +77,16 @@ def deepest(laws: ContactLaws, mass: Any, approach: Any, free: Any) -> Any:
 
 
 def tangent(
-    laws: ContactLaws, memory: PointState, averaging: Averaging, depth: Any, rates: tuple
+    laws: ContactLaws,
+    memory: PointState,
+    averaging: Averaging,
+    depth: Any,
+    rates: tuple,
+    last: tuple,
+    braking: Braking | None,
 ) -> Tangent:
     """The laws of a contact about mean rates of its rows over a step from the indentation `depth`
-    on.
+    on; `last`: the forces that go with these rates.
 
     The normal force is linear in its own row (Newton); what friction is, its law says.
     """
@@ -86,11 +94,20 @@ def tangent(
         lambda rate: mean_force(laws, memory, averaging, depth, rate)
     )(jnp.asarray(rates[0], float))
     forces, dampings = [-force], [positive_part(slope)]
-    if laws.friction is not None:
+    if laws.friction is not None and braking is not None:
         slip = rates[1:]
-        speed = contact_point.slip_speed(slip)
+        free = tuple(
+            s - braking.yielding * traction for s, traction in zip(slip, last[1:], strict=True)
+        )
+        unhindered = Unhindered(contact_point.slip_speed(free), braking.yielding)
         rubbing, resisting = laws.friction.linearised(
-            force, memory.bristles, slip, speed, averaging.length, averaging.bias
+            force,
+            memory.bristles,
+            slip,
+            contact_point.slip_speed(slip),
+            unhindered,
+            averaging.length,
+            averaging.bias,
         )
         forces, dampings = forces + rubbing, dampings + resisting
     return Tangent(tuple(forces), tuple(dampings))

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxclear.formulations import contact_rows, law_tangent
+from jaxclear.formulations import contact_rows, law_tangent, slip_over_step
 from jaxclear.formulations.contact_rows import (
-    ContactPoint,
+    ContactJacobianRow,
     MiddleOfStep,
     TimeStep,
     by_joint,
@@ -36,6 +36,7 @@ from jaxclear.formulations.delassus import (
 from jaxclear.formulations.impact_speed import Flight, taken_in_flight
 from jaxclear.formulations.law_tangent import Averaging
 from jaxclear.formulations.model import Model
+from jaxclear.formulations.slip_over_step import PastSlip
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
@@ -59,13 +60,14 @@ class ImplicitSettings(NamedTuple):
 
 
 class WarmStart(NamedTuple):
-    """What a step hands on to the next: free accelerations without contact, what contact adds, and
-    the last indentations.
+    """What a step hands on to the next: free accelerations without contact, what contact adds, the
+    last indentations, and of each sliding direction of each contact friction and slip.
     """
 
     smooth: list
     contact: list
     depths: list
+    slips: list[tuple[PastSlip, ...]]
 
 
 def step(
@@ -77,7 +79,7 @@ def step(
     accelerations = [a + b for a, b in zip(last.smooth, last.contact, strict=True)]
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
     equations = implicit_contact(middle.free_motion)
-    contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last.depths)
+    contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last)
     whole = Step(model, time_step, averaging, middle, contacts, equations)
     solution = _iterate(whole, last.contact, settings.newton_iterations)
     free, caused = equations.free, solution.accelerations
@@ -88,10 +90,20 @@ def step(
     q = middle.end(model, mean, h)
     v = [x + h * (k + c) for x, k, c in zip(middle.v, free, caused, strict=True)]
     q, depths = _settle(whole, solution, q, v)
+    slid = [
+        slip_over_step.at_end(contact.slips, contact.braking, rates[1:])
+        for contact, rates in zip(contacts, whole.per_contact(solution.rates), strict=True)
+    ]
     after = [*q, *v, *memories_after(whole, solution)]
-    passive = passive_rates_over(whole, solution, mean)
+    passive = passive_rates_over(whole, solution, slid)
     after += [x + h * rate for x, rate in zip(entries[len(after) :], passive, strict=True)]
-    return after, WarmStart(free, caused, depths)
+    past = [
+        slip_over_step.handed_on(contact.slips, end, forces[1:])
+        for contact, end, forces in zip(
+            contacts, slid, whole.per_contact(solution.forces), strict=True
+        )
+    ]
+    return after, WarmStart(free, caused, depths, past)
 
 
 def _contacts_at_start(
@@ -100,85 +112,99 @@ def _contacts_at_start(
     middle: MiddleOfStep,
     free: list,
     entries: list,
-    depths: list,
+    last: WarmStart,
 ) -> list[ContactOverStep]:
-    """The contacts with which a step begins; `depths`: their indentations, `free`: accelerations
-    without contact."""
-    back = middle.change_to(middle.v)
-    half = 0.5 * averaging.length
+    """The contacts with which a step begins; `free`: accelerations without contact."""
+    back, slips = middle.change_to(middle.v), slip_over_step.slips(middle, middle.v)
+    half, diagonal = 0.5 * averaging.length, middle.free_motion.diagonal
     memories = unpack_memories(model.layout, entries)
     remembered = [memory for joint in memories.values() for memory in joint]
     contacts = []
-    for point, depth, memory in zip(middle.free_motion.contacts, depths, remembered, strict=True):
+    each = zip(middle.free_motion.contacts, last.depths, remembered, slips, last.slips, strict=True)
+    for point, depth, memory, now, past in each:
         approach = sp.add(point.rates[0], along(point.rows[0], back))
         if memory.impact_speed is not None:
             gain = half * along(point.rows[0], free)
             flight = Flight(depth, point.gap_function.indentation, approach, gain)
             speed = taken_in_flight(memory.impact_speed, flight, averaging.length)
             memory = memory._replace(impact_speed=speed)
-        mass = 1.0 / (_lightness(point, middle.free_motion.diagonal) + LEAST_LIGHTNESS)
-        contacts.append(ContactOverStep(point, depth, approach, mass, memory))
+        mass = 1.0 / (_lightness(point.rows[0], diagonal) + LEAST_LIGHTNESS)
+        braking = slip_over_step.braking(
+            point.laws,
+            *averaging,
+            depth + averaging.length * positive_part(approach),
+            [_lightness(row, diagonal) for row in point.rows[1 : point.active]],
+        )
+        sliding = slip_over_step.at_start(now, past, depth)
+        contacts.append(ContactOverStep(point, depth, approach, mass, memory, braking, sliding))
     return contacts
 
 
-def _lightness(point: ContactPoint, diagonal: list) -> Any:
-    """About the inverse of the mass that a contact stops [1/kg]."""
-    row = point.rows[0]
+def _lightness(row: ContactJacobianRow, diagonal: list) -> Any:
+    """About the inverse of the mass that a force along a row moves [1/kg]."""
     return sp.total(entry * entry / diagonal[j] for j, entry in row.items())
 
 
-def _first_rates(whole: Step, last: list) -> tuple[list, list]:
-    """Rates of the rows without contact, and those from which the iteration sets out.
+def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
+    """Rates of the rows without contact, those from which the iteration sets out, and the forces
+    that belong to these.
 
-    A contact that is closed at the start sets out from the forces of the step before (`last`: the
-    accelerations that they caused), one that is open from where an impact would end.
+    A contact that is closed at the start sets out from the forces of the step before, one that is
+    open from where an impact would end.
     """
-    h, reach = whole.averaging.length, whole.averaging.reach
-    middle = whole.middle
-    free_mean = [x + 0.5 * h * k for x, k in zip(middle.v, whole.equations.free, strict=True)]
-    missing = middle.change_to(free_mean)
-    unmoved, first = [], []
-    for point, depth, approach, mass, _ in whole.contacts:
-        for k, row in enumerate(point.rows[: point.active]):
-            free = sp.add(point.rates[k], along(row, missing))
-            rate = jnp.where(depth > 0, free + reach * along(row, last), free)
-            if k == 0:
-                deepest = law_tangent.deepest(point.laws, mass, approach, depth + h * free)
-                rate = jnp.where(depth > 0, rate, (deepest - depth) / h)
-            unmoved.append(free)
-            first.append(rate)
-    return unmoved, first
+    h, free = whole.averaging.length, whole.equations.free
+    unmoved, first, forces = [], [], []
+    for contact in whole.contacts:
+        closed, rows = contact.depth > 0, contact.point.rows[: contact.point.active]
+        approach = contact.approach + 0.5 * h * along(rows[0], free)
+        deepest = law_tangent.deepest(
+            contact.point.laws, contact.mass, contact.approach, contact.depth + h * approach
+        )
+        unmoved.append(approach)
+        carried_on = approach + whole.averaging.reach * along(rows[0], last)
+        first.append(jnp.where(closed, carried_on, (deepest - contact.depth) / h))
+        forces.append(0.0)
+        for slip, row in zip(contact.slips, rows[1:], strict=True):
+            rate = slip_over_step.unhindered(slip, contact.braking, along(row, free))
+            unmoved.append(rate)
+            first.append(jnp.where(closed, slip.own, rate))
+            forces.append(jnp.where(closed, slip.traction, 0.0))
+    return unmoved, first, forces
 
 
 def _iterate(whole: Step, last: list, iterations: int) -> ContactSolution:
-    """Newton on the normal forces, secants on friction. A loop: written out it runs 20 % faster,
-    but its derivatives take six times as long to compile.
+    """Newton on the normal forces; friction is solved for at each contact by itself, then the
+    contacts move each other. A loop: written out it runs 20 % faster, but its derivatives take six
+    times as long to compile.
     """
-    unmoved, rates = _first_rates(whole, last)
-    equations, reach = whole.equations, whole.averaging.reach
+    unmoved, rates, forces = _first_rates(whole, last)
+    equations, reaches = whole.equations, whole.reaches()
     if not rates:
-        return equations.solve(reach, [], LinearLaws([], [], []))
+        return equations.solve([], [], LinearLaws([], [], []))
+    size = len(unmoved)
 
     def improve(solution, _):
-        own = [solution.rates[i] for i in range(len(unmoved))]
-        better = equations.solve(reach, unmoved, _linear_laws(whole, own))
+        rates, forces = ([part[i] for i in range(size)] for part in solution[:2])
+        better = equations.solve(reaches, unmoved, _linear_laws(whole, rates, forces))
         return ContactSolution(*map(sp.stack, better)), None
 
-    size = len(unmoved)
     counts = (size, size, len(equations.free), len(equations.multipliers))
-    blank = ContactSolution(*map(jnp.zeros, counts))._replace(rates=sp.stack(rates))
+    blank = ContactSolution(*map(jnp.zeros, counts))
+    blank = blank._replace(rates=sp.stack(rates), forces=sp.stack(forces))
     solution = jax.lax.scan(improve, blank, length=iterations)[0]
     return ContactSolution(
         *([part[i] for i in range(count)] for part, count in zip(solution, counts, strict=True))
     )
 
 
-def _linear_laws(whole: Step, rates: list) -> LinearLaws:
-    """The laws of all contacts about given rates; alike joints are traced once."""
+def _linear_laws(whole: Step, rates: list, forces: list) -> LinearLaws:
+    """The laws of all contacts about given rates and forces; alike joints are traced once."""
 
-    def tangents(laws, memories, averaging, depths, rates):
-        each = zip(laws, memories, depths, rates, strict=True)
-        return tuple(law_tangent.tangent(p, m, averaging, d, r) for p, m, d, r in each)
+    def tangents(laws, memories, averaging, *each):
+        return tuple(
+            law_tangent.tangent(own, memory, averaging, *rest)
+            for own, memory, *rest in zip(laws, memories, *each, strict=True)
+        )
 
     system = whole.model.system
     parts = zip(
@@ -186,9 +212,11 @@ def _linear_laws(whole: Step, rates: list) -> LinearLaws:
         by_joint(system, [contact.memory for contact in whole.contacts]),
         by_joint(system, [contact.depth for contact in whole.contacts]),
         by_joint(system, whole.per_contact(rates)),
+        by_joint(system, whole.per_contact(forces)),
+        by_joint(system, [contact.braking for contact in whole.contacts]),
         strict=True,
     )
-    calls = [(b.contact_laws, m, whole.averaging, d, r) for b, m, d, r in parts]
+    calls = [(b.contact_laws, m, whole.averaging, *rest) for b, m, *rest in parts]
     found = [tangent for joint in map_alike(tangents, calls) for tangent in joint]
     forces = [force for tangent in found for force in tangent.forces]
     dampings = [damping for tangent in found for damping in tangent.dampings]
@@ -215,7 +243,8 @@ def _settle(whole: Step, solution: ContactSolution, q: list, v: list) -> tuple[l
         weights += [jnp.where(closed, STIFFNESS * contact.mass, 0.0), *others]
         unmoved += [true - assumed, *others]
     nothing = [0.0] * len(unmoved)
-    shift = whole.equations.solve(1.0, unmoved, LinearLaws(nothing, weights, nothing))
+    ones = [1.0] * len(unmoved)
+    shift = whole.equations.solve(ones, unmoved, LinearLaws(nothing, weights, nothing))
     depths = []
     for assumed, left in zip(led, whole.per_contact(shift.rates), strict=True):
         moved = assumed + left[0]

@@ -19,11 +19,13 @@ class ImplicitStep(AbstractIntegrator):
 
     Order 2 in free motion. Over a step a contact force does the work that its law says (discrete
     gradient) or takes more energy out, so stiff contacts do not make motion explode, as long as the
-    iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s three iterations gain energy,
+    iteration ends: at K = 1e12 N/m^1.5 and 5e-4 s few iterations gain energy,
     `newton_iterations=30` does not. An impact that the steps resolve ends with the restitution of
     its law, one within a step with `rebound`: choose the restitution itself where stiff impacts
     decide. One evaluation a step; `newton_iterations` on the contact laws alone, in the contact
-    directions (2 are enough but for bristles).
+    directions (bristles may want more than 2). Friction that would stop a slip within a step is
+    taken towards the step's end, so that slip decays and does not ring; friction loss and wear are
+    those of the mean slip.
 
     `rebound` sets the numerical dissipation: with theta = 1 / (1 + rebound), a linear contact mode
     omega is damped as by the theta method, amplitude per step sqrt((1 + (1 - theta)^2 z^2) / (1 +
@@ -55,7 +57,7 @@ class ImplicitStep(AbstractIntegrator):
         at_most=1,
         kw_only=True,
     )
-    newton_iterations: int = count(3, "iterations on the contact laws", kw_only=True)
+    newton_iterations: int = count(2, "iterations on the contact laws", kw_only=True)
     steps_per_save: int | None = count(None, "steps between two saving times", kw_only=True)
 
     @property

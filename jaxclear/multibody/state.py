@@ -132,11 +132,14 @@ def component_count(laws: ContactLaws, candidate: ContactCandidate) -> int:
 
 def contact_components(system: System) -> tuple[tuple[str, int], ...]:
     """By clearance joint, how many components its contacts' forces have."""
-    counts = []
-    for name, bearing in system.bearings.items():
-        each = map(component_count, bearing.contact_laws, probe(system, bearing)[3])
-        counts.append((name, sum(each)))
-    return tuple(counts)
+    return tuple(
+        (name, sum(components(system, bearing))) for name, bearing in system.bearings.items()
+    )
+
+
+def components(system: System, bearing: Bearing) -> tuple[int, ...]:
+    """By contact of a clearance joint, how many components its force has."""
+    return tuple(map(component_count, bearing.contact_laws, probe(system, bearing)[3]))
 
 
 def _is_planar(system):

@@ -38,9 +38,11 @@ def equations(rows, closures, seed=1):
 
 
 def solved(mass, jacobian, held, right, wanted, reach, unmoved, forces, dampings, about):
-    """Accelerations with and without contact, from the whole system at once."""
+    """Accelerations with and without contact, from the whole system at once; each row has a
+    reach."""
     count = len(wanted)
-    stiff = mass + reach * jacobian.T @ (dampings[:, None] * jacobian)
+    weights = dampings * reach
+    stiff = mass + jacobian.T @ (weights[:, None] * jacobian)
     pushed = right + jacobian.T @ (forces + dampings * (about - unmoved))
 
     def whole(matrix, load):
@@ -49,7 +51,7 @@ def solved(mass, jacobian, held, right, wanted, reach, unmoved, forces, dampings
 
     free = whole(mass, right)
     # What contact adds is measured from the free motion: rates = unmoved + reach J (k - free).
-    return free, whole(stiff, pushed + reach * jacobian.T @ (dampings * (jacobian @ free)))
+    return free, whole(stiff, pushed + jacobian.T @ (weights * (jacobian @ free)))
 
 
 @pytest.mark.parametrize(
@@ -62,12 +64,13 @@ def test_every_way_gives_the_solution_of_the_whole_system(rows, closures, limit,
     dampings = random.uniform(0.0, 1e3, rows) * (np.arange(rows) != 1)
     free_equations = delassus.implicit_contact(apart)
     laws = delassus.LinearLaws(*map(list, (forces, dampings, about)))
-    found = free_equations.solve(0.1, list(unmoved), laws)
-    free, total = solved(*arrays, 0.1, unmoved, forces, dampings, about)
+    reach = random.uniform(0.05, 0.2, rows)
+    found = free_equations.solve(list(reach), list(unmoved), laws)
+    free, total = solved(*arrays, reach, unmoved, forces, dampings, about)
     np.testing.assert_allclose(np.array(free_equations.free), free, rtol=1e-10)
     np.testing.assert_allclose(np.array(found.accelerations), total - free, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(
-        np.array(found.rates), unmoved + 0.1 * arrays[1] @ (total - free), atol=1e-10
+        np.array(found.rates), unmoved + reach * (arrays[1] @ (total - free)), atol=1e-10
     )
     law = forces + dampings * (about - np.array(found.rates))
     # sqrt(D) and back: forces of hundreds of newtons to rounding.

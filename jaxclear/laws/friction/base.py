@@ -7,7 +7,7 @@ creep under a steady side load at rest; a bristle or set-valued law sticks.
 """
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 
@@ -67,6 +67,14 @@ class AbstractSetValuedFriction(AbstractFrictionLaw):
         """
 
 
+class Unhindered(NamedTuple):
+    """The sliding `speed` [m/s] that a contact would have without its own friction, and what a unit
+    of friction takes away of it (`yielding` [m/(N s)])."""
+
+    speed: Scalar
+    yielding: Scalar
+
+
 class AbstractForceFriction(AbstractFrictionLaw):
     """Friction that is a force given by the motion: forces along each sliding direction, for
     `slip`, the sliding velocity's components [m/s] (structural zeros kept), and its norm
@@ -80,18 +88,30 @@ class AbstractForceFriction(AbstractFrictionLaw):
         """Forces [N] along each sliding direction, and the rates [m/s] of the deflections."""
 
     @abstractmethod
+    def largest_slope(self, step: Scalar) -> Scalar:
+        """Largest increase of the coefficient by the slip [s/m], taken over a step [s] where the
+        law remembers: how hard friction can brake."""
+
+    @abstractmethod
+    def acting_share(self, normal_force: Scalar, traction: Scalar, slip_speed: Scalar) -> Scalar:
+        """Share [1] of a step in which a contact of mean slip `slip_speed` [m/s] has rubbed, if the
+        mean friction over the step was `traction` [N] >= 0."""
+
+    @abstractmethod
     def linearised(
         self,
         normal_force: Scalar,
         bristles: tuple,
         slip: tuple,
         slip_speed: Scalar,
+        unhindered: Unhindered,
         step: Scalar,
         bias: Scalar,
     ) -> tuple[list[Any], list[Scalar]]:
         """Mean forces [N] along each direction over a step of length `step` [s], and the damping
-        [N s/m] >= 0 with which each falls as its component of the slip grows. `bias`: 0 averages
-        over the step, 1 takes its end."""
+        [N s/m] >= 0 with which each falls as its component of the slip grows: linear laws whose
+        repeated solution ends where friction and inertia agree. `bias`: 0 averages over the step,
+        1 takes its end."""
 
     @abstractmethod
     def bristles_after(

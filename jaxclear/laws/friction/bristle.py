@@ -61,7 +61,17 @@ class AbstractBristleFriction(AbstractForceFriction):
         )
         return tuple(sp.mul(-normal_force, share) for share in shares), rates
 
-    def linearised(self, normal_force, bristles, slip, slip_speed, step, bias):
+    def largest_slope(self, step):
+        def share(slip):
+            return self._over_step(0.0, slip, 0.0, step, 0.0)[0]
+
+        return jax.grad(share)(0.0)
+
+    def acting_share(self, normal_force, traction, slip_speed):
+        # Friction at rest may be anything below the yield of the bristles.
+        return jnp.ones(())
+
+    def linearised(self, normal_force, bristles, slip, slip_speed, unhindered, step, bias):
         forces, dampings = [], []
         for z, s in zip(bristles, slip, strict=True):
             mean = lambda s, z=z: self._over_step(z, s, slip_speed, step, bias)[0]

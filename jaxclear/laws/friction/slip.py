@@ -6,10 +6,11 @@ force times coefficient times v/|v|. Under a steady side load at rest such a con
 
 from abc import abstractmethod
 
+import jax
 import jax.numpy as jnp
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import smooth_sign, smooth_step
+from jaxclear.ground.numerics import positive_part, safe_divide, smooth_sign, smooth_step
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.friction.base import (
     AbstractForceFriction,
@@ -36,10 +37,30 @@ class AbstractSlipFriction(AbstractForceFriction):
         shares = [sp.mul(share, s) for s in slip]
         return tuple(sp.mul(-normal_force, share) for share in shares), ()
 
-    def linearised(self, normal_force, bristles, slip, slip_speed, step, bias):
-        # A damper of the strength that the present speed gives: a secant cannot overshoot.
-        strength = normal_force * self.coefficient(slip_speed) / slip_speed
-        return [sp.mul(-strength, s) for s in slip], [strength] * len(slip)
+    def largest_slope(self, step):
+        """By default the slope at rest; to be overridden where a law is steeper elsewhere."""
+        return jax.grad(self.coefficient)(0.0)
+
+    def acting_share(self, normal_force, traction, slip_speed):
+        # Less than the law says at this slip: friction has stopped the contact and then rested.
+        friction = normal_force * self.coefficient(slip_speed)
+        return jnp.where(friction > 0, jnp.minimum(safe_divide(traction, friction), 2.0), 1.0)
+
+    def linearised(self, normal_force, bristles, slip, slip_speed, unhindered, step, bias):
+        value, slope = jax.jvp(self.coefficient, (slip_speed,), (jnp.ones(()),))
+        secant, slope = value / slip_speed, positive_part(slope)
+        # The tangent where it leads on towards the speed at which friction and inertia agree;
+        # otherwise the secant through rest, a damper that cannot overshoot.
+        free, strength = unhindered.speed, unhindered.yielding * normal_force
+        ahead = (free - strength * (value - slope * slip_speed)) / (1 + strength * slope)
+        slope = jnp.where((ahead >= 0) & (ahead <= free), slope, secant)
+        forces, dampings = [], []
+        for s in slip:
+            # Across the slip the force turns with it.
+            share = 1.0 if len(slip) == 1 else (s / slip_speed) ** 2
+            forces.append(sp.mul(-normal_force * secant, s))
+            dampings.append(normal_force * (secant + share * (slope - secant)))
+        return forces, dampings
 
     def bristles_after(self, normal_force, bristles, slip, slip_speed, step, bias):
         return ()
@@ -68,6 +89,9 @@ class CoulombTanh(AbstractSlipFriction):
 
     def coulomb(self) -> Coulomb:
         return Coulomb(mu_kinetic=self.mu_kinetic)
+
+    def largest_slope(self, step):
+        return self.mu_kinetic / self.transition_speed
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         return self.mu_kinetic * smooth_sign(slip_speed, self.transition_speed)
@@ -98,6 +122,9 @@ class Ambrosio(AbstractSlipFriction):
 
     def coulomb(self) -> Coulomb:
         return Coulomb(mu_kinetic=self.mu_kinetic)
+
+    def largest_slope(self, step):
+        return self.mu_kinetic / (self.outer_speed - self.inner_speed)
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         share = (slip_speed - self.inner_speed) / (self.outer_speed - self.inner_speed)
@@ -190,6 +217,11 @@ class Threlfall(AbstractSlipFriction):
     def coulomb(self) -> Coulomb:
         return Coulomb(mu_kinetic=self.mu_kinetic)
 
+    def largest_slope(self, step):
+        return (
+            self.mu_kinetic * self.steepness / (-jnp.expm1(-self.steepness) * self.transition_speed)
+        )
+
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         share = jnp.minimum(slip_speed / self.transition_speed, 1.0)
         return self.mu_kinetic * jnp.expm1(-self.steepness * share) / jnp.expm1(-self.steepness)
@@ -254,6 +286,11 @@ class Stribeck(AbstractSlipFriction):
 
     def coulomb(self) -> Coulomb:
         return Coulomb(mu_kinetic=self.mu_kinetic, mu_static=self.mu_static)
+
+    def largest_slope(self, step):
+        return self.mu_static / self.transition_speed + (
+            0.0 if self.viscous is None else self.viscous
+        )
 
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         level = stribeck_level(slip_speed, self.mu_static, self.mu_kinetic, self.stribeck_speed)
