@@ -10,6 +10,7 @@ from jaxclear import plot
 from jaxclear.commands.reported import report_warnings
 from jaxclear.integrators import Check, Checks
 from jaxclear.integrators.checks import Figure
+from jaxclear.integrators.reasons import REASONS
 from jaxclear.plot.canvas import MOST_SENTENCES, canvas, captioned
 from jaxclear.results.pointing_error import pointing_error
 
@@ -24,6 +25,10 @@ def warning(run):
     """The run, its friction found beyond what its steps resolve."""
     found = Figure(jnp.array([7.3]), jnp.array([1e-4]), ("B",))
     return dataclasses.replace(run, checks=Checks({Check.FRICTION_STEP: found}))
+
+
+def test_every_check_has_a_reason_for_its_limit():
+    assert set(REASONS) == set(Check) and all(REASONS.values())
 
 
 def texts(figure):

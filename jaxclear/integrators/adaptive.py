@@ -34,7 +34,7 @@ class Adaptive(AbstractIntegrator):
     Use as reference and for single runs. Local error per step below rtol |y| + atol in every
     coordinate and speed; memories of laws are held a hundred times looser, worn volumes and
     energies follow the motion. In a batch all samples wait for the slowest. A derivative
-    through contacts would be wrong (by 52 % in a measurement) and is refused; see
+    through contacts is not to be trusted (off by 52 % in a measurement) and is refused; see
     `jaxclear.sensitivity`. Stiff
     scenes (large friction over tiny transition speeds) may prefer an implicit solver, best with a
     full Newton iteration: diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).

@@ -1,10 +1,11 @@
 """Which derivatives through a run are refused.
 
-Where contacts open and close, a step does not know how the instant of a touch moves with a number,
-and the derivative of the finished run is not that of the motion: after one bounce it is off by
-several per cent, after many by anything. So it is refused while it is being traced, unless the
-derivative of the discrete run is what was asked for. Where nothing opens (ideal joints, permanent
-contact) the derivative of the discrete run converges to that of the motion, and passes.
+Where contacts open and close, no step knows how the instant of a touch moves with a number, and the
+derivative of one finished run scatters about that of the motion: by a share after one bounce, by a
+multiple after a few (-3.0 for 0.24 after three lossless ones in steps of 20 us), and nothing tells
+by how much. So it is refused while it is being traced, unless the derivative of the discrete run is
+what was asked for. Where nothing opens (ideal joints, permanent contact) the derivative of the
+discrete run converges to that of the motion, and passes.
 """
 
 import functools
@@ -33,8 +34,8 @@ def refusal(mechanism: Mechanism, integrator: AbstractIntegrator) -> str:
     named = " and ".join(f'"{joint}"' for joint in joints[:2])
     some = f"joint {named}" if len(joints) == 1 else f"joints {named}{' …' * (len(joints) > 2)}"
     return (
-        f"contacts in {some} open and close, and a derivative through the steps of {name} misses "
-        "how the instants of touch move"
+        f"contacts in {some} open and close, and a derivative through the steps of {name} does not "
+        "know how the instants of touch move"
     )
 
 
@@ -53,7 +54,7 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
             ", or jaxclear.Problem.evaluate(values, discrete_derivatives=True) for the derivative "
             "of the discrete run as it is"
         )
-    sentence = f"the derivative of this run would be wrong: {why}; {ways}."
+    sentence = f"the derivative of this run is not to be trusted: {why}; {ways}."
     numbers, rest = eqx.partition(COMPUTED(run), eqx.is_inexact_array)
     return eqx.tree_at(COMPUTED, run, eqx.combine(_undifferentiated(sentence, numbers), rest))
 

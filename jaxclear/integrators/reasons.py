@@ -1,0 +1,26 @@
+"""Why each check of a run has the limit that it has: for the book, which shows them beside the
+checks themselves."""
+
+from jaxclear.integrators.checks import Check
+
+__all__ = ["REASONS"]
+
+REASONS: dict[Check, str] = {
+    Check.LOOP_DRIFT: (
+        "a loop that is open by so much moves like one with a clearance of half a thousandth of "
+        "its longest arm, which is what is studied here"
+    ),
+    Check.HALVED_MEAN_FORCES: (
+        "what half the step changes is at least half of what is wrong, for steps of order 1 or "
+        "more: mean forces are then right within a tenth"
+    ),
+    Check.HALVED_FORCES: (
+        "forces at an instant swing about their mean; a tenth is what reading them off a figure "
+        "takes"
+    ),
+    Check.HALVED_WEAR: "worn volumes follow mean forces and sliding, and are as sure as these",
+    Check.FRICTION_STEP: (
+        "from there on a step carries sliding past its end, back and forth: the loss is that of "
+        "the swinging, not of the sliding"
+    ),
+}
