@@ -1,9 +1,15 @@
 """The command of the README on a small sample: it writes every figure and table it promises."""
 
+import os
+import re
+import subprocess
+import sys
+import time
+
 import pandas
 import pytest
 
-from jaxclear.commands.cli import main
+from jaxclear_command.cli import main
 
 
 @pytest.mark.slow
@@ -48,3 +54,49 @@ def test_parameters_are_listed_with_units(capsys, keep_settings):
     main(["parameters"])
     printed = capsys.readouterr().out
     assert 'connections["B"].joint.clearance' in printed and "kg m^2" in printed
+
+
+MISTAKES = {
+    "study": (["four-barr"], 'no study "four-barr"; there are .* Did you mean "four-bar"'),
+    "nothing": ([], "command"),
+    "negative samples": (["four-bar", "--samples", "-4"], "whole number of at least 16"),
+    "part of a sample": (["four-bar", "--samples", "16.5"], "whole number of at least 16"),
+    "no duration": (["four-bar", "--duration", "0"], "a number of at least 0.01 s"),
+    "endless": (["antenna", "--duration", "inf"], "a number of at least 0.01 s"),
+    "turns by text": (["four-bar", "--turns", "two"], "two was given; it must be"),
+    "no gap": (["guide", "--clearance", "0"], "a number above 0 m"),
+    "gap that is no number": (["guide", "--clearance", "nan"], "a number above 0 m"),
+    "a file": (["guide", "--out", __file__], "is a file; it must be a folder"),
+    "within a file": (["guide", "--out", f"{__file__}/x"], "is a file; it must be a folder"),
+    "no folder": (["guide", "--out", ""], "it must be a folder"),
+    "argument": (["four-bar", "--sampels", "20"], 'Did you mean "--samples"'),
+    "another study's": (["guide", "--samples", "20"], 'no argument "--samples"; there are'),
+    "a word": (["parameters", "all"], 'no argument "all"'),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_command_line_answers_a_mistake_with_a_sentence(mistake, capsys):
+    given, sentence = MISTAKES[mistake]
+    with pytest.raises(SystemExit) as ended:
+        main(given)
+    said = capsys.readouterr().err
+    assert ended.value.code == 2 and re.search(sentence, said), said
+    assert said.count("\n") == 1
+
+
+def test_command_line_tells_its_version(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0 and capsys.readouterr().out.startswith("jaxclear ")
+
+
+def test_a_slip_of_the_pen_is_answered_without_jax():
+    """JAX takes two seconds to load; what it loads would stand among the modules."""
+    ask = "import sys; from jaxclear_command.cli import main\ntry: main(['four-barr'])\n"
+    ask += "except SystemExit: print('jax' in sys.modules, 'numpy' in sys.modules)"
+    begun = time.perf_counter()
+    answered = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True)
+    # 0.1 s alone; a machine under load may take some times that
+    assert time.perf_counter() - begun < 1.0 or os.getloadavg()[0] > 2
+    assert answered.stdout.strip() == "False False" and "four-bar" in answered.stderr

@@ -15,13 +15,11 @@ import pandas
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands import antenna_figures as draw
-from jaxclear.commands.arguments import add_out, at_least
 from jaxclear.commands.reported import report_warnings
 from jaxclear.scenes.antenna import BASE, BEARING_RADIUS, HOLD, JOINTS, KINDS, TIP, antenna
 
-__all__ = ["HELP", "declare", "friction_runs", "friction_table", "motion_table", "run", "study"]
+__all__ = ["friction_runs", "friction_table", "motion_table", "run", "study"]
 
-HELP = "antenna on a satellite with clearance and dry friction: motion, errors of the tip"
 # Step of the runs [s]; benchmarks/claims/antenna.py shows what it costs in accuracy.
 STEP = 1e-3
 # A regularised law that nearly holds, with full friction at this slip speed [m/s], beside that of
@@ -33,13 +31,6 @@ STUCK = 1e-12
 # this interval [s].
 EXAGGERATION, CLOSE = 20.0, (0.75, 1.3)
 COULOMB, WIDE, NARROW = "Coulomb (sticks)", "three-zone, 0.1 m/s", "three-zone, 1 mm/s"
-
-
-def declare(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `jaxclear antenna`."""
-    add_out(parser, "antenna_study")
-    duration = "simulated time of the periodic drive [s] (default 4)"
-    parser.add_argument("--duration", type=at_least(0.01), default=4.0, help=duration)
 
 
 def run(options: argparse.Namespace) -> None:

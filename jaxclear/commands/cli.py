@@ -1,8 +1,8 @@
-"""The command line: `jaxclear four-bar`, `antenna` and `guide` run studies, `jaxclear parameters`
-lists a scene's numbers with units.
+"""Answers the command line: `jaxclear four-bar`, `antenna` and `guide` run studies, `jaxclear
+parameters` lists a scene's numbers with units.
 
-A study is one module with two functions: `declare` names its arguments, `run` answers them. A new
-one is that module and a line in STUDIES.
+What may be asked stands in `jaxclear_command`, which answers mistakes before this package is
+loaded. A new study is a module with a function `run`, a line here and an entry there.
 """
 
 import argparse
@@ -14,27 +14,19 @@ import jax
 import jaxclear as jc
 from jaxclear.commands import antenna, four_bar, guide
 
-__all__ = ["main"]
+__all__ = ["answer"]
 
 STUDIES = {"four-bar": four_bar, "antenna": antenna, "guide": guide}
 # Programs that compile faster than this are not kept [s].
 WORTH_KEEPING = 0.5
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Entry point of the `jaxclear` command."""
-    parser = argparse.ArgumentParser(prog="jaxclear", description=__doc__.split("\n\n")[0])
-    commands = parser.add_subparsers(dest="command", required=True)
-    for name, module in STUDIES.items():
-        module.declare(commands.add_parser(name, help=module.HELP))
-    commands.add_parser("parameters", help="all numbers of the four-bar with unit and meaning")
-    options = parser.parse_args(arguments)
+def answer(options: argparse.Namespace) -> None:
+    """Runs what was asked."""
     _keep_compiled_programs()
     if options.command == "parameters":
         print(jc.scenes.four_bar().parameters().to_string(index=False))
         return
-    if options.out.exists() and not options.out.is_dir():
-        parser.error(f"--out is {options.out}, which is a file; give a folder.")
     STUDIES[options.command].run(options)
 
 
@@ -46,7 +38,3 @@ def _keep_compiled_programs() -> None:
     folder = os.environ.get("JAX_COMPILATION_CACHE_DIR", str(default))
     jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
-
-
-if __name__ == "__main__":
-    main()

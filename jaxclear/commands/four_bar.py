@@ -14,13 +14,11 @@ import pandas
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.arguments import add_out, add_quiet, at_least
 from jaxclear.commands.reported import report_samples, report_warnings
 from jaxclear.scenes.four_bar import CLEARANCES, four_bar
 
-__all__ = ["HELP", "declare", "paper_runs", "problem", "run", "run_table", "study"]
+__all__ = ["paper_runs", "problem", "run", "run_table", "study"]
 
-HELP = "four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives"
 LARGEST = CLEARANCES[-1]
 # The follower's error is that in the plane of the mechanism; along the bearing's axis the journal
 # has its own play.
@@ -31,20 +29,6 @@ SAVES_PER_SECOND, SAVES_PER_TURN = 400, 100
 TURN = 2 * np.pi / 10.0
 # Tolerances of the study (half of the allowed variation) [m]; assumed, of a usual machining grade.
 CLEARANCE_TOLERANCE, LENGTH_TOLERANCE = 20e-6, 20e-6
-
-
-def declare(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `jaxclear four-bar`."""
-    add_out(parser, "four_bar_study")
-    samples, duration, turns = (
-        "Monte Carlo samples (default 256)",
-        "simulated time of the paper's runs [s] (default 5)",
-        "turns of the crank in the Monte Carlo (default 2)",
-    )
-    parser.add_argument("--samples", type=at_least(16, int), default=256, help=samples)
-    parser.add_argument("--duration", type=at_least(0.01), default=5.0, help=duration)
-    parser.add_argument("--turns", type=at_least(0.01), default=2.0, help=turns)
-    add_quiet(parser)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -147,7 +131,7 @@ def study(
     answers = jc.sensitivity(
         question, "clearance", sample=sample, difference_samples=pairs, progress_bar=show
     )
-    answers.table().to_csv(folder / "sensitivity.csv", index=False)
+    answers.table().to_csv(folder / "sensitivity.csv")
     _print_derivatives(answers)
     figures = _run_figures(runs)
     figures |= {"monte_carlo": plot.monte_carlo(sample), "sensitivity": plot.sensitivity(answers)}

@@ -14,26 +14,16 @@ import pandas
 
 import jaxclear as jc
 from jaxclear.commands import guide_figures as draw
-from jaxclear.commands.arguments import add_out, add_quiet, positive
 from jaxclear.commands.reported import report_warnings
 from jaxclear.scenes.guide import CRANK_SPEED, guide
 
-__all__ = ["HELP", "declare", "impacts", "run", "study"]
+__all__ = ["impacts", "run", "study"]
 
-HELP = "slider in a rotating guide: corner forces, switchings, impacts of a small clearance"
 TURN = 2 * np.pi / CRANK_SPEED
 # An even number of steps: one of them ends where the slider turns round.
 STEPS = 2000
 # Gap of the compliant run [m] and the tolerance it is integrated with.
 SMALL_CLEARANCE, RTOL = 1e-5, 1e-6
-
-
-def declare(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `jaxclear guide`."""
-    add_out(parser, "guide_study")
-    gap = "gap of the run with impacts [m] (default 1e-5)"
-    parser.add_argument("--clearance", type=positive, default=SMALL_CLEARANCE, help=gap)
-    add_quiet(parser)
 
 
 def run(options: argparse.Namespace) -> None:

@@ -11,11 +11,13 @@ from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.complementarity.outcome import Outcome
+from jaxclear.ground.kinds import as_given
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.wording import described
 
@@ -42,6 +44,10 @@ def check_shapes(owner: str, expected: dict[str, tuple[Any, tuple[int, ...]]]) -
     """Raises `ValueError` where an array has not the expected shape; for each name (array,
     shape)."""
     for name, (array, shape) in expected.items():
+        if not isinstance(array, jax.Array):
+            raise ValueError(
+                f"{name} of {owner} is {described(array)}; it must be an array of numbers."
+            )
         if jnp.shape(array) != shape:
             raise ValueError(
                 f"{name} of {owner} has shape {jnp.shape(array)}; it must be {shape}. Build and "
@@ -120,11 +126,11 @@ class LCP(AbstractLinearProblem):
     w].
     """
 
-    matrix: Float[Array, "n n"] = eqx.field(converter=as_floats)
-    offset: Float[Array, " n"] = eqx.field(converter=as_floats)
+    matrix: Float[Array, "n n"] = eqx.field(converter=as_given(as_floats))
+    offset: Float[Array, " n"] = eqx.field(converter=as_given(as_floats))
 
     def __check_init__(self):
-        n = jnp.size(self.offset)
+        n = getattr(self.offset, "size", 0)
         check_shapes("an LCP", {"offset": (self.offset, (n,)), "matrix": (self.matrix, (n, n))})
 
     def to_lcp(self):
@@ -143,12 +149,12 @@ class HorizontalLCP(AbstractLinearProblem):
     `z_matrix` M [unit of q per unit of z], `offset` q [its own unit].
     """
 
-    w_matrix: Float[Array, "n n"] = eqx.field(converter=as_floats)
-    z_matrix: Float[Array, "n n"] = eqx.field(converter=as_floats)
-    offset: Float[Array, " n"] = eqx.field(converter=as_floats)
+    w_matrix: Float[Array, "n n"] = eqx.field(converter=as_given(as_floats))
+    z_matrix: Float[Array, "n n"] = eqx.field(converter=as_given(as_floats))
+    offset: Float[Array, " n"] = eqx.field(converter=as_given(as_floats))
 
     def __check_init__(self):
-        n = jnp.size(self.offset)
+        n = getattr(self.offset, "size", 0)
         expected = {
             "offset": (self.offset, (n,)),
             "w_matrix": (self.w_matrix, (n, n)),

@@ -37,14 +37,14 @@ class AnsweringMeta(ModuleMeta):
         return ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+        if cls.__name__.startswith("Abstract"):
+            raise TypeError(
+                f"{public_name(cls)} is what a family has in common and cannot be built; it needs "
+                f"a class of its own{_members(cls)}."
+            )
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:
-            if inspect.isabstract(cls) or cls.__name__.startswith("Abstract"):
-                raise TypeError(
-                    f"{public_name(cls)} is what a family has in common and cannot be built; it "
-                    f"needs a class of its own{_members(cls)}."
-                ) from None
             sentence = _misfit(cls, args, kwargs)
             if sentence:
                 raise TypeError(sentence) from None

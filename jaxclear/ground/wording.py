@@ -60,9 +60,8 @@ def unknown(what: str, name: Any, known: Iterable[Any], where: str = "") -> str:
     in what, such as " in this mechanism"."""
     known = list(known)
     if not isinstance(name, str):
-        return (
-            f"a {what} is named by text, one of {listed(known) or 'none'}; not {described(name)}."
-        )
+        named = f"one of {listed(known)}" if known else "but there is none"
+        return f"{what} is {described(name)}; it must be a name (text), {named}."
     close = nearest(name, known)
     hint = f' Did you mean "{close}"?' if close else ""
     if not known:

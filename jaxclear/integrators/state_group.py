@@ -15,9 +15,10 @@ from jaxtyping import Array, Float
 from jaxclear.components.joint import AbstractGroupJoint
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.quantity import AbstractQuantified
 
 
-class AbstractGroup(eqx.Module):
+class AbstractGroup(AbstractQuantified):
     """How a state moves by increments; their number may differ from that of the state's entries."""
 
     @abstractmethod

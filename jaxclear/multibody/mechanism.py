@@ -15,6 +15,7 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, as_number, parameters
 from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
+from jaxclear.multibody.in_words import in_words
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.topology import Topology, grow
 
@@ -91,6 +92,9 @@ class Mechanism(AbstractQuantified):
         validation.check_start(
             self.topology, self.bodies, self.connections, self.start, self.speeds
         )
+
+    def __str__(self) -> str:
+        return in_words(self)
 
     @property
     def baumgarte(self) -> Baumgarte | None:

@@ -10,9 +10,20 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from jaxclear.ground.arguments import expect
 from jaxclear.results.trajectory import Trajectory
 
-__all__ = ["MICRO", "MILLI", "canvas", "captioned", "readable", "setting", "shades", "warned"]
+__all__ = [
+    "MICRO",
+    "MILLI",
+    "canvas",
+    "captioned",
+    "check_run",
+    "readable",
+    "setting",
+    "shades",
+    "warned",
+]
 
 MILLI, MICRO = 1e3, 1e6
 # A caption holds so many sentences, in letters of this size [pt]; so many of them fill an inch, and
@@ -29,6 +40,11 @@ def canvas(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.
 def shades(count: int) -> list:
     """Colours from dark to light."""
     return [matplotlib.colormaps["viridis"](x) for x in np.linspace(0.0, 0.85, count)]
+
+
+def check_run(run: Any) -> None:
+    """Raises `ValueError` for what is no run."""
+    expect(run, Trajectory, "the run", "a run, as jaxclear.simulate returns it")
 
 
 def setting(run: Trajectory, joint: str) -> str:

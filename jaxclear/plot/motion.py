@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxclear.plot.canvas import MICRO, MILLI, canvas, setting, shades, warned
+from jaxclear.ground.arguments import expect
+from jaxclear.plot.canvas import MICRO, MILLI, canvas, check_run, setting, shades, warned
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["angular_velocity", "displacement", "end_centres", "journal_ends"]
@@ -15,6 +16,9 @@ def displacement(runs: Mapping[str, Trajectory], ideal: Trajectory, body: str) -
     """Path of a body's centre of mass in x and y for several runs beside the ideal one, and their
     distance from it.
     """
+    expect(runs, Mapping, "runs", "a dictionary of runs by the label of each")
+    for one in (*runs.values(), ideal):
+        check_run(one)
     figure, axes = canvas(3, 1, (8.0, 8.5), sharex=True)
     reference = np.asarray(ideal.body(body).com)
     for axis, k, letter in zip(axes[:2], (0, 1), "xy", strict=True):
@@ -51,6 +55,8 @@ def angular_velocity(
     run: Trajectory, ideal: Trajectory, body: str, label: str = "with clearance"
 ) -> Figure:
     """Angular velocity of a body about z with clearance and without, and their difference."""
+    for one in (run, ideal):
+        check_run(one)
     figure, axes = canvas(2, 1, (8.0, 6.0), sharex=True)
     own, other = (np.asarray(r.body(body).spin)[:, 2] for r in (run, ideal))
     axes[0].plot(run.time, own, color="C0", lw=1.2, label=label)
@@ -108,9 +114,12 @@ def end_centres(run: Trajectory, joint: str) -> np.ndarray:
     """Points where the journal's axis pierces the bearing's lower and upper end plane, (2, time, 2)
     [m].
     """
+    check_run(run)
     history = run.contact(joint)
-    bearing = run.mechanism.connections[joint].joint
-    ends = bearing.end_centres(
-        tuple(np.asarray(history.offset).T), (tuple(np.asarray(history.axis).T),)
-    )
+    ends_of = getattr(run.mechanism.connections[joint].joint, "end_centres", None)
+    if ends_of is None:
+        raise ValueError(
+            f'the joint "{joint}" has no two ends to draw; it must be a clearance.JournalBearing.'
+        )
+    ends = ends_of(tuple(np.asarray(history.offset).T), (tuple(np.asarray(history.axis).T),))
     return np.stack([np.stack(end[:2], axis=-1) for end in ends])

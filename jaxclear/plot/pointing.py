@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from jaxclear.ground.arguments import expect
 from jaxclear.plot.canvas import canvas, captioned, readable
 from jaxclear.results.pointing_error import PointingError, shift, turn
 
@@ -13,6 +14,7 @@ def pointing_budget(error: PointingError) -> Figure:
     """Pointing and position error of a tip over time, exact beside the adjoint model, with what
     each joint contributes; beside it the root mean squares, each with its share of the mean
     square."""
+    expect(error, PointingError, "the error", "what jaxclear.pointing_error returns")
     figure, axes = canvas(2, 2, (10.0, 6.4), width_ratios=(2.4, 1.0))
     table = error.budget()
     quantities = (

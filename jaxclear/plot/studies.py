@@ -7,6 +7,7 @@ import matplotlib.ticker
 import numpy as np
 from matplotlib.figure import Figure
 
+from jaxclear.ground.arguments import expect
 from jaxclear.plot.canvas import canvas, captioned, readable
 from jaxclear.studies.advice.advice import Advice
 from jaxclear.studies.advice.curve import PRESENT, REFERENCE
@@ -26,6 +27,7 @@ VERDICT_WIDTH = 70
 
 def monte_carlo(study: MonteCarlo) -> Figure:
     """Histogram of every response over the sample, with mean and 5 to 95 % range."""
+    expect(study, MonteCarlo, "the study", "what jaxclear.monte_carlo returns")
     names = list(study.responses)
     figure, axes = canvas(1, len(names), (4.6 * len(names), 3.8), squeeze=False)
     for axis, name in zip(axes[0], names, strict=True):
@@ -65,6 +67,7 @@ def sensitivity(study: Sensitivity) -> Figure:
     """Every derivative by every method, with its 95 % interval; a method that refused is named, not
     drawn.
     """
+    expect(study, Sensitivity, "the study", "what jaxclear.sensitivity returns")
     entries = list(study.derivatives.items())
     figure, axes = canvas(1, len(entries), (4.6 * len(entries), 3.6), squeeze=False)
     for axis, ((response, variable), derivative) in zip(axes[0], entries, strict=True):
@@ -102,6 +105,7 @@ def work_precision(advice: Advice) -> Figure:
     Grey: the reference, and what it cannot tell from no error. Runs that failed are not drawn;
     errors outside are drawn at the edge, LARGEST_ERROR or the lower end of the grey.
     """
+    expect(advice, Advice, "the advice", "what jaxclear.advise returns")
     found = advice.comparison
     figure, axis = canvas(1, 1, (8.0, 5.4))
     known = max(criterion.trust for criterion in found.criteria.values())

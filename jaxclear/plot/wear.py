@@ -5,15 +5,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxclear.components.wear_map import CylinderMap
-from jaxclear.plot.canvas import MICRO, MILLI, canvas, setting, warned
+from jaxclear.plot.canvas import MICRO, MILLI, canvas, check_run, setting, warned
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["wear_surface", "wear_unrolled"]
 
 
 def _wear(run: Trajectory, joint: str, surface: str) -> tuple[CylinderMap, np.ndarray]:
-    wear_map = run.mechanism.connections[joint].joint.maps()[surface][0]
-    return wear_map, np.asarray(run.worn[joint][surface])
+    check_run(run)
+    depth = np.asarray(run.worn_depth(joint, surface))
+    return run.mechanism.connections[joint].joint.maps()[surface][0], depth
 
 
 def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing") -> Figure:

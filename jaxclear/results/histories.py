@@ -3,15 +3,22 @@
 Everything is computed from the saved states when asked for, so a run pays for none of it.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.components.clearance import AbstractClearance
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.multibody import constraints, dynamics, energy, kinematics
 from jaxclear.results.state_history import StateHistory, check_known, columns, over_time
+
+# Vectors of a clearance joint and numbers of each of its contacts, with their units.
+OF_JOINT = {"offset": "m", "force": "N", "torque": "N m"}
+OF_CONTACT = {"indentation": "m", "normal_force": "N", "slip_speed": "m/s", "traction": "N"}
 
 
 class BodyHistory(eqx.Module):
@@ -38,9 +45,11 @@ class ContactHistory(eqx.Module):
     `offset` [m] from the bearing's centre to the journal's and `axis` [1], the journal's z axis;
     per contact the `indentation` [m] (positive in contact), `normal_force` [N], `slip_speed` [m/s],
     `traction` [N] (magnitude of friction) and `place` [m] of touch; `force` [N] and `torque` [N m]
-    on the journal (the child), about its marker.
+    on the journal (the child), about its marker. `names` of the contacts are those of the columns;
+    `table()` has everything under labels with units, over `time` [s].
     """
 
+    time: Float[Array, " time"]
     offset: Float[Array, "time 3"]
     axis: Float[Array, "time 3"]
     indentation: Float[Array, "time contacts"]
@@ -50,6 +59,21 @@ class ContactHistory(eqx.Module):
     place: Float[Array, "time contacts 3"]
     force: Float[Array, "time 3"]
     torque: Float[Array, "time 3"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def table(self) -> Any:
+        """A pandas table over time [s], a column for each number, labelled with its unit."""
+        import pandas
+
+        columns = {}
+        for field, unit in OF_JOINT.items():
+            for axis, values in zip("xyz", np.asarray(getattr(self, field)).T, strict=True):
+                columns[f"{field} {axis} [{unit}]"] = values
+        for field, unit in OF_CONTACT.items():
+            for name, values in zip(self.names, np.asarray(getattr(self, field)).T, strict=True):
+                columns[f"{field.replace('_', ' ')}, {name} [{unit}]"] = values
+        index = pandas.Index(np.asarray(self.time), name="time [s]")
+        return pandas.DataFrame(columns, index=index)
 
 
 class ReactionHistory(eqx.Module):
@@ -120,7 +144,17 @@ def check_contact_joint(history: StateHistory, name: str) -> None:
 @eqx.filter_jit
 def _contact(history, name):
     found = over_time(history, lambda now: history.formulation.contact(now, name)[:-1])
-    return ContactHistory(*map(columns, found))
+    parts = tuple(map(columns, found))
+    names = _contact_names(history, name, parts[2].shape[1])
+    return ContactHistory(history.time, *parts, names)
+
+
+def _contact_names(history, name, count):
+    """What the columns are called: as the joint says, or numbers."""
+    joint = history.mechanism.connections[name].joint
+    gap = getattr(joint, "gap", joint)
+    own = gap.contact_names() if isinstance(gap, AbstractClearance) else ()
+    return own if len(own) == count else tuple(f"contact {i}" for i in range(count))
 
 
 def reaction(history: StateHistory, name: str) -> ReactionHistory:

@@ -7,7 +7,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.commands import guide
-from jaxclear.commands.cli import main
+from jaxclear_command.cli import main
 from tests.rigs.figures import assert_complete
 from tests.rigs.guide_by_hand import MU, by_hand, friction_problem, regularised, scene, solved
 

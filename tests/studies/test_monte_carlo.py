@@ -178,7 +178,7 @@ def test_three_methods_find_the_derivative_of_the_closed_form(sample):
     assert derivative.trustworthy and derivative.value == pytest.approx(exact, rel=0.02)
     for estimate in derivative.estimates.values():
         assert abs(estimate.value - exact) < estimate.error + 0.02 * abs(exact)
-    assert "Agreed" in answers.table()["verdict"][0]
+    assert "Agreed" in answers.table()["verdict"].iloc[0]
 
 
 def test_pathwise_derivatives_of_adaptive_runs_are_refused():

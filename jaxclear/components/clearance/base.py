@@ -66,6 +66,11 @@ class AbstractClearance(AbstractQuantified):
     def contact_laws(self) -> tuple[ContactLaws, ...]:
         """Laws of each possible contact."""
 
+    def contact_names(self) -> tuple[str, ...]:
+        """What each possible contact is called; numbers unless overridden."""
+        count = len(self.contact_laws())
+        return ("contact",) if count == 1 else tuple(f"contact {i}" for i in range(count))
+
     @abstractmethod
     def indentations(
         self, offset: sp.Vec, axes: tuple[sp.Vec, ...], worn: dict[str, Any]

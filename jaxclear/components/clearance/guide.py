@@ -66,6 +66,9 @@ class SliderGuide(AbstractClearance):
         shape = Shape(self.corner_radius, FLAT * self.corner_radius, None)
         return (ContactLaws(self.contact, self.friction, shape, False),) * 4
 
+    def contact_names(self):
+        return ("lower back", "lower front", "upper back", "upper front")
+
     def _corners(self, offset, axes):
         across, along = axes
         for side in (-1, 1):

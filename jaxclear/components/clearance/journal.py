@@ -161,6 +161,10 @@ class JournalBearing(AbstractJournalBearing):
         collar = ContactLaws(self.flange.contact, self.flange.friction, half, False)
         return (*contact_laws, collar, collar)
 
+    def contact_names(self):
+        ends = ("lower end", "upper end")
+        return ends if self.flange is None else (*ends, "lower collar", "upper collar")
+
     def end_centres(self, offset, axes) -> tuple[sp.Vec, ...]:
         """Points where the journal's axis pierces the bearing's lower and upper end plane."""
         slope = _slope(axes[0])

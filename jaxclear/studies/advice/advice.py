@@ -11,6 +11,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from jaxclear.ground.arguments import check_number
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.studies import verdict
 from jaxclear.studies.advice.comparison import Comparison
@@ -103,12 +104,9 @@ class Advice(eqx.Module):
 
 def checked_accuracy(accuracy: Any) -> float:
     """The accuracy as a number. Raises `ValueError` with a sentence for what is none."""
-    number = np.isscalar(accuracy) and not isinstance(accuracy, (bool, str, bytes, complex))
-    if not (number and 0 < float(accuracy) < 1):
-        raise ValueError(
-            f"the accuracy is {accuracy!r}; it is a share of each response, above 0 and below 1 "
-            "(0.01 for 1 %)."
-        )
+    check_number(
+        "the accuracy (a share of each response, 0.01 for 1 %)", accuracy, above=0, below=1
+    )
     return float(accuracy)
 
 

@@ -70,7 +70,8 @@ class Sensitivity(eqx.Module):
         return f"({problem.units()[response]})/({below})"
 
     def table(self) -> Any:
-        """A pandas table: one row a derivative, with each method's answer and the verdict."""
+        """A pandas table: one row a derivative, by response and variable; first the answer, then
+        the verdict and each method's own answer."""
         import pandas
 
         rows = []
@@ -78,9 +79,9 @@ class Sensitivity(eqx.Module):
             row = {
                 "response": response,
                 "variable": variable,
-                "unit": self.unit(response, variable),
                 "derivative": found.value,
                 "error (95 %)": found.error,
+                "unit": self.unit(response, variable),
                 "method": found.method,
                 "verdict": found.verdict,
             }
@@ -90,7 +91,8 @@ class Sensitivity(eqx.Module):
                 row[f"{name} refusal"] = estimate.refusal
                 row[f"{name} warnings"] = estimate.warnings
             rows.append(row)
-        return pandas.DataFrame(rows)
+        # As the index, the names leave the first columns, which print always shows, to the answer.
+        return pandas.DataFrame(rows).set_index(["response", "variable"])
 
 
 def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> Derivative:

@@ -44,7 +44,7 @@ def sensitivity(
     problem.
     """
     expect(problem, Problem, "what is differentiated", "a jaxclear.Problem")
-    _check(sample, difference_samples, width, methods)
+    _check(sample, difference_samples, width, methods, seed)
     wanted = _wanted(problem, variables)
     if isinstance(sample, MonteCarlo):
         _check_sample(problem, sample)
@@ -81,7 +81,7 @@ def _check_sample(problem: Problem, sample: MonteCarlo) -> None:
         )
 
 
-def _check(sample: Any, difference_samples: Any, width: Any, methods: Any) -> None:
+def _check(sample: Any, difference_samples: Any, width: Any, methods: Any, seed: Any) -> None:
     """What a study of derivatives may be asked for."""
     expect(methods, (tuple, list), "methods of sensitivity", f"some of {listed(METHODS)}")
     if not methods:
@@ -93,6 +93,7 @@ def _check(sample: Any, difference_samples: Any, width: Any, methods: Any) -> No
     if not isinstance(sample, MonteCarlo):
         check_count("sample of sensitivity (a Monte Carlo study, or how many samples)", sample)
     check_count("difference_samples of sensitivity", difference_samples)
+    check_count("seed of sensitivity", seed, at_least=0)
     if width is not None:
         check_number("width of sensitivity", width, above=0)
 

@@ -1,0 +1,108 @@
+"""Reads the command line: `jaxclear four-bar`, `antenna` and `guide` run studies, `jaxclear
+parameters` lists a scene's numbers with units.
+
+A study is an entry in STUDIES, which declares its arguments, and a module of `jaxclear.commands`
+with a function `run`, which answers them.
+"""
+
+import argparse
+import importlib
+import importlib.metadata
+import sys
+from collections.abc import Callable
+from typing import NamedTuple
+
+from jaxclear_command.arguments import Parser, add_out, add_quiet, hint, number, whole
+
+__all__ = ["main", "read"]
+
+
+class Study(NamedTuple):
+    """What a study does, in words, and how its arguments are declared."""
+
+    help: str
+    declare: Callable[[Parser], None]
+
+
+def _four_bar(parser: Parser) -> None:
+    add_out(parser, "four_bar_study")
+    samples, duration, turns = (
+        "Monte Carlo samples (default 256)",
+        "simulated time of the paper's runs [s] (default 5)",
+        "turns of the crank in the Monte Carlo (default 2)",
+    )
+    parser.flag("--samples", samples, type=whole(16), default=256)
+    parser.flag("--duration", duration, type=number(0.01, "s"), default=5.0)
+    parser.flag("--turns", turns, type=number(0.01, ""), default=2.0)
+    add_quiet(parser)
+
+
+def _antenna(parser: Parser) -> None:
+    add_out(parser, "antenna_study")
+    duration = "simulated time of the periodic drive [s] (default 4)"
+    parser.flag("--duration", duration, type=number(0.01, "s"), default=4.0)
+
+
+def _guide(parser: Parser) -> None:
+    add_out(parser, "guide_study")
+    gap = "gap of the run with impacts [m] (default 1e-5)"
+    parser.flag("--clearance", gap, type=number(0.0, "m", above=True), default=1e-5)
+    add_quiet(parser)
+
+
+STUDIES = {
+    "four-bar": Study(
+        "four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives",
+        _four_bar,
+    ),
+    "antenna": Study(
+        "antenna on a satellite with clearance and dry friction: motion, errors of the tip",
+        _antenna,
+    ),
+    "guide": Study(
+        "slider in a rotating guide: corner forces, switchings, impacts of a small clearance",
+        _guide,
+    ),
+    "parameters": Study("all numbers of the four-bar with unit and meaning", lambda parser: None),
+}
+
+
+def _version() -> str:
+    try:
+        return importlib.metadata.version("jaxclear")
+    except importlib.metadata.PackageNotFoundError:
+        return "of unknown version, not installed"
+
+
+def read(arguments: list[str]) -> argparse.Namespace:
+    """What was asked. Exits with a sentence for what cannot be."""
+    text = "Studies of mechanisms whose joints have clearance, contact, friction and wear."
+    parser = Parser(prog="jaxclear", description=text)
+    parser.add_argument("--version", action="version", version=f"jaxclear {_version()}")
+    commands = parser.add_subparsers(dest="command", required=True, parser_class=Parser)
+    readers = {}
+    for name, study in STUDIES.items():
+        readers[name] = commands.add_parser(name, help=study.help, description=study.help)
+        study.declare(readers[name])
+    first = next((word for word in arguments if not word.startswith("-")), "")
+    if first and first not in STUDIES:
+        known = ", ".join(STUDIES)
+        parser.error(f'no study "{first}"; there are {known}.{hint(first, STUDIES)}')
+    options, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        reader = readers[options.command]
+        known = ", ".join(reader.flags) or "none"
+        near = hint(unknown[0], reader.flags)
+        reader.error(f'no argument "{unknown[0]}"; there are {known}.{near}')
+    return options
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point of the `jaxclear` command."""
+    options = read(sys.argv[1:] if arguments is None else arguments)
+    # Only now, when there is something to compute: it loads JAX.
+    importlib.import_module("jaxclear.commands.cli").answer(options)
+
+
+if __name__ == "__main__":
+    main()
