@@ -11,6 +11,7 @@ import optimistix
 import pytest
 
 import jaxclear as jc
+from jaxclear.formulations.impact_speed import ContactMotion, at_touch, remembered, turns_beyond
 from jaxclear.laws.contact import dissipation
 from jaxclear.multibody.assembly import guess
 from jaxclear.simulation.simulate import run
@@ -91,3 +92,109 @@ def test_restitution_is_the_law_s_within_a_thousandth(rung):
     found = np.asarray(jax.jit(jax.vmap(rebound))(*cases))
     wanted = np.array([returned(factor) for factor in cases[0]])
     np.testing.assert_allclose(found, wanted, rtol=1e-3)
+
+
+def test_saving_times_within_the_impact_change_nothing():
+    """Each saving time ends a step, and begins another with what the last one has left."""
+    law = jc.contact.Gonthier(stiffness=STIFFNESS, restitution=0.5)
+    duration = CLEARANCE / 0.1 + 1.3 * float(contact_time(0.1))
+    for integrator, off in (
+        (jc.integrator.Adaptive(rtol=1e-9, atol=1e-11), 1e-6),
+        (jc.integrator.FixedStep(2e-6), 1e-6),
+        (jc.integrator.ImplicitStep(2e-6, rebound=1.0), 1e-4),
+    ):
+        end = jc.simulate(
+            thrown(law), duration, save=500, integrator=integrator, start_concentric=False
+        )
+        speed = -end.body("journal").velocity[-1, :2] @ jnp.array([0.6, 0.8]) / 0.1
+        np.testing.assert_allclose(speed, 0.5, atol=off)
+
+
+@pytest.mark.slow
+def test_implicit_solver_takes_them_too():
+    implicit = jc.integrator.Adaptive(KVAERNO, rtol=1e-9, atol=1e-11)
+    law = jc.contact.Gonthier(stiffness=STIFFNESS, restitution=0.5)
+    end = jc.simulate(thrown(law), 6e-3, save=2, integrator=implicit, start_concentric=False)
+    speed = -end.body("journal").velocity[-1, :2] @ jnp.array([0.6, 0.8]) / 0.1
+    np.testing.assert_allclose(speed, 0.5, atol=1e-6)
+
+
+def test_law_without_memory_has_nothing_to_take():
+    end = jc.simulate(
+        thrown(jc.contact.Hertz(stiffness=STIFFNESS)),
+        6e-3,
+        save=2,
+        integrator=jc.integrator.Adaptive(rtol=1e-9, atol=1e-11),
+        start_concentric=False,
+    )
+    speed = -end.body("journal").velocity[-1, :2] @ jnp.array([0.6, 0.8]) / 0.1
+    np.testing.assert_allclose(speed, 1.0, atol=1e-6)
+
+
+def motion(depth, rate):
+    return ContactMotion(jnp.array([depth]), jnp.array([rate]))
+
+
+def test_speed_at_the_touch_is_that_of_the_path_to_the_third_power_of_the_step():
+    """A path with every power: sin; a constant acceleration is followed exactly."""
+    errors = []
+    for h in (0.2, 0.1, 0.05):
+        start = -0.37 * h
+        ends = [motion(np.sin(t) + t * t, np.cos(t) + 2 * t) for t in (start, start + h)]
+        errors.append(abs(float(at_touch(*ends, h)[0]) - 1.0))
+    assert errors[2] < 1e-5 and np.all(np.log2(np.divide(errors[:-1], errors[1:])) > 2.7)
+    falling = [motion(0.5 * t * t - 0.5, t) for t in (0.3, 1.2)]
+    np.testing.assert_allclose(at_touch(*falling, 0.9), 1.0, rtol=1e-14)
+
+
+def test_memory_is_held_in_contact_forgotten_after_and_taken_anew():
+    """As the contact touches, stays, parts, and touches again, in steps of 1 s."""
+    path = [motion(-0.5, 1.0), motion(0.5, 1.0), motion(0.6, -0.8), motion(-0.2, -0.8)]
+    path += [motion(-0.1, 0.2), motion(0.1, 0.2)]
+    speeds, found = jnp.zeros(1), []
+    for before, after in zip(path[:-1], path[1:], strict=True):
+        speeds = remembered(speeds, before, after, 1.0)
+        found.append(float(speeds[0]))
+    np.testing.assert_allclose(found, [1.0, 1.0, 0.0, 0.0, 0.2], rtol=1e-12)
+
+
+def test_derivatives_of_the_touch_are_finite_where_nothing_moves():
+    """At rest on the wall, at a wall that is just met, and where nothing happens."""
+    zero = motion(0.0, 0.0)
+    for before, after in ((zero, zero), (motion(-1.0, 0.0), zero), (motion(-1.0, -1.0),) * 2):
+        slopes = jax.jacfwd(remembered, (0, 1, 2, 3))(jnp.zeros(1), before, after, 1.0)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
+
+
+def test_a_touch_between_the_ends_of_a_step_is_seen():
+    """A dip of 1e-6 m on either side of the wall, closing or opening; not one of 1e-10 m."""
+    for sign, (turned, passed) in ((1.0, (True, False)), (-1.0, (True, False))):
+        for depth, seen in ((1e-6, turned), (1e-10, passed)):
+            # Half a step of 2 s from the turning point with an acceleration of 2.
+            ends = [motion(sign * (depth - 1.0), sign * rate) for rate in (2.0, -2.0)]
+            assert bool(turns_beyond(*ends, 2.0, 1e-9)[0]) == seen
+
+
+def test_a_grazing_touch_is_not_stepped_over():
+    """A ball thrown up whose path just meets the wall above: a parabola, which error control would
+    cross in one step. It loses what the law takes at the speed of the touch."""
+    graze, gravity, clearance = 1e-7, 10.0, 1e-2
+    law = jc.contact.Linear(stiffness=1e8, restitution=0.5)
+    joint = jc.clearance.PlanarJournalBearing(law, bearing_radius=0.5, clearance=clearance)
+    speed = np.sqrt(2 * gravity * (clearance + graze))
+    rig = jc.Mechanism(
+        {"ball": jc.Body(1.0, 1e-4)},
+        {"B": jc.Connection(joint, "ground", "ball")},
+        {"gravity": jc.load.Gravity((0.0, -gravity))},
+        speeds={"ball": (0.0, speed, 0.0)},
+    )
+    end = 2 * speed / gravity
+    heights = []
+    # The last one may not step over it: steps of a thousandth of the flight.
+    for rtol, largest in ((1e-7, 1.0), (1e-10, 1e-3 * end)):
+        integrator = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol, largest_step=largest)
+        found = jc.simulate(rig, end, save=2, integrator=integrator, start_concentric=False)
+        heights.append(float(found.body("ball").com[-1, 1]))
+    # Without the touch it would be back at the centre.
+    assert abs(heights[1]) > 1e-5
+    np.testing.assert_allclose(*heights, rtol=1e-2)
