@@ -44,6 +44,54 @@ def contact_time(speed):
     return 3.21 * (MASS / (STIFFNESS * jnp.sqrt(speed))) ** 0.4
 
 
+ORDERS = {
+    # Hertz's force begins as the 3/2th power of the indentation: no more than 5/2 by any method.
+    "rk4": (lambda h: jc.integrator.FixedStep(h), 2.5, 16e-6),
+    "munthe_kaas4": (lambda h: jc.integrator.FixedStep(h, "munthe_kaas4"), 2.5, 16e-6),
+    "heun": (lambda h: jc.integrator.FixedStep(h, "heun"), 2, 8e-6),
+    "semi_implicit": (lambda h: jc.integrator.FixedStep(h, "semi_implicit"), 1, 8e-6),
+    "implicit": (lambda h: jc.integrator.ImplicitStep(h, rebound=1.0), 2, 16e-6),
+}
+
+
+@pytest.fixture(scope="module")
+def falls():
+    """Journals thrown down under strong gravity from several heights, aside too, so that the normal
+    turns in flight; until after one impact."""
+    law = jc.contact.Gonthier(stiffness=STIFFNESS, restitution=0.6)
+    rig = thrown(law)
+    rig = jc.Mechanism(
+        rig.bodies, rig.connections, {"gravity": jc.load.Gravity((0.0, -1e3))}, start=rig.start
+    )
+    places = np.linspace(0.0, 0.7e-4, 20)
+    q, v = guess(rig)
+
+    @eqx.filter_jit
+    def go(rig, integrator):
+        def one(place):
+            start = q.at[:2].set(jnp.array([0.5e-4, 0.0]) + place)
+            speed = jnp.array([0.12, -0.4, 0.0])
+            return run(rig, start, speed, jnp.linspace(0.0, 1.2e-3, 2), integrator).states[-1]
+
+        return jax.vmap(one)(places)
+
+    ends = lambda integrator: np.asarray(go(rig, integrator))
+    exact = ends(jc.integrator.Adaptive(rtol=1e-11, atol=1e-14))
+    return ends, exact
+
+
+@pytest.mark.parametrize("method", ORDERS)
+def test_steps_converge_through_an_impact_at_their_order(method, falls):
+    """Root of the mean square over the starts, because where in a step a touch falls is chance."""
+    ends, exact = falls
+    make, order, step = ORDERS[method]
+    assert (exact[:, 4] > 0.1).all(), "every journal has bounced"
+    errors = [
+        np.sqrt(np.mean(np.square((ends(make(h)) - exact)[:, 3:5]))) for h in (step, step / 4)
+    ]
+    assert np.log2(errors[0] / errors[1]) / 2 > order - 0.25
+
+
 def test_every_law_that_remembers_damps_by_its_factor_over_the_impact_speed():
     """So the engine sees nothing of a law but its factor."""
     for law in members(dissipation.AbstractRestitutionFactor):
@@ -198,3 +246,21 @@ def test_a_grazing_touch_is_not_stepped_over():
     # Without the touch it would be back at the centre.
     assert abs(heights[1]) > 1e-5
     np.testing.assert_allclose(*heights, rtol=1e-2)
+
+
+@pytest.mark.parametrize("friction", [None, jc.friction.LuGre()], ids=["smooth", "bristles"])
+def test_flights_through_the_centre_reach_their_end_at_the_tightest_tolerance(friction):
+    """The normal turns by pi in no time there, and forces are nothing: no step may shrink to that.
+    Exactly through it, past it by 1e-7 m, and on to the wall, with one saving time long after."""
+    law = jc.contact.LankaraniNikravesh(stiffness=STIFFNESS, restitution=0.9)
+    joint = jc.clearance.PlanarJournalBearing(law, friction, bearing_radius=0.5, clearance=5e-3)
+    tight = jc.integrator.Adaptive(rtol=1e-10, atol=1e-13)
+    for off in (0.0, 1e-7):
+        rig = jc.Mechanism(
+            {"journal": jc.Body(MASS, 1e-4)},
+            {"B": jc.Connection(joint, "ground", "journal")},
+            start={"journal": (-3e-3, off, 0.0)},
+            speeds={"journal": (0.01, 0.0, 0.0)},
+        )
+        found = jc.simulate(rig, 10.0, save=2, integrator=tight, start_concentric=False)
+        assert int(found.accepted_steps) < 5000
