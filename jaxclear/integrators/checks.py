@@ -101,6 +101,41 @@ class Check(enum.IntEnum):
         'with steps of half the length the wear of joint "{place}" changes by {figure:.2g} of '
         "itself (limit {limit:g}), so worn volumes and depths are off: take shorter steps",
     )
+    # Largest change of a contact's indentation within a step beside the largest that was met.
+    CONTACT_STEP = (
+        6,
+        "contact step",
+        "1",
+        0.9,
+        "peak forces",
+        CONTACTS,
+        'within a step the indentation in joint "{place}" changes by {figure:.2g} of the largest '
+        "that was met (limit {limit:g}), so peak forces are those of the steps, not of the "
+        "contact, though motion and mean forces may be right: take shorter steps where peaks count",
+    )
+    # Of what nothing drives or pushes: energy above that of the start, beside all it had to change.
+    ENERGY_GAIN = (
+        8,
+        "energy gained",
+        "1",
+        0.05,
+        "motion",
+        WHOLE,
+        "the mechanism gained {figure:.2g} of its energy (limit {limit:g}) though nothing gave it "
+        "any, so the motion is off: take shorter steps",
+        (0.9, Outcome.ENERGY_GAINED),
+    )
+    # Largest indentation beside the radius of journal or ball.
+    INDENTATION = (
+        7,
+        "indentation",
+        "1",
+        0.05,
+        "forces",
+        CONTACTS,
+        'the indentation in joint "{place}" reaches {figure:.2g} of its radius (limit {limit:g}), '
+        "for which no contact law was made: look at stiffness, loads and start",
+    )
     # Rate at which friction changes with sliding times the step.
     FRICTION_STEP = (
         1,

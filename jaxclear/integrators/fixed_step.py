@@ -7,7 +7,7 @@ own time.
 """
 
 import functools
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ from jaxclear.ground.wording import unknown
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.state_group import state_group
-from jaxclear.integrators.stepping import SLIVER, arrived, divide
+from jaxclear.integrators.stepping import SLIVER, arrived, contacts_met, divide
 from jaxclear.native import while_loop
 
 # Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes,
@@ -94,8 +94,9 @@ class FixedStep(AbstractIntegrator):
 
     def first_warm_start(self, model, start, state):
         """The contacts at the start of the last step, and its length [s]: a touch in it is found
-        where the next step begins."""
-        if not self.formulation.remembers(model):
+        where the next step begins. None where nothing looks at contacts."""
+        seen = self.method not in ON_GROUPS or self.formulation.remembers(model)
+        if not (seen and any(kinds for _, kinds in model.layout.memories)):
             return None
         return self.formulation.contacts(model, start, state), jnp.ones(())
 
@@ -105,18 +106,19 @@ class FixedStep(AbstractIntegrator):
             return self._steps_that_meet_contacts(model, interval, h, state, warm_start)
 
         def turn(carry):
-            index, y, last = carry
-            _, y, last = self._step(model, interval.start + index * h, lambda _: h, h, y, last)
-            return index + 1, closed(model, interval.start + (index + 1) * h, y), last
+            index, y, last, met = carry
+            time = interval.start + index * h
+            _, y, now = self._step(model, time, lambda _: h, h, y, last)
+            return index + 1, closed(model, time + h, y), now, _met(met, last, now)
 
-        first = (jnp.zeros((), int), state, warm_start)
+        first = (jnp.zeros((), int), state, warm_start, _met(None, warm_start, warm_start))
         if self.steps_per_save is None:
-            _, end, last = while_loop(lambda carry: carry[0] < steps, turn, first)
+            _, end, last, met = while_loop(lambda carry: carry[0] < steps, turn, first)
         else:
             turns = jnp.arange(self.steps_per_save)
             scanned = lambda carry, index: (turn((index, *carry))[1:], None)
-            end, last = jax.lax.scan(scanned, (state, warm_start), turns)[0]
-        return arrived(end, steps, last)
+            end, last, met = jax.lax.scan(scanned, first[1:], turns)[0]
+        return arrived(end, steps, last, met)
 
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
@@ -132,15 +134,16 @@ class FixedStep(AbstractIntegrator):
             return length
 
         def one(carry):
-            time, steps, y, last = carry
-            h, y, last = self._step(model, time, choose(stop - time), longest, y, last)
+            time, steps, y, last, met = carry
+            h, y, now = self._step(model, time, choose(stop - time), longest, y, last)
             # The step that was cut to what was left ends exactly at the end.
             time = jnp.where(h == stop - time, stop, time + h)
-            return time, steps + 1, closed(model, time, y), last
+            return time, steps + 1, closed(model, time, y), now, _met(met, last, now)
 
-        first = (interval.start, jnp.zeros((), int), state, warm_start)
-        _, steps, end, last = while_loop(lambda carry: carry[0] < stop, one, first)
-        return arrived(end, steps, last)
+        met = _met(None, warm_start, warm_start)
+        first = (interval.start, jnp.zeros((), int), state, warm_start, met)
+        _, steps, end, last, met = while_loop(lambda carry: carry[0] < stop, one, first)
+        return arrived(end, steps, last, met)
 
     def _step(self, model, time, length, h, y, last):
         """The length and the end of a step, and what it leaves to the next. `length(contacts)`
@@ -165,9 +168,9 @@ class FixedStep(AbstractIntegrator):
         opens = stage == 0
         h = jnp.where(opens, length(contacts), h)
         if last is not None:
-            before, taken = last
-            aware = self.formulation.remember(model, y, before, contacts, taken)
-            y, total = jnp.where(opens, aware, y), jnp.where(opens, aware, total)
+            if self.formulation.remembers(model):
+                aware = self.formulation.remember(model, y, last[0], contacts, last[1])
+                y, total = jnp.where(opens, aware, y), jnp.where(opens, aware, total)
             last = jax.tree.map(lambda a, b: jnp.where(opens, a, b), (contacts, h), last)
         total = total + (h * weights[stage]) * slope
         if self.method == "semi_implicit":
@@ -202,3 +205,8 @@ class FixedStep(AbstractIntegrator):
 
         order = ON_GROUPS[self.method]
         return h, munthe_kaas.fixed_step(state_group(model), rate, order, time, h, y), last
+
+
+def _met(met: Any, last: Any, now: Any) -> Any:
+    """What was met of the contacts, from their motion at the starts of two steps."""
+    return None if last is None else contacts_met(met, last[0].depths, now[0].depths)

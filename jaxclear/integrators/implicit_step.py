@@ -10,7 +10,7 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.stepping import arrived, divide, march
+from jaxclear.integrators.stepping import arrived, contacts_met, divide, march
 
 
 class ImplicitStep(AbstractIntegrator):
@@ -80,19 +80,28 @@ class ImplicitStep(AbstractIntegrator):
         steps, h = divide(interval, self.step, self.steps_per_save)
         bias = (1 - self.rebound) / (1 + self.rebound)
 
-        def one(index, state, last):
+        # Behind the accelerations a warm start holds the indentations.
+        depths = slice(2 * model.layout.speeds, None)
+
+        def one(index, state, carried):
+            last, met = carried
             time_step = TimeStep(interval.start + index * h, h)
-            end, last = self.formulation.implicit_step(
+            end, now = self.formulation.implicit_step(
                 model, time_step, state, last, bias, self.newton_iterations
             )
-            return closed(model, interval.start + (index + 1) * h, end), last
+            met = None if met is None else contacts_met(met, last[depths], now[depths])
+            return closed(model, interval.start + (index + 1) * h, end), (now, met)
 
+        met = None
+        if any(kinds for _, kinds in model.layout.memories):
+            met = contacts_met(None, warm_start[depths], warm_start[depths])
+        carried = (warm_start, met)
         if self.steps_per_save is None:
-            end, warm_start = march(one, steps, state, warm_start)
+            end, (warm_start, met) = march(one, steps, state, carried)
         else:
             turns = jnp.arange(self.steps_per_save)
             # Reverse mode then keeps the states alone and goes through each step again: a third of
             # the time to compile.
             turn = jax.checkpoint(lambda carry, index: (one(index, *carry), None))
-            end, warm_start = jax.lax.scan(turn, (state, warm_start), turns)[0]
-        return arrived(end, steps, warm_start)
+            end, (warm_start, met) = jax.lax.scan(turn, (state, carried), turns)[0]
+        return arrived(end, steps, warm_start, met)

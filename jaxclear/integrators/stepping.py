@@ -5,12 +5,15 @@ and the answer at its end.
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.model import Model
+from jaxclear.ground.numerics import positive_part
 from jaxclear.integrators.base import Advance, Interval
+from jaxclear.integrators.checks import Check
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.native import while_loop
 
@@ -40,10 +43,22 @@ def march(
     return state, warm_start
 
 
-def arrived(end: Any, steps: Any, warm_start: Any) -> Advance:
-    """The answer of steps that are never rejected."""
+def contacts_met(met: tuple | None, before: Any, after: Any) -> tuple:
+    """(largest change of an indentation within a step [m], largest indentation [m]) of every
+    contact, after another step from indentations `before` to those `after` it; `met` until then.
+    """
+    begun, ended = (positive_part(jax.lax.stop_gradient(depths)) for depths in (before, after))
+    change, largest = (jnp.zeros_like(ended),) * 2 if met is None else met
+    return jnp.maximum(change, jnp.abs(ended - begun)), jnp.maximum(largest, ended)
+
+
+def arrived(end: Any, steps: Any, warm_start: Any, met: tuple | None = None) -> Advance:
+    """The answer of steps that are never rejected, and that have `met` so deep contacts."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
-    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome)
+    figures = None
+    if met is not None:
+        figures = dict(zip((Check.CONTACT_STEP, Check.INDENTATION), met, strict=True))
+    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, figures)
 
 
 def searching_steps(

@@ -12,8 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.components.joint.base import drive_of
+from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.integrators.checks import (
     CONTACTS,
     LOOPS,
@@ -25,7 +28,7 @@ from jaxclear.integrators.checks import (
     over_run,
 )
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.multibody import kinematics, loops
+from jaxclear.multibody import energy, kinematics, loops
 from jaxclear.multibody.system import longest_arm
 from jaxclear.results.state_history import StateHistory, over_time
 from jaxclear.results.trajectory import Trajectory
@@ -41,7 +44,7 @@ def refereed(
     that its saved states tell. It ends where one of them is beyond what a run can mend.
     """
     history = trajectory.history
-    found = jax.lax.stop_gradient(figures | _of_saved_states(history))
+    found = jax.lax.stop_gradient(_of_contacts(history, figures) | _of_saved_states(history))
     ends = jnp.asarray(history.time)[1:]
     checks = over_run(found, ends, _places(history))
     verdict = ending(found)
@@ -61,6 +64,22 @@ def refereed(
     )
 
 
+def _of_contacts(history: StateHistory, figures: dict[Check, Array]) -> dict[Check, Array]:
+    """The figures with those of contacts, which integrators keep in metres, beside what they are
+    measured by: the largest indentation of all, and the radius of each joint."""
+    if Check.INDENTATION not in figures:
+        return figures
+    depths = figures[Check.INDENTATION]
+    changes = safe_divide(figures[Check.CONTACT_STEP], jnp.max(depths, initial=0.0))
+    shapes = [
+        laws.shape
+        for bearing in history.model().system.bearings.values()
+        for laws in bearing.contact_laws
+    ]
+    radii = [jnp.inf if shape is None else shape.inner_radius for shape in shapes]
+    return figures | {Check.CONTACT_STEP: changes, Check.INDENTATION: depths / sp.stack(radii)}
+
+
 def _places(history: StateHistory) -> dict[str, tuple[str, ...]]:
     """Names of the places of figures."""
     model = history.model()
@@ -77,15 +96,43 @@ def _places(history: StateHistory) -> dict[str, tuple[str, ...]]:
 
 def _of_saved_states(history: StateHistory) -> dict[Check, Float[Array, "intervals places"]]:
     """Figures that the states at the saving times tell."""
+    system, count = history.model().system, len(history.time) - 1
+    looked = _spread(count)
+    seen = _at(history, np.concatenate([[0], 1 + looked]))
     found = {}
-    system = history.model().system
     if system.closures:
-        arm, count = longest_arm(system), len(history.time) - 1
-        looked = _spread(count)
-        rows = np.concatenate([[0], 1 + looked])
-        openings = over_time(_at(history, rows), lambda now: _openings(now, arm))[1:]
-        found[Check.LOOP_DRIFT] = jnp.zeros((count, openings.shape[1])).at[looked].set(openings)
-    return found
+        arm = longest_arm(system)
+        found[Check.LOOP_DRIFT] = over_time(seen, lambda now: _openings(now, arm))[1:]
+    if all(drive_of(link.joint) is None for link in system.links):
+        energies = over_time(seen, lambda now: _energies(now, history.formulation))
+        # A load from outside may give energy.
+        if energies:
+            found[Check.ENERGY_GAIN] = _gains(*energies)[1:, None]
+    return {
+        check: jnp.zeros((count, values.shape[1])).at[looked].set(values)
+        for check, values in found.items()
+    }
+
+
+def _energies(now: Instant, formulation: AbstractFormulation) -> tuple:
+    """(kinetic energy, potential energy, at most stored in contacts) [J]; () where a load gives
+    energy from outside."""
+    forces = formulation.forces(now)
+    if not sp.is_zero(forces.external_power):
+        return ()
+    kinetic, potential = energy.mechanical_energy(now.model.system, forces)
+    points = [point for report in forces.reports.values() for point in report.points]
+    stored = sp.total(point.normal_force * positive_part(point.indentation) for point in points)
+    return kinetic, potential, jnp.asarray(stored, float)
+
+
+def _gains(
+    kinetic: Float[Array, " looks"], potential: Float[Array, " looks"], stored: Array
+) -> Float[Array, " looks"]:
+    """Energy above that of the start beside all that there was to change."""
+    start = kinetic[0] + potential[0] + stored[0]
+    scale = start - jnp.min(potential) + jnp.max(kinetic)
+    return safe_divide(positive_part(kinetic + potential - start), scale)
 
 
 def _spread(count: int) -> np.ndarray:
