@@ -80,8 +80,9 @@ class ImplicitStep(AbstractIntegrator):
         steps, h = divide(interval, self.step, self.steps_per_save)
         bias = (1 - self.rebound) / (1 + self.rebound)
 
+        contacts = sum(len(kinds) for _, kinds in model.layout.memories)
         # Behind the accelerations a warm start holds the indentations.
-        depths = slice(2 * model.layout.speeds, None)
+        depths = slice(2 * model.layout.speeds, 2 * model.layout.speeds + contacts)
 
         def one(index, state, carried):
             last, met = carried
@@ -93,7 +94,7 @@ class ImplicitStep(AbstractIntegrator):
             return closed(model, interval.start + (index + 1) * h, end), (now, met)
 
         met = None
-        if any(kinds for _, kinds in model.layout.memories):
+        if contacts:
             met = contacts_met(None, warm_start[depths], warm_start[depths])
         carried = (warm_start, met)
         if self.steps_per_save is None:

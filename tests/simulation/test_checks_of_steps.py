@@ -1,0 +1,75 @@
+"""What a run says of steps that are too long: for loads, contacts, wear; and of right ones nothing."""
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.integrators import Check, Outcome
+
+LINKS = 4
+
+
+def chain(damping):
+    """A pendulum of links with dampers in all joints but the first."""
+    link = jc.Body(0.1, 1e-5, (0.05, 0.0))
+    bodies = {f"link{i}": link for i in range(LINKS)}
+    connections = {"J0": jc.Connection(jc.joint.Revolute(), "ground", "link0")}
+    loads = {"gravity": jc.load.Gravity((0.0, -9.81))}
+    for i in range(1, LINKS):
+        ends = (f"link{i - 1}", f"link{i}")
+        connections[f"J{i}"] = jc.Connection(jc.joint.Revolute(), *ends, at=(0.1, 0.0))
+        loads[f"damper{i}"] = jc.load.JointSpring(f"J{i}", damping=damping)
+    return jc.Mechanism(bodies, connections, loads)
+
+
+def beyond(run):
+    return {check for check, worst, *_ in run.checks.rows() if worst > check.limit}
+
+
+def test_a_mechanism_that_gains_energy_from_nowhere_ends():
+    """Steps just beyond what a damper allows: speeds of hundreds of rad/s, bounded by nothing but
+    the geometry."""
+    integrator = jc.integrator.FixedStep(2e-5, "semi_implicit")
+    with pytest.raises(jc.SimulationError, match="gained energy that nothing gave"):
+        jc.simulate(chain(2.0), 0.02, save=21, integrator=integrator)
+    right = jc.simulate(chain(2.0), 0.02, save=21, integrator=jc.integrator.Adaptive())
+    assert right.warnings == () and Check.ENERGY_GAIN in right.checks.figures
+
+
+def test_forces_that_are_wrong_in_a_right_motion_are_said():
+    """Explicit steps held at the edge of stability by the error control: the motion is right to the
+    tolerance, the torque of a stiff damper is not."""
+    loose = jc.integrator.Adaptive(rtol=1e-3, atol=1e-4)
+    found = jc.simulate(chain(2.0), 0.02, save=21, integrator=loose)
+    exact = jc.simulate(chain(2.0), 0.02, save=21, integrator=jc.integrator.Adaptive())
+    np.testing.assert_allclose(found.body("link3").com, exact.body("link3").com, atol=1e-3)
+    forces, true = (np.asarray(run.reaction("J1").torque)[:, 2] for run in (found, exact))
+    assert Check.HALVED_FORCES in beyond(found)
+
+
+def test_contacts_crossed_in_one_step_are_said():
+    """Peak forces are then those of the steps."""
+    rig = jc.scenes.slider_crank()
+    long = jc.simulate(rig, 0.02, save=11, integrator=jc.integrator.ImplicitStep(2e-4))
+    short = jc.simulate(rig, 0.02, save=11, integrator=jc.integrator.ImplicitStep(5e-6))
+    assert Check.CONTACT_STEP in beyond(long) and "peak forces" in long.result
+    assert beyond(short) == set()
+
+
+def test_an_indentation_as_large_as_the_journal_is_said():
+    """No contact law was made for it."""
+    soft = jc.scenes.slider_crank(contact=jc.contact.CarvalhoMartins(stiffness=1e3))
+    found = jc.simulate(soft, 0.01, save=11, integrator=jc.integrator.FixedStep())
+    assert Check.INDENTATION in beyond(found)
+
+
+def test_shadows_do_not_touch_the_run():
+    """The same saved states, bit for bit, as where no window lies before them."""
+    rig = jc.scenes.slider_crank()
+    integrator = jc.integrator.FixedStep()
+    times = np.linspace(0.0, 0.004, 11)
+    few = jc.simulate(rig, 0.004, save=times, integrator=integrator)
+    fewer = jc.simulate(rig, times[6], save=times[:7], integrator=integrator)
+    assert Outcome(int(few.outcome)) == Outcome.REACHED
+    np.testing.assert_array_equal(few.states[:7], fewer.states)
+    assert few.accepted_steps == 200
