@@ -169,7 +169,8 @@ def double_pendulum(n: Draw, laws: Laws) -> Case:
             "C": jc.Connection(joint, "upper", "lower", at=(length, 0.0)),
         },
         {"gravity": jc.load.Gravity()},
-        start={"upper": (0.0, 0.0, angle), "lower": (0.0, -length, angle)},
+        start={"upper": (0.0, 0.0, angle)},
+        guess={"lower": (0.0, -length, angle)},
     )
     return Case(rig, n.log(0.02, 0.06, 0.04))
 
@@ -216,7 +217,8 @@ def torque_crank(n: Draw, laws: Laws) -> Case:
                 "G", n.log(1e2, 1e5, 1e3), rest=0.15, damping=n.log(1.0, 1e2, 10.0)
             ),
         },
-        start={"O": angle, "A": -1.4 * angle, "G": 0.15},
+        start={"O": angle},
+        guess={"A": -1.4 * angle, "G": 0.15},
     )
     return Case(rig, _duration(n))
 

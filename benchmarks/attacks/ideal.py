@@ -105,7 +105,8 @@ def free_slider_crank(n: Draw, laws: Laws) -> Case:
         scene.bodies,
         scene.connections | {"O": free},
         dict(scene.loads) | {"torque": jc.load.JointTorque("O", n.log(0.1, 20.0, 2.0))},
-        start={"O": angle, "A": -1.4 * angle, "G": 0.15},
+        start={"O": angle},
+        guess={"A": -1.4 * angle, "G": 0.15},
     )
     return Case(rig, n.log(0.01, 0.05, 0.02))
 

@@ -54,7 +54,7 @@ def four_bar(gain: float | str | None) -> jc.Mechanism:
         whole.bodies,
         whole.connections,
         whole.loads,
-        start={"A": 0.81, "D": 1.32},
+        guess={"A": 0.81, "D": 1.32},
         stabilisation=stabilisation,
     )
 

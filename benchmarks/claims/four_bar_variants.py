@@ -96,7 +96,7 @@ def build(variant: Variant = FULL, clearance: Any = CLEARANCE) -> jc.Mechanism:
             "D": jc.Connection(foot, "ground", "follower", at=(0.3, 0.0)),
         },
         loads={"gravity": jc.load.Gravity()},
-        start={"A": 0.8, "D": 1.3 if flat else (0.0, 0.0, 1.3)},
+        guess={"A": 0.8, "D": 1.3 if flat else (0.0, 0.0, 1.3)},
     )
 
 

@@ -46,10 +46,16 @@ def _by_name(what: str, given: Any) -> dict[str, Any]:
 class Mechanism(AbstractQuantified):
     """Bodies held together by connections, under loads.
 
-    `start` gives rough joint coordinates by connection (or floating body): 1 number, all the
-    joint's coordinates, or for a spherical joint 3 numbers (a rotation vector [rad]); `speeds`
-    likewise, in the joint's own speeds. What is not given starts at the joint's home, at rest.
-    Raises `ValueError` with a sentence naming what is wrong.
+    `start` gives coordinates by connection, or by body (its place in the ground): 1 number, all of
+    the joint's coordinates, for a spherical joint 3 numbers (a rotation vector [rad]), for a body
+    in space 3 (its origin [m]); `speeds` likewise, in the joint's own speeds [m/s, rad/s]. Both are
+    held; the rest is solved, nearest to the joints' homes and to rest, so that every loop closes
+    and journals lie in the middle of their bearings as far as what is given lets them. They may
+    name any joint: one that closes a loop, or one with clearance, whose turn and slide are those of
+    the ideal joint that it would be. More than the loops leave free is refused where it does not
+    close them already (to 1e-6 of a radian or of the longest arm). `guess`: rough coordinates
+    likewise, held only where loops and `start` leave them free; they choose between the ways to
+    assemble. Raises `ValueError` with a sentence naming what is wrong.
     """
 
     bodies: dict[str, Body]
@@ -57,8 +63,12 @@ class Mechanism(AbstractQuantified):
     loads: dict[str, AbstractLoad]
     start: dict[str, tuple]
     speeds: dict[str, tuple]
+    guess: dict[str, tuple]
     stabilisation: Baumgarte | Projection | None
     topology: Topology = eqx.field(static=True)
+    # Names in `start`, `speeds` and `guess` as they were given: JAX sorts the keys of dictionaries,
+    # and what is given first is held first.
+    order: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -68,17 +78,19 @@ class Mechanism(AbstractQuantified):
         *,
         start: Mapping[str, Any] | None = None,
         speeds: Mapping[str, Any] | None = None,
+        guess: Mapping[str, Any] | None = None,
         stabilisation: Baumgarte | Projection | str | None = "default",
     ):
         self.bodies = _by_name("bodies", bodies)
         self.connections = _by_name("connections", connections)
         self.loads = _by_name("loads", {} if loads is None else loads)
-        self.start, self.speeds = (
+        self.start, self.speeds, self.guess = (
             {n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, given or {}).items()}
-            for what, given in (("start", start), ("speeds", speeds))
+            for what, given in (("start", start), ("speeds", speeds), ("guess", guess))
         )
+        self.order = tuple(dict.fromkeys([*self.start, *self.speeds, *self.guess]))
         validation.check_parts(self.bodies, self.connections, self.loads)
-        validation.check_finite("the mechanism", {"start": self.start, "speeds": self.speeds})
+        validation.check_finite("the mechanism", self.given)
         self.topology = grow(self.bodies, self.connections)
         usual = isinstance(stabilisation, str) and stabilisation == "default"
         self.stabilisation = Baumgarte() if usual else stabilisation  # type: ignore[assignment]
@@ -89,9 +101,17 @@ class Mechanism(AbstractQuantified):
             "a jaxclear.Baumgarte, a jaxclear.Projection, or None for none",
         )
         validation.check_tree(self.topology, self.connections, self.loads)
-        validation.check_start(
-            self.topology, self.bodies, self.connections, self.start, self.speeds
-        )
+        places = {"start": self.start, "guess": self.guess}
+        validation.check_start(self.bodies, self.connections, places, self.speeds)
+
+    @property
+    def given(self) -> dict[str, dict[str, tuple]]:
+        """What is given for the start, under its argument's name, in the order given."""
+        parts = {"start": self.start, "speeds": self.speeds, "guess": self.guess}
+        return {
+            part: {name: own[name] for name in self.order if name in own}
+            for part, own in parts.items()
+        }
 
     def __str__(self) -> str:
         return in_words(self)
@@ -114,3 +134,12 @@ class Mechanism(AbstractQuantified):
         return pandas.DataFrame(
             [row for part in parts for row in parameters(getattr(self, part), part)]
         )
+
+
+def loosened(mechanism: Mechanism, names: tuple[str, ...]) -> Mechanism:
+    """The mechanism with the coordinates of these names guessed, not given."""
+    if not names:
+        return mechanism
+    start = {name: values for name, values in mechanism.start.items() if name not in names}
+    guess = mechanism.guess | {name: mechanism.start[name] for name in names}
+    return eqx.tree_at(lambda m: (m.start, m.guess), mechanism, (start, guess))

@@ -86,6 +86,20 @@ def joint_of(
     )
 
 
+def coordinate_joint(
+    name: str, bodies: dict[str, Body], connections: dict[str, Connection]
+) -> AbstractJoint:
+    """The joint in whose coordinates a name is spoken of: that of a connection, whether it carries
+    coordinates, closes a loop or has clearance; of a body, the one that places it in the ground.
+
+    Raises `ValueError`, with a sentence that goes behind the name, where there is none.
+    """
+    if name not in connections:
+        return free_joint(bodies[name])
+    joint = connections[name].joint
+    return joint.coordinate_form() if isinstance(joint, AbstractClearance) else joint
+
+
 def grow(bodies: dict[str, Body], connections: dict[str, Connection]) -> Topology:
     """The spanning tree of a mechanism whose names have been checked."""
     ideal = {name: c for name, c in connections.items() if isinstance(c.joint, AbstractJoint)}

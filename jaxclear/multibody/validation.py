@@ -22,7 +22,7 @@ from jaxclear.ground.kinds import check_kinds
 from jaxclear.ground.quantity import check_range, numbers
 from jaxclear.ground.wording import listed, nearest
 from jaxclear.laws.stiffness import fitted
-from jaxclear.multibody.topology import Topology, joint_of
+from jaxclear.multibody.topology import Topology, coordinate_joint
 
 
 def check_parts(bodies: dict, connections: dict, loads: dict) -> None:
@@ -164,29 +164,37 @@ def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
             )
 
 
-def check_start(
-    topology: Topology, bodies: dict, connections: dict, start: dict, speeds: dict
-) -> None:
-    """Starting coordinates and speeds must be given for what has some, in the right number."""
-    branches = {branch.name: branch for branch in topology.branches}
-    for what, given in (("start", start), ("speeds", speeds)):
-        for name in given:
-            if name not in branches:
-                close = nearest(name, branches)
-                raise ValueError(
-                    f'{what} names "{name}", which carries no coordinates; those that do are '
-                    f"{listed(branches)}." + (f' Did you mean "{close}"?' if close else "")
-                )
-            if branches[name].coordinate_count == 0:
-                raise ValueError(
-                    f'{what} names "{name}", whose motion is prescribed or fixed; leave it out.'
-                )
-    for name, given in start.items():
-        try:
-            joint_of(branches[name], bodies, connections).start(given)
-        except ValueError as error:
-            raise ValueError(f'start of "{name}" {error}') from None
-    for name, given in speeds.items():
-        width = branches[name].speed_count
-        if len(given) != width:
-            raise ValueError(f'speeds of "{name}" need {width} numbers, not {len(given)}.')
+def check_start(bodies: dict, connections: dict, places: dict, speeds: dict) -> None:
+    """Starting coordinates (`places`: "start" and "guess" of a mechanism) and speeds must be given
+    for what has some, in the right number."""
+    for what, given in places.items():
+        for name, values in given.items():
+            joint = _with_coordinates(what, name, bodies, connections)
+            try:
+                joint.start(values)
+            except ValueError as error:
+                raise ValueError(f'{what} of "{name}" {error}') from None
+    for name, values in speeds.items():
+        joint = _with_coordinates("speeds", name, bodies, connections)
+        width = len(joint.columns(joint.home))
+        if len(values) != width:
+            raise ValueError(f'speeds of "{name}" need {width} numbers, not {len(values)}.')
+
+
+def _with_coordinates(what: str, name: str, bodies: dict, connections: dict) -> AbstractJoint:
+    if name not in connections and name not in bodies:
+        close = nearest(name, [*connections, *bodies])
+        raise ValueError(
+            f'{what} names "{name}", which carries no coordinates; it may name the joints '
+            f"{listed(connections)} and the bodies {listed(bodies)}."
+            + (f' Did you mean "{close}"?' if close else "")
+        )
+    try:
+        joint = coordinate_joint(name, bodies, connections)
+    except ValueError as error:
+        raise ValueError(f'{what} names "{name}", which {error}') from None
+    if not joint.home or drive_of(joint) is not None:
+        raise ValueError(
+            f'{what} names "{name}", whose motion is prescribed or fixed; leave it out.'
+        )
+    return joint

@@ -179,10 +179,10 @@ def antenna(
     base = {"base": Connection(Free(), "ground", "satellite")}
     top = 0.5 * SATELLITE_HEIGHT
     # Held by contacts alone, bodies start by place.
-    start = {} if kind == "ideal" else {"link1": (0.0, 0.0, top), "link2": (0.0, 0.0, top + LINK_1)}
+    guess = {} if kind == "ideal" else {"link1": (0.0, 0.0, top), "link2": (0.0, 0.0, top + LINK_1)}
     return Mechanism(
         bodies=_bodies(offset),
         connections=base | {name: Connection(joint, *ends) for name, ends in places.items()},
         loads={f"motor {name}": MotorTorque(*places[name], torque) for name, torque in torques},
-        start=start,
+        guess=guess,
     )

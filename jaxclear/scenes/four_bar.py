@@ -132,5 +132,5 @@ def four_bar(
             "D": Connection(Spherical() if spatial else Revolute(), "ground", "follower", at=foot),
         },
         loads={"gravity": Gravity((0.0, -9.81))},
-        start={"A": 0.81, "D": 1.32},
+        guess={"A": 0.81, "D": 1.32},
     )

@@ -152,6 +152,7 @@ def guide(
             "P": Connection(joint, Marker("guide", (reach, 0.0), "x"), Marker("slider", axis="x")),
         },
         loads=weight | motor,
-        start={"C": tilt, "A": tilt - crank_angle} | ({"O": crank_angle} if free else {}),
+        start={"O": crank_angle} if free else None,
         speeds={"O": crank_speed} if free else None,
+        guess={"C": tilt, "A": tilt - crank_angle},
     )

@@ -98,5 +98,5 @@ def slider_crank(
             "G": Connection(Prismatic(), Marker("ground", axis="x"), Marker("slider", axis="x")),
         },
         loads={} if gravity is None else {"gravity": Gravity((0.0, -gravity))},
-        start={"G": REACH},
+        guess={"G": REACH},
     )

@@ -19,8 +19,8 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, inside, numbers
 from jaxclear.ground.wording import described, nearest
 from jaxclear.integrators import AbstractIntegrator, Checks, FixedStep, Outcome
-from jaxclear.multibody.assembly import CLOSED, assemble_arrays
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.assembly import assemble_arrays, determined, is_sound
+from jaxclear.multibody.mechanism import Mechanism, loosened
 from jaxclear.results.response import unit_of
 from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
@@ -89,6 +89,8 @@ class Problem(AbstractQuantified):
     names: tuple[str, ...] = eqx.field(static=True)
     response_names: tuple[str, ...] = eqx.field(static=True)
     variable_units: tuple[str, ...] = eqx.field(static=True)
+    # Coordinates given for the start that the loops determine: they move with what varies.
+    determined: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -111,6 +113,7 @@ class Problem(AbstractQuantified):
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
         check_run(mechanism, self.integrator)
         warn_of_shortened_steps(integrator, times)
+        self.determined = determined(self.integrator.formulation.seen(mechanism))
         for name, wanted in self.response.items():
             if not callable(wanted) or isinstance(wanted, type):
                 hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
@@ -144,14 +147,14 @@ class Problem(AbstractQuantified):
 
     def with_values(self, values: Float[Array, " variables"]) -> Mechanism:
         """The mechanism with its variables set. Leaves that vary together move by the same
-        amount."""
+        amount. Coordinates of the start that the loops determine become guesses."""
         mechanism = self.mechanism
         for name, value in zip(self.names, values, strict=True):
             variable = self.variables[name]
             old = self._leaves(variable)
             new = [leaf + (value - old[0]) for leaf in old]
             mechanism = eqx.tree_at(_leaves_of(variable), mechanism, new)
-        return mechanism
+        return loosened(mechanism, self.determined)
 
     def evaluate(
         self, values: Float[Array, " variables"], *, discrete_derivatives: bool = False
@@ -176,10 +179,8 @@ class Problem(AbstractQuantified):
         possible = jnp.all(
             jnp.stack([inside(leaf, metadata) for _, leaf, metadata in numbers(mechanism)])
         )
-        left = jnp.stack(
-            [jnp.max(jnp.abs(r), initial=0.0) for r in start.residuals.values()] or [jnp.zeros(())]
-        )
-        outcome = jnp.where(jnp.max(left) <= CLOSED, trajectory.outcome, Outcome.UNASSEMBLED)
+        sound = is_sound(mechanism, start)
+        outcome = jnp.where(sound, trajectory.outcome, Outcome.UNASSEMBLED)
         outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
         return SampleResult(responses, outcome, trajectory.ended, trajectory.checks)
 

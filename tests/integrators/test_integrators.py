@@ -73,7 +73,7 @@ def four_bar():
             "D": jc.Connection(revolute, "ground", jc.Marker("rocker", (0.25, 0.0)), at=(0.3, 0.0)),
         },
         {"gravity": jc.load.Gravity()},
-        start={"A": -0.5, "D": 0.3},
+        guess={"A": -0.5, "D": 0.3},
     )
 
 

@@ -18,7 +18,7 @@ def four_bar(stabilisation):
         whole.bodies,
         whole.connections,
         whole.loads,
-        start={"A": 0.81, "D": 1.32},
+        guess={"A": 0.81, "D": 1.32},
         stabilisation=stabilisation,
     )
 

@@ -64,3 +64,195 @@ def test_the_least_change_meets_what_it_can_and_moves_no_further():
     free = [0, 1, 3]
     expected = scales * (np.linalg.pinv(rows[free] * scales) @ targets[free])
     np.testing.assert_allclose(change, expected, atol=1e-13)
+
+
+# --- what is given is held ---
+
+BEARING = jc.clearance.PlanarJournalBearing(
+    jc.contact.CarvalhoMartins(stiffness=1e9), clearance=1e-4
+)
+JOINTS = {"ideal": jc.joint.Revolute(), "bearing": BEARING}
+CRANK = 0.05
+
+
+def slider_crank(joint="ideal", drive=None, slide=None, rod=ROD, **given):
+    return jc.Mechanism(
+        {
+            "crank": jc.Body(0.3, 1e-4, (0.5 * CRANK, 0.0)),
+            "rod": jc.Body(0.21, 2.5e-4, (0.5 * rod, 0.0)),
+            "slider": jc.Body(0.14, 1e-4),
+        },
+        {
+            "O": jc.Connection(jc.joint.Revolute(drive=drive), "ground", "crank"),
+            "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(CRANK, 0.0)),
+            "B": jc.Connection(JOINTS[joint], "rod", "slider", at=(rod, 0.0)),
+            "G": jc.Connection(
+                jc.joint.Prismatic(drive=slide),
+                jc.Marker("ground", axis="x"),
+                jc.Marker("slider", axis="x"),
+            ),
+        },
+        {"gravity": jc.load.Gravity()},
+        **given,
+    )
+
+
+def read(rig, name):
+    """Coordinate and speed by which joint `name` starts, from the motion of its markers."""
+    run = jc.simulate(rig, 1e-6, save=2, integrator=jc.integrator.FixedStep(1e-6))
+    angles, spins = {"ground": 0.0}, {"ground": 0.0}
+    for body in rig.bodies:
+        rotation = np.asarray(run.body(body).rotation)[0]
+        angles[body] = np.arctan2(rotation[1, 0], rotation[0, 0])
+        spins[body] = np.asarray(run.body(body).spin)[0, 2]
+    if name == "G":
+        slider = run.body("slider")
+        return float(slider.com[0, 0]), float(slider.velocity[0, 0])
+    ends = [getattr(rig.connections[name], side).body for side in ("parent", "child")]
+    turn = angles[ends[1]] - angles[ends[0]]
+    return np.angle(np.exp(1j * turn)), spins[ends[1]] - spins[ends[0]]
+
+
+@pytest.mark.parametrize("joint", JOINTS)
+@pytest.mark.parametrize("name", ["O", "A", "B", "G"])
+def test_given_coordinates_and_speeds_are_held_whatever_joint_they_name(name, joint):
+    """Of a crank that nothing drives; one start serves the ideal joint and the bearing, and joint B
+    carries no coordinate in either."""
+    given = {"O": (0.6, 10.0), "A": (-0.9, 7.0), "B": (0.25, -3.0), "G": (0.155, 0.4)}[name]
+    rough = {"O": 0.6, "A": -0.85, "G": 0.155}
+    rough.pop(name, None)
+    rig = slider_crank(joint, start={name: given[0]}, speeds={name: given[1]}, guess=rough)
+    np.testing.assert_allclose(read(rig, name), given, rtol=1e-9, atol=1e-12)
+
+
+def test_the_rest_of_a_start_is_solved():
+    angle, speed = 0.6, 10.0
+    start = jc.assemble(slider_crank(start={"O": angle}, speeds={"O": speed}, guess={"G": 0.16}))
+    tilt = -np.arcsin(CRANK / ROD * np.sin(angle))
+    turning = -speed * CRANK * np.cos(angle) / (ROD * np.cos(tilt))
+    along = CRANK * np.cos(angle) + ROD * np.cos(tilt)
+    going = -CRANK * np.sin(angle) * speed - ROD * np.sin(tilt) * turning
+    np.testing.assert_allclose(start.coordinates, [angle, tilt - angle, along], atol=1e-14)
+    np.testing.assert_allclose(start.speeds, [speed, turning - speed, going], atol=1e-12)
+
+
+SPEED = jc.drive.ConstantSpeed(50.0)
+REFUSED = {
+    "surplus of a driven loop": (
+        lambda: slider_crank(drive=SPEED, start={"G": 0.165}),
+        r'start=\{"G": 0.165\} is more than the mechanism leaves free.*put it at 0.17 m',
+    ),
+    "other branch of a driven loop": (
+        lambda: slider_crank(drive=SPEED, start={"G": -0.17}),
+        r'start=\{"G": -0.17\} is more than the mechanism leaves free',
+    ),
+    "other branch of a free loop": (
+        lambda: slider_crank(start={"G": -0.17}),
+        r'no way to assemble with start=\{"G": -0.17\} was found',
+    ),
+    "second of two given": (
+        lambda: slider_crank(start={"O": 0.6, "A": -0.7}, guess={"G": 0.16}),
+        r'start=\{"A": -0.7\} is more than .* put it at -0.8374',
+    ),
+    "first given is held though not first of the alphabet": (
+        lambda: slider_crank(start={"O": 0.6, "B": 0.5}, guess={"A": -0.8, "G": 0.16}),
+        r'start=\{"B": 0.5\} is more than .* put it at 0.237494',
+    ),
+    "place of a body": (
+        lambda: slider_crank(drive=SPEED, start={"slider": (0.16, 0.0, 0.0)}),
+        r'start=\{"slider": \(0.16, 0, 0\)\} is more than',
+    ),
+    "surplus of speed": (
+        lambda: slider_crank(start={"O": 0.6}, speeds={"O": 1.0, "B": 3.0}, guess={"G": 0.16}),
+        r'speeds=\{"B": 3\} is more than the mechanism leaves free',
+    ),
+    "journal out of its bearing": (
+        lambda: slider_crank("bearing", drive=SPEED, start={"G": 0.175}),
+        r'parts of joint "B" start 0.0049 m deep in each other',
+    ),
+    "dead point": (
+        lambda: slider_crank(slide=jc.drive.ConstantSpeed(-1.0, 0.17)),
+        "stands at a dead point.* joint \"B\" cannot follow the drive of 'G'",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_start_that_cannot_be_held_is_refused_by_name(name):
+    make, sentence = REFUSED[name]
+    with pytest.raises(ValueError, match=sentence):
+        jc.assemble(make())
+
+
+@pytest.mark.parametrize("joint", JOINTS)
+def test_the_other_branch_is_assembled_where_it_is_guessed(joint):
+    start = jc.assemble(slider_crank(joint, start={"G": -0.165}, guess={"O": 2.8, "A": 0.4}))
+    assert float(start.coordinates[2]) == -0.165
+    assert 2.5 < float(start.coordinates[0]) < 3.1
+
+
+def test_a_surplus_that_closes_the_loop_is_accepted():
+    start = jc.assemble(slider_crank(drive=SPEED, start={"G": 0.17}))
+    np.testing.assert_allclose(start.coordinates, [0.0, 0.17], atol=1e-15)
+
+
+@pytest.mark.parametrize("joint", JOINTS)
+def test_a_surplus_moves_with_the_lengths_that_vary(joint):
+    """The slider of a driven crank stands where the rod puts it, in a sample of a study and in a
+    run of the same numbers."""
+    rig = slider_crank(joint, drive=SPEED, start={"G": 0.17})
+    rod = jc.Variable(lambda m: m.connections["B"].parent.at[0], tolerance=1e-3)
+    step = jc.integrator.FixedStep(1e-6)
+    problem = jc.Problem(
+        rig,
+        {"x": jc.response.FinalCoordinate("G")},
+        {"rod": rod},
+        duration=1e-6,
+        save=2,
+        integrator=step,
+    )
+    sample = eqx.filter_jit(problem.evaluate)(jnp.array([0.121]))
+    alone = jc.simulate(problem.with_values(jnp.array([0.121])), 1e-6, save=2, integrator=step)
+    assert int(sample.outcome) == 0
+    assert float(sample.responses["x"]) == pytest.approx(0.171, abs=1e-7)
+    assert float(alone.coordinate("G")[-1, 0]) == float(sample.responses["x"])
+
+
+def test_a_journal_starts_where_it_is_given():
+    """Also where journals are concentric by default."""
+    rig = jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)},
+        {"B": jc.Connection(BEARING, "ground", "journal")},
+        start={"journal": (5e-5, -2e-5, 0.3)},
+        speeds={"journal": (0.05, 0.0, 2.0)},
+    )
+    for concentric in (True, False):
+        start = jc.assemble(rig, concentric)
+        np.testing.assert_array_equal(start.coordinates, [5e-5, -2e-5, 0.3])
+        np.testing.assert_array_equal(start.speeds, [0.05, 0.0, 2.0])
+
+
+@pytest.mark.parametrize("concentric", [True, False])
+def test_a_start_deep_in_a_wall_is_refused(concentric):
+    for joint, place in ((BEARING, (0.02, 0.0, 0.0)), (GUIDE, (0.0, 0.003, 0.0))):
+        rig = jc.Mechanism(
+            {"slider": jc.Body(1.0, 1e-4)},
+            {"B": jc.Connection(joint, "ground", "slider", axis="x" if joint is GUIDE else None)},
+            start={"slider": place},
+        )
+        with pytest.raises(ValueError, match=r'joint "B" start 0.0(199|029) m deep in each other'):
+            jc.assemble(rig, concentric)
+
+
+GUIDE = jc.clearance.SliderGuide(jc.contact.CarvalhoMartins(stiffness=1e8), clearance=1e-4)
+
+
+def test_what_is_given_is_differentiated():
+    """The start follows what is given, and the loop what follows from it."""
+    rig = slider_crank(start={"O": 0.6}, speeds={"O": 10.0}, guess={"A": -0.8, "G": 0.16})
+    start = jax.jit(started(rig, lambda m: m.start["O"][0]))
+    step = 1e-6
+    differences = (start(0.6 + step) - start(0.6 - step)) / (2 * step)
+    for derivative in (jax.jacfwd(start)(0.6), jax.jacrev(start)(0.6)):
+        assert float(derivative[0]) == pytest.approx(1.0, abs=1e-12)
+        np.testing.assert_allclose(derivative, differences, rtol=1e-7, atol=1e-7)

@@ -48,7 +48,7 @@ def four_bar(joint=jc.joint.Revolute, places=2, last=(0.4, 0.0, 0.0), drives=(),
                 make("D"), "ground", jc.Marker("rocker", corner(0.3, 0.0, 0.0)), at=corner(*last)
             ),
         },
-        start=None if drives else {"O": 1.0, "A": -0.6},
+        guess=None if drives else {"O": 1.0, "A": -0.6},
         **changes,
     )
 
@@ -220,9 +220,9 @@ MECHANISMS = {
         lambda: rig(start={"hip": 1.0}),
         'start names "hip", which carries no coordinates',
     ),
-    "speed of a clearance joint": (
-        lambda: rig(Bearing(LAW), speeds={"pin": 1.0}),
-        'speeds names "pin"',
+    "speed of a joint without coordinates": (
+        lambda: rig(jc.joint.Fixed(), speeds={"pin": 1.0}),
+        'speeds names "pin", whose motion is prescribed or fixed',
     ),
     "start of a drive": (
         lambda: rig(jc.joint.Revolute(drive=jc.drive.ConstantSpeed(1.0)), start={"pin": 1.0}),

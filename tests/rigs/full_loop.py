@@ -32,5 +32,5 @@ def full_loop(speed=10.0):
             "hinge": jc.load.JointSpring("A", 1.0, 0.1, 0.01),
             "motor": jc.load.JointTorque("A", 0.02),
         },
-        start={"A": -0.5, "D": 0.3},
+        guess={"A": -0.5, "D": 0.3},
     )

@@ -21,7 +21,7 @@ def ideal(rpm, stabilisation=None):
     if stabilisation is None:
         return rig
     parts = (rig.bodies, rig.connections, rig.loads)
-    return jc.Mechanism(*parts, start=rig.start, stabilisation=stabilisation)
+    return jc.Mechanism(*parts, guess=rig.guess, stabilisation=stabilisation)
 
 
 @pytest.mark.parametrize("name", TORN)

@@ -69,3 +69,6 @@ class BallSocket(AbstractClearance):
                 "friction out, or take an integrator that lets parts separate."
             )
         return Spherical()
+
+    def coordinate_form(self):
+        return Spherical()

@@ -107,6 +107,20 @@ class AbstractClearance(AbstractQuantified):
             "integrator that lets parts separate, such as ImplicitStep or MoreauJean."
         )
 
+    def coordinate_form(self) -> AbstractJoint:
+        """The ideal joint whose coordinates and speeds are told of this one: how far it has turned,
+        where it has slid.
+
+        Raises `ValueError`, with a sentence that goes behind the joint's name, where there is none.
+        """
+        try:
+            return self.permanent_form()
+        except ValueError:
+            raise ValueError(
+                f"is a {type(self).__name__}, which has no coordinates of its own; name a body or "
+                "another joint."
+            ) from None
+
 
 def check_clearance(joint: Any, outer: str) -> None:
     """Raises `ValueError` unless the clearance [m] is smaller than the part around it, the field

@@ -82,6 +82,11 @@ class AbstractJoint(AbstractQuantified):
         """All coordinates from those given for a start. Raises `ValueError`, with a sentence that
         goes behind the joint's name, where these do not tell them."""
 
+    def told(self, given: tuple) -> tuple[bool, ...]:
+        """For each of the joint's speeds whether the coordinates that it changes are told by those
+        given for a start; all are, unless overridden."""
+        return (True,) * len(self.columns(self.home))
+
 
 class AbstractVectorJoint(AbstractJoint):
     """A joint whose coordinates are a vector: their rates are the speeds, and motions add up."""

@@ -1,0 +1,125 @@
+"""What is given for a start, as equations in the free speeds: coordinates and speeds of joints,
+whether they carry coordinates, close a loop or have clearance, and places of bodies.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxclear.components.joint import AbstractJoint
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import REST
+from jaxclear.multibody import kinematics
+from jaxclear.multibody.kinematics import JacobianRow
+from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.system import System
+from jaxclear.multibody.topology import coordinate_joint
+from jaxclear.multibody.tree import Motion
+
+
+class Source(NamedTuple):
+    """Where coordinates are read: those of a `branch` of the tree, or of `joint` between the two
+    markers of a `closure`."""
+
+    joint: AbstractJoint
+    branch: Any  # its number; None where the tree does not carry the coordinates
+    closure: Any  # a Closure, None where the tree carries the coordinates
+
+
+class Equations(NamedTuple):
+    """Equations in the free speeds, one a number given: by how much it is missed (joint's own
+    units of speed, or of speed times s), and its Jacobian row."""
+
+    missed: tuple
+    jacobian: list[JacobianRow]
+
+
+def source(mechanism: Mechanism, system: System, name: str) -> Source:
+    """Where the coordinates that go by a name are read."""
+    topology = system.topology
+    for i, branch in enumerate(topology.branches):
+        if branch.name == name and branch.coordinate_count:
+            return Source(system.links[i].joint, i, None)
+    joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
+    if name in topology.loops:
+        return Source(joint, None, system.closures[topology.loops.index(name)])
+    if name in system.bearings:
+        return Source(joint, None, system.bearings[name].closure)
+    index = next(i for i, branch in enumerate(topology.branches) if branch.body == name)
+    return Source(joint, None, Closure(REST, system.links[index].frame, None, index, ()))
+
+
+def coordinate_equations(
+    system: System, motions: tuple[Motion, ...], q: tuple, where: Source, given: tuple
+) -> Equations:
+    """Coordinates that are to be `given`; `q` are those of the tree, by branch."""
+    joint = where.joint
+    wanted = joint.start(given)
+    if where.branch is not None:
+        own, turns = q[where.branch], False
+    else:
+        own = joint.coordinates_at(kinematics.relative_motion(where.closure, motions)[1])
+        turns = True
+    missed = _increment(joint, own, wanted, turns)
+    told = joint.told(given)
+    rows = _rows(system, motions, where, len(told))
+    kept = [i for i, known in enumerate(told) if known]
+    return Equations(tuple(missed[i] for i in kept), [rows[i] for i in kept])
+
+
+def speed_equations(
+    system: System, motions: tuple[Motion, ...], v: tuple, where: Source, given: tuple
+) -> Equations:
+    """Speeds that are to be `given`; `v` are those of the tree, by branch."""
+    if where.branch is not None:
+        own = v[where.branch]
+    else:
+        own = where.joint.speeds_at(*kinematics.relative_motion(where.closure, motions)[2])
+    missed = tuple(jnp.asarray(sp.sub(a, b), float) for a, b in zip(own, given, strict=True))
+    return Equations(missed, _rows(system, motions, where, len(given)))
+
+
+def _rows(
+    system: System, motions: tuple[Motion, ...], where: Source, count: int
+) -> list[JacobianRow]:
+    """Rows of the joint's own speeds."""
+    if where.branch is not None:
+        first = system.topology.branches[where.branch].speeds.start
+        return [{first + i: 1.0} for i in range(count)]
+    pose = kinematics.relative_motion(where.closure, motions)[1]
+    return kinematics.relative_jacobian(system, motions, where.closure, pose, where.joint.speeds_at)
+
+
+def _increment(joint: AbstractJoint, q: tuple, origin: tuple, turns: bool) -> tuple:
+    """What leads from `origin` to q, to first order, in the joint's speeds held for unit time.
+    `turns`: angles are known but for whole turns."""
+    q = tuple(jnp.asarray(x, float) for x in q)
+    quaternion = [i for i, unit in enumerate(joint.units) if unit == "1"]
+    # A quaternion and its opposite are one rotation.
+    side = jnp.where(sp.total(q[i] * origin[i] for i in quaternion) < 0, -1.0, 1.0)
+    apart = [
+        a - (side * b if i in quaternion else b)
+        for i, (a, b) in enumerate(zip(q, origin, strict=True))
+    ]
+    if turns:
+        angles = [i for i, unit in enumerate(joint.units) if unit == "rad"]
+        apart = [
+            jnp.arctan2(jnp.sin(x), jnp.cos(x)) if i in angles else x for i, x in enumerate(apart)
+        ]
+    out = []
+    count = len(joint.columns(joint.home))
+    for j in range(count):
+        moved = joint.rate(q, tuple(1.0 if i == j else 0.0 for i in range(count)))
+        out.append(sp.dot(moved, apart) / sp.dot(moved, moved))
+    return tuple(out)
+
+
+def angular(joint: AbstractJoint) -> tuple[bool, ...]:
+    """For each speed of a joint whether it turns: rad/s, not m/s."""
+    return tuple(not all(map(sp.is_zero, column.angular)) for column in joint.columns(joint.home))
+
+
+def scales(joint: AbstractJoint, arm: Any) -> tuple:
+    """For each speed of a joint what counts as much as a radian: 1, or the length `arm` [m]."""
+    return tuple(1.0 if turns else arm for turns in angular(joint))

@@ -1,0 +1,217 @@
+"""What a start is refused for, in sentences that name the joint and say what would be right."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.components.clearance import AbstractPermanentJoint
+from jaxclear.components.joint.base import drive_of
+from jaxclear.ground import sparse as sp
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.start_equations import (
+    LOOP,
+    Start,
+    ask,
+    independent,
+    position_blocks,
+    retract,
+    stacked,
+)
+from jaxclear.multibody.system import System
+from jaxclear.multibody.topology import coordinate_joint
+
+# What may be left of a closure [m, 1].
+CLOSED = 1e-8
+# By how much a given number may be missed [rad, longest arms]: numbers written with six digits
+# close a loop that leaves them no freedom.
+HELD = 1e-6
+
+
+def check_flat_bodies(mechanism: Mechanism, system: System, motions: tuple) -> None:
+    """A body whose inertia is known about z only must turn about z only; what does not turn is
+    known while tracing.
+    """
+    for branch, link, motion in zip(system.topology.branches, system.links, motions, strict=True):
+        spin = sp.apply_transposed(link.frame.rotation, motion.twist.angular)
+        if len(mechanism.bodies[branch.body].inertia) == 1 and not (
+            sp.is_zero(spin[0]) and sp.is_zero(spin[1])
+        ):
+            raise ValueError(
+                f'body "{branch.body}" has an inertia about its z axis only, but its joints let it '
+                "turn about others; give "
+                "3 or 6 numbers, or planar joints throughout (axes by name: numbers for an axis "
+                "count as spatial)."
+            )
+
+
+def verdicts(mechanism: Mechanism, start: Start) -> Iterator[tuple[Any, str, Any]]:
+    """(what writes the sentence, the joint's name, whether all is well there) for everything that
+    is asked of a start, in the order in which it is told."""
+    fast = 1.0 + jnp.max(jnp.abs(start.speeds), initial=0.0)
+    for name in mechanism.topology.loops:
+        yield _open_loop, name, _most(start.residuals[name]) <= CLOSED
+    for name in mechanism.topology.loops:
+        yield _dead_point, name, _most(start.rates[name]) <= CLOSED * fast
+    for name, missed in start.missed.items():
+        yield _missed_coordinate, name, _most(missed) <= HELD
+    for name, missed in start.missed_speeds.items():
+        yield _missed_speed, name, _most(missed) <= HELD * fast
+    for name in mechanism.topology.clearances:
+        # What is given may hold a journal elsewhere, but not deep in the wall.
+        if name in start.residuals and not mechanism.start:
+            yield _eccentric, name, _most(start.residuals[name]) <= CLOSED
+    for name, (depth, allowed) in start.depths.items():
+        yield _deep, name, depth <= allowed
+
+
+def refuse(mechanism: Mechanism, start: Start) -> None:
+    """Raises `ValueError` for a start, of a mechanism with numbers, that is not what was asked
+    for."""
+    for sentence, name, fine in verdicts(mechanism, start):
+        if not np.all(np.asarray(fine)):
+            raise ValueError(sentence(mechanism, start, name))
+
+
+def _most(values: Any) -> Any:
+    return jnp.max(jnp.abs(values), initial=0.0)
+
+
+def _open_loop(mechanism: Mechanism, start: Start, name: str) -> str:
+    return (
+        f'the loop through joint "{name}" cannot be closed: {_most(start.residuals[name]):.3g} m '
+        "(or rad) remain from the given start. Check the lengths around this loop, or give a "
+        "better start={...} or guess={...} for the joints in it."
+    )
+
+
+def _dead_point(mechanism: Mechanism, start: Start, name: str) -> str:
+    driven = [n for n, c in mechanism.connections.items() if drive_of(c.joint) is not None]
+    return (
+        f'the mechanism stands at a dead point: the loop through joint "{name}" cannot follow the '
+        f"drive of {', '.join(map(repr, driven))} from here, {_most(start.rates[name]):.3g} m/s "
+        "(or rad/s) remain. Drive another joint, or start elsewhere."
+    )
+
+
+def _eccentric(mechanism: Mechanism, start: Start, name: str) -> str:
+    return (
+        f'the journal of joint "{name}" cannot be brought to the middle of its bearing: '
+        f"{_most(start.residuals[name]):.3g} m (or rad) remain. Check the lengths, give a better "
+        "start or guess, or simulate with start_concentric=False."
+    )
+
+
+def _deep(mechanism: Mechanism, start: Start, name: str) -> str:
+    depth, allowed = map(float, start.depths[name])
+    return (
+        f'the parts of joint "{name}" start {depth:.3g} m deep in each other; more than '
+        f"{allowed:.2g} m cannot be meant. Check the lengths, and what start= gives: coordinates "
+        "given are held, also where they throw a journal out of its bearing; rough ones belong "
+        "into guess=."
+    )
+
+
+def _missed_coordinate(mechanism: Mechanism, start: Start, name: str) -> str:
+    joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
+    values, missed = mechanism.start[name], start.missed[name]
+    given = f'"{name}": {_in_words(values)}'
+    if name not in determined(mechanism, start):
+        return (
+            f"no way to assemble with start={{{given}}} was found from the guess of the other "
+            f"joints: {_most(missed):.3g} (rad, or longest arms) remain. Give start= or "
+            "guess= for more of the joints around it, nearer to the wanted position; or it lies "
+            "out of reach."
+        )
+    where = f"miss it by {_most(missed):.3g} (rad, or longest arms)"
+    if len(missed) == 1:
+        place = float(values[0]) + float(missed[0]) * _measure(mechanism, joint)
+        where = f"put it at {place:.6g} {joint.units[0]}"
+    return (
+        f"start={{{given}}} is more than the mechanism leaves free: its loops, drives and what "
+        f'start gives before {where}. Leave "{name}" out, or give it as guess={{{given}}}, which '
+        "chooses between the ways to assemble without being held."
+    )
+
+
+def _missed_speed(mechanism: Mechanism, start: Start, name: str) -> str:
+    missed = start.missed_speeds[name]
+    return (
+        f'speeds={{"{name}": {_in_words(mechanism.speeds[name])}}} is more than the mechanism '
+        "leaves free: its loops, drives and the speeds given before miss it by "
+        f'{_most(missed):.3g} (rad/s, or longest arms a second). Leave "{name}" out; it '
+        "follows from the others."
+    )
+
+
+def _in_words(values: tuple) -> str:
+    numbers = [f"{float(x):.6g}" for x in values]
+    return numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
+
+
+def _measure(mechanism: Mechanism, joint: Any) -> float:
+    return float(ask(mechanism, False).arm) if joint.units[0] == "m" else 1.0
+
+
+def check_rank(mechanism: Mechanism, start: Start) -> None:
+    """Raises `ValueError` for a loop one of whose rows says nothing new."""
+    fitted = any(
+        isinstance(connection.joint, AbstractPermanentJoint)
+        for connection in mechanism.connections.values()
+    )
+    kept = np.zeros((0, len(start.speeds)))
+    for name in mechanism.topology.loops:
+        rows = np.asarray(start.jacobians[name])
+        # A row that no motion changes; where joints always touch, those of the tree carry what it
+        # would.
+        superfluous = len(start.residuals[name]) > len(rows) and not fitted
+        kept = np.vstack([kept, rows])
+        dependent = np.linalg.matrix_rank(kept, tol=1e-9 * np.abs(kept).max(initial=1.0)) < len(
+            kept
+        )
+        if superfluous or (dependent and not _singular_only_here(mechanism, start)):
+            raise ValueError(
+                f'the loop closed by joint "{name}" is overconstrained: one of its rows follows '
+                "from the others, so its "
+                "reaction is undetermined. For a planar mechanism give planar places (2 numbers) "
+                "throughout; otherwise "
+                "replace a revolute joint in this loop by a spherical, cylindrical or universal "
+                "one."
+            )
+        if dependent:
+            return
+
+
+def _singular_only_here(mechanism: Mechanism, start: Start) -> bool:
+    """True where the rows are independent at nearby coordinates: a singular position, not a
+    superfluous joint.
+    """
+    asked = ask(mechanism, False)
+    q = retract(asked.system, start.coordinates, jnp.asarray(_jolt(start)))
+    loops = [b for b in position_blocks(asked, q, 0.0) if b.kind == LOOP]
+    jacobian = np.asarray(stacked(asked, loops)[0])
+    return np.linalg.matrix_rank(jacobian, tol=1e-9 * np.abs(jacobian).max(initial=0.0)) == len(
+        jacobian
+    )
+
+
+def determined(mechanism: Mechanism, start: Start) -> tuple[str, ...]:
+    """Names of what `start` gives although loops, drives and what is given before determine it, and
+    so do journals that lie in the middle of their bearings."""
+    left = [_most(start.residuals.get(name, np.inf)) for name in mechanism.topology.clearances]
+    concentric = all(x <= CLOSED for x in left)
+    free = _free(mechanism, concentric, start.coordinates, jnp.asarray(_jolt(start)))
+    return tuple(name for name in mechanism.given["start"] if not free[name])
+
+
+@eqx.filter_jit
+def _free(mechanism: Mechanism, concentric: bool, q: Any, jolt: Any) -> dict[str, Any]:
+    asked = ask(mechanism, concentric)
+    return independent(asked, retract(asked.system, q, jolt))
+
+
+def _jolt(start: Start) -> np.ndarray:
+    """A small step from the start, to where no position is singular by chance."""
+    return 1e-3 * np.random.default_rng(0).normal(size=start.speeds.shape)

@@ -1,0 +1,222 @@
+"""The equations that a start satisfies, in the order in which they count: loops are closed, what is
+given is held in the order given, journals lie in the middle of their bearings, guesses are met.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxclear.ground import factorisation
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.least_change import least_change
+from jaxclear.multibody import constraints, given, kinematics
+from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.system import System, longest_arm, prepare
+from jaxclear.multibody.tree import Motion
+
+LOOP, GIVEN, JOURNAL, GUESS = "loop", "given", "journal", "guess"
+
+
+class Start(NamedTuple):
+    """Consistent coordinates and speeds, and by name how they meet what is asked of them: what is
+    left of each closure [m, 1], its Jacobian, what is left of the loops' rates [m/s, 1/s], by how
+    much coordinates [rad, longest arms] and speeds given are missed, and for each clearance joint
+    (deepest overlap, overlap allowed at a start) [m].
+    """
+
+    coordinates: Float[Array, " q"]
+    speeds: Float[Array, " v"]
+    residuals: dict[str, Float[Array, " rows"]]
+    jacobians: dict[str, Float[Array, "rows v"]]
+    rates: dict[str, Float[Array, " rows"]]
+    missed: dict[str, Float[Array, " numbers"]]
+    missed_speeds: dict[str, Float[Array, " numbers"]]
+    depths: dict[str, Float[Array, " 2"]]
+
+
+class Ask(NamedTuple):
+    """What is asked of a start: the mechanism, ready and as given, whether journals are to be
+    concentric, and the longest arm [m]."""
+
+    mechanism: Mechanism
+    system: System
+    concentric: bool
+    arm: Any
+
+
+class Block(NamedTuple):
+    """Equations in the free speeds of one closure or one given name, of a kind: what is left to
+    change, its Jacobian, what counts as much as a radian [m, 1], and what no motion changes."""
+
+    kind: str
+    name: str
+    left: Float[Array, " rows"]
+    jacobian: Float[Array, "rows v"]
+    measure: Float[Array, " rows"]
+    fixed: Float[Array, " fixed"]
+
+
+def ask(mechanism: Mechanism, concentric: bool) -> Ask:
+    """What is asked of a mechanism's start."""
+    system = prepare(mechanism)
+    # A measure only: the start is not to follow its changes.
+    return Ask(mechanism, system, concentric, jax.lax.stop_gradient(longest_arm(system)))
+
+
+def guess(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Coordinates and speeds from the mechanism's own rough start."""
+    q: list[Any] = []
+    v: list[Any] = []
+    system = prepare(mechanism)
+    rough = mechanism.guess | mechanism.start
+    for branch, link in zip(system.topology.branches, system.links, strict=True):
+        if branch.coordinate_count:
+            known = rough.get(branch.name)
+            q.extend(link.joint.home if known is None else link.joint.start(known))
+        v.extend(mechanism.speeds.get(branch.name, (0.0,) * branch.speed_count))
+    return sp.stack(q), sp.stack(v)
+
+
+def retract(system: System, q: Array, step: Array) -> Array:
+    """Coordinates moved along speeds for unit time, quaternions renormalised."""
+    parts: list[Any] = []
+    own_q, own_step = unpack_motion(system, list(q) + list(step))
+    for link, coordinates, move in zip(system.links, own_q, own_step, strict=True):
+        if coordinates:
+            parts.extend(link.joint.retracted(coordinates, move))
+    return sp.stack(parts)
+
+
+def motions_at(asked: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple, tuple]:
+    """Coordinates and speeds by branch, and the motions of all links."""
+    own_q, own_v = unpack_motion(asked.system, list(q) + list(v))
+    return own_q, own_v, kinematics.link_motions(asked.system, own_q, own_v, time)
+
+
+def speed_scales(asked: Ask) -> Float[Array, " v"]:
+    """For each free speed what counts as much as a radian a second."""
+    parts: list[Any] = []
+    for branch, link in zip(asked.system.topology.branches, asked.system.links, strict=True):
+        if branch.speed_count:
+            parts.extend(given.scales(link.joint, asked.arm))
+    return sp.stack(parts)
+
+
+def position_blocks(asked: Ask, q: Array, time: Any) -> list[Block]:
+    """What is left to change in the coordinates, in order."""
+    still = jnp.zeros(asked.system.topology.speed_count)
+    own_q, _, motions = motions_at(asked, q, still, time)
+    wanted = asked.mechanism.given
+
+    def coordinates(kind, name, values):
+        where = given.source(asked.mechanism, asked.system, name)
+        found = given.coordinate_equations(asked.system, motions, own_q, where, values)
+        told = where.joint.told(values)
+        return _given_block(asked, kind, name, where, found, told)
+
+    blocks = [_closure_block(asked, motions, n, c, LOOP, False) for n, c in _loops(asked)]
+    blocks += [coordinates(GIVEN, name, values) for name, values in wanted["start"].items()]
+    blocks += [_closure_block(asked, motions, n, c, JOURNAL, False) for n, c in _journals(asked)]
+    carried = {branch.name for branch in asked.system.topology.branches}
+    rough = {n: x for n, x in wanted["guess"].items() if n not in carried}
+    return blocks + [coordinates(GUESS, name, values) for name, values in rough.items()]
+
+
+def speed_blocks(asked: Ask, q: Array, v: Array, time: Any) -> list[Block]:
+    """What is left to change in the speeds, in order."""
+    _, own_v, motions = motions_at(asked, q, v, time)
+    blocks = [_closure_block(asked, motions, n, c, LOOP, True) for n, c in _loops(asked)]
+    for name, values in asked.mechanism.given["speeds"].items():
+        where = given.source(asked.mechanism, asked.system, name)
+        found = given.speed_equations(asked.system, motions, own_v, where, values)
+        told = (True,) * len(values)
+        blocks.append(_given_block(asked, GIVEN, name, where, found, told))
+    return blocks + [
+        _closure_block(asked, motions, n, c, JOURNAL, True) for n, c in _journals(asked)
+    ]
+
+
+def independent(asked: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
+    """By name whether what `start` gives is left free by the loops, journals that are to be
+    concentric, and what is given before."""
+    blocks = position_blocks(asked, q, 0.0)
+    blocks = [b for kinds in ((LOOP, JOURNAL), (GIVEN,)) for b in blocks if b.kind in kinds]
+    met = least_change(*stacked(asked, blocks), speed_scales(asked)).met
+    ends = np.cumsum([len(block.left) for block in blocks])
+    return {
+        block.name: jnp.all(met[end - len(block.left) : end])
+        for block, end in zip(blocks, ends, strict=True)
+        if block.kind == GIVEN
+    }
+
+
+def outside_tree(asked: Ask) -> bool:
+    """Whether coordinates of a joint outside the tree are given or guessed."""
+    carried = {branch.name for branch in asked.system.topology.branches}
+    return not {*asked.mechanism.start, *asked.mechanism.guess} <= carried
+
+
+def is_solved(asked: Ask) -> bool:
+    """Whether the rough start is the start: nothing but coordinates of the tree is asked for."""
+    carried = {branch.name for branch in asked.system.topology.branches}
+    closed = not _loops(asked) and not _journals(asked)
+    told = not outside_tree(asked) and {*asked.mechanism.speeds} <= carried
+    return asked.system.topology.speed_count == 0 or (closed and told)
+
+
+def stacked(asked: Ask, blocks: list[Block]) -> tuple[Array, Array]:
+    """(Jacobian, what is left) of all blocks."""
+    none = jnp.zeros((0, asked.system.topology.speed_count))
+    return (
+        jnp.concatenate([none, *(block.jacobian for block in blocks)]),
+        jnp.concatenate([none.ravel(), *(block.left for block in blocks)]),
+    )
+
+
+def _loops(asked: Ask) -> list[tuple[str, Closure]]:
+    return list(zip(asked.system.topology.loops, asked.system.closures, strict=True))
+
+
+def _journals(asked: Ask) -> list[tuple[str, Closure]]:
+    bearings = asked.system.bearings if asked.concentric else {}
+    return [(name, bearing.closure) for name, bearing in bearings.items()]
+
+
+def _closure_block(
+    asked: Ask, motions: tuple[Motion, ...], name: str, closure: Closure, kind: str, rates: bool
+) -> Block:
+    found = constraints.constraint_rows(asked.system, motions, closure)
+    left = sp.stack(found.rates if rates else found.residuals)
+    return Block(
+        kind,
+        name,
+        left,
+        _dense(asked, found.jacobian),
+        jnp.ones_like(left),
+        sp.stack(() if rates else found.fixed),
+    )
+
+
+def _given_block(asked: Ask, kind: str, name: str, where: Any, found: Any, told: tuple) -> Block:
+    measure = [
+        x for x, known in zip(given.scales(where.joint, asked.arm), told, strict=True) if known
+    ]
+    return Block(
+        kind,
+        name,
+        sp.stack(found.missed),
+        _dense(asked, found.jacobian),
+        sp.stack(measure),
+        jnp.zeros(0),
+    )
+
+
+def _dense(asked: Ask, rows: list[kinematics.JacobianRow]) -> Float[Array, "rows v"]:
+    count = asked.system.topology.speed_count
+    entries = tuple(tuple(row.get(j, 0) for j in range(count)) for row in rows)
+    return factorisation.to_array(entries).reshape(len(rows), count)
