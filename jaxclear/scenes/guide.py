@@ -142,7 +142,6 @@ def guide(
         check_number("gravity of guide", gravity, "m/s^2")
         weight["gravity"] = Gravity((0.0, -gravity))
     motor: dict[str, AbstractLoad] = {} if torque is None else {"torque": JointTorque("O", torque)}
-    free = drive is None
     return Mechanism(
         bodies=_bodies(),
         connections={
@@ -152,7 +151,7 @@ def guide(
             "P": Connection(joint, Marker("guide", (reach, 0.0), "x"), Marker("slider", axis="x")),
         },
         loads=weight | motor,
-        start={"O": crank_angle} if free else None,
-        speeds={"O": crank_speed} if free else None,
+        start={} if drive else {"O": crank_angle},
+        speeds={} if drive else {"O": crank_speed},
         guess={"C": tilt, "A": tilt - crank_angle},
     )
