@@ -66,13 +66,12 @@ def test_a_raw_derivative_through_contacts_is_refused_while_traced(name):
         derivative(asked.nominal())
 
 
-@pytest.mark.parametrize("name", ["explicit", "adaptive"])
-def test_a_derivative_of_simulate_through_contacts_is_refused(name):
+def test_a_derivative_of_simulate_through_contacts_is_refused():
     rig = dropped(jc.contact.CarvalhoMartins(stiffness=1e9))
 
     def end(clearance):
         moved = eqx.tree_at(lambda rig: rig.connections["B"].joint.clearance, rig, clearance)
-        run = jc.simulate(moved, 1e-3, save=3, integrator=INTEGRATORS[name], throw=False)
+        run = jc.simulate(moved, 1e-3, save=3, integrator=INTEGRATORS["explicit"], throw=False)
         return height(run)
 
     with pytest.raises(ValueError, match="take jaxclear.sensitivity"):
@@ -148,9 +147,8 @@ def test_pathwise_knows_that_a_longer_fall_strikes_faster(name):
 
 def test_the_answer_through_a_bounce_is_that_of_the_closed_form():
     asked = problem(jc.integrator.FixedStep(1e-5), jc.contact.Linear(stiffness=OMEGA**2))
-    np.testing.assert_allclose(
-        asked.evaluate(asked.nominal()).responses["height"], fall_and_bounce(CLEARANCE), rtol=1e-4
-    )
+    found = eqx.filter_jit(asked.evaluate)(asked.nominal()).responses["height"]
+    np.testing.assert_allclose(found, fall_and_bounce(CLEARANCE), rtol=1e-4)
     exact = float(jax.grad(fall_and_bounce)(CLEARANCE))
     answers = jc.sensitivity(asked, sample=64, difference_samples=32).derivatives["height", "c"]
     assert answers.trustworthy and abs(answers.value - exact) < answers.error + 0.005 * abs(exact)
