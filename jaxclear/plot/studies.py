@@ -51,16 +51,17 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
     """How many samples warn, and what the means are without them."""
     if not len(study.warned):
         return []
-    rows = study.summary().to_dict("records")
-    return [
-        study.sentence(),
-        *(
-            f"{row['response']}: {row['warned']} in doubt; the mean is {row['mean']:.4g} with "
-            f"them, {row['mean without warned']:.4g} without [{row['unit']}]."
-            for row in rows
-            if row["warned"]
-        ),
-    ]
+    told = [study.sentence()]
+    for row in study.summary().to_dict("records"):
+        if row["warned"]:
+            values = study.responses[row["response"]]
+            factor, unit = readable(values[np.isfinite(values)], row["unit"])
+            told += [
+                f"{row['response']}: {row['warned']} in doubt; the mean is "
+                f"{factor * row['mean']:.4g} with them, "
+                f"{factor * row['mean without warned']:.4g} without [{unit}]."
+            ]
+    return told
 
 
 def sensitivity(study: Sensitivity) -> Figure:

@@ -1,6 +1,8 @@
 """Advice on integrators: what is recommended keeps its word, and what cannot be promised is
 said."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -322,6 +324,24 @@ def test_the_default_candidates_go_from_the_saving_interval_down():
     assert eqx.tree_equal(candidates["Adaptive"][-1], loosened(tight_reference(), 10.0))
     tolerances = [float(i.rtol) for i in candidates["Adaptive"]]
     assert tolerances == sorted(tolerances, reverse=True) and tolerances[0] == pytest.approx(1e-3)
+
+
+def test_what_the_runs_of_the_choice_warn_of_is_said(advice):
+    """One copy of three warns of its mean forces: in the sentence, the table and the figure."""
+    told = "1 of 3 runs warn (halved steps: mean force in 1)."
+    choice = advice.comparison.choice
+    curve = advice.comparison.curves[choice.method]
+    trials = list(curve.trials)
+    trials[choice.place] = dataclasses.replace(trials[choice.place], warnings=told)
+    curves = advice.comparison.curves | {choice.method: curve._replace(trials=tuple(trials))}
+    warns = dataclasses.replace(
+        advice, comparison=dataclasses.replace(advice.comparison, curves=curves)
+    )
+    said = f"With the recommended setting {told}"
+    assert warns.warnings() == [said] and said in warns.sentence()
+    table = warns.table()
+    assert list(table["remark"][table["recommended"]]) == [told]
+    assert said in " ".join(plot.work_precision(warns).texts[-1].get_text().split())
 
 
 def test_the_figure_shows_every_rung(advice):
