@@ -5,11 +5,12 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is two functions, two that tell what became of the loops, and two for Ctrl-C:
+The boundary is two functions, three that tell of the program, and two for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
 - `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence;
+- `calls_lapack(after)`: whether the compiled program does, and cannot run beside another one;
 - `stoppable()`: what runs within it ends at once on Ctrl-C, or by `stop()` (see `stopping`).
 
 On its way a loop passes through these files:
@@ -44,6 +45,14 @@ give it a case in tests/native/test_rules.py.
 
 from jaxclear.native.loop import while_loop, with_fast_loops
 from jaxclear.native.stopping import stop, stoppable
-from jaxclear.native.verdicts import explain, verdict
+from jaxclear.native.verdicts import calls_lapack, explain, verdict
 
-__all__ = ["explain", "stop", "stoppable", "verdict", "while_loop", "with_fast_loops"]
+__all__ = [
+    "calls_lapack",
+    "explain",
+    "stop",
+    "stoppable",
+    "verdict",
+    "while_loop",
+    "with_fast_loops",
+]

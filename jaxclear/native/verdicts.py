@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -24,6 +25,7 @@ PLACE = "jaxclear: what became of the loops"
 SENTENCES: dict[int, str] = {}
 
 verdict_p = Primitive("jaxclear_verdict")
+calls_lapack_p = Primitive("jaxclear_calls_lapack")
 
 
 def verdict(after: Any) -> Any:
@@ -32,6 +34,15 @@ def verdict(after: Any) -> Any:
     `after`: any array that comes out of the last of the loops; loops behind it are not counted.
     """
     return verdict_p.bind(jnp.asarray(after))
+
+
+def calls_lapack(*after: Any) -> Any:
+    """Whether this program factorises by LAPACK anywhere before these arrays are known.
+
+    Two such programs side by side can wait for each other for ever: jaxlib shares a batch of
+    matrices out among the threads of its pool, and waits for them in a thread of that pool.
+    """
+    return calls_lapack_p.bind(*map(jnp.asarray, after))
 
 
 def explain(number: int) -> str:
@@ -64,6 +75,32 @@ def _lower(context, _):
     return [mlir.ir_constant(jnp.int32(_number(_sentence(words))))]
 
 
+def _lower_lapack(context, *_):
+    return [mlir.ir_constant(np.bool_(_any_lapack(context.module_context.module.operation)))]
+
+
+def _any_lapack(operation: Any) -> bool:
+    target = "call_target_name"
+    if target in operation.attributes and "lapack" in str(operation.attributes[target]):
+        return True
+    return any(
+        _any_lapack(inner.operation)
+        for region in operation.regions
+        for block in region
+        for inner in block
+    )
+
+
+@calls_lapack_p.def_impl
+def _lapack_alone(*after):
+    return jax.jit(calls_lapack_p.bind)(*after)
+
+
+@calls_lapack_p.def_abstract_eval
+def _lapack_shape(*after):
+    return jax.core.ShapedArray((), jnp.bool_)
+
+
 @verdict_p.def_impl
 def _alone(after):
     return jax.jit(verdict_p.bind)(after)
@@ -85,3 +122,4 @@ def _differentiate(values, tangents):
 batching.primitive_batchers[verdict_p] = _batch
 ad.primitive_jvps[verdict_p] = _differentiate
 mlir.register_lowering(verdict_p, _lower)
+mlir.register_lowering(calls_lapack_p, _lower_lapack)

@@ -18,7 +18,8 @@ from tqdm import tqdm
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare
-from jaxclear.native import stop, stoppable
+from jaxclear.native import calls_lapack, stop, stoppable
+from jaxclear.results.trajectory import Trajectory
 from jaxclear.studies.problem import Problem, SampleResult
 
 # Memory for one chunk [bytes] on machines with a few GiB a core; states are saved for every sample
@@ -38,13 +39,35 @@ def evaluate_chunk(problem: Problem, values: Float[Array, "samples variables"]) 
     return jax.vmap(problem.evaluate)(values)
 
 
+@eqx.filter_jit
+def run_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> Trajectory:
+    """Runs of a chunk of samples."""
+    return jax.vmap(lambda own: problem.started(own)[2])(values)
+
+
+@eqx.filter_jit
+def _asked_of_lapack(function, problem, values):
+    """What the function of a chunk gives, and whether its program calls LAPACK."""
+    found = function(problem, values)
+    return found, calls_lapack(*jax.tree.leaves(found))
+
+
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def chunk_size(problem: Problem, samples: int, threads: int) -> int:
-    """Samples a chunk: all threads busy, no chunk above the memory set aside for it."""
+def threads_of() -> int:
+    """Chunks that run side by side."""
+    return 1 if jax.default_backend() != "cpu" else cores()
+
+
+def chunk_size(problem: Problem, samples: int, chunk: int | None = None) -> int:
+    """Samples a chunk: those wanted, or else all threads busy and no chunk above the memory set
+    aside for it.
+    """
+    if chunk is not None:
+        return min(chunk, samples)
     system = prepare(problem.mechanism)
     layout = lay_out(system)
     cells = sum(
@@ -52,7 +75,18 @@ def chunk_size(problem: Problem, samples: int, threads: int) -> int:
     )
     each = 8 * (len(problem.shares) * (HISTORY_FACTOR * layout.size) + 8 * cells)
     largest = LARGEST_CHUNK.get(jax.default_backend(), LARGEST_ELSEWHERE)
-    return int(max(1, min(largest, CHUNK_MEMORY // each, -(-samples // threads))))
+    return int(max(1, min(largest, CHUNK_MEMORY // each, -(-samples // threads_of()))))
+
+
+def run_of_sample(
+    problem: Problem, values: Float[Array, " variables"], index: int, chunk: int
+) -> Trajectory:
+    """The run of sample `index` of a study in chunks of this size, bit for bit as it ran there: in
+    the same lane of the same kernel, between copies of itself.
+    """
+    with stoppable():
+        found = run_chunk(problem, jnp.tile(values, (chunk, 1)))
+        return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
 
 
 def evaluate_all(
@@ -67,27 +101,27 @@ def evaluate_all(
     """Outcomes of all samples, in the order of `values`; arrays on the host."""
     check_double_precision()
     samples = len(values)
-    threads = 1 if jax.default_backend() != "cpu" else cores()
-    chunk = chunk_size(problem, samples, threads) if chunk is None else min(chunk, samples)
+    threads = threads_of()
+    chunk = chunk_size(problem, samples, chunk)
     count = -(-samples // chunk)
     # The last chunk is filled up with copies, so that all chunks run the one compiled program.
     padded = jnp.concatenate([values, jnp.repeat(values[-1:], count * chunk - samples, axis=0)])
     pieces = padded.reshape(count, chunk, -1)
 
-    def one(piece):
-        return jax.tree.map(np.asarray, jax.block_until_ready(function(problem, piece)))
+    def one(piece, problem=problem):
+        return jax.tree.map(np.asarray, _asked_of_lapack(function, problem, piece))
 
     with stoppable(), tqdm(total=samples, desc=label, disable=not progress_bar) as bar:
         # Compile before the threads start, or each of them would: the same program, on a run of no
         # length.
         if count > 1:
-            jax.block_until_ready(
-                function(eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(())), pieces[0])
-            )
+            idle = eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(()))
+            # Chunks that call LAPACK go one by one (a user's response may; see `calls_lapack`).
+            threads = 1 if one(pieces[0], idle)[1] else threads
         outcomes = []
         with ThreadPoolExecutor(threads) as pool:
             try:
-                for outcome in pool.map(one, pieces):
+                for outcome, _ in pool.map(one, pieces):
                     outcomes.append(outcome)
                     bar.update(min(chunk, samples - bar.n))
             except BaseException as reason:

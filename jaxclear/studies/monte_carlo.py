@@ -14,8 +14,7 @@ from jaxclear.ground.arguments import check_count, check_flags, check_known, exp
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import Checks, Outcome
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.simulate import simulate
-from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.batch import chunk_size, evaluate_all, run_of_sample
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
@@ -36,6 +35,7 @@ class MonteCarlo(eqx.Module):
     outcome: np.ndarray
     ended: np.ndarray
     seed: int = eqx.field(static=True)
+    chunk: int = eqx.field(static=True)
     checks: Checks = eqx.field(default_factory=Checks)
 
     @property
@@ -72,15 +72,10 @@ class MonteCarlo(eqx.Module):
         return len(self.values)
 
     def rerun(self, index: int) -> Trajectory:
-        """The run of one sample, alone: to look at one that failed or warned."""
-        problem = self.problem
-        return simulate(
-            problem.with_values(jnp.asarray(self.values[index])),
-            float(problem.duration),
-            integrator=problem.integrator,
-            save=np.asarray(problem.shares * problem.duration),
-            throw=False,
-        )
+        """The run of one sample, alone: to look at one that failed or warned. Bit for bit the run
+        of the study.
+        """
+        return run_of_sample(self.problem, jnp.asarray(self.values[index]), index, self.chunk)
 
     def sentence(self) -> str:
         """How many samples there are, failed and warned, and of what."""
@@ -208,6 +203,7 @@ def monte_carlo(
     if chunk is not None:
         check_count("chunk of monte_carlo", chunk)
     check_flags("monte_carlo", progress_bar=progress_bar)
+    chunk = chunk_size(problem, samples, chunk)
     outcome = evaluate_all(
         problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
     )
@@ -216,4 +212,4 @@ def monte_carlo(
         name: np.where(good, outcome.responses[name], np.nan) for name in problem.response_names
     }
     ends = (np.asarray(outcome.outcome), np.asarray(outcome.ended))
-    return MonteCarlo(problem, values, responses, *ends, seed, outcome.checks)
+    return MonteCarlo(problem, values, responses, *ends, seed, chunk, outcome.checks)

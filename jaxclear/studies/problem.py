@@ -19,9 +19,10 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, inside, numbers
 from jaxclear.ground.wording import described, nearest
 from jaxclear.integrators import AbstractIntegrator, Checks, FixedStep, Outcome
-from jaxclear.multibody.assembly import assemble_arrays, determined, is_sound
+from jaxclear.multibody.assembly import Start, assemble_arrays, determined, is_sound
 from jaxclear.multibody.mechanism import Mechanism, loosened
 from jaxclear.results.response import unit_of
+from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import warn_of_shortened_steps
@@ -156,6 +157,13 @@ class Problem(AbstractQuantified):
             mechanism = eqx.tree_at(_leaves_of(variable), mechanism, new)
         return loosened(mechanism, self.determined)
 
+    def started(self, values: Float[Array, " variables"]) -> tuple[Mechanism, Start, Trajectory]:
+        """The mechanism of one set of values as it is simulated, its start, and its run; pure."""
+        mechanism = self.integrator.formulation.seen(self.with_values(values))
+        start = assemble_arrays(mechanism)
+        times = self.shares * self.duration
+        return mechanism, start, run(mechanism, *start[:2], times, self.integrator)
+
     def evaluate(
         self, values: Float[Array, " variables"], *, discrete_derivatives: bool = False
     ) -> SampleResult:
@@ -166,11 +174,7 @@ class Problem(AbstractQuantified):
         on, as the derivative of the discrete run.
         """
         check_double_precision()
-        mechanism = self.integrator.formulation.seen(self.with_values(values))
-        start = assemble_arrays(mechanism)
-        trajectory = run(
-            mechanism, start.coordinates, start.speeds, self.shares * self.duration, self.integrator
-        )
+        mechanism, start, trajectory = self.started(values)
         trajectory = guarded(trajectory, self.integrator, discrete_derivatives)
         responses = {
             name: _one_number(name, response(trajectory))

@@ -1,0 +1,161 @@
+"""A batch is its samples: each as it would run alone, and again bit for bit; and chunks side by
+side never wait for each other.
+"""
+
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.native import kernel
+from jaxclear.native.verdicts import calls_lapack
+from jaxclear.studies import batch
+
+# Orders of operations differ between a lane of a vector and a register by itself; over few steps
+# rounding is all that comes of it.
+ROUNDING = 1e-9
+RUNGS = {
+    "fixed": jc.integrator.FixedStep(1e-5),
+    "on groups": jc.integrator.FixedStep(1e-5, "munthe_kaas4"),
+    "implicit": jc.integrator.ImplicitStep(1e-4),
+    "adaptive": jc.integrator.Adaptive(),
+    "Moreau-Jean": jc.integrator.MoreauJean(1e-4),
+    "non-colliding": jc.integrator.NonColliding(1e-4),
+}
+# Scenes as every rung of the ladder takes them, and a length of a link in each.
+SCENES = {
+    "slider-crank": (
+        lambda wear: jc.scenes.slider_crank(wear=wear),
+        lambda rig: rig.connections["B"].parent.at[0],
+    ),
+    "four-bar": (
+        lambda wear: jc.scenes.four_bar(wear=wear),
+        lambda rig: rig.connections["A"].parent.at[0],
+    ),
+    "antenna": (
+        lambda wear: jc.scenes.antenna(friction="regularised"),
+        lambda rig: rig.connections["J2"].parent.at[2],
+    ),
+    "guide": (
+        lambda wear: jc.scenes.guide(friction="regularised"),
+        lambda rig: rig.bodies["slider"].com[0],
+    ),
+}
+QUICK = {("slider-crank", "implicit")}
+
+
+def problem(scene, rung, duration=2e-3):
+    make, length = SCENES[scene]
+    rig = make(rung != "non-colliding")
+    return jc.Problem(
+        rig,
+        {"first": lambda run: run.states[-1, 0], "last": lambda run: run.states[-1, -1]},
+        {"length": jc.Variable(length, jc.distribution.Uniform(2e-3))},
+        duration=duration,
+        integrator=RUNGS[rung],
+        save=5,
+    )
+
+
+def cases():
+    return [
+        pytest.param(s, r, marks=() if (s, r) in QUICK else pytest.mark.slow)
+        for s in SCENES
+        for r in RUNGS
+    ]
+
+
+@pytest.mark.parametrize(("scene", "rung"), cases())
+def test_a_batch_equals_its_samples_and_a_sample_runs_again_bit_for_bit(scene, rung):
+    question = problem(scene, rung)
+    study = jc.monte_carlo(question, 11, chunk=8)
+    assert len(study.failed) == 0
+    alone = jax.jit(lambda values: question.evaluate(values).responses)
+    for index in (0, 5, 10):
+        # Copies of the sample in the other lanes, and another program around its loop.
+        run, found = study.rerun(index), alone(jnp.asarray(study.values[index]))
+        assert run.succeeded
+        for name, response in question.response.items():
+            assert response(run) == study.responses[name][index]
+            np.testing.assert_allclose(found[name], response(run), rtol=ROUNDING)
+
+
+class Fake:
+    """In the place of a kernel where a program is only looked at."""
+
+    number = 1
+
+
+@pytest.mark.parametrize(("scene", "rung"), cases())
+def test_chunks_call_no_lapack(scene, rung, monkeypatch):
+    monkeypatch.setattr(kernel, "build", lambda *_: Fake())
+    question = problem(scene, rung)
+    values = jnp.tile(question.nominal(), (4, 1))
+    text = batch.evaluate_chunk.lower(question, values).as_text()
+    assert "lapack" not in text and "blas" not in text
+
+
+def test_a_program_tells_whether_it_calls_lapack():
+    solve = lambda matrix: jnp.linalg.solve(matrix, jnp.ones(3))
+    matrices = jnp.eye(3) + jnp.ones((4, 3, 3))
+
+    def told(function):
+        return bool(jax.jit(lambda x: calls_lapack(jax.vmap(function)(x)))(matrices))
+
+    assert told(solve) and told(jax.jit(solve))
+    assert told(lambda x: jax.lax.fori_loop(0, 3, lambda _, b: jnp.linalg.solve(x, b), jnp.ones(3)))
+    assert not told(lambda x: x @ jnp.ones(3))
+
+
+HANGS = """
+import jax
+import jax.numpy as jnp
+import jaxclear as jc
+rig = jc.scenes.slider_crank(wear=False)
+
+def solved(run):
+    matrix = jnp.eye(18) * 3.0 + run.states[-1, 0] + jnp.outer(run.states[-1], run.states[-1])[0, 0]
+    turn = lambda _, matrix: jnp.eye(18) * 3.0 + 0.1 * jnp.linalg.inv(matrix)
+    return jax.lax.fori_loop(0, 50, turn, matrix)[0, 0]
+
+varied = {"c": jc.Variable(lambda r: r.connections["B"].joint.clearance, tolerance=1e-6)}
+step = jc.integrator.FixedStep(1e-5)
+asked = jc.Problem(rig, solved, varied, duration=1e-4, integrator=step, save=3)
+for seed in range(4):
+    study = jc.monte_carlo(asked, 256, chunk=64, seed=seed)
+assert len(study.failed) == 0
+print("ended")
+"""
+
+
+def test_chunks_whose_responses_call_lapack_do_not_wait_for_each_other():
+    """Two at once, each in a thread of XLA's pool that waits for that pool, wait for ever."""
+    done = subprocess.run(
+        [sys.executable, "-c", HANGS], capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout == "ended\n", done.stderr[-2000:]
+
+
+ANTENNA = """
+import jaxclear as jc
+rig = jc.scenes.antenna("spatial", friction="regularised")
+arm = jc.Variable(lambda r: r.connections["J2"].parent.at[2], tolerance=1e-3)
+step = jc.integrator.ImplicitStep(1e-4)
+end = lambda run: run.states[-1, 0]
+asked = jc.Problem(rig, end, {"arm": arm}, duration=1e-3, integrator=step, save=3)
+for seed in range(5):
+    jc.monte_carlo(asked, 256, seed=seed)
+print("ended")
+"""
+
+
+@pytest.mark.slow
+def test_the_antenna_s_chunks_end():
+    done = subprocess.run(
+        [sys.executable, "-c", ANTENNA], capture_output=True, text=True, timeout=300
+    )
+    assert done.stdout == "ended\n", done.stderr[-2000:]
