@@ -22,9 +22,9 @@ def clean():
 
 
 def warning(run):
-    """The run, its friction found beyond what its steps resolve."""
+    """The run, its worn volume found to change with its steps."""
     found = Figure(jnp.array([7.3]), jnp.array([1e-4]), ("B",))
-    return dataclasses.replace(run, checks=Checks({Check.FRICTION_STEP: found}))
+    return dataclasses.replace(run, checks=Checks({Check.HALVED_WEAR: found}))
 
 
 def test_every_check_has_a_reason_for_its_limit():
@@ -68,13 +68,13 @@ def test_a_caption_hides_nothing():
 def test_the_command_line_tells_warnings(clean, capsys):
     report_warnings({"clean": clean, "clearance 0.2 mm": warning(clean)})
     said = capsys.readouterr().out.splitlines()
-    assert len(said) == 1 and said[0].startswith('warning, clearance 0.2 mm: Friction in joint "B"')
+    assert len(said) == 1 and said[0].startswith("warning, clearance 0.2 mm: With steps of half")
 
 
 def test_saved_data_carries_the_warnings_and_figures(clean):
     attributes = warning(clean).to_dataset().attrs
     assert attributes["warnings"] == warning(clean).warnings[0]
-    assert attributes["check_friction_step"] == "7.3 (limit 1), joint B"
+    assert attributes["check_halved_wear"] == f"7.3 (limit {Check.HALVED_WEAR.limit:g}), joint B"
 
 
 def test_a_pointing_error_tells_what_its_run_warns_of(clean):

@@ -188,7 +188,7 @@ class Checks(eqx.Module):
     def attributes(self) -> dict[str, str]:
         """Each figure of one run beside its limit, by name, as text that goes with saved data."""
         return {
-            f"check_{check.label.replace(' ', '_')}": f"{worst:.6g} (limit {check.limit:g})"
+            f"check_{check.name.lower()}": f"{worst:.6g} (limit {check.limit:g})"
             + (f", joint {place}" if place else "")
             for check, worst, place, _ in self.rows()
         }

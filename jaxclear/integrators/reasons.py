@@ -19,6 +19,14 @@ REASONS: dict[Check, str] = {
         "takes"
     ),
     Check.HALVED_WEAR: "worn volumes follow mean forces and sliding, and are as sure as these",
+    Check.CONTACT_STEP: (
+        "a contact that is open before a step and nearly at its deepest after it is seen once on "
+        "its way in: the peak lies somewhere between two steps"
+    ),
+    Check.ENERGY_GAIN: (
+        "a mechanism that nothing drives cannot gain energy; the accuracy of mean forces is allowed"
+    ),
+    Check.INDENTATION: ("contact laws are made for indentations that are small beside the radius"),
     Check.FRICTION_STEP: (
         "from there on a step carries sliding past its end, back and forth: the loss is that of "
         "the swinging, not of the sliding"

@@ -117,8 +117,8 @@ def test_a_derivative_says_which_runs_warn_and_is_not_trusted(study):
 
 def test_kinds_are_told_most_frequent_first(study):
     among = np.arange(64) < 60
-    assert in_words({Check.FRICTION_STEP: 3, Check.LOOP_DRIFT: 1}) == (
-        "friction step in 3, loop drift in 1"
+    assert in_words({Check.HALVED_WEAR: 3, Check.LOOP_DRIFT: 1}) == (
+        "halved steps: wear in 3, loop drift in 1"
     )
     assert counted(study.checks, among) == {
         Check.LOOP_DRIFT: int(np.isin(study.warned, np.flatnonzero(among)).sum())

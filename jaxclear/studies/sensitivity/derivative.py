@@ -105,7 +105,7 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
             f" In {name}, {e.warnings}" for name, e in estimates.items() if e.warnings
         )
         if trustworthy and max(e.warned for e in estimates.values()) > FEW_WARNED:
-            verdict, trustworthy = f"{verdict} Methods agree on what is off in a run, too.", False
+            verdict, trustworthy = f"{verdict} Too many for agreement to count.", False
         return Derivative(response, variable, value, error, method, verdict, trustworthy, estimates)
 
     order = _by_certainty(estimates)
