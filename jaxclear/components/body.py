@@ -150,8 +150,8 @@ class Connection(AbstractQuantified):
     """A joint between a marker on the parent and a marker on the child.
 
     A body's name stands for a marker: on the parent at `at` [m, parent's frame], on the child at
-    the child's origin, both with the same `axis`. Coordinates measure the child relative to the
-    parent.
+    the child's origin, both with the same `axis`; beside a marker it is turned as that one is.
+    Coordinates measure the child relative to the parent.
     """
 
     joint: AbstractJoint | AbstractClearance
@@ -177,12 +177,21 @@ class Connection(AbstractQuantified):
                 f'a joint on "{parent.body}" gives `at` beside a marker; put the place into '
                 "the marker."
             )
-        if isinstance(parent, Marker) and isinstance(child, Marker) and axis is not None:
+        markers = [end for end in (parent, child) if isinstance(end, Marker)]
+        if markers and axis is not None:
+            places = " and ".join(f'"{marker.body}"' for marker in markers)
             raise ValueError(
-                f'a joint between markers on "{parent.body}" and "{child.body}" is given an axis '
-                "beside them; put the axis into the markers."
+                f"a joint with a marker on {places} is given an axis beside it; put the axis into "
+                "the markers. A body's name beside a marker takes its axis."
             )
-        axis = "z" if axis is None else axis
+        turned = _orientation(markers[0]) if markers else {"axis": "z" if axis is None else axis}
         self.joint = joint
-        self.parent = parent if isinstance(parent, Marker) else Marker(parent, at, axis)
-        self.child = child if isinstance(child, Marker) else Marker(child, None, axis)
+        self.parent = parent if isinstance(parent, Marker) else Marker(parent, at, **turned)
+        self.child = child if isinstance(child, Marker) else Marker(child, None, **turned)
+
+
+def _orientation(marker: Marker) -> dict[str, Any]:
+    """The arguments that turn another marker as this one is turned."""
+    if marker.quaternion is not None:
+        return {"quaternion": marker.quaternion}
+    return {"axis": marker.named_axis if marker.axis is None else marker.axis}

@@ -64,15 +64,16 @@ class Twist(NamedTuple):
 REST = Pose(sp.IDENTITY, sp.ZERO)
 STILL = Twist(sp.ZERO, sp.ZERO)
 FLIP: sp.Mat = ((1, 0, 0), (0, -1, 0), (0, 0, -1))
-# Frames whose z axis lies along the named axis of the parent: cyclic permutations, so that zeros
-# stay structural.
+# Frames whose z axis lies along the named axis of the parent, of zeros and ones, so that zeros stay
+# structural. Along x and y the frame's x axis lies in the parent's x-y plane, a quarter turn ahead
+# (for -x and -y behind): there are the walls of a guide.
 AXES: dict[str, sp.Mat] = {
     "z": sp.IDENTITY,
     "x": ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
-    "y": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+    "y": ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
     "-z": FLIP,
     "-x": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
-    "-y": ((0, -1, 0), (0, 0, -1), (1, 0, 0)),
+    "-y": ((-1, 0, 0), (0, 0, -1), (0, -1, 0)),
 }
 
 

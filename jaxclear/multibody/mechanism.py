@@ -17,6 +17,7 @@ from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
 from jaxclear.multibody.in_words import in_words
 from jaxclear.multibody.loops import Baumgarte, Projection
+from jaxclear.multibody.plane import check_plane
 from jaxclear.multibody.topology import Topology, grow
 
 
@@ -101,6 +102,7 @@ class Mechanism(AbstractQuantified):
             "a jaxclear.Baumgarte, a jaxclear.Projection, or None for none",
         )
         validation.check_tree(self.topology, self.connections, self.loads)
+        check_plane(self.topology, self.bodies, self.connections, self.loads)
         places = {"start": self.start, "guess": self.guess}
         validation.check_start(self.bodies, self.connections, places, self.speeds)
 

@@ -107,6 +107,11 @@ class AbstractClearance(AbstractQuantified):
             "integrator that lets parts separate, such as ImplicitStep or MoreauJean."
         )
 
+    def check_plane(self, heights: tuple[float, float, float]) -> None:
+        """Raises `ValueError`, with a sentence that goes behind the joint's name, where this joint
+        finds no contact in the plane. `heights`: how far the bearing's three unit axes rise out of
+        the plane in which both parts move; nothing is refused unless overridden."""
+
     def coordinate_form(self) -> AbstractJoint:
         """The ideal joint whose coordinates and speeds are told of this one: how far it has turned,
         where it has slid.

@@ -29,6 +29,8 @@ from jaxclear.laws.stiffness import Shape
 
 # Radius of the hole that stands for a flat wall, relative to that of the corner in it.
 FLAT = 1e6
+# Height of a unit axis above the plane, beyond which it is not meant to lie in it.
+ACROSS = 1e-6
 
 
 class SliderGuide(AbstractClearance):
@@ -88,6 +90,14 @@ class SliderGuide(AbstractClearance):
             ContactCandidate(corner, (side, 0, 0), ((0, 0, 1),))
             for side, corner in self._corners(offset, axes)
         )
+
+    def check_plane(self, heights):
+        if max(abs(heights[0]), abs(heights[2])) > ACROSS:
+            raise ValueError(
+                "is a SliderGuide whose axis (z of its marker) and gaps (x) must lie in the plane "
+                'in which its parts move: give the connection, or both markers, axis="x", "-x", '
+                '"y" or "-y"; a guide along another direction takes markers with a quaternion.'
+            )
 
     def permanent_form(self):
         return PermanentPrismatic(self)
