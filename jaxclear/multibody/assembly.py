@@ -108,7 +108,8 @@ def _depths(asked: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
     for name, bearing in asked.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
         depths = contact_point.depths(bearing.joint, pose, {})
-        radii = [laws.shape.inner_radius for laws in bearing.contact_laws]
+        shapes = [laws.shape for laws in bearing.contact_laws]
+        radii = [jnp.inf if shape is None else shape.inner_radius for shape in shapes]
         allowed = DEEPEST * jnp.min(sp.stack(radii))
         out[name] = jnp.stack([jnp.max(sp.stack(depths)), allowed])
     return out
