@@ -77,6 +77,15 @@ class AbstractIntegrator(AbstractQuantified):
         """The longest step [s] that was asked for; None where nobody asked for one."""
         return None
 
+    def shortest_step(self) -> Scalar | None:
+        """The shortest step [s] that these numbers lead to, saving times aside."""
+        return self.asked_step()
+
+    @property
+    def steps_between_saves(self) -> int | None:
+        """Their number, where it is fixed."""
+        return None
+
     @property
     def usual_step(self) -> Scalar | None:
         """Length [s] of its steps, which heed `Interval.share`, so that a run can check itself with

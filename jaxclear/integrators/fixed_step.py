@@ -82,6 +82,14 @@ class FixedStep(AbstractIntegrator):
     def asked_step(self):
         return self.step if self.steps_per_save is None else None
 
+    def shortest_step(self):
+        step = self.asked_step()
+        return step if step is None or self.contact_steps is None else step / self.contact_steps
+
+    @property
+    def steps_between_saves(self):
+        return self.steps_per_save
+
     @property
     def usual_step(self):
         # A fixed number of steps is for reverse-mode derivatives, into which a shadow of the run

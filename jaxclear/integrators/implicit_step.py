@@ -73,6 +73,10 @@ class ImplicitStep(AbstractIntegrator):
     def asked_step(self):
         return self.step if self.steps_per_save is None else None
 
+    @property
+    def steps_between_saves(self):
+        return self.steps_per_save
+
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model, start, state)
 

@@ -23,7 +23,7 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.loop import run
-from jaxclear.simulation.step_lengths import warn_of_shortened_steps
+from jaxclear.simulation.step_lengths import check_steps
 
 
 class SimulationError(RuntimeError):
@@ -126,7 +126,7 @@ def simulate(
     times = saving_times(duration, save)
     integrator = Adaptive() if integrator is None else integrator
     check_run(mechanism, integrator)
-    warn_of_shortened_steps(integrator, times)
+    check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     start = assemble(mechanism, start_concentric)
     with stoppable(), progress.bar(progress_bar, "simulating"):

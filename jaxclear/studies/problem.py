@@ -25,7 +25,7 @@ from jaxclear.results.response import unit_of
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
-from jaxclear.simulation.step_lengths import warn_of_shortened_steps
+from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 
 
@@ -113,7 +113,7 @@ class Problem(AbstractQuantified):
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
         check_run(mechanism, self.integrator)
-        warn_of_shortened_steps(integrator, times)
+        check_steps(integrator, times)
         self.determined = determined(self.integrator.formulation.seen(mechanism))
         for name, wanted in self.response.items():
             if not callable(wanted) or isinstance(wanted, type):
