@@ -26,8 +26,8 @@ DEPTH = 3
 
 
 def check_steps(integrator: AbstractIntegrator | None, times: Any) -> None:
-    """Raises `ValueError` where there are more steps than any run takes. Warns where steps that were
-    asked for are longer than the intervals between the saving `times` [s] and are shortened to
+    """Raises `ValueError` where there are more steps than any run takes. Warns where steps that
+    were asked for are longer than the intervals between the saving `times` [s] and are shortened to
     them; says nothing where a number is not known."""
     if integrator is None:
         return
