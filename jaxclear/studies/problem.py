@@ -18,7 +18,7 @@ from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, inside, numbers
 from jaxclear.ground.wording import described, nearest
-from jaxclear.integrators import AbstractIntegrator, Checks, FixedStep, Outcome
+from jaxclear.integrators import AbstractIntegrator, Checks, Outcome
 from jaxclear.multibody.assembly import Start, assemble_arrays, determined, is_sound
 from jaxclear.multibody.mechanism import Mechanism, loosened
 from jaxclear.results.response import unit_of
@@ -27,6 +27,7 @@ from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
+from jaxclear.studies.usual_integrator import usual_integrator
 
 
 class Variable(AbstractQuantified):
@@ -74,10 +75,11 @@ class Problem(AbstractQuantified):
     """A mechanism, the numbers in it that vary, how it is run, and the responses wanted of a run.
 
     `response`: a function of a trajectory returning a number, or several by name. `duration` [s].
-    `integrator`: `FixedStep()` by default, because equal work for every sample is what batches and
-    derivatives want. `save`: saving times, as in `simulate`; `shares` [1] are they, as shares of
-    the duration. Raises `ValueError` with a sentence
-    for what cannot be asked.
+    `integrator`: by default steps of a fixed length, because equal work for every sample is what
+    batches and derivatives want: `FixedStep()`, or an `ImplicitStep` where friction would answer
+    faster than such steps resolve; `why_integrator` says so. `save`: saving times, as in
+    `simulate`; `shares` [1] are they, as shares of the duration. Raises `ValueError` with a
+    sentence for what cannot be asked.
     """
 
     mechanism: Mechanism
@@ -92,6 +94,7 @@ class Problem(AbstractQuantified):
     variable_units: tuple[str, ...] = eqx.field(static=True)
     # Coordinates given for the start that the loops determine: they move with what varies.
     determined: tuple[str, ...] = eqx.field(static=True)
+    why_integrator: str = eqx.field(static=True)
 
     def __init__(
         self,
@@ -108,8 +111,9 @@ class Problem(AbstractQuantified):
         expect(mechanism, Mechanism, "the mechanism of a Problem", "a jaxclear.Mechanism")
         self.response = _by_name("response", response)
         self.variables = _by_name("variables", variables)
-        self.integrator = FixedStep() if integrator is None else integrator
         times = saving_times(check_duration(duration), save)
+        usual = usual_integrator(mechanism, times[-1]) if integrator is None else (integrator, "")
+        self.integrator, self.why_integrator = usual
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
         check_run(mechanism, self.integrator)

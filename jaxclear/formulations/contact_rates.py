@@ -1,0 +1,176 @@
+r"""How fast contacts answer, known before a run: from laws, loads and masses at the start.
+
+A contact pressed by the force $F$ answers an indentation at the rate $\sqrt{k/m_n}$, $k$ the slope
+of its elastic force; its damper at $c/m_n$; its friction, at rest, at $F \mu'/m_t$, $\mu'$ the
+largest slope of the coefficient of friction over the slip. $1/m$ is the diagonal of Delassus'
+operator, $J M^{-1} J^T$. An explicit step must resolve each of them. The force is that of the
+impact with which the load at the start, taken over the times of a run, closes the clearance; the
+damper's is the load itself, because dampers are the harder the slower an impact.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.components.clearance import ContactLaws
+from jaxclear.formulations import delassus
+from jaxclear.formulations.base import model_of
+from jaxclear.formulations.compliant import CompliantContact
+from jaxclear.formulations.contact_rows import free_motion
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.multibody import contact_point, kinematics
+from jaxclear.multibody.assembly import Start, assemble
+from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.system import prepare
+
+# Instants of a run at which its loads are looked at.
+INSTANTS = 9
+# Displacements [m] along which a contact is sought, and indentations [m] up to which its force is.
+REACHES = np.logspace(-8, -1, 71)
+DEPTHS = np.logspace(-10, -2, 161)
+# Lightness [1/kg] of a contact that nothing can move.
+LEAST_LIGHTNESS = 1e-12
+# This runs once: how long it compiles counts, not how fast it is.
+QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}
+
+
+class ContactRates(NamedTuple):
+    """Rates of a clearance joint's hardest pressed contact: `contact` [rad/s] (that of its bristles
+    where they are stiffer), `damping` [1/s] and `friction` [1/s], under the `force` [N] that closes
+    the clearance."""
+
+    force: float
+    contact: float
+    damping: float
+    friction: float
+
+
+class _Pressed(NamedTuple):
+    """Of each contact of a joint: acceleration [m/s^2] that presses it and inverse of the mass
+    [1/kg] along its normal and across; and how far [m] the joint must close."""
+
+    acceleration: Any
+    lightness: Any
+    across: Any
+    travel: Any
+
+
+def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[str, ContactRates]:
+    """Rates of every clearance joint with a compliant law, in a run of `duration` [s] with steps of
+    `step` [s] (over which friction that remembers is taken)."""
+    times = jnp.linspace(0.0, duration, INSTANTS)
+    bearings, found = prepare(mechanism).bearings, {}
+    for name, at_times in _pressed(mechanism, assemble(mechanism), times).items():
+        loads = np.asarray(at_times.acceleration / jnp.maximum(at_times.lightness, LEAST_LIGHTNESS))
+        worst = int(np.argmax(np.max(loads, axis=1)))
+        pressed = _Pressed(*(np.asarray(part)[worst] for part in at_times))
+        each = [
+            _rates(own, *(float(part[k]) for part in pressed[:3]), float(pressed.travel), step)
+            for k, own in enumerate(bearings[name].contact_laws)
+            if own.contact.compliant
+        ]
+        if each:
+            found[name] = ContactRates(*map(max, zip(*each, strict=True)))
+    return found
+
+
+def _rates(
+    laws: ContactLaws,
+    acceleration: float,
+    lightness: float,
+    across: float,
+    travel: float,
+    step: float,
+) -> ContactRates:
+    """Rates of a contact that an acceleration [m/s^2] presses through its clearance."""
+    if not (acceleration > 0 and lightness > 0):
+        return ContactRates(0.0, 0.0, 0.0, 0.0)
+    depths = jnp.asarray(DEPTHS)
+    forces = np.asarray(jax.vmap(laws.contact.elastic_force)(depths))
+    work = np.concatenate([[0.0], np.cumsum(0.5 * (forces[1:] + forces[:-1]) * np.diff(DEPTHS))])
+    load = acceleration / lightness
+    resting = depths[min(int(np.searchsorted(forces, load)), len(DEPTHS) - 1)]
+    deepest = min(int(np.argmax(work >= load * (travel + DEPTHS))) or -1, len(DEPTHS) - 2)
+    force, depth = float(forces[deepest]), depths[deepest]
+    stiffness = jax.grad(laws.contact.elastic_force)(depth)
+    damping = jax.grad(laws.contact.normal_force, argnums=1)(resting, 0.0, 0.0)
+    slope, spring = 0.0, 0.0
+    if laws.friction is not None and not laws.friction.set_valued:
+        slope, double = (float(laws.friction.largest_slope(n * step)) for n in (1, 2))
+        # Bristles are springs: their force over a step grows with half its length.
+        spring = force * (double - slope) * 2 / step
+    return ContactRates(
+        force,
+        float(np.sqrt(max(stiffness * lightness, spring * across))),
+        float(damping) * lightness,
+        force * slope * across,
+    )
+
+
+@eqx.filter_jit(compiler_options=QUICK_TO_COMPILE)
+def _pressed(mechanism: Mechanism, start: Start, times: Any) -> dict[str, _Pressed]:
+    """By clearance joint what presses its contacts at the start, under the loads of each of these
+    times."""
+    model = model_of(mechanism, CompliantContact())
+    q, v = unpack_motion(model.system, [*start.coordinates, *start.speeds])
+
+    def at(time):
+        motions = kinematics.link_motions(model.system, q, v, time)
+        now = free_motion(model, time, q, v)
+        free = delassus.delassus_operator(now, []).free
+        return {
+            name: _of_joint(bearing, model.system, motions, now, free)
+            for name, bearing in model.system.bearings.items()
+        }
+
+    return jax.vmap(at)(times)
+
+
+def _of_joint(bearing, system, motions, now, free) -> _Pressed:
+    """A joint moved until it touches, in the direction in which it is pressed."""
+    relative = kinematics.relative_motion(bearing.closure, motions)[2]
+    rows = kinematics.relative_jacobian(
+        system, motions, bearing.closure, relative.pose, lambda pose, velocity, spin: velocity
+    )
+    pushed = [along(row, free) for row in rows]
+    size = safe_sqrt(sp.total(sp.mul(x, x) for x in pushed))
+    planar = sp.is_zero(relative.pose.translation[2])
+
+    def moved(distance):
+        shift = tuple(
+            0 if planar and k == 2 else safe_divide(distance * x, size)
+            for k, x in enumerate(pushed)
+        )
+        return relative.pose._replace(translation=sp.plus(relative.pose.translation, shift))
+
+    overlaps = jax.vmap(lambda d: sp.stack(contact_point.depths(bearing.joint, moved(d), {})))(
+        jnp.asarray(REACHES)
+    )
+    travel = jnp.asarray(REACHES)[jnp.argmax(jnp.max(overlaps, 1) > 0)]
+    pose = moved(travel)
+    gaps = contact_point.gap_function(bearing.joint, pose, {})
+
+    def rates(pose, velocity, spin):
+        out = []
+        for gap in gaps:
+            rate, slip = contact_point.contact_speeds(bearing.joint, pose, gap, velocity, spin)
+            out += [rate, *slip]
+        return out
+
+    rows = kinematics.relative_jacobian(system, motions, bearing.closure, pose, rates)
+    operator = delassus.delassus_operator(now, rows)
+    diagonal = [line[i] for i, line in enumerate(operator.matrix())]
+    pressing, lightness, across, first = [], [], [], 0
+    for gap in gaps:
+        count = len(gap.candidate.tangents)
+        pressing.append(jnp.where(gap.indentation > 0, along(rows[first], free), 0.0))
+        lightness.append(diagonal[first])
+        across.append(sp.total(diagonal[first + 1 : first + 1 + count]) / max(count, 1))
+        first += 1 + count
+    return _Pressed(*map(sp.stack, (pressing, lightness, across)), travel)
