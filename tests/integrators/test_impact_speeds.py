@@ -64,7 +64,7 @@ def falls():
         rig.bodies, rig.connections, {"gravity": jc.load.Gravity((0.0, -1e3))}, start=rig.start
     )
     places = np.linspace(0.0, 0.7e-4, 20)
-    q, v = guess(rig)
+    q, _ = guess(rig)
 
     @eqx.filter_jit
     def go(rig, integrator):
@@ -263,4 +263,4 @@ def test_flights_through_the_centre_reach_their_end_at_the_tightest_tolerance(fr
             speeds={"journal": (0.01, 0.0, 0.0)},
         )
         found = jc.simulate(rig, 10.0, save=2, integrator=tight, start_concentric=False)
-        assert int(found.accepted_steps) < 5000
+        assert found.succeeded and abs(float(found.body("journal").com[-1, 0])) < 5e-3
