@@ -51,8 +51,8 @@ def at_touch(before: ContactMotion, after: ContactMotion, length: Scalar) -> Per
     way = after.depths - before.depths
     share = jnp.clip(safe_divide(-before.depths, way), 0.0, 1.0)
     early, late = before.rates * before.rates, after.rates * after.rates
-    bend = way - 0.5 * length * (before.rates + after.rates)
-    curved = 12 * bend * way * share * (1 - share) / (length * length)
+    mean = (1.0 / length) * way
+    curved = 12 * mean * (mean - 0.5 * (before.rates + after.rates)) * share * (1 - share)
     curved = jnp.where(before.rates > 0, curved, 0.0)
     return jnp.maximum(safe_sqrt(early + share * (late - early) + curved), LEAST_SPEED)
 

@@ -2,6 +2,8 @@
 speed, the clearance and the saving times; steps converge through impacts at their order.
 """
 
+import itertools
+
 import diffrax
 import equinox as eqx
 import jax
@@ -25,7 +27,9 @@ STIFFNESS, MASS, CLEARANCE = 1e9, 0.3, 0.5e-3
 def damped(factor):
     """A law with this factor d: Hunt and Crossley's d = 3/2 (1 - c_e), whatever c_e that takes."""
     law = jc.contact.HuntCrossley(stiffness=STIFFNESS, restitution=0.9)
-    return eqx.tree_at(lambda law: law.dissipation.restitution, law, 1 - 2 / 3 * factor)
+    return eqx.tree_at(
+        lambda law: law.dissipation.restitution, law, jnp.asarray(1 - 2 / 3 * factor)
+    )
 
 
 def thrown(contact, speed=0.1, clearance=CLEARANCE):
@@ -200,7 +204,7 @@ def test_memory_is_held_in_contact_forgotten_after_and_taken_anew():
     path = [motion(-0.5, 1.0), motion(0.5, 1.0), motion(0.6, -0.8), motion(-0.2, -0.8)]
     path += [motion(-0.1, 0.2), motion(0.1, 0.2)]
     speeds, found = jnp.zeros(1), []
-    for before, after in zip(path[:-1], path[1:], strict=True):
+    for before, after in itertools.pairwise(path):
         speeds = remembered(speeds, before, after, 1.0)
         found.append(float(speeds[0]))
     np.testing.assert_allclose(found, [1.0, 1.0, 0.0, 0.0, 0.2], rtol=1e-12)
