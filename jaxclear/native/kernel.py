@@ -4,6 +4,7 @@ The loop is written by the rules, compiled by LLVM, checked on random numbers, a
 table of `dispatch` under a number that its text decides. Samples run `lanes` at a time.
 """
 
+import collections
 import hashlib
 import threading
 import weakref
@@ -139,6 +140,10 @@ class Kernel:
         dispatch.enter(self.number, self._entry)
 
 
+# JAX computes in the background: a program may have been dropped before its kernel has begun. So
+# many of the latest kernels [2 MB each] stay all the same.
+LATEST = 8
+_LATEST: "collections.deque[Kernel]" = collections.deque(maxlen=LATEST)
 # Two threads that compile the same loop share one kernel.
 _BUILDING = threading.RLock()
 _KERNELS: "weakref.WeakValueDictionary[int, Kernel]" = weakref.WeakValueDictionary()
@@ -169,4 +174,5 @@ def build(program: Program, lanes: int) -> Kernel:
             check(program, kernel.address)
             kernel.publish()
             _KERNELS[number] = kernel
+        _LATEST.append(kernel)
         return kernel

@@ -141,6 +141,7 @@ def test_restitution_is_the_law_s_within_a_thousandth(rung):
         return jnp.max(-states[:, 3:5] @ v[:2]) / speed
 
     cases = [part.ravel() for part in np.meshgrid(factors(), [0.01, 0.1, 1.0, 3.0, 10.0])]
+    # The program is let go in the line that calls it: its kernels must stay until it has run.
     found = np.asarray(jax.jit(jax.vmap(rebound))(*cases))
     wanted = np.array([returned(factor) for factor in cases[0]])
     np.testing.assert_allclose(found, wanted, rtol=1e-3)

@@ -35,10 +35,12 @@ def test_kernels_are_freed_with_their_programs():
     kept, _ = program(0.5)
     gc.collect()
     table, known = dispatch.size(), len(kernel._KERNELS)
-    for number in range(6):
+    for number in range(2 * kernel.LATEST):
         program(number)
     gc.collect()
-    assert dispatch.size() <= table and len(kernel._KERNELS) <= known
+    # The latest ones stay: a run of them may not have ended.
+    assert dispatch.size() <= table + kernel.LATEST
+    assert len(kernel._KERNELS) <= known + kernel.LATEST
     again, wanted = program(0.5)
     assert jnp.array_equal(kept(jnp.ones(3))[1], wanted)
     del again
