@@ -36,6 +36,7 @@ from jaxclear.laws import contact, friction, material, stiffness, wear
 from jaxclear.laws.material import Material
 from jaxclear.multibody.assembly import assemble
 from jaxclear.multibody.loops import Baumgarte, Projection
+from jaxclear.multibody.magnitudes import UnusualMagnitude
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results import response
 from jaxclear.results.pointing_error import pointing_error
@@ -68,6 +69,7 @@ __all__ = [
     "Scalar",
     "SimulationError",
     "Trajectory",
+    "UnusualMagnitude",
     "Variable",
     "Wearing",
     "advise",

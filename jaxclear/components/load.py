@@ -99,11 +99,19 @@ class AbstractCoordinateLoad(AbstractLoad):
         """(generalised force, stored energy, dissipated power, external power)."""
 
 
+# A hundred times that of the Earth.
+USUAL_GRAVITY = (-1e3, 1e3, "is it in mm/s^2? Accelerations are in m/s^2.")
+
+
 class Gravity(AbstractLoad):
     """Uniform gravity on all bodies, as an acceleration in the ground frame."""
 
     acceleration: tuple = vector(
-        (0.0, -9.81), "m/s^2", "acceleration of free fall, ground frame", counts=(2, 3)
+        (0.0, -9.81),
+        "m/s^2",
+        "acceleration of free fall, ground frame",
+        counts=(2, 3),
+        usual=USUAL_GRAVITY,
     )
 
 

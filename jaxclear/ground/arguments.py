@@ -47,6 +47,8 @@ def check_number(what: str, value: Any, unit: str = "", **bounds: float) -> None
     unit = f" [{unit}]" if unit else ""
     limits = range_in_words(bounds)
     wanted = f"one finite number{unit}{', ' if limits else ''}{limits}"
+    if isinstance(value, float) and finite_and_within(value, bounds):
+        return
     try:
         number = as_number(value)
     except ValueError:

@@ -187,6 +187,13 @@ def _measured(kind: type) -> tuple[tuple[str, Mapping], ...]:
     return tuple((f.name, f.metadata) for f in dataclasses.fields(kind) if "unit" in f.metadata)
 
 
+@functools.cache
+def _leaves(kind: type) -> tuple[tuple[str, Mapping], ...]:
+    """The fields of a class that are not static: looking them up anew costs more than a check."""
+    fields = dataclasses.fields(kind)
+    return tuple((f.name, f.metadata) for f in fields if not f.metadata.get("static", False))
+
+
 def check_range(owner: Callable[[], str], path: str, leaf: Any, metadata: Mapping) -> None:
     """Raises `ValueError` if a known number is not finite or not within its field's range; `owner`
     says whose number it is.
@@ -248,10 +255,13 @@ def _numbers(tree, path, metadata):
     if isinstance(tree, jax.Array):
         yield path, tree, metadata
     elif isinstance(tree, eqx.Module):
-        for field in dataclasses.fields(tree):
-            if not field.metadata.get("static", False):
-                inner = f"{path}.{field.name}" if path else field.name
-                yield from _numbers(getattr(tree, field.name), inner, field.metadata)
+        for name, said in _leaves(type(tree)):
+            inner = f"{path}.{name}" if path else name
+            value = getattr(tree, name)
+            if isinstance(value, jax.Array):
+                yield inner, value, said
+            elif value is not None:
+                yield from _numbers(value, inner, said)
     elif isinstance(tree, dict):
         for key, value in tree.items():
             yield from _numbers(value, f'{path}["{key}"]', metadata)

@@ -17,10 +17,17 @@ __all__ = [
 __getattr__ = nothing_else("jaxclear.material", __all__)
 
 
+# From soft rubber to diamond: Ashby 2011, Materials Selection in Mechanical Design, 4th ed., chart
+# of modulus against density.
+USUAL_MODULUS = (1e6, 1.3e12, "is it in GPa or MPa? Moduli are in Pa.")
+
+
 class Material(AbstractQuantified):
     """Linear isotropic elasticity, small strain."""
 
-    young_modulus: Scalar = quantity(unit="Pa", meaning="Young's modulus", above=0)
+    young_modulus: Scalar = quantity(
+        unit="Pa", meaning="Young's modulus", above=0, usual=USUAL_MODULUS
+    )
     poisson_ratio: Scalar = quantity(unit="1", meaning="Poisson's ratio", above=-1, at_most=0.5)
 
     @property

@@ -19,6 +19,10 @@ __all__ = [
 __getattr__ = nothing_else("jaxclear.wear", __all__)
 
 
+# From soft polymers to diamond: Ashby 2011, Materials Selection in Mechanical Design, 4th ed.
+USUAL_HARDNESS = (1e6, 1.5e11, "is it in MPa, or a Brinell number (9.8e6 Pa each)? It is in Pa.")
+
+
 class AbstractWearLaw(AbstractLaw):
     """Worn volume per time of one contact point."""
 
@@ -42,7 +46,9 @@ class Archard(AbstractWearLaw):
     wear_coefficient: Scalar = quantity(
         1e-5, "1", "share k of contact events that shed a particle", at_least=0
     )
-    hardness: Scalar = quantity(2e9, "Pa", "indentation hardness H of the softer body", above=0)
+    hardness: Scalar = quantity(
+        2e9, "Pa", "indentation hardness H of the softer body", above=0, usual=USUAL_HARDNESS
+    )
 
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
         return self.wear_coefficient * normal_force * slip_speed / self.hardness

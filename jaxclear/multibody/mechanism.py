@@ -17,6 +17,7 @@ from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
 from jaxclear.multibody.in_words import in_words
 from jaxclear.multibody.loops import Baumgarte, Projection
+from jaxclear.multibody.magnitudes import warn_of_magnitudes
 from jaxclear.multibody.plane import check_plane
 from jaxclear.multibody.topology import Topology, grow
 
@@ -105,6 +106,7 @@ class Mechanism(AbstractQuantified):
         check_plane(self.topology, self.bodies, self.connections, self.loads)
         places = {"start": self.start, "guess": self.guess}
         validation.check_start(self.bodies, self.connections, places, self.speeds)
+        warn_of_magnitudes(self)
 
     @property
     def given(self) -> dict[str, dict[str, tuple]]:

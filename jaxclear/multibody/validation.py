@@ -6,6 +6,7 @@ numbers that were changed afterwards, drives, loads and starts that fit the tree
 """
 
 import dataclasses
+import math
 from typing import Any
 
 import equinox as eqx
@@ -129,9 +130,11 @@ def check_values(what: str, part: Any) -> None:
     """Numbers must be finite and within their ranges, also where one was changed after its part was
     built.
     """
-    check_finite(what, part)
     for path, leaf, metadata in numbers(part):
-        check_range(lambda: what, path, leaf, metadata)
+        if "unit" in metadata:
+            check_range(lambda: what, path, leaf, metadata)
+        else:
+            check_finite(f"{what}, {path},", leaf)
 
 
 def check_finite(what: str, part: Any) -> None:
@@ -139,7 +142,7 @@ def check_finite(what: str, part: Any) -> None:
     for path, leaf in jax.tree_util.tree_leaves_with_path(part):
         if not eqx.is_array(leaf) or isinstance(leaf, jax.core.Tracer):
             continue
-        if not np.all(np.isfinite(leaf)):
+        if not (math.isfinite(float(leaf)) if leaf.ndim == 0 else np.all(np.isfinite(leaf))):
             name = jax.tree_util.keystr(path).removeprefix(".")
             raise ValueError(f"{what} has {name} = {leaf}; it must be a finite number.")
 

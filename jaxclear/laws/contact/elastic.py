@@ -9,6 +9,7 @@ from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.numerics import positive_part, power, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact.base import AbstractElasticForce, exponent_field, stiffness_field
+from jaxclear.laws.material import USUAL_MODULUS
 from jaxclear.laws.stiffness import HERTZ_SPHERE, ClearanceOf, Fitted, OuterRadiusOf
 
 __all__ = [
@@ -21,7 +22,13 @@ __getattr__ = nothing_else("jaxclear.contact.elastic", __all__)
 
 def modulus_field() -> Any:
     """Field of a combined modulus [Pa]."""
-    return quantity(112.9e9, "Pa", "combined modulus E* (default: steel on steel)", above=0)
+    return quantity(
+        112.9e9,
+        "Pa",
+        "combined modulus E* (default: steel on steel)",
+        above=0,
+        usual=USUAL_MODULUS,
+    )
 
 
 def clearance_field() -> Any:

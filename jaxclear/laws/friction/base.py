@@ -15,15 +15,19 @@ from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.ground.wording import public_name
 from jaxclear.laws.law import AbstractLaw
 
+# Soft rubber on a clean dry road reaches about 4: Persson 2000, Sliding Friction, 2nd ed.,
+# doi:10.1007/978-3-662-04283-0.
+USUAL_FRICTION = (0.0, 5.0, "is it in per cent?")
+
 
 def mu_static_field() -> Any:
     """Field of a static friction coefficient [1]."""
-    return quantity(0.15, "1", "static friction coefficient mu_s", at_least=0)
+    return quantity(0.15, "1", "static friction coefficient mu_s", at_least=0, usual=USUAL_FRICTION)
 
 
 def mu_kinetic_field() -> Any:
     """Field of a kinetic friction coefficient [1]."""
-    return quantity(0.1, "1", "kinetic friction coefficient mu_d", at_least=0)
+    return quantity(0.1, "1", "kinetic friction coefficient mu_d", at_least=0, usual=USUAL_FRICTION)
 
 
 def check_static(law: Any) -> None:

@@ -1,0 +1,140 @@
+"""Numbers that no mechanism has, warned about where a mechanism is built: a slip of unit runs as
+well as any other number, and answers nonsense.
+
+A field says itself what is usual (`usual` of `jaxclear.quantity`). Lengths are compared with the
+places of the joints, in which a mechanism has its size. Bounds lie far beyond what is built, so
+that nothing built is warned about. Numbers that are being traced are not looked at.
+"""
+
+import math
+import sys
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.ground.quantity import concrete, numbers
+
+__all__ = ["UnusualMagnitude", "warn_of_magnitudes"]
+
+# A length given in mm for m is 1000 times too large: from these multiples of the largest place of a
+# joint on, parts of a joint, centres of mass and radii of gyration count as slips.
+LARGE_PART, LARGE_ARM, LARGE_GYRATION = 30.0, 30.0, 100.0
+# A place this many times as far out as the one in the middle.
+FAR_PLACE = 300.0
+# More than two turns to start with: degrees for radians [rad].
+MOST_TURNS = 4 * math.pi
+# Of loose joints in textbooks the clearance is a twentieth of the radius.
+WIDE_CLEARANCE = 0.5
+IN_MM = "is it in mm? Lengths are in m"
+
+
+class UnusualMagnitude(UserWarning):
+    """A number that no mechanism has; probably a slip of unit."""
+
+
+def warn_of_magnitudes(mechanism: Any) -> None:
+    """One warning with a sentence for each number that is beyond what mechanisms have."""
+    parts = [(what, part, list(numbers(part))) for what, part in _parts(mechanism)]
+    found = [*_unusual(parts), *_lengths(mechanism, parts), *_starts(mechanism)]
+    if found:
+        warnings.warn(" ".join(found), UnusualMagnitude, stacklevel=_level_of_caller())
+
+
+def _level_of_caller() -> int:
+    """How many frames up the code stands that built the mechanism."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None and _is_ours(frame.f_globals.get("__name__", "")):
+        level, frame = level + 1, frame.f_back
+    return level
+
+
+def _is_ours(module: str) -> bool:
+    return module.partition(".")[0] in ("jaxclear", "equinox", "jax")
+
+
+def _parts(mechanism: Any) -> Iterator[tuple[str, Any]]:
+    yield from ((f'body "{name}"', body) for name, body in mechanism.bodies.items())
+    yield from ((f'joint "{n}"', joint.joint) for n, joint in mechanism.connections.items())
+    yield from ((f'load "{name}"', load) for name, load in mechanism.loads.items())
+
+
+def _unusual(parts: list) -> Iterator[str]:
+    """Numbers beyond the range that their field calls usual."""
+    for what, _, found in parts:
+        for path, leaf, metadata in found:
+            if "usual" not in metadata:
+                continue
+            low, high, slip = metadata["usual"]
+            value = concrete(leaf)
+            if value is not None and value != 0 and not low <= value <= high:
+                unit = "" if metadata["unit"] == "1" else f" {metadata['unit']}"
+                yield (
+                    f"{what} has {path} = {value:g}{unit}; mechanisms have {low:g} to {high:g}"
+                    f"{unit}: {slip}"
+                )
+
+
+def _lengths(mechanism: Any, parts: list) -> Iterator[str]:
+    """Places, centres of mass, inertias and joints out of proportion."""
+    places = {
+        f'joint "{name}" on body "{marker.body}"': _norm(marker.at)
+        for name, connection in mechanism.connections.items()
+        for marker in (connection.parent, connection.child)
+        if marker.at is not None
+    }
+    reached = sorted(x for x in places.values() if x > 0)
+    if not reached:
+        return
+    size, middle = reached[-1], reached[len(reached) // 2 if len(reached) > 2 else 0]
+    for what, place in places.items():
+        if place > FAR_PLACE * middle:
+            yield f"{what} is {place:g} m away from its origin, others {middle:g} m: {IN_MM}."
+    for name, body in mechanism.bodies.items():
+        away = 0.0 if body.com is None else _norm(body.com)
+        if away > LARGE_ARM * size:
+            yield f'body "{name}" has its com {away:g} m away, no joint {size:g} m: {IN_MM}.'
+        inertia = max((concrete(x) or 0.0 for x in body.inertia[:3]), default=0.0)
+        gyration = math.sqrt(inertia / (concrete(body.mass) or math.inf))
+        if gyration > LARGE_GYRATION * size:
+            yield (
+                f'body "{name}" has inertia = {inertia:g} kg m^2, as if its mass were {gyration:g} '
+                f"m away, where no joint is beyond {size:g} m: is it in kg mm^2?"
+            )
+    for what, part, found in parts:
+        if isinstance(part, AbstractClearance):
+            yield from _of_joint(what, part, found, size)
+
+
+def _of_joint(what: str, joint: AbstractClearance, found: list, size: float) -> Iterator[str]:
+    for path, leaf, metadata in found:
+        if metadata.get("unit") != "m" or "." in path:
+            continue
+        value = concrete(leaf) or 0.0
+        if value > LARGE_PART * size:
+            yield f"{what} has {path} = {value:g} m beside links of {size:g} m: {IN_MM}."
+        elif path == "clearance" and value > WIDE_CLEARANCE * _radius(joint):
+            yield f"{what} has clearance = {value:g} m in a part of {_radius(joint):g} m: {IN_MM}."
+
+
+def _radius(joint: Any) -> float:
+    """Radius or width [m] of what is around the gap."""
+    names = ("bearing_radius", "socket_radius", "width")
+    found = [concrete(getattr(joint, name, None)) for name in names]
+    return next((size for size in found if size is not None), math.inf)
+
+
+def _starts(mechanism: Any) -> Iterator[str]:
+    """Angles of many turns."""
+    for name, values in mechanism.start.items():
+        connection = mechanism.connections.get(name)
+        units = () if connection is None else getattr(connection.joint, "units", ())
+        for value, unit in zip(values, units, strict=False):
+            angle = concrete(value)
+            if unit == "rad" and angle is not None and abs(angle) > MOST_TURNS:
+                yield f'start of "{name}" is {angle:g} rad: is it in degrees? Angles are in rad.'
+
+
+def _norm(vector: Any) -> float:
+    found = [concrete(x) for x in vector]
+    return 0.0 if None in found else math.hypot(*found)
