@@ -33,6 +33,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         message = message.removeprefix("argument ")
+        if message.endswith("expected one argument"):
+            flag = message.partition(":")[0]
+            message = f"{flag}: it must have a value, a negative one as {flag}=-1"
         stop = "" if message.endswith(("?", ".")) else "."
         self.exit(2, f"{self.prog}: {message}{stop} See {self.prog} --help.\n")
 

@@ -85,8 +85,10 @@ def read(arguments: list[str]) -> argparse.Namespace:
         readers[name] = commands.add_parser(name, help=study.help, description=study.help)
         study.declare(readers[name])
     first = next((word for word in arguments if not word.startswith("-")), "")
+    known = ", ".join(STUDIES)
+    if not arguments:
+        parser.error(f"a study must be named; there are {known}.")
     if first and first not in STUDIES:
-        known = ", ".join(STUDIES)
         parser.error(f'no study "{first}"; there are {known}.{hint(first, STUDIES)}')
     options, unknown = parser.parse_known_args(arguments)
     if unknown:

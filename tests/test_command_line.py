@@ -58,7 +58,7 @@ def test_parameters_are_listed_with_units(capsys, keep_settings):
 
 MISTAKES = {
     "study": (["four-barr"], 'no study "four-barr"; there are .* Did you mean "four-bar"'),
-    "nothing": ([], "command"),
+    "nothing": ([], "a study must be named; there are four-bar"),
     "negative samples": (["four-bar", "--samples", "-4"], "whole number of at least 16"),
     "part of a sample": (["four-bar", "--samples", "16.5"], "whole number of at least 16"),
     "no duration": (["four-bar", "--duration", "0"], "a number of at least 0.01 s"),

@@ -24,7 +24,20 @@ from benchmarks.measure import report
 CLASSES = ("sentence", "raw traceback", "accepted nonsense")
 # Words by which a sentence says what would be right.
 RIGHT = ("must", "give", "there is", "there are", "takes", "needs", "mean", "may be", "offers")
-RIGHT += ("write", "prefer", "take", "put", "leave", "build", "choose", "it has", "call it", "need")
+RIGHT += (
+    "write",
+    "prefer",
+    "take",
+    "put",
+    "leave",
+    "build",
+    "choose",
+    "it has",
+    "call it",
+    "need",
+    "connect",
+    "simulate with",
+)
 OWN = ("jaxclear",)
 
 

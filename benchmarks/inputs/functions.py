@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.inputs.generated import BODY, KINDS, MARKER, STEEL, Case
+from benchmarks.inputs.generated import BODY, KINDS, STEEL, Case
 from jaxclear import plot
 
 
@@ -245,4 +245,3 @@ ALLOWED = {
     ("advise", "of", "list"),  # an empty list
     ("LCP", "matrix", "none"),
 }
-MARKERS = (MARKER,)

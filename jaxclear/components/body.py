@@ -74,7 +74,7 @@ class Body(AbstractQuantified):
             )
         if moments[0] + moments[1] < moments[2] * (1 - ROUNDING):
             raise ValueError(
-                f"a Body has principal moments of inertia {moments} kg m2; no body has one larger "
+                f"a Body has principal moments of inertia {moments} kg m2; none must be larger "
                 "than the sum of the other two."
             )
 
@@ -123,7 +123,7 @@ class Marker(AbstractQuantified):
         for what, direction in (("axis", self.axis), ("quaternion", self.quaternion)):
             if direction is not None and all(concrete(x) == 0 for x in direction):
                 raise ValueError(
-                    f'the {what} of a marker on "{self.body}" is zero and points nowhere.'
+                    f'the {what} of a marker on "{self.body}" is zero and points nowhere; give a direction.'
                 )
         if (
             self.axis is not None

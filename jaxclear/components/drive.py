@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.components.function_of_time import check_function_of_time
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.numerics import smooth_step
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
@@ -87,6 +88,9 @@ class Position(AbstractDrive):
 
     function: Callable
 
+    def __check_init__(self):
+        check_function_of_time(self, "function")
+
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         def rate(at):
             return jax.jvp(_as_number(self.function), (at,), (jnp.ones_like(at),))
@@ -107,6 +111,9 @@ class Speed(AbstractDrive):
     function: Callable
     start: Scalar = quantity(0.0, "rad", "position at time zero (m for a sliding joint)")
     pieces: int = count(16, "pieces of the quadrature")
+
+    def __check_init__(self):
+        check_function_of_time(self, "function")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         function = _as_number(self.function)

@@ -13,6 +13,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.components.body import Marker
+from jaxclear.components.function_of_time import check_function_of_time
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
@@ -146,6 +147,9 @@ class Force(AbstractBodyLoad):
     )
     follows: bool = eqx.field(static=True, default=False)
 
+    def __check_init__(self):
+        check_function_of_time(self, "value", (2, 3))
+
     def markers(self):
         return (self.marker,)
 
@@ -171,6 +175,9 @@ class Torque(AbstractBodyLoad):
         converter=_torque,
     )
     follows: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        check_function_of_time(self, "value", (1, 3))
 
     def markers(self):
         return (self.marker,)
@@ -198,6 +205,9 @@ class MotorTorque(AbstractBodyLoad):
     value: Scalar | Callable = quantity(
         unit="N m", meaning="torque, or a function of time", converter=_number_or_function
     )
+
+    def __check_init__(self):
+        check_function_of_time(self, "value")
 
     def markers(self):
         return (self.bearing, self.journal)
@@ -295,6 +305,9 @@ class JointTorque(AbstractCoordinateLoad):
     value: Scalar | Callable = quantity(
         unit="N m", meaning="torque, or a function of time", converter=_number_or_function
     )
+
+    def __check_init__(self):
+        check_function_of_time(self, "value")
 
     def force(self, time, position, speed):
         force = _at(self.value, time)

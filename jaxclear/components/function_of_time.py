@@ -1,0 +1,39 @@
+"""What a load or a drive asks of a function of time: it takes a time [s], traced by JAX, and returns
+so many numbers. Looked at once, when the load or drive is built.
+"""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxclear.ground.wording import described, public_name
+
+__all__ = ["check_function_of_time"]
+
+
+def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)) -> None:
+    """Raises `ValueError` for a function in a field of a part that fails at a time, or returns
+    other than as many numbers as one of `counts`; what is no function passes.
+    """
+    function = getattr(part, field)
+    if not callable(function):
+        return
+    number = " or ".join(map(str, counts))
+    wanted = f"it must take a time [s] and return {number} number{'s' if counts != (1,) else ''}"
+    owner = f"{public_name(type(part))} has {field} = {described(function)}"
+    time = jax.ShapeDtypeStruct((), jnp.float64)
+    try:
+        found = jax.eval_shape(lambda at: jax.tree.map(jnp.asarray, function(at)), time)
+    except jax.errors.TracerArrayConversionError:
+        raise ValueError(f"{owner}, which leaves JAX; write it with jax.numpy.") from None
+    except (TypeError, ValueError, AttributeError, IndexError) as error:
+        first = str(error).partition("\n")[0].rstrip(".")
+        raise ValueError(f"{owner}, which fails at a time ({first}); {wanted}.") from None
+    shapes = [leaf.shape for leaf in jax.tree.leaves(found)]
+    plain = all(shape == () for shape in shapes) or (len(shapes) == 1 and len(shapes[0]) == 1)
+    alone = counts == (1,) and shapes != [()]
+    if not plain or alone or sum(map(math.prod, shapes)) not in counts:
+        returned = f"{len(shapes)} numbers" if plain and len(shapes) > 1 else str(shapes)
+        raise ValueError(f"{owner}, which returns {returned}; {wanted}.")
