@@ -123,7 +123,8 @@ class Marker(AbstractQuantified):
         for what, direction in (("axis", self.axis), ("quaternion", self.quaternion)):
             if direction is not None and all(concrete(x) == 0 for x in direction):
                 raise ValueError(
-                    f'the {what} of a marker on "{self.body}" is zero and points nowhere; give a direction.'
+                    f'the {what} of a marker on "{self.body}" is zero and points nowhere; give a '
+                    "direction."
                 )
         if (
             self.axis is not None

@@ -1,5 +1,5 @@
-"""What a load or a drive asks of a function of time: it takes a time [s], traced by JAX, and returns
-so many numbers. Looked at once, when the load or drive is built.
+"""What a load or a drive asks of a function of time: it takes a time [s], traced by JAX, and
+returns so many numbers. Looked at once, when the load or drive is built.
 """
 
 import math

@@ -26,6 +26,7 @@ def in_words(mechanism: Any) -> str:
         ("connections", lambda name, connection: _connection(connection)),
         ("loads", lambda name, load: f"{public_name(type(load))} {_numbers(load)}"),
         ("start", lambda name, values: _coordinates(mechanism, name, values, "")),
+        ("guess", lambda name, values: _coordinates(mechanism, name, values, "")),
         ("speeds", lambda name, values: _coordinates(mechanism, name, values, "/s")),
     ):
         given = getattr(mechanism, part)

@@ -126,7 +126,7 @@ def _radius(joint: Any) -> float:
 
 def _starts(mechanism: Any) -> Iterator[str]:
     """Angles of many turns."""
-    for name, values in mechanism.start.items():
+    for name, values in (*mechanism.start.items(), *mechanism.guess.items()):
         connection = mechanism.connections.get(name)
         units = () if connection is None else getattr(connection.joint, "units", ())
         for value, unit in zip(values, units, strict=False):

@@ -34,8 +34,10 @@ def _guess(what: str, value: Any) -> tuple:
     return found
 
 
-def _by_name(what: str, given: Any) -> dict[str, Any]:
-    """A dictionary from names, each a text that says something."""
+def _by_name(what: str, given: Any, needed: bool = False) -> dict[str, Any]:
+    """A dictionary from names, each a text that says something; None is an empty one."""
+    if given is None and not needed:
+        return {}
     expect(given, Mapping, what, "a dictionary from names")
     for name in given:
         if not isinstance(name, str) or not name.strip():
@@ -83,11 +85,11 @@ class Mechanism(AbstractQuantified):
         guess: Mapping[str, Any] | None = None,
         stabilisation: Baumgarte | Projection | str | None = "default",
     ):
-        self.bodies = _by_name("bodies", bodies)
-        self.connections = _by_name("connections", connections)
-        self.loads = _by_name("loads", {} if loads is None else loads)
+        self.bodies = _by_name("bodies", bodies, needed=True)
+        self.connections = _by_name("connections", connections, needed=True)
+        self.loads = _by_name("loads", loads)
         self.start, self.speeds, self.guess = (
-            {n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, given or {}).items()}
+            {n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, given).items()}
             for what, given in (("start", start), ("speeds", speeds), ("guess", guess))
         )
         self.order = tuple(dict.fromkeys([*self.start, *self.speeds, *self.guess]))
