@@ -74,7 +74,7 @@ def by_hand(rtol):
             max_step=5e-6,
             first_step=min(1e-9, TIMES[-1] - time),
         )
-        inside = (TIMES > time) & (TIMES <= found.t[-1])
+        inside = (time < TIMES) & (found.t[-1] >= TIMES)
         if inside.any():
             places[inside] = found.sol(TIMES[inside])[1]
         time, y = found.t[-1], found.y[:, -1]
