@@ -7,10 +7,17 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from jaxclear.ground.quantity import as_number, as_vector
 from jaxclear.ground.wording import described, public_name
 
-__all__ = ["check_function_of_time"]
+__all__ = [
+    "check_function_of_time",
+    "number_or_function",
+    "one_or_more_or_function",
+    "vector_or_function",
+]
 
 
 def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)) -> None:
@@ -37,3 +44,19 @@ def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)
     if not plain or alone or sum(map(math.prod, shapes)) not in counts:
         returned = f"{len(shapes)} numbers" if plain and len(shapes) > 1 else str(shapes)
         raise ValueError(f"{owner}, which returns {returned}; {wanted}.")
+
+
+def vector_or_function(value: Any) -> Any:
+    """Several numbers, or the function that gives them."""
+    return value if callable(value) else as_vector(value)
+
+
+def one_or_more_or_function(value: Any) -> Any:
+    """One number or several, or the function that gives them."""
+    one = np.ndim(value) == 0 and not isinstance(value, (str, dict)) and value is not None
+    return value if callable(value) else as_vector((value,) if one else value)
+
+
+def number_or_function(value: Any) -> Any:
+    """One number, or the function that gives it."""
+    return value if callable(value) else as_number(value)

@@ -13,7 +13,12 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.components.body import Marker
-from jaxclear.components.function_of_time import check_function_of_time
+from jaxclear.components.function_of_time import (
+    check_function_of_time,
+    number_or_function,
+    one_or_more_or_function,
+    vector_or_function,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
@@ -21,8 +26,6 @@ from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import (
     AbstractQuantified,
     Scalar,
-    as_number,
-    as_vector,
     quantity,
     vector,
 )
@@ -116,19 +119,6 @@ class Gravity(AbstractLoad):
     )
 
 
-def _vector_or_function(value: Any) -> Any:
-    return value if callable(value) else as_vector(value)
-
-
-def _torque(value: Any) -> Any:
-    one = np.ndim(value) == 0 and not isinstance(value, (str, dict)) and value is not None
-    return value if callable(value) else as_vector((value,) if one else value)
-
-
-def _number_or_function(value: Any) -> Any:
-    return value if callable(value) else as_number(value)
-
-
 def _at(value: Any, time: Scalar) -> Any:
     return value(time) if callable(value) else value
 
@@ -143,7 +133,7 @@ class Force(AbstractBodyLoad):
         unit="N",
         meaning="force, or a function of time",
         counts=(2, 3),
-        converter=_vector_or_function,
+        converter=vector_or_function,
     )
     follows: bool = eqx.field(static=True, default=False)
 
@@ -172,7 +162,7 @@ class Torque(AbstractBodyLoad):
         unit="N m",
         meaning="torque, or a function of time",
         counts=(1, 3),
-        converter=_torque,
+        converter=one_or_more_or_function,
     )
     follows: bool = eqx.field(static=True, default=False)
 
@@ -203,7 +193,7 @@ class MotorTorque(AbstractBodyLoad):
     bearing: Marker
     journal: Marker
     value: Scalar | Callable = quantity(
-        unit="N m", meaning="torque, or a function of time", converter=_number_or_function
+        unit="N m", meaning="torque, or a function of time", converter=number_or_function
     )
 
     def __check_init__(self):
@@ -303,7 +293,7 @@ class JointTorque(AbstractCoordinateLoad):
 
     connection: str = eqx.field(static=True)
     value: Scalar | Callable = quantity(
-        unit="N m", meaning="torque, or a function of time", converter=_number_or_function
+        unit="N m", meaning="torque, or a function of time", converter=number_or_function
     )
 
     def __check_init__(self):
