@@ -16,6 +16,7 @@ __all__ = [
     "check_function_of_time",
     "number_or_function",
     "one_or_more_or_function",
+    "value_at",
     "vector_or_function",
 ]
 
@@ -60,3 +61,8 @@ def one_or_more_or_function(value: Any) -> Any:
 def number_or_function(value: Any) -> Any:
     """One number, or the function that gives it."""
     return value if callable(value) else as_number(value)
+
+
+def value_at(value: Any, time: Any) -> Any:
+    """A number, or what its function gives at a time [s]."""
+    return value(time) if callable(value) else value

@@ -17,6 +17,7 @@ from jaxclear.components.function_of_time import (
     check_function_of_time,
     number_or_function,
     one_or_more_or_function,
+    value_at,
     vector_or_function,
 )
 from jaxclear.ground import sparse as sp
@@ -119,10 +120,6 @@ class Gravity(AbstractLoad):
     )
 
 
-def _at(value: Any, time: Scalar) -> Any:
-    return value(time) if callable(value) else value
-
-
 class Force(AbstractBodyLoad):
     """A force at a marker: 2 or 3 numbers [N] or a function of time, in ground axes, or in the
     marker's if `follows`.
@@ -144,7 +141,7 @@ class Force(AbstractBodyLoad):
         return (self.marker,)
 
     def effect(self, time, motions):
-        force = sp.vec3(tuple(_at(self.value, time)))
+        force = sp.vec3(tuple(value_at(self.value, time)))
         if self.follows:
             force = sp.apply(motions[0].pose.rotation, force)
         return Effect(
@@ -173,7 +170,7 @@ class Torque(AbstractBodyLoad):
         return (self.marker,)
 
     def effect(self, time, motions):
-        value = _at(self.value, time)
+        value = value_at(self.value, time)
         value = tuple(value) if isinstance(value, tuple) or np.ndim(value) else (value,)
         torque = (0, 0, *value) if len(value) == 1 else sp.vec3(value)
         if self.follows:
@@ -203,7 +200,7 @@ class MotorTorque(AbstractBodyLoad):
         return (self.bearing, self.journal)
 
     def effect(self, time, motions):
-        torque = sp.scale(_at(self.value, time), sp.apply(motions[0].pose.rotation, (0, 0, 1)))
+        torque = sp.scale(value_at(self.value, time), sp.apply(motions[0].pose.rotation, (0, 0, 1)))
         back = tuple(sp.neg(x) for x in torque)
         actions = (Action(self.bearing, sp.ZERO, back), Action(self.journal, sp.ZERO, torque))
         return Effect(actions, 0, 0, sp.dot(torque, sp.minus(motions[1].spin, motions[0].spin)))
@@ -212,10 +209,8 @@ class MotorTorque(AbstractBodyLoad):
 def _check_acts(spring: Any) -> None:
     """Raises `ValueError` for a spring that is neither one nor a damper."""
     if spring.stiffness is None and spring.damping is None:
-        raise ValueError(
-            f"load.{type(spring).__name__} has neither stiffness nor damping and does nothing; "
-            "give one of them, or both."
-        )
+        name = type(spring).__name__
+        raise ValueError(f"load.{name} needs stiffness or damping, or both; it has neither.")
 
 
 class Spring(AbstractBodyLoad):
@@ -300,5 +295,5 @@ class JointTorque(AbstractCoordinateLoad):
         check_function_of_time(self, "value")
 
     def force(self, time, position, speed):
-        force = _at(self.value, time)
+        force = value_at(self.value, time)
         return force, 0, 0, force * speed
