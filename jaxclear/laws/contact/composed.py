@@ -66,10 +66,12 @@ class ContactForce(AbstractContactLaw):
         self.memory = ImpactMemory() if remembers and memory is None else memory
 
     def __getattr__(self, name: str) -> Any:
-        if not name.startswith("_") and name not in ("elastic", "dissipation", "memory"):
-            for part in (self.elastic, self.dissipation, self.memory):
-                if name in _fields(type(part)):
-                    return getattr(part, name)
+        # While it is unpickled it has no parts yet.
+        if name.startswith("_") or name in ("elastic", "dissipation", "memory"):
+            raise AttributeError(name)
+        for part in (self.elastic, self.dissipation, self.memory):
+            if name in _fields(type(part)):
+                return getattr(part, name)
         numbers = [
             n for p in (self.elastic, self.dissipation, self.memory) for n in _fields(type(p))
         ]
