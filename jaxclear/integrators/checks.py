@@ -101,7 +101,7 @@ class Check(enum.IntEnum):
         'with steps of half the length the wear of joint "{place}" changes by {figure:.2g} of '
         "itself (limit {limit:g}), so worn volumes and depths are off: take shorter steps",
     )
-    # Largest change of a contact's indentation within a step beside the largest that was met.
+    # Largest rise of a contact's indentation within a step beside the largest that was met.
     CONTACT_STEP = (
         6,
         "contact step",
@@ -109,7 +109,7 @@ class Check(enum.IntEnum):
         0.9,
         "peak forces",
         CONTACTS,
-        'within a step the indentation in joint "{place}" changes by {figure:.2g} of the largest '
+        'within a step the indentation in joint "{place}" grows by {figure:.2g} of the largest '
         "that was met (limit {limit:g}), so peak forces are those of the steps, not of the "
         "contact, though motion and mean forces may be right: take shorter steps where peaks count",
     )

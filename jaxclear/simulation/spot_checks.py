@@ -75,7 +75,7 @@ def plan(times: Float[Array, " saves"], step: Scalar | None) -> Plan:
     times = jnp.asarray(times)
     starts, stops = times[index], times[index + 1]
     progress = jnp.where(own, stops - starts, 0.0) / (times[-1] - times[0])
-    if step is not None:
+    if step is not None and windows:
         length = min(1.0, SHARE * count / (PASSES * len(windows)))
         asked = starts + jnp.maximum(length * (stops - starts), step)
         # A window that fills its interval ends with it, to the last bit.

@@ -1,0 +1,112 @@
+"""What a run pays for judging itself: CPU time with its checks beside the same run without any, one
+run alone and a sample in a batch.
+
+A run without checks is not offered to users; here its windows, its looks at saved states and the
+watch on its contacts are taken out by hand.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxclear as jc
+from benchmarks.measure import arguments, report, side_by_side
+from jaxclear.integrators import fixed_step, implicit_step
+from jaxclear.simulation import loop, referee, spot_checks
+from jaxclear.simulation.simulate import saving_times
+
+FIXED, IMPLICIT, ADAPTIVE, PERMANENT = (
+    jc.integrator.FixedStep(),
+    jc.integrator.ImplicitStep(),
+    jc.integrator.Adaptive(),
+    jc.integrator.NonColliding(),
+)
+# Mechanism, integrator, duration [s].
+CASES: dict[str, tuple[Callable[[], Any], Any, float]] = {
+    "slider-crank, FixedStep": (jc.scenes.slider_crank, FIXED, 0.1),
+    "slider-crank, ImplicitStep": (jc.scenes.slider_crank, IMPLICIT, 0.25),
+    "slider-crank, Adaptive": (jc.scenes.slider_crank, ADAPTIVE, 0.25),
+    "four-bar, FixedStep": (jc.scenes.four_bar, FIXED, 0.1),
+    "four-bar, ImplicitStep": (jc.scenes.four_bar, IMPLICIT, 0.25),
+    "antenna, NonColliding": (jc.scenes.antenna, PERMANENT, 0.5),
+    "ideal slider-crank, FixedStep": (lambda: jc.scenes.slider_crank("ideal"), FIXED, 0.1),
+    "ideal slider-crank, Adaptive": (lambda: jc.scenes.slider_crank("ideal"), ADAPTIVE, 0.5),
+}
+QUICK = ("slider-crank, FixedStep", "ideal slider-crank, Adaptive")
+# As `simulate` and `Problem` save.
+SAVES, STUDY_SAVES, BATCH = 501, 201, 64
+# Sample k starts with speeds of 1 + k SPREAD of the nominal ones: no two have the same motion.
+SPREAD = 1e-6
+
+
+@contextmanager
+def unchecked() -> Iterator[None]:
+    """Programs that are traced in here have no checks."""
+    places: list[tuple[Any, str, Any]] = [
+        (spot_checks, "window_starts", lambda count: []),
+        (referee, "_of_saved_states", lambda history: {}),
+        (fixed_step, "contacts_met", lambda *_: None),
+        (implicit_step, "contacts_met", lambda *_: None),
+    ]
+    before = [(place, name, getattr(place, name)) for place, name, _ in places]
+    for place, name, nothing in places:
+        setattr(place, name, nothing)
+    try:
+        yield
+    finally:
+        for place, name, whole in before:
+            setattr(place, name, whole)
+
+
+def program(case: str, saves: int, batch: int | None) -> Callable[[], Any]:
+    """A run, or a batch of runs, compiled as things stand."""
+    build, integrator, duration = CASES[case]
+    times = saving_times(duration, saves)
+    rig = integrator.formulation.seen(build())
+    start = jc.assemble(rig)
+
+    @eqx.filter_jit
+    def whole(rig, speeds, integrator, times):
+        run = lambda v: loop.run(rig, start.coordinates, v, times, integrator)
+        return run(speeds) if batch is None else jax.vmap(run)(speeds)
+
+    shares = jnp.ones(()) if batch is None else 1 + SPREAD * jnp.arange(batch)[:, None]
+    call = lambda: whole(rig, shares * start.speeds, integrator, times)
+    jax.block_until_ready(call())
+    return call
+
+
+def row(case: str, saves: int, batch: int | None, repeats: int) -> dict[str, Any]:
+    """Milliseconds of CPU a run with and without its checks."""
+    checked = program(case, saves, batch)
+    with unchecked():
+        bare = program(case, saves, batch)
+    np.testing.assert_array_equal(checked().states, bare().states)
+    spent = side_by_side({"with": checked, "without": bare}, repeats)
+    share = 1e3 / (batch or 1)
+    return {
+        "scene and rung": case,
+        "runs at once": batch or 1,
+        "saving times": saves,
+        "with [ms a run]": round(spent["with"][1] * share, 4),
+        "without [ms a run]": round(spent["without"][1] * share, 4),
+        "ratio": round(spent["with"][1] / spent["without"][1], 3),
+    }
+
+
+def main() -> None:
+    options = arguments(__doc__)
+    rows = []
+    for case in QUICK if options.quick else CASES:
+        rows.append(row(case, SAVES, None, 5 if options.quick else 20))
+        rows.append(row(case, STUDY_SAVES, BATCH, 2 if options.quick else 5))
+    report("CPU time of a run with its checks and without", rows, options)
+
+
+if __name__ == "__main__":
+    main()
