@@ -60,7 +60,7 @@ class Check(enum.IntEnum):
         0,
         "loop drift",
         "1",
-        5e-4,
+        1e-3,
         "motion",
         LOOPS,
         'the loop closed by joint "{place}" is open by {figure:.2g} of the longest arm (limit '
@@ -73,11 +73,11 @@ class Check(enum.IntEnum):
         3,
         "halved steps: mean force",
         "1",
-        0.05,
+        0.1,
         "motion",
         SPEEDS,
         'with steps of half the length the mean forces that move joint "{place}" change by '
-        "{figure:.2g} of themselves (limit {limit:g}), so motion and forces are off: take shorter "
+        "{figure:.2g} of themselves (limit {limit:g}), so forces, and maybe the motion, are off: take shorter "
         "steps",
     )
     HALVED_FORCES = (
