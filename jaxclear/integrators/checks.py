@@ -77,8 +77,8 @@ class Check(enum.IntEnum):
         "motion",
         SPEEDS,
         'with steps of half the length the mean forces that move joint "{place}" change by '
-        "{figure:.2g} of themselves (limit {limit:g}), so forces, and maybe the motion, are off: take shorter "
-        "steps",
+        "{figure:.2g} of themselves (limit {limit:g}), so forces, and maybe the motion, are off: "
+        "take shorter steps",
     )
     HALVED_FORCES = (
         4,

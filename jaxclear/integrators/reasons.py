@@ -7,12 +7,12 @@ __all__ = ["REASONS"]
 
 REASONS: dict[Check, str] = {
     Check.LOOP_DRIFT: (
-        "a loop that is open by so much moves like one with a clearance of half a thousandth of "
+        "a loop that is open by so much moves like one with a clearance of a thousandth of "
         "its longest arm, which is what is studied here"
     ),
     Check.HALVED_MEAN_FORCES: (
         "what half the step changes is at least half of what is wrong, for steps of order 1 or "
-        "more: mean forces are then right within a tenth"
+        "more: mean forces are then right within a fifth"
     ),
     Check.HALVED_FORCES: (
         "forces at an instant swing about their mean; a tenth is what reading them off a figure "

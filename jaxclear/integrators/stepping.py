@@ -44,7 +44,8 @@ def march(
 
 
 def contacts_met(met: tuple | None, before: Any, after: Any) -> tuple:
-    """(largest rise of an indentation within a step [m], largest indentation [m]) of every contact, after another step from indentations `before` to those `after` it; `met` until then."""
+    """(largest rise of an indentation within a step [m], largest indentation [m]) of each contact,
+    after another step from indentations `before` to those `after` it; `met` until then."""
     begun, ended = (positive_part(jax.lax.stop_gradient(depths)) for depths in (before, after))
     rise, largest = (jnp.zeros_like(ended),) * 2 if met is None else met
     return jnp.maximum(rise, ended - begun), jnp.maximum(largest, ended)
