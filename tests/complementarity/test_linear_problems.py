@@ -418,12 +418,12 @@ REFUSED = {
     "has shape (2, 3)": lambda: LCP(np.ones((2, 3)), np.ones(2)),
     "Build and solve batches": lambda: LCP(np.ones((5, 2, 2)), np.ones((5, 2))),
     "is empty": lambda: LCP(np.ones((0, 0)), np.ones(0)),
-    "expected an array of numbers": lambda: LCP("one", [1.0]),
+    "must be an array of numbers": lambda: LCP("one", [1.0]),
     "w_matrix of a HorizontalLCP": lambda: HorizontalLCP(
         np.ones((1, 2)), np.ones((2, 2)), np.ones(2)
     ),
-    "most_pivots of Lemke": lambda: Lemke(most_pivots=0),
-    "most_steps of InteriorPoint": lambda: InteriorPoint(most_steps=1.5),
+    "Lemke has most_pivots = 0": lambda: Lemke(most_pivots=0),
+    "InteriorPoint has most_steps = 1.5": lambda: InteriorPoint(most_steps=1.5),
     "InteriorPoint has kappa = 0; it must be above 0": lambda: InteriorPoint(0.0),
 }
 

@@ -56,6 +56,8 @@ def falling_slider(friction):
     )
 
 
+# The problems are read out of the loop by a callback, for which there is no machine code.
+@pytest.mark.filterwarnings("ignore:jaxclear runs a time loop through XLA:RuntimeWarning")
 @pytest.mark.parametrize(
     "mu",
     [None, pytest.param(0.2, marks=pytest.mark.slow)],  # XLA is long at written-out Newton steps

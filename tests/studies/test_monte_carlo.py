@@ -217,10 +217,13 @@ def test_methods_that_disagree_say_so():
             lambda: problem(x=jc.Variable(lambda r: r.bodies["rod"], tolerance=1.0)),
             '"x" must point at numbers',
         ),
-        (lambda: jc.monte_carlo(problem(), 0), "at least one sample"),
-        (lambda: jc.monte_carlo(problem(), 4, sampling="grid"), "sampling is sobol or random"),
+        (lambda: jc.monte_carlo(problem(), 0), "number of samples is 0"),
+        (
+            lambda: jc.monte_carlo(problem(), 4, sampling="grid"),
+            'no sampling "grid"; there are "sobol", "random"',
+        ),
         (lambda: jc.sensitivity(problem(), "width"), 'no variable "width"'),
-        (lambda: jc.sensitivity(problem(), methods=("magic",)), "no method 'magic'"),
+        (lambda: jc.sensitivity(problem(), methods=("magic",)), 'no method of sensitivity "magic"'),
     ],
 )
 def test_mistakes_get_a_sentence(call, sentence):
