@@ -38,6 +38,11 @@ class Outcome(AbstractOutcome):
         "A loop came open by more than a run can mend: the steps are too long for this motion. "
         "Take shorter ones, or stabilisation=jaxclear.Projection().",
     )
+    DEAD_POINT = (
+        9,
+        "A drive leads a closed loop beyond a dead point: from here no position closes the loop. "
+        "Drive another joint, or keep the drive within reach.",
+    )
 
     @property
     def began(self) -> bool:

@@ -21,6 +21,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import stoppable
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
+from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.step_lengths import check_steps
@@ -107,8 +108,8 @@ def simulate(
 
     `save`: number of equally spaced saving times, or the times [s]; worn surfaces are updated at
     these times. `integrator`: `jaxclear.integrator.Adaptive()` by default. `start_concentric`:
-    journals start in the middle of their bearings, moving with them; False leaves the given start
-    and speeds as they are but for ideal loops (a journal that is to be thrown needs it). `balance`:
+    journals start in the middle of their bearings, moving with them, as far as `start` and `speeds`
+    of the mechanism let them; False closes ideal loops only. `balance`:
     also integrate the energies that `Trajectory.energy_balance` needs. Changing numbers, duration
     or tolerances does not compile again; changing the number of saving times does. Raises
     `ValueError` for a mechanism that cannot start and for a derivative through contacts that open
@@ -139,6 +140,8 @@ def simulate(
             "simulate is being traced (by jax.jit, vmap or a derivative) and cannot raise: give "
             "throw=False and look at `outcome`, or map jaxclear.Problem.evaluate."
         )
+    if not isinstance(trajectory.outcome, jax.core.Tracer):
+        trajectory = diagnosed(trajectory)
     if throw and not trajectory.succeeded:
         raise SimulationError(trajectory.result, trajectory)
     return trajectory

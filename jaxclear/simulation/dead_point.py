@@ -1,0 +1,74 @@
+"""Dead points: a drive asks a closed loop for a place that it cannot reach.
+
+Forces grow without bound there, so a run ends for what seems another reason. Looked for only where
+a run has ended early: the loops are closed anew, from the last saved state on, with the drives as
+they move; where that fails no motion exists.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxclear.components.joint.base import drive_of
+from jaxclear.ground.least_change import least_change
+from jaxclear.integrators.outcome import Outcome
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.start_equations import (
+    LOOP,
+    ask,
+    position_blocks,
+    retract,
+    speed_scales,
+    stacked,
+)
+from jaxclear.results.trajectory import Trajectory
+
+# Instants of the saving intervals around which the run ended, and steps that close the loops at each.
+INSTANTS, ITERATIONS = 256, 12
+# Largest change in a step, and what may be left of a closure [rad, longest arms].
+LONGEST_STEP, CLOSED = 0.3, 1e-6
+
+
+def diagnosed(trajectory: Trajectory) -> Trajectory:
+    """The run; one that ended early at a dead point says so."""
+    mechanism = trajectory.history.mechanism
+    driven = any(drive_of(c.joint) is not None for c in mechanism.connections.values())
+    if trajectory.succeeded or not driven or not mechanism.topology.loops:
+        return trajectory
+    times = np.asarray(trajectory.history.time)
+    last = int(np.searchsorted(times, float(trajectory.ended), side="right")) - 1
+    # The state before: a loop that came open was found open at the last.
+    before, after = max(last - 1, 0), min(last + 1, len(times) - 1)
+    q = trajectory.history.states[before, : mechanism.topology.coordinate_count]
+    instants = jnp.linspace(times[before], times[after], INSTANTS)
+    if bool(_closable(mechanism, q, instants)):
+        return trajectory
+    return dataclasses.replace(trajectory, outcome=jnp.asarray(Outcome.DEAD_POINT))
+
+
+@eqx.filter_jit
+def _closable(
+    mechanism: Mechanism, q: Float[Array, " q"], times: Float[Array, " instants"]
+) -> Bool[Array, ""]:
+    """Whether coordinates that close the loops follow from q at all times."""
+    asked = ask(mechanism, False)
+    scales = speed_scales(asked)
+
+    def equations(q, time):
+        return stacked(asked, [b for b in position_blocks(asked, q, time) if b.kind == LOOP])
+
+    def follow(q, time):
+        def improve(_, q):
+            step = -least_change(*equations(q, time), scales).change
+            longest = jnp.maximum(jnp.max(jnp.abs(step / scales)), LONGEST_STEP)
+            return retract(asked.system, q, step * (LONGEST_STEP / longest))
+
+        q = jax.lax.fori_loop(0, ITERATIONS, improve, q)
+        left = jnp.max(jnp.abs(equations(q, time)[1]))
+        return q, left <= CLOSED * jnp.minimum(asked.arm, 1.0)
+
+    return jnp.all(jax.lax.scan(follow, q, times)[1])

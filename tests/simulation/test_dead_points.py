@@ -1,0 +1,65 @@
+"""Drives that lead closed loops to places they cannot reach."""
+
+import pytest
+
+import jaxclear as jc
+
+RUNGS = {
+    "adaptive": jc.integrator.Adaptive(),
+    "fixed": jc.integrator.FixedStep(1e-4),
+    "implicit": jc.integrator.ImplicitStep(1e-4),
+}
+
+
+def driven_slider(amplitude):
+    """A slider-crank pushed at its slider, about x = 0.15 m; crank and rod reach 0.17 m."""
+    scene = jc.scenes.slider_crank("ideal")
+    ends = jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")
+    push = jc.drive.Harmonic(amplitude, 5.0, offset=0.15)
+    own = {
+        "O": jc.Connection(jc.joint.Revolute(), "ground", "crank"),
+        "G": jc.Connection(jc.joint.Prismatic(drive=push), *ends),
+    }
+    rough = {"O": 0.8, "A": -1.1}
+    return jc.Mechanism(scene.bodies, scene.connections | own, scene.loads, guess=rough)
+
+
+def four_bar(crank):
+    """A four-bar driven at its crank, which turns round if it is the shortest link."""
+    body = jc.Body(1.0, 1e-2)
+    at = {"A": (crank, 0.0), "B": (0.3, 0.0), "D": (0.3, 0.0)}
+    drive = jc.drive.ConstantSpeed(20.0, 1.0)
+    hinge = jc.joint.Revolute()
+    return jc.Mechanism(
+        {"crank": body, "coupler": body, "rocker": body},
+        {
+            "O": jc.Connection(jc.joint.Revolute(drive=drive), "ground", "crank"),
+            "A": jc.Connection(hinge, "crank", "coupler", at=at["A"]),
+            "B": jc.Connection(
+                hinge, jc.Marker("coupler", at["B"]), jc.Marker("rocker", (0.25, 0.0))
+            ),
+            "D": jc.Connection(hinge, "ground", "rocker", at=at["D"]),
+        },
+        guess={"A": 0.8, "D": 1.3},
+    )
+
+
+@pytest.mark.parametrize("rung", RUNGS)
+@pytest.mark.parametrize("make", [lambda: driven_slider(0.03), lambda: four_bar(0.28)])
+def test_a_drive_beyond_a_dead_point_ends_the_run_and_says_so(make, rung):
+    run = jc.simulate(make(), 0.3, save=61, integrator=RUNGS[rung], throw=False)
+    assert "A drive leads a closed loop beyond a dead point" in run.result
+    assert 0.0 < float(run.ended) < 0.3
+
+
+def test_drives_within_reach_reach_their_end():
+    for rig in (driven_slider(0.015), four_bar(0.1)):
+        run = jc.simulate(rig, 0.1, save=11, integrator=RUNGS["fixed"])
+        assert run.succeeded
+
+
+def test_a_loop_torn_by_long_steps_is_not_called_a_dead_point():
+    scene = jc.scenes.slider_crank("ideal", crank_speed=2000.0)
+    steps = jc.integrator.FixedStep(2e-3, "semi_implicit")
+    run = jc.simulate(scene, 0.05, save=26, integrator=steps, throw=False)
+    assert not run.succeeded and "dead point" not in run.result
