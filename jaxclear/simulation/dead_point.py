@@ -27,7 +27,7 @@ from jaxclear.multibody.start_equations import (
 )
 from jaxclear.results.trajectory import Trajectory
 
-# Instants of the saving intervals around which the run ended, and steps that close the loops at each.
+# Instants of the saving intervals around which the run ended; steps to close the loops at each.
 INSTANTS, ITERATIONS = 256, 12
 # Largest change in a step, and what may be left of a closure [rad, longest arms].
 LONGEST_STEP, CLOSED = 0.3, 1e-6
