@@ -34,7 +34,9 @@ LONGEST_STEP, CLOSED = 0.3, 1e-6
 
 
 def diagnosed(trajectory: Trajectory) -> Trajectory:
-    """The run; one that ended early at a dead point says so."""
+    """The run; one that ended early at a dead point says so, but for one that is being traced."""
+    if isinstance(trajectory.outcome, jax.core.Tracer):
+        return trajectory
     mechanism = trajectory.history.mechanism
     driven = any(drive_of(c.joint) is not None for c in mechanism.connections.values())
     if trajectory.succeeded or not driven or not mechanism.topology.loops:

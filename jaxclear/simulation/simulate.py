@@ -134,14 +134,12 @@ def simulate(
         trajectory = _run(
             mechanism, start.coordinates, start.speeds, times, integrator, balance, progress_bar
         )
-        trajectory = guarded(jax.block_until_ready(trajectory), integrator)
+        trajectory = diagnosed(guarded(jax.block_until_ready(trajectory), integrator))
     if throw and isinstance(trajectory.outcome, jax.core.Tracer):
         raise ValueError(
             "simulate is being traced (by jax.jit, vmap or a derivative) and cannot raise: give "
             "throw=False and look at `outcome`, or map jaxclear.Problem.evaluate."
         )
-    if not isinstance(trajectory.outcome, jax.core.Tracer):
-        trajectory = diagnosed(trajectory)
     if throw and not trajectory.succeeded:
         raise SimulationError(trajectory.result, trajectory)
     return trajectory
