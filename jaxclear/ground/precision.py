@@ -1,13 +1,17 @@
 """Whether numbers are of double precision: gaps of 1e-5 m beside coordinates of 1 m have no meaning
-in single precision, so whatever computes looks first."""
+in single precision, so whatever computes looks first; here it also learns that it was forked."""
 
 import jax
+
+from jaxclear.ground.forking import check_not_forked
 
 __all__ = ["check_double_precision"]
 
 
 def check_double_precision() -> None:
-    """Raises `RuntimeError` where float64 has been switched off since jaxclear was imported."""
+    """Raises `RuntimeError` where float64 has been switched off since jaxclear was imported, and in
+    the child of a fork (see `forking`)."""
+    check_not_forked()
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise RuntimeError(
             "jaxclear needs float64, and jax_enable_x64 has been switched off: leave it on "
