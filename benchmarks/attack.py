@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from benchmarks.attacks import rungs
+from benchmarks.attacks import rungs, verdicts
 from benchmarks.attacks.answers import RESPONSES
 from benchmarks.attacks.attempts import Asked, Finding, attempt, find, judges
 from benchmarks.attacks.numbers import Draw
@@ -182,6 +182,7 @@ def main() -> None:
         for line in accused(own):
             print("     ", line["case"], line["integrator"], line["off by"], flush=True)
         jax.clear_caches()
+    report("accuracy that a silent run is held to", verdicts.stated(), options)
     report("runs by rung", summary(rows), options)
     report("answers by response", by_response(rows), options)
     if accused(rows):

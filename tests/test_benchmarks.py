@@ -2,13 +2,21 @@
 what is absent, agreement.
 """
 
+import json
+import re
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("numba")
 
+from benchmarks.attacks import verdicts
 from benchmarks.by_hand import evaluation
-from benchmarks.claims import equations
+from benchmarks.claims import equations, work_precision
 from benchmarks.claims import four_bar_variants as scenes
+
+ROOT = Path(__file__).resolve().parents[1]
+BOOK, RESULTS = ROOT / "notebooks", ROOT / "benchmarks" / "results"
 
 
 def test_programs_stay_within_their_budget():
@@ -48,3 +56,45 @@ def test_engine_agrees_with_both_hand_written_programs():
     # offsets, and a margin.
     differences = evaluation.disagreement(evaluation.case(256))
     assert max(differences.values()) < 1e-9, differences
+
+
+MEASURED = re.compile(r"```\{measured\} (\w+)(?: ([^\n]*))?\n")
+
+
+def shown() -> list[tuple[str, str, str]]:
+    """(page, file, beginning of a title) of every table that the book shows."""
+    return [
+        (page.name, name, title)
+        for page in sorted(BOOK.rglob("*.md"))
+        for name, title in MEASURED.findall(page.read_text())
+    ]
+
+
+@pytest.mark.parametrize(("page", "name", "title"), shown())
+def test_tables_of_the_book_are_in_the_files_of_results(page, name, title):
+    document = json.loads((RESULTS / f"{name}.json").read_text())
+    assert set(document.pop("about")) == {"command", "machine", "date"}
+    assert [rows for found, rows in document.items() if found.startswith(title)], page
+
+
+def test_summary_of_work_and_precision_is_that_of_its_points():
+    document = json.loads((RESULTS / "work_precision.json").read_text())
+    for cost, title in work_precision.SUMMARY.items():
+        assert document[title] == work_precision.summary(document, cost)
+
+
+def test_every_scene_is_measured_and_drawn():
+    document = json.loads((RESULTS / "work_precision.json").read_text())
+    for scene in work_precision.SCENES:
+        rows = document[work_precision.POINTS.format(scene=scene)]
+        assert {"reference", "Adaptive", "FixedStep rk4", "ImplicitStep"} <= {
+            row["rung"] for row in rows
+        }
+        picture = f"work_precision_{work_precision.slug(scene)}.png"
+        assert (BOOK / "_figures" / picture).exists()
+        assert picture in (BOOK / "accuracy.md").read_text()
+
+
+def test_stated_accuracy_of_the_book_is_that_of_the_attack():
+    document = json.loads((RESULTS / "attack.json").read_text())
+    assert document["accuracy that a silent run is held to"] == verdicts.stated()

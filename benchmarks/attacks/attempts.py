@@ -4,6 +4,7 @@ References are one run of the tight reference, one of the looser, and one of the
 that are off in the fifth digit.
 """
 
+import warnings
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -59,7 +60,10 @@ class Finding(NamedTuple):
 def attempt(case: Case, integrator: Any, asked: Asked) -> Attempt:
     """Run a case as a user would."""
     try:
-        run = _run(case, integrator, asked)
+        with warnings.catch_warnings():
+            # That steps are shortened to the saving times is no doubt about the answers.
+            warnings.simplefilter("ignore")
+            run = _run(case, integrator, asked)
         if not run.succeeded:
             return Attempt(None, run.result)
         wears = answers.surfaces(run.mechanism)

@@ -33,6 +33,17 @@ ACCURACY: dict[str, dict[str, float | None]] = {
     "MoreauJean": _accuracy(0.01, None, 0.1, None, 0.1, 1e-4),
     "NonColliding": _accuracy(0.01, None, 0.05, 0.1, 0.05, 1e-4),
 }
+
+
+def stated() -> list[dict[str, str]]:
+    """The table as the book shows it."""
+    return [
+        {"rung": kind}
+        | {name: "–" if limit is None else f"{100 * limit:g} %" for name, limit in row.items()}
+        for kind, row in ACCURACY.items()
+    ]
+
+
 # Share of the accuracy by which two references may differ where they decide.
 DECISIVE = 1 / 3
 # An error of this many times the doubt is an error all the same.

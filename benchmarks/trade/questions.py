@@ -4,6 +4,7 @@ Friction losses are those of the saved instants (force times sliding speed), so 
 formulation can tell them; reactions stand in for contact forces where joints are ideal.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -97,6 +98,8 @@ def _away(body: str, ideal: jc.Mechanism, duration: float) -> dict[str, Callable
     return {"position error": jc.response.PositionError(body, path)}
 
 
+# Made once for each name: what varies is part of a compiled program by its identity.
+@functools.cache
 def _clearance(*joints: str) -> dict[str, jc.Variable]:
     return {
         "clearance": jc.Variable(
@@ -106,6 +109,7 @@ def _clearance(*joints: str) -> dict[str, jc.Variable]:
     }
 
 
+@functools.cache
 def _mass(body: str) -> dict[str, jc.Variable]:
     return {"mass": jc.Variable(lambda rig: rig.bodies[body].mass, tolerance=TOLERANCE * 0.1)}
 
@@ -127,9 +131,11 @@ def ideal_slider_crank(speed: float = 50.0, share: float = 1.0) -> Question:
     return Question(jc.Problem(rig, asked, _mass("rod"), duration=share * 6.0 / speed, save=SAVES))
 
 
-def four_bar(kind: str, speed: float = 10.0, clearance: float = 0.2e-3) -> Question:
+def four_bar(
+    kind: str, speed: float = 10.0, clearance: float = 0.2e-3, share: float = 1.0
+) -> Question:
     """The scene, its first part, in which impacts are strong and then fade."""
-    duration = 2.0 / speed
+    duration = share * 2.0 / speed
     rig = jc.scenes.four_bar(kind, clearance, crank_speed=speed)
     ideal = jc.scenes.four_bar("ideal", crank_speed=speed)
     asked = _forces("B") | _worn("B")
@@ -147,11 +153,11 @@ def ideal_four_bar(speed: float = 10.0, share: float = 1.0) -> Question:
     return Question(problem)
 
 
-def guide(speed: float = 5.0, clearance: float = 0.1e-3, transition: float = 1e-2) -> Question:
+def guide(speed: float = 5.0, clearance: float = 0.1e-3, share: float = 1.0) -> Question:
     """The scene with smooth friction (the paper's own transition speed makes explicit steps
     absurdly short)."""
-    duration = 0.5 / speed
-    rub = jc.friction.CoulombTanh(mu_kinetic=0.1, transition_speed=transition)
+    duration = share * 0.5 / speed
+    rub = jc.friction.CoulombTanh(mu_kinetic=0.1, transition_speed=1e-2)
     rig = jc.scenes.guide(clearance=clearance, crank_speed=speed, friction=rub)
     ideal = jc.scenes.guide("ideal", crank_speed=speed)
     asked = _forces("P") | _away("slider", ideal, duration)
