@@ -88,14 +88,14 @@ class Tried(NamedTuple):
 
 def asked(question: Question, names: tuple[str, ...]) -> jc.Problem:
     """The problem with some of its responses."""
-    problem = question.problem
-    wanted = tuple(name for name in problem.response_names if name in names)
-    response = {name: problem.response[name] for name in wanted}
-    return eqx.tree_at(
-        lambda p: (p.response, p.response_names),
-        problem,
-        (response, wanted),
-        is_leaf=lambda node: node is problem.response_names,
+    whole = question.problem
+    wanted = {name: whole.response[name] for name in whole.response_names if name in names}
+    return jc.Problem(
+        whole.mechanism,
+        wanted,
+        whole.variables,
+        duration=float(whole.duration),
+        save=len(whole.shares),
     )
 
 

@@ -2,7 +2,8 @@
 
 Errors are root mean squares over a few copies within the tolerances, as shares of the response's
 own; the reference is `Adaptive` at two tolerances, whose difference is the doubt about it. Costs
-are CPU seconds for a simulated second, compilation left out: alone, and a sample of a batch.
+are CPU seconds for a simulated second, assembly and responses included, compilation left out:
+alone, and a sample of a batch.
 """
 
 import math
@@ -29,8 +30,6 @@ GOOD, LONG = 1e-4, 1.5
 # A batch is timed where a run alone is shorter than this [s CPU].
 BATCHED = 0.15
 REPEATS = 3
-# No run counts for less than this share of what a call takes.
-LEAST = 0.05
 I = jc.integrator  # noqa: E741
 
 
@@ -99,14 +98,11 @@ def measure(problem: jc.Problem, values: np.ndarray) -> Measured:
         first = jax.block_until_ready(_evaluate(problem, jnp.asarray(values[0])))
     except (ValueError, NotImplementedError) as error:
         return Measured({}, math.nan, str(error))
-    start = eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(()))
-    best, idle = math.inf, math.inf
+    best = math.inf
     for _ in range(REPEATS):
         best = min(best, _seconds(lambda: _evaluate(problem, jnp.asarray(values[0]))))
         if best > 0.3 * LONG:
             break
-        idle = min(idle, _seconds(lambda: _evaluate(start, jnp.asarray(values[0]))))
-    best = _net(best, idle)
     found = [first, *(_evaluate(problem, jnp.asarray(row)) for row in values[1:])]
     ended = [int(one.outcome) for one in found]
     said = next((I.Outcome(code).sentence for code in ended if code), "")
@@ -118,11 +114,8 @@ def measure(problem: jc.Problem, values: np.ndarray) -> Measured:
 def in_batch(problem: jc.Problem, values: np.ndarray) -> float:
     """CPU seconds of a sample in a batch."""
     many = jnp.asarray(values[np.arange(BATCH) % len(values)])
-    start = eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(()))
-    evaluate_all(start, many)
-    idle = min(_seconds(lambda: evaluate_all(start, many)) for _ in range(REPEATS))
-    best = min(_seconds(lambda: evaluate_all(problem, many)) for _ in range(REPEATS))
-    return _net(best, idle) / BATCH
+    evaluate_all(problem, many)
+    return min(_seconds(lambda: evaluate_all(problem, many)) for _ in range(REPEATS)) / BATCH
 
 
 def _seconds(action: Callable[[], Any]) -> float:
@@ -130,11 +123,6 @@ def _seconds(action: Callable[[], Any]) -> float:
     begun = time.process_time()
     jax.block_until_ready(action())
     return time.process_time() - begun
-
-
-def _net(best: float, idle: float) -> float:
-    """Time of a run less that of one of no length: assembly, responses and the way in and out."""
-    return best - idle if best - idle > LEAST * best else LEAST * best
 
 
 def curves(question: Question) -> Curves:
