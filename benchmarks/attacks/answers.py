@@ -36,7 +36,8 @@ GAPS = 100.0
 
 class Answers(eqx.Module):
     """Places (bodies, time, 3) [m]; offsets (gaps, time, 3) and clearances of the joints [m]; mean
-    and peak forces by joint [N]; energies lost in friction and turned over [J]; worn volumes and
+    and peak forces by joint [N], and how far both differ between every second saving time and
+    the others (2, joints); energies lost in friction and turned over [J]; worn volumes and
     depths by joint; drift and longest arm [m]."""
 
     place: Any
@@ -44,6 +45,7 @@ class Answers(eqx.Module):
     clearance: Any
     mean_force: Any
     peak_force: Any
+    unsampled: Any
     friction_loss: Any
     turnover: Any
     volume: Any
@@ -96,6 +98,7 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
         clearance,
         jnp.mean(forces, axis=1),
         jnp.max(forces, axis=1),
+        _between_halves(forces),
         lost,
         turned,
         jnp.array([run.worn_volume(*one)[-1] for one in wears]),
@@ -103,6 +106,23 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
         jnp.max(jnp.array([*drifts, 0.0])),
         jnp.asarray(longest_arm(run.history.model().system)),
     )
+
+
+def _between_halves(forces: Any) -> Any:
+    """Difference of mean and of peak between every second instant and the others: large where
+    impacts are shorter than the time between two."""
+    halves = [forces[:, start : 2 * (forces.shape[1] // 2) : 2] for start in (0, 1)]
+    means, peaks = ([f(half, axis=1) for half in halves] for f in (jnp.mean, jnp.max))
+    return jnp.abs(jnp.stack([means[0] - means[1], peaks[0] - peaks[1]]))
+
+
+def sampling(answers: Answers) -> dict[str, float]:
+    """How far forces at the saved instants stand for those between, as a share of themselves."""
+    pairs = zip(("mean force", "peak force"), (answers.mean_force, answers.peak_force), strict=True)
+    return {
+        name: float(np.max(answers.unsampled[k]) / (np.max(value) + NO_FORCE))
+        for k, (name, value) in enumerate(pairs)
+    }
 
 
 def _gap(rig: jc.Mechanism, name: str) -> Any:

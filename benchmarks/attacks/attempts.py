@@ -1,7 +1,8 @@
 """One run as a user makes it, the references that judge it, and what is found.
 
 References are one run of the tight reference, one of the looser, and one of the looser for numbers
-that are off in the fifth digit.
+that are off in the fifth digit. Forces at saved instants also say how far every second instant
+tells something else than the others: impacts shorter than that time are caught by chance.
 """
 
 import warnings
@@ -148,6 +149,8 @@ def find(run: Attempt, known: tuple[Attempt, ...], kind: str) -> Finding:
     tight, loose, near = (one.answers for one in known)
     errors = answers.apart(run.answers, tight)
     doubts, spread = answers.apart(loose, tight), answers.apart(near, tight)
+    sampled = answers.sampling(tight)
+    spread = {name: max(value, sampled.get(name, value)) for name, value in spread.items()}
     found = verdicts.judged(errors, doubts, spread, kind, run.warned)
     unsure = {name: max(doubts[name], spread[name]) for name in errors}
     return Finding(verdicts.worst(found.values()), found, errors, unsure, said)

@@ -82,9 +82,11 @@ def judged(
     kind: str,
     warned: frozenset[str],
 ) -> dict[str, Verdict]:
-    """Verdict on each response by its error; `doubts`: how far the two references are apart;
-    `spread`: how far an answer moves with numbers in the fifth digit, which excuses an error but
-    does not make a right answer doubtful; `warned`: the responses that the run's warnings concern.
+    """Verdict on each response by its error.
+
+    `doubts`: how far the two references are apart; `spread`: how far an answer moves with numbers
+    in the fifth digit (or with the instants that are saved), which excuses an error but does not
+    make a right answer doubtful; `warned`: the responses that the run's warnings concern.
     """
     found: dict[str, Verdict] = {}
     for name, error in errors.items():
