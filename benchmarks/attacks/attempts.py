@@ -96,7 +96,7 @@ _compiled = eqx.filter_jit(simulation.run)
 def _worn_run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
     """As `jaxclear.simulate`, with surfaces worn on one side."""
     times = simulation.saving_times(case.duration, asked.saves)
-    simulation.check_run(case.mechanism, integrator, times)
+    simulation.check_run(case.mechanism, integrator)
     rig = integrator.formulation.seen(case.mechanism)
     start = jc.assemble(rig, case.concentric)
     worn = jax.tree.map(lambda depth: asked.worn * _hollow(depth), unworn(prepare(rig)))
