@@ -11,6 +11,7 @@ references disagree, which the run should have said too (chaotic motion); or it 
 """
 
 import argparse
+import json
 import time
 from collections import Counter
 from pathlib import Path
@@ -161,32 +162,43 @@ def main() -> None:
     if options.case is not None:
         explain(options.case)
         return
-    wanted = structures()
-    if options.only:
-        wanted = [wanted[k] for k in options.only]
-    elif options.quick:
-        wanted = wanted[::QUICK_EVERY]
-    draws = options.draws or (QUICK_DRAWS if options.quick else DRAWS)
     rows: list[Row] = []
-    for structure in wanted:
-        begun = time.process_time(), time.perf_counter()
+    draws = options.draws or (QUICK_DRAWS if options.quick else DRAWS)
+    for structure in chosen(options):
+        begun = time.process_time()
         own = [row for draw in range(draws) for row in attack(structure, draw)]
         rows += own
         counts = Counter(str(row.verdict) for row in own)
-        spent = time.process_time() - begun[0], time.perf_counter() - begun[1]
-        print(
-            f"{structure.number:3d} {structure.name}: {dict(counts)}"
-            f" ({spent[0]:.0f} s CPU, {spent[1]:.0f} s)",
-            flush=True,
-        )
+        spent = time.process_time() - begun
+        print(f"{structure.number:3d} {structure.name}: {dict(counts)} ({spent:.0f} s CPU)")
         for line in accused(own):
             print("     ", line["case"], line["integrator"], line["off by"], flush=True)
         jax.clear_caches()
-    report("accuracy that a silent run is held to", verdicts.stated(), options)
-    report("runs by rung", summary(rows), options)
-    report("answers by response", by_response(rows), options)
-    if accused(rows):
-        report("wrong without a sentence", accused(rows), options)
+        if options.json:
+            options.json.write_text(json.dumps(tables(rows), indent=1) + "\n")
+    silent = argparse.Namespace(json=None)
+    for title, table in tables(rows).items():
+        report(title, table, silent)
+
+
+def chosen(options: argparse.Namespace) -> list[Structure]:
+    """The structures asked for, kinds mixed, so that what is measured first is of all kinds."""
+    everything = structures()
+    if options.only:
+        return [everything[k] for k in options.only]
+    mixed = [one for first in range(QUICK_EVERY) for one in everything[first::QUICK_EVERY]]
+    return everything[::QUICK_EVERY] if options.quick else mixed
+
+
+def tables(rows: list[Row]) -> dict[str, list[dict[str, Any]]]:
+    """What is printed and written, by title."""
+    mechanisms = len({row.mechanism for row in rows})
+    found = {
+        "accuracy that a silent run is held to": verdicts.stated(),
+        f"runs by rung, {mechanisms} mechanisms": summary(rows),
+        f"answers by response, {mechanisms} mechanisms": by_response(rows),
+    }
+    return found | ({"wrong without a sentence": accused(rows)} if accused(rows) else {})
 
 
 if __name__ == "__main__":
