@@ -79,12 +79,11 @@ def test_a_case_is_the_same_whenever_it_is_drawn():
 
 
 @pytest.mark.slow
-def test_quick_attack_finds_no_wrong_number_without_a_sentence():
-    chosen = structures()[:: attack.QUICK_EVERY]
+def test_quick_attack_finds_no_wrong_number_of_the_default_without_a_sentence():
     rows = [
         row
-        for structure in chosen
+        for structure in structures()[:: attack.QUICK_EVERY]
         for draw in range(attack.QUICK_DRAWS)
-        for row in attack.attack(structure, draw)
+        for row in attack.attack(structure._replace(rungs=("default",)), draw)
     ]
-    assert not [row for row in rows if row.verdict in attack.BAD]
+    assert rows and not [row for row in rows if row.verdict in (Verdict.WRONG, Verdict.RAW)]

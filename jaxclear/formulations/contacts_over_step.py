@@ -21,6 +21,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.multibody.contact_point import PointState
 from jaxclear.multibody.forces import applied_forces
+from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import pack_memories, unpack_motion
 
 
@@ -75,14 +76,14 @@ def memories_after(whole: Step, solution: ContactSolution) -> list:
     return pack_memories(whole.model.layout, memories)
 
 
-def passive_rates_over(whole: Step, solution: ContactSolution, ends: list) -> list:
+def passive_rates_over(whole: Step, solution: ContactSolution, ends: list, mean: list) -> list:
     """Rates of what only follows the motion, with the forces that the step was made with; `ends`:
-    slips at its end along the directions in its middle."""
+    slips at its end along the directions in its middle; `mean`: speeds over it."""
     model, free_motion = whole.model, whole.middle.free_motion
     layout, system = model.layout, model.system
     if not layout.wear and not layout.energies:
         return []
-    acting = _acting_contacts(whole, solution, ends)
+    acting = _acting_contacts(whole, solution, ends, whole.middle.change_to(mean))
     reports = joint_reports(system, free_motion.poses, acting)
     forces = free_motion.forces._replace(reports=reports)
     if layout.energies:
@@ -100,9 +101,12 @@ def passive_rates_over(whole: Step, solution: ContactSolution, ends: list) -> li
     return passive_rates(system, layout, forces, total)
 
 
-def _acting_contacts(whole: Step, solution: ContactSolution, ends: list) -> list[ActingContact]:
+def _acting_contacts(
+    whole: Step, solution: ContactSolution, ends: list, change: list
+) -> list[ActingContact]:
     """The contacts with mean forces and rates over the step, and the mean indentation while in
-    contact; `ends`: slips at the end.
+    contact; `ends`: slips at the end; `change`: from the predicted speeds to the mean ones, which
+    tell how a contact without friction slides.
     """
     acting = []
     for contact, slid, rates, forces in zip(
@@ -118,6 +122,8 @@ def _acting_contacts(whole: Step, solution: ContactSolution, ends: list) -> list
             speed = slip_over_step.wearing_speed(
                 point.laws, slip, positive_part(-forces[0]), forces[1:]
             )
+        idle = zip(point.rows[point.active :], point.rates[point.active :], strict=True)
+        slip += tuple(sp.add(rate, along(row, change)) for row, rate in idle)
         end = contact.depth + whole.averaging.length * rates[0]
         depth = 0.5 * (positive_part(contact.depth) + positive_part(end))
         acting.append(

@@ -95,7 +95,7 @@ def step(
         for contact, rates in zip(contacts, whole.per_contact(solution.rates), strict=True)
     ]
     after = [*q, *v, *memories_after(whole, solution)]
-    passive = passive_rates_over(whole, solution, slid)
+    passive = passive_rates_over(whole, solution, slid, mean)
     after += [x + h * rate for x, rate in zip(entries[len(after) :], passive, strict=True)]
     past = [
         slip_over_step.handed_on(contact.slips, end, forces[1:])

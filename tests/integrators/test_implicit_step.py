@@ -267,3 +267,24 @@ def test_rest_is_finite_with_its_derivative():
 def test_settings_that_cannot_be_say_so(make, sentence):
     with pytest.raises(ValueError, match=sentence):
         make()
+
+
+def test_a_bearing_without_friction_wears_as_on_a_tight_run():
+    """Archard's wear asks for sliding, not for friction."""
+    bearing = jc.clearance.PlanarJournalBearing(
+        jc.contact.Flores(stiffness=1e8, restitution=0.5),
+        clearance=1e-3,
+        bearing_wear=jc.Wearing(jc.wear.Archard()),
+    )
+    rig = jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)},
+        {"B": jc.Connection(bearing, "ground", "journal")},
+        {"load": jc.load.Force(jc.Marker("journal"), (0.0, -100.0))},
+        speeds={"journal": (0.0, 0.0, 20.0)},
+    )
+    tight, long = (
+        jc.simulate(rig, 0.02, save=11, integrator=integrator).worn_volume("B", "bearing")[-1]
+        for integrator in (jc.integrator.Adaptive(), jc.integrator.ImplicitStep(1e-4))
+    )
+    # An impact that a step resolves hardly takes another path: a tenth of the volume.
+    np.testing.assert_allclose(long, tight, rtol=0.1)
