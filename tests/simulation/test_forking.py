@@ -32,7 +32,6 @@ if __name__ == "__main__":
     ("way", "when", "said"),
     [
         ("fork", "after", "this process was forked from one that had imported"),
-        ("fork", "before", "this process was forked from one that had imported"),
         pytest.param("spawn", "after", "ran", marks=pytest.mark.slow),
     ],
 )
