@@ -84,7 +84,10 @@ def falls():
     return ends, exact
 
 
-@pytest.mark.parametrize("method", ORDERS)
+@pytest.mark.parametrize(
+    "method",
+    [pytest.param(m, marks=pytest.mark.slow) if m == "munthe_kaas4" else m for m in ORDERS],
+)
 def test_steps_converge_through_an_impact_at_their_order(method, falls):
     """Root of the mean square over the starts, because where in a step a touch falls is chance."""
     ends, exact = falls
