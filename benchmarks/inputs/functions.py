@@ -139,7 +139,13 @@ TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
     ),
     ("advise", "candidates", lambda x: jc.advise(problem(), candidates=x), NOT_NONE),
     ("advise", "pilot", lambda x: jc.advise(problem(), pilot=x), NOT_NONE),
-    ("advise", "of", lambda x: jc.advise(problem(), scales=x), NOT_NONE | {"name": {"b": 1.0}}),
+    ("advise", "scales", lambda x: jc.advise(problem(), scales=x), NOT_NONE),
+    (
+        "advise",
+        "response",
+        lambda x: jc.advise(problem(), scales=x),
+        {"unknown": {"b": 1.0}},
+    ),
     ("advise", "batch", lambda x: jc.advise(problem(), batch=x), KINDS["count"]),
     ("advise", "means", lambda x: jc.advise(problem(), means=x), KINDS["flag"]),
     ("pointing_error", "pointing_error", lambda x: jc.pointing_error(x, "rod"), PARTS),
@@ -242,6 +248,6 @@ ALLOWED = {
     ("guide", "friction", "none"),
     ("pointing_error", "through", "list"),  # a list of names is names; "a" is refused as unknown
     ("Connection", "axis", "text"),  # an axis by a word
-    ("advise", "of", "list"),  # an empty list
+    ("advise", "scales", "list"),  # an empty list
     ("LCP", "matrix", "none"),
 }
