@@ -1,4 +1,4 @@
-"""What a run says of steps that are too long: for loads, contacts, wear; and of right ones nothing."""
+"""What a run says of steps that are too long (loads, contacts, wear), and of right ones nothing."""
 
 import numpy as np
 import pytest
