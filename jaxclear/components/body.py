@@ -5,7 +5,7 @@ chooses. What is given with two components is planar: its third component is kno
 tracing.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -26,6 +26,11 @@ from jaxclear.ground.quantity import (
 from jaxclear.ground.wording import described
 
 GROUND = "ground"
+if TYPE_CHECKING:
+    # Which of the two a connection has is known by its place in the topology, not by its type.
+    AnyJoint: TypeAlias = Any
+else:
+    AnyJoint = AbstractJoint | AbstractClearance
 # By how much, relatively, a thin plate's moments may miss their sum through rounding.
 ROUNDING = 1e-9
 
@@ -155,13 +160,13 @@ class Connection(AbstractQuantified):
     Coordinates measure the child relative to the parent.
     """
 
-    joint: AbstractJoint | AbstractClearance
+    joint: AnyJoint
     parent: Marker
     child: Marker
 
     def __init__(
         self,
-        joint: AbstractJoint | AbstractClearance,
+        joint: AnyJoint,
         parent: str | Marker,
         child: str | Marker,
         at: Any = None,

@@ -162,8 +162,8 @@ class CompliantContact(AbstractFormulation):
         last = WarmStart(list(smooth), list(contact), list(depths), split(past, directions))
         settings = ImplicitSettings(bias, newton_iterations)
         after, now = midpoint_step.step(model, time_step, model.entries(state), last, settings)
-        slips = [x for contact in now.slips for slip in contact for x in slip]
-        return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths, *slips])
+        met = [x for contact in now.slips for slip in contact for x in slip]
+        return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths, *met])
 
 
 def _stacked(points: list) -> ContactMotion:

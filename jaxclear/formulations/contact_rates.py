@@ -70,8 +70,9 @@ def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[st
         loads = np.asarray(at_times.acceleration / jnp.maximum(at_times.lightness, LEAST_LIGHTNESS))
         worst = int(np.argmax(np.max(loads, axis=1)))
         pressed = _Pressed(*(np.asarray(part)[worst] for part in at_times))
+        travel = float(pressed.travel)
         each = [
-            _rates(own, *(float(part[k]) for part in pressed[:3]), float(pressed.travel), step)
+            _rates(own, *(float(part[k]) for part in pressed[:3]), travel=travel, step=step)
             for k, own in enumerate(bearings[name].contact_laws)
             if own.contact.compliant
         ]
@@ -113,7 +114,7 @@ def _rates(
     )
 
 
-@eqx.filter_jit(compiler_options=QUICK_TO_COMPILE)
+@eqx.filter_jit(compiler_options=QUICK_TO_COMPILE)  # type: ignore[call-overload]
 def _pressed(mechanism: Mechanism, start: Start, times: Any) -> dict[str, _Pressed]:
     """By clearance joint what presses its contacts at the start, under the loads of each of these
     times."""
@@ -173,4 +174,4 @@ def _of_joint(bearing, system, motions, now, free) -> _Pressed:
         lightness.append(diagonal[first])
         across.append(sp.total(diagonal[first + 1 : first + 1 + count]) / max(count, 1))
         first += 1 + count
-    return _Pressed(*map(sp.stack, (pressing, lightness, across)), travel)
+    return _Pressed(sp.stack(pressing), sp.stack(lightness), sp.stack(across), travel)

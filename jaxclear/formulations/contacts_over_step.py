@@ -15,7 +15,7 @@ from jaxclear.formulations.delassus import ContactSolution, ImplicitContact
 from jaxclear.formulations.joint_reports import ActingContact, joint_reports
 from jaxclear.formulations.law_tangent import Averaging
 from jaxclear.formulations.model import Model
-from jaxclear.formulations.slip_over_step import Braking, SlipAtStart
+from jaxclear.formulations.slip_over_step import SlipAtStart
 from jaxclear.formulations.state_rate import link_accelerations, passive_rates
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
@@ -27,14 +27,15 @@ from jaxclear.multibody.state import pack_memories, unpack_motion
 
 class ContactOverStep(NamedTuple):
     """One contact over a step: the point in its middle, indentation and its rate at the start, the
-    mass that it stops, what its laws remember, when its friction is taken, how it slides."""
+    mass that it stops, what its laws remember, when its friction is taken
+    (`Braking`, None without), how it slides."""
 
     point: ContactPoint
     depth: Any
     approach: Any
     mass: Any
     memory: PointState
-    braking: Braking | None
+    braking: Any
     slips: tuple[SlipAtStart, ...]
 
 

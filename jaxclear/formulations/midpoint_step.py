@@ -153,7 +153,9 @@ def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
     open from where an impact would end.
     """
     h, free = whole.averaging.length, whole.equations.free
-    unmoved, first, forces = [], [], []
+    unmoved: list[Any] = []
+    first: list[Any] = []
+    forces: list[Any] = []
     for contact in whole.contacts:
         closed, rows = contact.depth > 0, contact.point.rows[: contact.point.active]
         approach = contact.approach + 0.5 * h * along(rows[0], free)

@@ -65,7 +65,8 @@ def _after_fields(own: Callable[[Any], None]) -> Callable[[Any], None]:
 
 def _members(family: type) -> str:
     """Some final classes of a family, in words."""
-    found, left = [], list(family.__subclasses__())
+    found: list[str] = []
+    left: list[type] = list(family.__subclasses__())
     while left:
         kind = left.pop(0)
         left += kind.__subclasses__()

@@ -169,7 +169,7 @@ def range_in_words(metadata: Any) -> str:
 
 def check_kinds(owner: Callable[[], str], part: Any) -> None:
     """Raises `ValueError` where a field holds what it may not; `owner` says whose field it is."""
-    for rule in field_rules(type(part)):
+    for rule in field_rules(type(part)):  # type: ignore[arg-type]
         value = getattr(part, rule.name)
         if not rule.admits(value):
             raise ValueError(

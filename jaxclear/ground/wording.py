@@ -33,7 +33,7 @@ def described(value: Any) -> str:
         if value.shape:
             return f"an array of shape {value.shape}"
         text = str(value)
-    elif callable(value) and getattr(value, "__name__", ""):
+    elif callable(value) and getattr(value, "__name__", None):
         return f"the function {value.__name__}"
     else:
         kind = type(value).__name__

@@ -24,7 +24,7 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
     state with its impact speeds set. `unseen` [m]: how deep a touch may go between two steps.
     """
 
-    solver: diffrax.AbstractSolver
+    solver: diffrax.AbstractSolver  # type: ignore[misc]
     contacts: Callable
     remember: Callable
     unseen: Scalar

@@ -137,4 +137,5 @@ def _starts(mechanism: Any) -> Iterator[str]:
 
 def _norm(vector: Any) -> float:
     found = [concrete(x) for x in vector]
-    return 0.0 if None in found else math.hypot(*found)
+    known = [x for x in found if x is not None]
+    return math.hypot(*known) if len(known) == len(found) else 0.0

@@ -23,7 +23,7 @@ from jaxclear.multibody.topology import Topology, grow
 
 
 def _guess(what: str, value: Any) -> tuple:
-    several = isinstance(value, (tuple, list)) or getattr(value, "ndim", 0)
+    several = isinstance(value, (tuple, list)) or getattr(value, "ndim", None)
     values = tuple(value) if several else (value,)
     try:
         found = tuple(as_number(x) for x in values)

@@ -43,9 +43,9 @@ def _check_joint(name: str, connection: Connection, bodies: dict) -> None:
     flat = all(end == GROUND or len(bodies[end].inertia) == 1 for end in ends)
     if flat and isinstance(connection.joint, AbstractClearance):
         rotation = connection.parent.pose().rotation
-        heights = tuple(concrete(x) or 0.0 for x in rotation[2])
+        x, y, z = (concrete(component) or 0.0 for component in rotation[2])
         try:
-            connection.joint.check_plane(heights)
+            connection.joint.check_plane((x, y, z))
         except ValueError as error:
             raise ValueError(f'joint "{name}" {error}') from None
 

@@ -55,8 +55,9 @@ class ContactForce(AbstractContactLaw):
         dissipation: AbstractDissipation | None = None,
         memory: ImpactMemory | None = None,
     ):
-        known = isinstance(dissipation, AbstractDissipation)
-        remembers = known and dissipation.remembers_impact_speed
+        remembers = (
+            isinstance(dissipation, AbstractDissipation) and dissipation.remembers_impact_speed
+        )
         if isinstance(memory, ImpactMemory) and not remembers:
             raise ValueError(
                 "this contact law has a slowest_impact, but no dissipation factor "

@@ -107,8 +107,9 @@ def advise(
     if batch is not None:
         for name, curve in curves.items():
             curves[name] = _timed_in_batch(short, curve, criteria, batch)
-    names, curves = problem.response_names, {REFERENCE: known} | curves
-    return Advice(problem, Comparison(accuracy, short, curves, scales, names, means, batch))
+    names, followed = problem.response_names, {REFERENCE: known, **curves}
+    compared = Comparison(accuracy, short, followed, dict(scales), names, means, batch)
+    return Advice(problem, compared)
 
 
 def _allowance(

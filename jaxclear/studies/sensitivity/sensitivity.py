@@ -47,16 +47,17 @@ def sensitivity(
     _check(sample, difference_samples, width, methods, seed)
     wanted = _wanted(problem, variables)
     if isinstance(sample, MonteCarlo):
-        _check_sample(problem, sample)
+        drawn = sample
+        _check_sample(problem, drawn)
     else:
-        sample = monte_carlo(problem, sample, seed=seed, progress_bar=progress_bar)
+        drawn = monte_carlo(problem, sample, seed=seed, progress_bar=progress_bar)
     shared = draw(problem, difference_samples, seed + 1)
     derivatives = {}
     for name in wanted:
         place = problem.names.index(name)
         answers = {}
         if "regression" in methods:
-            answers["regression"] = {r: regression(sample, r, place) for r in problem.response}
+            answers["regression"] = {r: regression(drawn, r, place) for r in problem.response}
         if "differences" in methods:
             deviation = problem.variables[name].distribution.deviation()
             step = float(deviation) if width is None else width
@@ -68,7 +69,7 @@ def sensitivity(
         for response in problem.response_names:
             estimates = {method: found[response] for method, found in answers.items()}
             derivatives[response, name] = confirmed(response, name, estimates)
-    return Sensitivity(derivatives, sample)
+    return Sensitivity(derivatives, drawn)
 
 
 def _check_sample(problem: Problem, sample: MonteCarlo) -> None:
