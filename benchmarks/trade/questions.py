@@ -160,7 +160,7 @@ def guide(speed: float = 5.0, clearance: float = 0.1e-3, share: float = 1.0) -> 
     rub = jc.friction.CoulombTanh(mu_kinetic=0.1, transition_speed=1e-2)
     rig = jc.scenes.guide(clearance=clearance, crank_speed=speed, friction=rub)
     ideal = jc.scenes.guide("ideal", crank_speed=speed)
-    asked = _forces("P") | _away("slider", ideal, duration)
+    asked = _forces("P") | _away("guide", ideal, duration)
     return Question(jc.Problem(rig, asked, _clearance("P"), duration=duration, save=SAVES))
 
 
