@@ -70,9 +70,10 @@ def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[st
         loads = np.asarray(at_times.acceleration / jnp.maximum(at_times.lightness, LEAST_LIGHTNESS))
         worst = int(np.argmax(np.max(loads, axis=1)))
         pressed = _Pressed(*(np.asarray(part)[worst] for part in at_times))
+        at, lightness, across = (part.tolist() for part in pressed[:3])
         travel = float(pressed.travel)
         each = [
-            _rates(own, *(float(part[k]) for part in pressed[:3]), travel=travel, step=step)
+            _rates(own, at[k], lightness[k], across[k], travel, step)
             for k, own in enumerate(bearings[name].contact_laws)
             if own.contact.compliant
         ]
