@@ -136,17 +136,30 @@ class Check(enum.IntEnum):
         'the indentation in joint "{place}" reaches {figure:.2g} of its radius (limit {limit:g}), '
         "for which no contact law was made: look at stiffness, loads and start",
     )
-    # Rate at which friction changes with sliding times the step.
+    # Share of itself by which friction changes over a step as the slip does: a mean by its power.
     FRICTION_STEP = (
         1,
         "friction step",
         "1",
-        1.0,
+        0.05,
         "wear",
         CONTACTS,
-        'friction in joint "{place}" changes {figure:.2g} times as fast as the step resolves '
+        'friction in joint "{place}" answers {figure:.2g} of the slip it meets within a step '
         "(limit {limit:g}), so sliding, friction loss and wear may be far off: take shorter steps "
         "or integrator.ImplicitStep",
+    )
+    # Angle by which a contact vibrates in a step, or share of slip that friction stops in it if
+    # that is less: a mean by the power of friction. Steps that damp count as longer ones.
+    CREEP_STEP = (
+        9,
+        "creep step",
+        "1",
+        0.1,
+        "wear",
+        CONTACTS,
+        'joint "{place}" creeps, held by friction, and its contact vibrates by {figure:.2g} rad '
+        "in a step (limit {limit:g}; numerical damping counts as longer steps), so friction loss "
+        "and wear may be off: take shorter steps and rebound=1.0",
     )
 
 

@@ -20,6 +20,7 @@ from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.ground.wording import unknown
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.checks import Check
 from jaxclear.integrators.state_group import state_group
 from jaxclear.integrators.stepping import SLIVER, arrived, contacts_met, divide
 from jaxclear.native import while_loop
@@ -126,7 +127,7 @@ class FixedStep(AbstractIntegrator):
             turns = jnp.arange(self.steps_per_save)
             scanned = lambda carry, index: (turn((index, *carry))[1:], None)
             end, last, met = jax.lax.scan(scanned, first[1:], turns)[0]
-        return arrived(end, steps, last, met)
+        return arrived(end, steps, last, met, {Check.FRICTION_STEP: h})
 
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
@@ -151,7 +152,8 @@ class FixedStep(AbstractIntegrator):
         met = _met(None, warm_start, warm_start)
         first = (interval.start, jnp.zeros((), int), state, warm_start, met)
         _, steps, end, last, met = while_loop(lambda carry: carry[0] < stop, one, first)
-        return arrived(end, steps, last, met)
+        rubbed = {Check.FRICTION_STEP: longest / self.contact_steps}
+        return arrived(end, steps, last, met, rubbed)
 
     def _step(self, model, time, length, h, y, last):
         """The length and the end of a step, and what it leaves to the next. `length(contacts)`

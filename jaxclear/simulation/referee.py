@@ -32,6 +32,7 @@ from jaxclear.multibody import energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.state_history import StateHistory, over_time
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.friction_steps import KINDS, friction_steps
 
 # Saved states of a run, at most, that are looked at: a loop that has come open stays so for long.
 LOOKS = 50
@@ -47,7 +48,11 @@ def refereed(
     that its saved states tell. It ends where one of them is beyond what a run can mend.
     """
     history = trajectory.history
-    found = jax.lax.stop_gradient(_of_contacts(history, figures) | _of_saved_states(history))
+    rubbed = {check: figures[check] for check in KINDS if check in figures}
+    kept = {check: each for check, each in figures.items() if check not in KINDS}
+    depths = kept.get(Check.INDENTATION)
+    told = _of_saved_states(history) | _of_friction(history, depths, rubbed)
+    found = jax.lax.stop_gradient(_of_contacts(history, kept) | told)
     ends = jnp.asarray(history.time)[1:]
     checks = over_run(found, ends, _places(history))
     verdict = ending(found)
@@ -118,6 +123,18 @@ def _of_saved_states(history: StateHistory) -> dict[Check, Float[Array, "interva
         check: jnp.zeros((count, values.shape[1])).at[looked].set(values)
         for check, values in found.items()
     }
+
+
+def _of_friction(
+    history: StateHistory, depths: Array | None, steps: dict[Check, Array]
+) -> dict[Check, Float[Array, "intervals places"]]:
+    """Figures of friction; they stand for the run as a whole: at its end."""
+    count = len(history.time) - 1
+    looked = _spread(count)
+    seen = _at(history, np.concatenate([[0], 1 + looked]))
+    rows = jax.tree.map(lambda each: each[looked], (depths, steps))
+    found = friction_steps(seen, *rows)
+    return {check: jnp.zeros((count, len(each))).at[-1].set(each) for check, each in found.items()}
 
 
 def _energies(now: Instant, formulation: AbstractFormulation) -> tuple:

@@ -78,10 +78,12 @@ class MonteCarlo(eqx.Module):
         return run_of_sample(self.problem, jnp.asarray(self.values[index]), index, self.chunk)
 
     def sentence(self) -> str:
-        """How many samples there are, failed and warned, and of what."""
+        """How many samples there are, failed and warned, and of what; and why the integrator is
+        what it is, where it is not the usual one."""
         text = f"{self.count} samples, {len(self.failed)} failed, {len(self.warned)} with warnings"
         counts = counted(self.checks, np.isin(np.arange(self.count), self.warned))
-        return f"{text} ({in_words(counts)})." if counts else f"{text}."
+        text = f"{text} ({in_words(counts)})." if counts else f"{text}."
+        return f"{text} {self.problem.why_integrator}".rstrip()
 
     def _sentence(self, i):
         named = ", ".join(

@@ -1,0 +1,107 @@
+"""Whether a run's steps resolve its friction, told from the saved states: by how much friction
+changes over a step with the slip that was met, and how fast the contacts vibrate in which it stops
+slip.
+
+Figures are means over a joint's contacts and the run by the power that friction takes: where it
+takes little it may be stiff.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.formulations import contact_rows, delassus
+from jaxclear.formulations.base import AbstractFormulation
+from jaxclear.formulations.model import Instant
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.integrators.checks import Check
+from jaxclear.results.state_history import StateHistory, over_time
+
+# Both are kept by integrators as the length [s] of their steps in contact.
+KINDS = (Check.FRICTION_STEP, Check.CREEP_STEP)
+
+
+def friction_steps(
+    seen: StateHistory,
+    depths: Float[Array, "looks contacts"] | None,
+    steps: dict[Check, Float[Array, " looks"]],
+) -> dict[Check, Float[Array, " contacts"]]:
+    """By contact (its joint's) the figures of friction over a run, from the states `seen` at its
+    start and at its looks, the largest indentations [m] of the saving intervals that end there
+    (None: those seen), and the lengths [s] of `steps` by the check that judges them."""
+    bearings = seen.model().system.bearings
+    laws = [own for b in bearings.values() for own in b.contact_laws]
+    joints = np.array([name for name, b in bearings.items() for _ in b.contact_laws])
+    rubbing = [own.friction is not None and not own.friction.set_valued for own in laws]
+    if not steps or not any(rubbing):
+        return {}
+    found = over_time(seen, lambda now: _contacts(now, seen.formulation))
+    drag, slip, normal, indented, along, across = (jnp.stack(part, axis=1)[1:] for part in found)
+    depths = jnp.maximum(indented, 0.0 if depths is None else depths)
+    power = drag * slip
+    force, stiffness = (
+        jnp.stack(part, axis=1)
+        for part in zip(*(_pressed(own, depths[:, k]) for k, own in enumerate(laws)), strict=True)
+    )
+    # Friction by slip, as the secant through rest: slip that is stopped too hard swings about it.
+    secant = safe_divide(drag, slip * jnp.where(normal > 0, normal, 1.0))
+    force = jnp.maximum(force, normal)
+    out = {}
+    for check, step in steps.items():
+        steepest, spring = (
+            jnp.stack(part, axis=1)
+            for part in zip(*(_slopes(own, step) for own in laws), strict=True)
+        )
+        rate = jnp.minimum(secant, steepest) * force * across
+        if check == Check.CREEP_STEP:
+            hardest = jnp.maximum(stiffness * along, spring * force * across)
+            rate = jnp.minimum(rate, safe_sqrt(hardest))
+        share = step[:, None] * rate
+        sums = jnp.stack([jnp.sum(power * share, axis=0), jnp.sum(power, axis=0)])
+        # A joint's contacts wear one surface: they have one figure.
+        out[check] = safe_divide(*(sums @ (joints[:, None] == joints)))
+    return out
+
+
+def _pressed(laws: Any, depths: Float[Array, " looks"]) -> tuple[Array, Array]:
+    """Elastic force [N] at given indentations and its slope [N/m]."""
+    force = laws.contact.elastic_force
+    return jax.vmap(lambda depth: jax.jvp(force, (depth,), (jnp.ones(()),)))(depths)
+
+
+def _slopes(laws: Any, steps: Float[Array, " looks"]) -> tuple[Array, Array]:
+    """Largest slope [s/m] of a contact's friction over steps of these lengths [s], and how it grows
+    with half their length [1/m]: the spring that bristles are; 0 without friction."""
+    if laws.friction is None or laws.friction.set_valued:
+        return jnp.zeros_like(steps), jnp.zeros_like(steps)
+    slope = jax.vmap(lambda h: jnp.asarray(laws.friction.largest_slope(h), float))
+    return slope(steps), 2 * (slope(2 * steps) - slope(steps)) / steps
+
+
+def _contacts(now: Instant, formulation: AbstractFormulation) -> tuple:
+    """Of every possible contact: friction [N], slip [m/s], normal force [N], indentation [m], and
+    the inverse of the mass [1/kg] that a force along its normal moves, and one across."""
+    reports = formulation.forces(now).reports
+    points = [point for report in reports.values() for point in report.points]
+    free = contact_rows.free_motion(now.model, now.time, now.q, now.v)
+    rows = [row for contact in free.contacts for row in contact.rows]
+    operator = delassus.delassus_operator(free, rows)
+    diagonal = [line[i] for i, line in enumerate(operator.matrix())]
+    along, across, first = [], [], 0
+    for contact in free.contacts:
+        count = len(contact.rows) - 1
+        along.append(jnp.asarray(diagonal[first], float))
+        across.append(sp.total(diagonal[first + 1 : first + 1 + count]) / max(count, 1))
+        first += 1 + count
+    return (
+        tuple(jnp.asarray(point.traction, float) for point in points),
+        tuple(jnp.asarray(point.slip_speed, float) for point in points),
+        tuple(jnp.asarray(point.normal_force, float) for point in points),
+        tuple(jnp.asarray(point.indentation, float) for point in points),
+        tuple(along),
+        tuple(jnp.asarray(x, float) for x in across),
+    )
