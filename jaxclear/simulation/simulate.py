@@ -21,6 +21,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import stoppable
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
+from jaxclear.simulation.bristles import told_of_bristles
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.loop import run
@@ -141,5 +142,5 @@ def simulate(
             "throw=False and look at `outcome`, or map jaxclear.Problem.evaluate."
         )
     if throw and not trajectory.succeeded:
-        raise SimulationError(trajectory.result, trajectory)
+        raise SimulationError(told_of_bristles(trajectory), trajectory)
     return trajectory

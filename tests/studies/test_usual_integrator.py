@@ -90,6 +90,23 @@ def test_bristles_run_by_default(law):
     assert jnp.isfinite(result.responses["place"])
 
 
+@pytest.mark.parametrize("law", ["LuGre", "Dahl"])
+def test_explicit_steps_through_bristles_say_that_it_is_they(law):
+    """The sentence named no law; the step it names resolves them."""
+    rig = jc.scenes.slider_crank(friction=FORCE_LAWS[law]())
+    with pytest.raises(jc.SimulationError) as caught:
+        jc.simulate(rig, 0.05, integrator=jc.integrator.FixedStep(), save=5)
+    assert f'"B" has friction.{law}' in str(caught.value) and "ImplicitStep" in str(caught.value)
+    step = float(str(caught.value).split("at most ")[1].split(" s ")[0])
+    assert 0 < step < 2e-5
+
+
+def test_a_sample_says_why_its_steps_are_implicit():
+    sample = jc.monte_carlo(problem(loaded_bearing(500.0, jc.friction.Stribeck())), 2)
+    assert sample.sentence().endswith(sample.problem.why_integrator)
+    assert 'friction in joint "B"' in sample.sentence()
+
+
 def test_a_harder_load_asks_for_shorter_steps():
     steps = [
         float(usual_integrator(loaded_bearing(load, jc.friction.Stribeck()), DURATION)[0].step)
