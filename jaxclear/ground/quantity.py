@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.answering import AnsweringMeta
+from jaxclear.ground.forking import check_not_forked
 from jaxclear.ground.kinds import as_given, check_kinds, finite_and_within, range_in_words
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.wording import described, public_name
@@ -60,10 +61,11 @@ def as_number(value: Any) -> Any:
     is refused.
 
     Raises `ValueError` for arrays with axes or text, `RuntimeError` where float64 has been switched
-    off.
+    off and in a forked process.
     """
     if value is None or isinstance(value, eqx.Module):
         return value
+    check_not_forked()
     if isinstance(value, NO_NUMBERS):
         raise ValueError(f"expected one number, got {described(value)}.")
     try:

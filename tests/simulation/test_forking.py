@@ -11,8 +11,8 @@ import multiprocessing, sys, warnings
 import jaxclear as jc
 
 def run(_):
-    step = jc.integrator.FixedStep(1e-5)
     try:
+        step = jc.integrator.FixedStep(1e-5)
         jc.simulate(jc.scenes.slider_crank(wear=False), 1e-4, save=3, integrator=step)
     except RuntimeError as sentence:
         return str(sentence)
@@ -31,6 +31,7 @@ if __name__ == "__main__":
 @pytest.mark.parametrize(
     ("way", "when", "said"),
     [
+        ("fork", "before", "this process was forked from one that had imported"),
         ("fork", "after", "this process was forked from one that had imported"),
         pytest.param("spawn", "after", "ran", marks=pytest.mark.slow),
     ],
