@@ -15,7 +15,7 @@ def _note() -> None:
     _forked = True
 
 
-if hasattr(os, "register_at_fork"):
+if os.name == "posix":
     os.register_at_fork(after_in_child=_note)
 
 
