@@ -25,7 +25,7 @@ from benchmarks.attacks.attempts import Asked, Finding, attempt, find, judges
 from benchmarks.attacks.numbers import Draw
 from benchmarks.attacks.structures import DRAWS, NUMBERS, Structure, structures
 from benchmarks.attacks.verdicts import Verdict
-from benchmarks.measure import report
+from benchmarks.measure import about, report
 from jaxclear.studies.advice.pilot import describe
 
 # Saving times of every run.
@@ -64,7 +64,8 @@ def attack(structure: Structure, draw: int) -> list[Row]:
     rows = []
     for place, name in enumerate(structure.rungs):
         rung = rungs.RUNGS[name]
-        integrator = rung.make(Draw(NUMBERS, structure.number, draw, place, plain=draw == 0))
+        numbers = Draw(NUMBERS, structure.number, draw, place, plain=draw == 0)
+        integrator = rung.make(numbers, case)
         step = None if rung.model == "compliant" else float(integrator.step)
         begun = time.process_time()
         run = attempt(case, integrator, asked)
@@ -84,7 +85,7 @@ def summary(rows: list[Row]) -> list[dict[str, Any]]:
         own = [row for row in rows if rung in (row.rung, "all")]
         counts = Counter(row.verdict for row in own)
         right = [row for row in own if row.verdict == Verdict.RIGHT]
-        warned = sum(bool(row.found.said) for row in right)
+        warned = sum(bool(row.found.warned) for row in right)
         table.append(
             {"rung": rung, "runs": len(own)}
             | {str(verdict): counts[verdict] for verdict in Verdict}
@@ -163,6 +164,7 @@ def main() -> None:
         explain(options.case)
         return
     rows: list[Row] = []
+    told = {"about": about("benchmarks.attack", options.json)}
     draws = options.draws or (QUICK_DRAWS if options.quick else DRAWS)
     for structure in chosen(options):
         begun = time.process_time()
@@ -175,7 +177,7 @@ def main() -> None:
             print("     ", line["case"], line["integrator"], line["off by"], flush=True)
         jax.clear_caches()
         if options.json:
-            options.json.write_text(json.dumps(tables(rows), indent=1) + "\n")
+            options.json.write_text(json.dumps(told | tables(rows), indent=1) + "\n")
     silent = argparse.Namespace(json=None)
     for title, table in tables(rows).items():
         report(title, table, silent)

@@ -5,7 +5,11 @@ machine that is shared.
 """
 
 import argparse
+import datetime
 import json
+import os
+import platform
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -69,6 +73,22 @@ def report(title: str, rows: list[dict[str, Any]], options: argparse.Namespace) 
     if options.json is not None:
         known = json.loads(options.json.read_text()) if options.json.exists() else {}
         options.json.write_text(json.dumps(known | {title: rows}, indent=1) + "\n")
+
+
+def about(module: str, path: Path | None) -> dict[str, str]:
+    """Which command measured, where and when; the machine as the file at `path` names it, if it
+    does."""
+    known = json.loads(path.read_text()) if path is not None and path.exists() else {}
+    here = f"{os.cpu_count()} cores ({platform.machine()})"
+    asked = list(sys.argv[1:])
+    if "--json" in asked:
+        at = asked.index("--json")
+        del asked[at : at + 2]
+    return {
+        "command": " ".join(["python -m", module, *asked]),
+        "machine": known.get("about", {}).get("machine", here),
+        "date": datetime.date.today().isoformat(),
+    }
 
 
 def _text(value: Any) -> str:

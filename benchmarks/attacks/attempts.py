@@ -48,14 +48,15 @@ class Attempt(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """Verdict on a run; verdicts, errors and doubts (how far references are apart) by response, and
-    what was said."""
+    """Verdict on a run; verdicts, errors and doubts (how far references are apart) by response,
+    what was said, and the responses that were warned of."""
 
     verdict: Verdict
     verdicts: dict[str, Verdict]
     errors: dict[str, float]
     doubts: dict[str, float]
     said: tuple[str, ...]
+    warned: frozenset[str] = frozenset()
 
 
 def attempt(case: Case, integrator: Any, asked: Asked) -> Attempt:
@@ -153,4 +154,4 @@ def find(run: Attempt, known: tuple[Attempt, ...], kind: str) -> Finding:
     spread = {name: max(value, sampled.get(name, value)) for name, value in spread.items()}
     found = verdicts.judged(errors, doubts, spread, kind, run.warned)
     unsure = {name: max(doubts[name], spread[name]) for name in errors}
-    return Finding(verdicts.worst(found.values()), found, errors, unsure, said)
+    return Finding(verdicts.worst(found.values()), found, errors, unsure, said, run.warned)

@@ -10,7 +10,7 @@ from benchmarks.attacks import bearings, ideal
 from benchmarks.attacks.bearings import Build, Case, Laws
 from benchmarks.attacks.laws import CONTACTS, CYLINDERS, FRICTIONS, WEARS
 from benchmarks.attacks.numbers import Draw
-from benchmarks.attacks.rungs import ALWAYS, TAKING_TURNS
+from benchmarks.attacks.rungs import ALWAYS, LAST, TAKING_TURNS
 
 # Builders with how many structures each gets; the first of each row is the plainest.
 WITH_CLEARANCE: tuple[tuple[Build, int], ...] = (
@@ -101,5 +101,5 @@ def structures(others: int = 1) -> list[Structure]:
         turn = [TAKING_TURNS[(number * others + k) % len(TAKING_TURNS)] for k in range(others)]
         friction = str(frictions[number % len(frictions)])
         laws = ("", "", "") if ideal_one else (contact, friction, wear)
-        found.append(Structure(number, build, *laws, (*ALWAYS, *turn), number % 3 != 2))
+        found.append(Structure(number, build, *laws, (*ALWAYS, *turn, *LAST), number % 3 != 2))
     return found

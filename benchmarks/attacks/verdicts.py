@@ -78,6 +78,10 @@ DRAWN_FROM: dict[str, str] = dict(
 )
 
 
+# What speaks of laws and loads, which references share.
+OF_THE_MODEL = {Check.INDENTATION}
+
+
 def judged(
     errors: dict[str, float],
     doubts: dict[str, float],
@@ -120,7 +124,7 @@ def worst(verdicts: Any) -> Verdict:
 
 
 def concerned(run: Any) -> frozenset[str]:
-    """The responses that a run's warnings concern."""
-    beyond = {check.concerns for check, flag in run.checks.beyond().items() if np.any(flag)}
-    reached = {part for what in beyond for part in REACHES[what]}
+    """The responses that a run's warnings concern; those `OF_THE_MODEL` judge no rung."""
+    beyond = {check for check, flag in run.checks.beyond().items() if np.any(flag)} - OF_THE_MODEL
+    reached = {part for check in beyond for part in REACHES[check.concerns]}
     return frozenset(name for name, part in DRAWN_FROM.items() if part in reached)

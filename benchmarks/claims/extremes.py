@@ -11,6 +11,7 @@ disagree), or silently wrong.
 """
 
 import argparse
+import json
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -25,7 +26,7 @@ import jaxclear as jc
 from benchmarks.attacks.attempts import Asked, Finding, attempt, find, judges
 from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.verdicts import Verdict
-from benchmarks.measure import report
+from benchmarks.measure import about, report
 
 # What nobody would call extreme. Clearance [m], stiffness [N/m^1.5], mass of the arm beside that of
 # the body [1], speed [rpm], step [s] (None: the rung's own), restitution, mu [1], deepest wear
@@ -323,6 +324,7 @@ def _options() -> argparse.Namespace:
 def main() -> None:
     options = _options()
     found: list[Cell] = []
+    told = {"about": about("benchmarks.claims.extremes", options.json)}
     for joint in options.joint:
         begun = time.process_time()
         own = cells(joint, options.rung, options.quick)
@@ -332,6 +334,8 @@ def main() -> None:
         for row in accused(own):
             print("    ", " | ".join(str(value) for value in row.values()), flush=True)
         jax.clear_caches()
+    if options.json:
+        options.json.write_text(json.dumps(told, indent=1) + "\n")
     legend = ", ".join(f"{letter}: {verdict}" for verdict, letter in LETTERS.items())
     report(
         f"extremes by what is varied ({', '.join(JOINTS)}; {legend})", by_extreme(found), options

@@ -101,17 +101,33 @@ class Check(enum.IntEnum):
         'with steps of half the length the wear of joint "{place}" changes by {figure:.2g} of '
         "itself (limit {limit:g}), so worn volumes and depths are off: take shorter steps",
     )
-    # Largest rise of a contact's indentation within a step beside the largest that was met.
+    # Largest rise of a contact's indentation within a step beside the largest that was met: of
+    # steps in which a contact does the work of its law whatever their length.
     CONTACT_STEP = (
         6,
         "contact step",
         "1",
-        0.9,
-        "peak forces",
+        0.85,
+        "forces",
         CONTACTS,
         'within a step the indentation in joint "{place}" grows by {figure:.2g} of the largest '
         "that was met (limit {limit:g}), so peak forces are those of the steps, not of the "
-        "contact, though motion and mean forces may be right: take shorter steps where peaks count",
+        "contact, and friction loss and wear of impacts may be off, though motion may be right: "
+        "take shorter steps",
+    )
+    # The same of explicit steps: beyond half, the speed with which a body comes back from an
+    # impact is that of the steps (benchmarks/attack.py).
+    IMPACT_STEP = (
+        2,
+        "impact step",
+        "1",
+        0.5,
+        "motion",
+        CONTACTS,
+        'within a step the indentation in joint "{place}" grows by {figure:.2g} of the largest '
+        "that was met (limit {limit:g}), so bodies come back from impacts as the steps have it, "
+        "not the contact, and motion, forces and wear are off: take shorter steps, contact_steps, "
+        "or integrator.ImplicitStep",
     )
     # Of what nothing drives or pushes: energy above that of the start, beside all it had to change.
     ENERGY_GAIN = (

@@ -127,7 +127,7 @@ class FixedStep(AbstractIntegrator):
             turns = jnp.arange(self.steps_per_save)
             scanned = lambda carry, index: (turn((index, *carry))[1:], None)
             end, last, met = jax.lax.scan(scanned, first[1:], turns)[0]
-        return arrived(end, steps, last, met, {Check.FRICTION_STEP: h})
+        return arrived(end, steps, last, met, {Check.FRICTION_STEP: h}, Check.IMPACT_STEP)
 
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
@@ -153,7 +153,7 @@ class FixedStep(AbstractIntegrator):
         first = (interval.start, jnp.zeros((), int), state, warm_start, met)
         _, steps, end, last, met = while_loop(lambda carry: carry[0] < stop, one, first)
         rubbed = {Check.FRICTION_STEP: longest / self.contact_steps}
-        return arrived(end, steps, last, met, rubbed)
+        return arrived(end, steps, last, met, rubbed, Check.IMPACT_STEP)
 
     def _step(self, model, time, length, h, y, last):
         """The length and the end of a step, and what it leaves to the next. `length(contacts)`

@@ -23,6 +23,10 @@ REASONS: dict[Check, str] = {
         "a contact that is open before a step and nearly at its deepest after it is seen once on "
         "its way in: the peak lies somewhere between two steps"
     ),
+    Check.IMPACT_STEP: (
+        "explicit steps that rise less than this through a contact bring a body back with the "
+        "speed that its law says, within 5 %; beyond, every run of the attack was off"
+    ),
     Check.ENERGY_GAIN: (
         "a mechanism that nothing drives cannot gain energy; the accuracy of mean forces is allowed"
     ),

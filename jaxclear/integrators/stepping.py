@@ -52,14 +52,20 @@ def contacts_met(met: tuple | None, before: Any, after: Any) -> tuple:
 
 
 def arrived(
-    end: Any, steps: Any, warm_start: Any, met: tuple | None = None, rubbed: dict | None = None
+    end: Any,
+    steps: Any,
+    warm_start: Any,
+    met: tuple | None = None,
+    rubbed: dict | None = None,
+    rises: Check = Check.CONTACT_STEP,
 ) -> Advance:
     """The answer of steps that are never rejected, and that have `met` so deep contacts; `rubbed`:
-    the length [s] of steps in contact, by the check that judges friction over them."""
+    the length [s] of steps in contact, by the check that judges friction over them; `rises`: the
+    check that judges by how much indentations rise in a step."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
     figures = {} if rubbed is None else dict(rubbed)
     if met is not None:
-        figures |= dict(zip((Check.CONTACT_STEP, Check.INDENTATION), met, strict=True))
+        figures |= dict(zip((rises, Check.INDENTATION), met, strict=True))
     return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, figures)
 
 

@@ -78,14 +78,19 @@ def _of_contacts(history: StateHistory, figures: dict[Check, Array]) -> dict[Che
     if Check.INDENTATION not in figures:
         return figures
     depths = figures[Check.INDENTATION]
-    changes = safe_divide(figures[Check.CONTACT_STEP], jnp.max(depths, initial=0.0))
+    deepest = jnp.max(depths, initial=0.0)
+    rises = {
+        check: safe_divide(figures[check], deepest)
+        for check in (Check.CONTACT_STEP, Check.IMPACT_STEP)
+        if check in figures
+    }
     shapes = [
         laws.shape
         for bearing in history.model().system.bearings.values()
         for laws in bearing.contact_laws
     ]
     radii = [jnp.inf if shape is None else shape.inner_radius for shape in shapes]
-    return figures | {Check.CONTACT_STEP: changes, Check.INDENTATION: depths / sp.stack(radii)}
+    return figures | rises | {Check.INDENTATION: depths / sp.stack(radii)}
 
 
 def _places(history: StateHistory) -> dict[str, tuple[str, ...]]:

@@ -11,6 +11,7 @@ accelerations (so the forces) at its end follow; then the same with finer steps.
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -107,18 +108,23 @@ def figures(model: Model, plan: Plan, states: Array, ends: Array) -> dict[Check,
     coarse, coarse_on, fine, fine_on = (ends[plan.shadows[:, k]] for k in range(TURNS))
     speeds = slice(layout.coordinates, layout.memory_start)
     scales = _lengths(model.system)
-    found = {Check.HALVED_MEAN_FORCES: _difference(coarse - begin, fine - begin, speeds, scales)}
+    usual = _usual_rates(plan, states)
+    met = usual * jnp.sum(_durations(plan, 0))
+    found = {
+        Check.HALVED_MEAN_FORCES: _difference(coarse - begin, fine - begin, met, speeds, scales)
+    }
     if not layout.impulses:
         found[Check.HALVED_FORCES] = _difference(
             safe_divide(coarse_on - coarse, _durations(plan, 1)),
             safe_divide(fine_on - fine, _durations(plan, 3)),
+            usual * len(plan.shadows),
             speeds,
             scales,
         )
     if layout.wear:
         volumes = np.array([slot.start for slot in layout.wear])
         found[Check.HALVED_WEAR] = _difference(
-            coarse - begin, fine - begin, volumes, jnp.ones(len(volumes))
+            coarse - begin, fine - begin, met, volumes, jnp.ones(len(volumes))
         )
     # They stand for the run as a whole: at its end.
     last = len(plan.own) - 1
@@ -131,12 +137,22 @@ def _durations(plan: Plan, turn: int) -> Float[Array, "windows 1"]:
     return (plan.turns.stop[rows] - plan.turns.start[rows])[:, None]
 
 
+def _usual_rates(plan: Plan, states: Array) -> Float[Array, " states"]:
+    """How fast each entry of the state changes over the run, from one saving time to the next
+    [1/s]: a window that is quiet beside that tells nothing of the run."""
+    turns = jax.tree.map(lambda each: each[plan.own], plan.turns)
+    way = jnp.sum(abs(states[1:] - states[:-1]), axis=0)
+    return safe_divide(way, turns.stop[-1] - turns.start[0])
+
+
 def _difference(
-    coarse: Array, fine: Array, entries: Any, scales: Array
+    coarse: Array, fine: Array, usual: Array, entries: Any, scales: Array
 ) -> Float[Array, " entries"]:
-    """Difference of some entries beside their size, both summed over the windows; entries that are
-    small beside the largest count as a tenth of it."""
-    size = jnp.sum(jnp.maximum(abs(coarse), abs(fine))[:, entries], axis=0) * scales
+    """Difference of some entries beside their size, both summed over the windows, or beside the
+    size that is `usual` in the run if that is more; entries that are small beside the largest
+    count as a tenth of it."""
+    met = jnp.sum(jnp.maximum(abs(coarse), abs(fine)), axis=0)
+    size = jnp.maximum(met, usual)[entries] * scales
     off = jnp.sum(abs(fine - coarse)[:, entries], axis=0) * scales
     return safe_divide(off, jnp.maximum(size, LEAST * jnp.max(size, initial=0.0)))
 
