@@ -62,6 +62,20 @@ def test_contacts_crossed_in_one_step_are_said():
     assert beyond(short) == set()
 
 
+def test_impacts_that_explicit_steps_do_not_resolve_are_said():
+    """Within 0.02 s a journal is then elsewhere in its gap by a tenth of it, and more."""
+    rig = jc.scenes.slider_crank()
+    long, short = (
+        jc.simulate(rig, 0.02, save=41, integrator=jc.integrator.FixedStep(step))
+        for step in (2e-5, 5e-6)
+    )
+    joint = next(iter(rig.topology.clearances))
+    places = [np.asarray(run.contact(joint).offset) for run in (long, short)]
+    assert np.abs(places[0] - places[1]).max() > 0.1 * np.abs(places[1]).max()
+    assert Check.IMPACT_STEP in beyond(long) and "back from impacts" in long.result
+    assert Check.IMPACT_STEP not in beyond(short)
+
+
 def test_an_indentation_as_large_as_the_journal_is_said():
     """No contact law was made for it."""
     soft = jc.scenes.slider_crank(contact=jc.contact.CarvalhoMartins(stiffness=1e3))
