@@ -295,15 +295,3 @@ def over_run(
         latest = jnp.argmax(known, axis=0)
         figures[check] = Figure(jnp.max(known, axis=0), jnp.asarray(ends)[latest], names)
     return Checks(figures)
-
-
-def ending(
-    found: dict[Check, Float[Array, "intervals places"]],
-) -> Float[Array, " intervals"]:
-    """`Outcome` that each interval's figures call for: `REACHED` where none is certainly wrong."""
-    outcome: Any = Outcome.REACHED
-    for check, each in found.items():
-        if np.isfinite(check.ends_at):
-            bad = jnp.any(~(each <= check.ends_at), axis=-1)
-            outcome = jnp.where(bad, check.outcome, outcome)
-    return outcome

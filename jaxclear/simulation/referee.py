@@ -24,7 +24,6 @@ from jaxclear.integrators.checks import (
     SURFACES,
     WHOLE,
     Check,
-    ending,
     over_run,
 )
 from jaxclear.integrators.outcome import Outcome
@@ -55,7 +54,7 @@ def refereed(
     found = jax.lax.stop_gradient(_of_contacts(history, kept) | told)
     ends = jnp.asarray(history.time)[1:]
     checks = over_run(found, ends, _places(history))
-    verdict = ending(found)
+    verdict = _ending(found)
     if jnp.ndim(verdict) == 0:
         return dataclasses.replace(trajectory, checks=checks)
     bad = (verdict != Outcome.REACHED) & (ends <= trajectory.ended)
@@ -70,6 +69,18 @@ def refereed(
         ended=jnp.where(stops, ends[first], trajectory.ended),
         checks=checks,
     )
+
+
+def _ending(
+    found: dict[Check, Float[Array, "intervals places"]],
+) -> Float[Array, " intervals"]:
+    """`Outcome` that each interval's figures call for: `REACHED` where none is certainly wrong."""
+    outcome: Any = Outcome.REACHED
+    for check, each in found.items():
+        if np.isfinite(check.ends_at):
+            bad = jnp.any(~(each <= check.ends_at), axis=-1)
+            outcome = jnp.where(bad, check.outcome, outcome)
+    return outcome
 
 
 def _of_contacts(history: StateHistory, figures: dict[Check, Array]) -> dict[Check, Array]:
