@@ -88,7 +88,7 @@ def test_number_of_short_steps_varies_without_compiling_again():
         ),
         (
             {"steps_per_save": 0},
-            "steps_per_save of integrator.FixedStep is 0; it must be a positive whole number",
+            "integrator.FixedStep has steps_per_save = 0; it must be a whole number",
         ),
     ],
 )

@@ -256,11 +256,11 @@ def test_rest_is_finite_with_its_derivative():
         ),
         (
             lambda: jc.integrator.ImplicitStep(newton_iterations=0),
-            "newton_iterations of integrator.ImplicitStep is 0; it must be a positive whole",
+            "integrator.ImplicitStep has newton_iterations = 0; it must be a whole number",
         ),
         (
             lambda: jc.integrator.ImplicitStep(steps_per_save=1.5),
-            "steps_per_save of integrator.ImplicitStep is 1.5; it must",
+            "integrator.ImplicitStep has steps_per_save = 1.5; it must be a whole number",
         ),
     ],
 )

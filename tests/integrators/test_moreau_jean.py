@@ -220,7 +220,7 @@ STARTS = {
     "concentric": 0.0,
     "exactly touching": CLEARANCE,
     "just open": CLEARANCE * (1 - 1e-15),
-    "overlapping": 1.5 * CLEARANCE,
+    "overlapping": 1.1 * CLEARANCE,
 }
 
 
