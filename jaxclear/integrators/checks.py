@@ -157,7 +157,7 @@ class Check(enum.IntEnum):
         1,
         "friction step",
         "1",
-        0.05,
+        0.06,
         "wear",
         CONTACTS,
         'friction in joint "{place}" answers {figure:.2g} of the slip it meets within a step '

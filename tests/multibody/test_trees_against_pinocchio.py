@@ -53,7 +53,7 @@ def random_tree(rng, size):
         connections[f"j{i}"] = jc.Connection(
             getattr(jc.joint, kind)(),
             jc.Marker("ground" if parent < 0 else f"b{parent}", tuple(at), quaternion=tuple(turn)),
-            f"b{i}",
+            jc.Marker(f"b{i}"),
         )
         placement = pin.SE3(pin.Quaternion(*turn).matrix(), at)
         own = pin.Inertia(mass, com, inertia)
