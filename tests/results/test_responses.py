@@ -47,11 +47,11 @@ def test_responses_are_what_their_names_say(run):
     [
         (
             jc.response.PeakWornDepth("C"),
-            'surface "bearing" of joint "C" does not wear; those that do: "B" bearing',
+            'no joint "C" in this mechanism; there is "B"',
         ),
         (
             jc.response.FinalCoordinate("journal", 3),
-            '"journal" has 3 coordinates; there is no number 3',
+            '"journal" has 3 coordinates; the index of response.FinalCoordinate, 3, must be below',
         ),
         (jc.response.FinalCoordinate("nothing"), 'no joint or floating body "nothing"'),
         (jc.response.MeanContactForce("nothing"), 'no clearance joint "nothing"'),
