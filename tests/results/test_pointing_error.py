@@ -407,16 +407,16 @@ def test_way_through_a_loop_is_the_one_named():
     [
         (
             ("ground", jc.Marker("nothing")),
-            'the tip is on "nothing", which does not exist; there are .ground., .arm., .dish.',
+            'no body for the tip "nothing"; there are "ground", "arm", "dish"',
         ),
-        (("nothing", TIP), 'the base is on "nothing", which does not exist'),
+        (("nothing", TIP), 'no body for the base "nothing"'),
         (("dish", TIP), 'the tip is on the base "dish" itself'),
         (
             ("ground", TIP),
             'from "ground" to "dish" must be serial, but it runs by J1 - J2 or by J3; name '
             "connections in `through`",
         ),
-        (("ground", TIP, ("J9",)), 'no joint "J9" to go through; there are .J1., .J2., .J3.'),
+        (("ground", TIP, ("J9",)), 'no joint to go through "J9"; there are "J1", "J2", "J3"'),
         (
             ("ground", TIP, ("J1", "J3")),
             'no chain of joints leads from "ground" to "dish" through .J1., .J3.',

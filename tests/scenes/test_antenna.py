@@ -224,12 +224,15 @@ def test_compiled_steps_are_machine_code(caplog):
 @pytest.mark.parametrize(
     ("ask", "sentence"),
     [
-        (lambda: antenna("loose"), "joints of the antenna are spatial, planar, ideal"),
+        (
+            lambda: antenna("loose"),
+            'no kind of antenna "loose"; there are "spatial", "planar", "ideal"',
+        ),
         (
             lambda: antenna(drive="ramp"),
-            "drive of the antenna is 'periodic', 'step' or two torques",
+            '"ramp"; there are "periodic", "step"',
         ),
-        (lambda: antenna(friction="dry"), "friction of the antenna is"),
+        (lambda: antenna(friction="dry"), '"dry"; there are "set_valued", "regularised"'),
         (lambda: run("spatial", "step", regularised=True), "no function of the sliding speed"),
     ],
 )
