@@ -358,7 +358,10 @@ def test_the_figure_shows_every_rung(advice):
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda: jc.advise(falling()), "what advice is given on is a Mechanism; it must be a jaxclear.Problem"),
+        (
+            lambda: jc.advise(falling()),
+            "what advice is given on is a Mechanism; it must be a jaxclear.Problem",
+        ),
         (lambda: jc.advise(falls(), 1.0), "the accuracy .* is 1.0; it must be"),
         (lambda: jc.advise(falls(), "high"), "the accuracy .* is 'high'; it must be"),
         (lambda: jc.advise(falls(), 0.0), "above 0 and below 1"),
