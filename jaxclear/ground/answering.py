@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
 
 import equinox as eqx
 
-from jaxclear.ground.wording import described, listed, nearest, public_name
+from jaxclear.ground.wording import described, listed, meant, public_name
 
 if TYPE_CHECKING:
     from equinox._module._module import _ModuleMeta as ModuleMeta
@@ -112,9 +112,7 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
     takes = f"{name} takes {listed(known)}" if known else f"{name} takes no arguments"
     for given in kwargs:
         if given not in known:
-            close = nearest(given, known)
-            hint = f' Did you mean "{close}"?' if close else ""
-            return f'{name} has no argument "{given}"; {takes}.{hint}'
+            return f'{name} has no argument "{given}"; {takes}.{meant(given, known)}'
     ordered = [p.name for p in parameters.values() if p.kind in ORDERED]
     if len(args) > len(ordered):
         surplus = described(args[len(ordered)])
@@ -136,9 +134,7 @@ def nothing_else(module: str, offered: list[str]) -> Callable[[str], NoReturn]:
             raise AttributeError(f"{path}.")
         if importlib.util.find_spec(f"{module.partition('.')[0]}.{name}") is not None:
             raise AttributeError(f"{path} yet: write `from {module} import {name}` first.")
-        close = nearest(name, offered)
-        hint = f" Did you mean {close}?" if close else ""
         members = [one for one in offered if not one.startswith("Abstract")]
-        raise AttributeError(f"{path}; it offers {', '.join(members)}.{hint}")
+        raise AttributeError(f"{path}; it offers {', '.join(members)}.{meant(name, offered)}")
 
     return refuse

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from types import ModuleType
 from typing import Any
 
-__all__ = ["described", "listed", "nearest", "offered_like", "public_name", "unknown"]
+__all__ = ["described", "listed", "meant", "nearest", "offered_like", "public_name", "unknown"]
 
 # Longest text of a value in a sentence, and the most names that one lists.
 LONGEST, MOST_NAMES = 60, 16
@@ -55,6 +55,13 @@ def nearest(name: Any, known: Iterable[Any]) -> str:
     return by_small[found[0]] if found else ""
 
 
+def meant(name: Any, known: Iterable[Any]) -> str:
+    """A question, to be put behind a sentence, for the known name that is most like another; ""
+    where none is."""
+    close = nearest(name, known)
+    return f' Did you mean "{close}"?' if close else ""
+
+
 def unknown(what: str, name: Any, known: Iterable[Any], where: str = "") -> str:
     """A sentence for a name that there is not, with those that there are and the nearest; `where`:
     in what, such as " in this mechanism"."""
@@ -62,12 +69,10 @@ def unknown(what: str, name: Any, known: Iterable[Any], where: str = "") -> str:
     if not isinstance(name, str):
         named = f"one of {listed(known)}" if known else "but there is none"
         return f"{what} is {described(name)}; it must be a name (text), {named}."
-    close = nearest(name, known)
-    hint = f' Did you mean "{close}"?' if close else ""
     if not known:
         return f'no {what} "{name}"{where}; there is none.'
     verb = "is" if len(known) == 1 else "are"
-    return f'no {what} "{name}"{where}; there {verb} {listed(known)}.{hint}'
+    return f'no {what} "{name}"{where}; there {verb} {listed(known)}.{meant(name, known)}'
 
 
 def public_name(kind: Any) -> str:

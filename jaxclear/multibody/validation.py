@@ -21,7 +21,7 @@ from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, A
 from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.kinds import check_kinds
 from jaxclear.ground.quantity import check_range, numbers
-from jaxclear.ground.wording import listed, nearest
+from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.topology import Topology, coordinate_joint
 
@@ -89,10 +89,9 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
 
 def _check_body(what: str, body: str, bodies: dict) -> None:
     if body not in bodies and body != GROUND:
-        close = nearest(body, [*bodies, GROUND])
         raise ValueError(
             f'{what} body "{body}", which does not exist: the bodies are {listed(bodies)} and '
-            f'"{GROUND}".' + (f' Did you mean "{close}"?' if close else "")
+            f'"{GROUND}".{meant(body, [*bodies, GROUND])}'
         )
 
 
@@ -186,11 +185,10 @@ def check_start(bodies: dict, connections: dict, places: dict, speeds: dict) -> 
 
 def _with_coordinates(what: str, name: str, bodies: dict, connections: dict) -> AbstractJoint:
     if name not in connections and name not in bodies:
-        close = nearest(name, [*connections, *bodies])
         raise ValueError(
             f'{what} names "{name}", which carries no coordinates; it may name the joints '
             f"{listed(connections)} and the bodies {listed(bodies)}."
-            + (f' Did you mean "{close}"?' if close else "")
+            + meant(name, [*connections, *bodies])
         )
     try:
         joint = coordinate_joint(name, bodies, connections)

@@ -60,9 +60,7 @@ class MonteCarlo(eqx.Module):
     def concerned(self, response: str) -> np.ndarray:
         """Indices of the samples that carry a warning which concerns this response (peak forces
         that the steps do not resolve concern no position)."""
-        if response not in self.responses:
-            known = ", ".join(map(repr, self.responses))
-            raise ValueError(f'no response "{response}" in this study; there are {known}.')
+        check_known("response", response, self.responses, " in this study")
         found = warned_of(self.problem, response, self.checks, self.count)
         return np.setdiff1d(np.flatnonzero(found), self.failed)
 

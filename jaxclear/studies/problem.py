@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, inside, numbers
-from jaxclear.ground.wording import described, nearest
+from jaxclear.ground.wording import described, meant
 from jaxclear.integrators import AbstractIntegrator, Checks, Outcome
 from jaxclear.multibody.assembly import Start, assemble_arrays, determined, is_sound
 from jaxclear.multibody.mechanism import Mechanism, loosened
@@ -218,13 +218,11 @@ def _one_number(name: str, value: Any) -> Array:
 
 
 def _meant(error: Exception, mechanism: Mechanism) -> str:
-    """The name that was probably meant where a `where` found none; "" where there is none."""
+    """A question for the name that was probably meant where a `where` found none."""
     if isinstance(error, AttributeError) and error.name:
-        close = nearest(error.name, [n for n in dir(error.obj) if not n.startswith("_")])
-    else:
-        key = error.args[0] if isinstance(error, KeyError) and error.args else ""
-        close = nearest(key, [*mechanism.connections, *mechanism.bodies, *mechanism.loads])
-    return f' Did you mean "{close}"?' if close else ""
+        return meant(error.name, [n for n in dir(error.obj) if not n.startswith("_")])
+    key = error.args[0] if isinstance(error, KeyError) and error.args else ""
+    return meant(key, [*mechanism.connections, *mechanism.bodies, *mechanism.loads])
 
 
 def _leaves_of(variable: Variable) -> Callable[[Mechanism], list]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
-from jaxclear.ground.wording import listed, nearest
+from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.contact import cylinder, dissipation, elastic
 from jaxclear.laws.contact.base import (
     AbstractContactLaw,
@@ -121,11 +121,9 @@ def _product(
     def build(*slots: Any, **numbers: Any) -> ContactForce:
         unknown = sorted(set(numbers).difference(known))
         if unknown:
-            close = nearest(unknown[0], known)
-            hint = f' Did you mean "{close}"?' if close else ""
             raise ValueError(
                 f"contact.{name} has no number {', '.join(unknown)}; it takes {listed(known)}."
-                f"{hint}"
+                f"{meant(unknown[0], known)}"
             )
         own, lossy, remembered = (
             {number: value for number, value in numbers.items() if number in _fields(part)}
