@@ -19,7 +19,7 @@ from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations import delassus
 from jaxclear.formulations.base import model_of
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.formulations.contact_rows import free_motion
+from jaxclear.formulations.contact_rows import free_motion, split
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.multibody import contact_point, kinematics
@@ -167,12 +167,11 @@ def _of_joint(bearing, system, motions, now, free) -> _Pressed:
 
     rows = kinematics.relative_jacobian(system, motions, bearing.closure, pose, rates)
     operator = delassus.delassus_operator(now, rows)
-    diagonal = [line[i] for i, line in enumerate(operator.matrix())]
-    pressing, lightness, across, first = [], [], [], 0
-    for gap in gaps:
-        count = len(gap.candidate.tangents)
-        pressing.append(jnp.where(gap.indentation > 0, along(rows[first], free), 0.0))
-        lightness.append(diagonal[first])
-        across.append(sp.total(diagonal[first + 1 : first + 1 + count]) / max(count, 1))
-        first += 1 + count
+    directions = [len(gap.candidate.tangents) for gap in gaps]
+    lightness, across = zip(*operator.lightness(directions), strict=True)
+    normals = [row for row, *_ in split(rows, [1 + count for count in directions])]
+    pressing = [
+        jnp.where(gap.indentation > 0, along(row, free), 0.0)
+        for gap, row in zip(gaps, normals, strict=True)
+    ]
     return _Pressed(sp.stack(pressing), sp.stack(lightness), sp.stack(across), travel)

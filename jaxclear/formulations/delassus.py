@@ -36,6 +36,17 @@ class DelassusOperator(NamedTuple):
         """W = J M^-1 J^T: how each row's rate answers a unit force along each."""
         return [[along(row, columns) for columns, _ in self.responses] for row in self.rows]
 
+    def lightness(self, contacts: list) -> list[tuple]:
+        """Inverse of the mass [1/kg] that a force along the normal moves, and the mean across:
+        diagonal of W, of each contact of rows for its normal and so many sliding directions."""
+        diagonal = [along(row, self.responses[i][0]) for i, row in enumerate(self.rows)]
+        found, first = [], 0
+        for directions in contacts:
+            across = diagonal[first + 1 : first + 1 + directions]
+            found.append((diagonal[first], sp.total(across) / max(directions, 1)))
+            first += 1 + directions
+        return found
+
     def under(self, forces: list) -> tuple[list, tuple]:
         """Accelerations and closure multipliers that forces (or impulses) along the rows add."""
         columns, multipliers = zip(*self.responses, strict=True)

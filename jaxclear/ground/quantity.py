@@ -103,6 +103,11 @@ def concrete(value: Any) -> float | None:
     return None if value is None or isinstance(value, jax.core.Tracer) else float(value)
 
 
+def is_traced(tree: Any) -> bool:
+    """Whether any number of a tree is being traced, so that nobody knows it yet."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
 def quantity(
     default: Any = dataclasses.MISSING,
     unit: str = "1",

@@ -18,6 +18,7 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.least_change import least_change
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody import contact_point, kinematics, start_check
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
@@ -31,9 +32,9 @@ from jaxclear.multibody.start_equations import (
     guess,
     is_solved,
     motions_at,
+    nearer,
     outside_tree,
     position_blocks,
-    retract,
     speed_blocks,
     speed_scales,
     stacked,
@@ -42,9 +43,6 @@ from jaxclear.multibody.start_equations import (
 __all__ = ["Start", "assemble", "assemble_arrays", "assembled", "determined", "guess", "is_sound"]
 
 ITERATIONS = 30
-# Largest change of a coordinate in one step [rad, longest arms]: keeps the search on the branch of
-# the guess.
-LONGEST_STEP = 0.3
 # A part may start this deep in another, as a share of the smaller radius in contact [1]: as deep as
 # hard steel is ever pressed, less than a place that was mistaken.
 DEEPEST = 2e-3
@@ -57,25 +55,20 @@ def assemble_arrays(mechanism: Mechanism, concentric: bool = True, time: float =
     start_check.check_flat_bodies(mechanism, asked.system, motions_at(asked, q, v, time)[2])
     if is_solved(asked):
         return _started(asked, q, v, time)
-    scales = speed_scales(asked)
-
-    def move(q, blocks):
-        step = -least_change(*stacked(asked, blocks), scales).change
-        longest = jnp.maximum(jnp.max(jnp.abs(step / scales)), LONGEST_STEP)
-        return retract(asked.system, q, step * (LONGEST_STEP / longest))
 
     def approach(q, _):
         asked_for = [b for b in position_blocks(asked, q, time) if b.kind in (GIVEN, GUESS)]
-        return move(q, asked_for), None
+        return nearer(asked, q, asked_for), None
 
     def improve(q, _):
-        return move(q, position_blocks(asked, q, time)), None
+        return nearer(asked, q, position_blocks(asked, q, time)), None
 
     if outside_tree(asked):
         # What is told of other joints than those of the tree first, so that the search for closed
         # loops begins where it was told.
         q, _ = jax.lax.scan(approach, q, length=ITERATIONS)
     q, _ = jax.lax.scan(improve, q, length=ITERATIONS)
+    scales = speed_scales(asked)
     # The second time for rounding only: rates are linear in the speeds.
     for _ in range(2):
         v = v - least_change(*stacked(asked, speed_blocks(asked, q, v, time)), scales).change
@@ -108,9 +101,7 @@ def _depths(asked: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
     for name, bearing in asked.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
         depths = contact_point.depths(bearing.joint, pose, {})
-        shapes = [laws.shape for laws in bearing.contact_laws]
-        radii = [jnp.inf if shape is None else shape.inner_radius for shape in shapes]
-        allowed = DEEPEST * jnp.min(sp.stack(radii))
+        allowed = DEEPEST * jnp.min(sp.stack(bearing.radii))
         out[name] = jnp.stack([jnp.max(sp.stack(depths)), allowed])
     return out
 
@@ -142,7 +133,7 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")
     check_flags("assemble", concentric=concentric)
     start, sound = _judged(mechanism, concentric)
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(start)):
+    if is_traced(start):
         return start
     if not sound:
         start_check.refuse(mechanism, start)
@@ -154,5 +145,5 @@ def determined(mechanism: Mechanism) -> tuple[str, ...]:
     """Names of coordinates that `start` gives although loops, drives, concentric journals and what
     is given before determine them. Raises `ValueError` for a start that is refused."""
     start = assemble(mechanism)
-    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(start))
-    return () if traced or not mechanism.start else start_check.determined(mechanism, start)
+    known = mechanism.start and not is_traced(start)
+    return start_check.determined(mechanism, start) if known else ()

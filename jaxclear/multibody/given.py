@@ -5,6 +5,7 @@ whether they carry coordinates, close a loop or have clearance, and places of bo
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground import sparse as sp
@@ -123,3 +124,12 @@ def angular(joint: AbstractJoint) -> tuple[bool, ...]:
 def scales(joint: AbstractJoint, arm: Any) -> tuple:
     """For each speed of a joint what counts as much as a radian: 1, or the length `arm` [m]."""
     return tuple(1.0 if turns else arm for turns in angular(joint))
+
+
+def speed_scales(system: System, arm: Any) -> Float[Array, " v"]:
+    """The same for each free speed of a mechanism."""
+    parts: list[Any] = []
+    for branch, link in zip(system.topology.branches, system.links, strict=True):
+        if branch.speed_count:
+            parts.extend(scales(link.joint, arm))
+    return sp.stack(parts)

@@ -20,6 +20,9 @@ from jaxclear.multibody.system import System, longest_arm, prepare
 from jaxclear.multibody.tree import Motion
 
 LOOP, GIVEN, JOURNAL, GUESS = "loop", "given", "journal", "guess"
+# Largest change of a coordinate in one step [rad, longest arms]: keeps the search on the branch of
+# the guess.
+LONGEST_STEP = 0.3
 
 
 class Start(NamedTuple):
@@ -92,6 +95,15 @@ def retract(system: System, q: Array, step: Array) -> Array:
     return sp.stack(parts)
 
 
+def nearer(asked: Ask, q: Array, blocks: list[Block]) -> Array:
+    """Coordinates after one Gauss-Newton step that changes what is left of the blocks' equations to
+    0: the least, and `LONGEST_STEP` at most."""
+    scales = speed_scales(asked)
+    step = -least_change(*stacked(asked, blocks), scales).change
+    longest = jnp.maximum(jnp.max(jnp.abs(step / scales)), LONGEST_STEP)
+    return retract(asked.system, q, step * (LONGEST_STEP / longest))
+
+
 def motions_at(asked: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple, tuple]:
     """Coordinates and speeds by branch, and the motions of all links."""
     own_q, own_v = unpack_motion(asked.system, list(q) + list(v))
@@ -100,11 +112,7 @@ def motions_at(asked: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple,
 
 def speed_scales(asked: Ask) -> Float[Array, " v"]:
     """For each free speed what counts as much as a radian a second."""
-    parts: list[Any] = []
-    for branch, link in zip(asked.system.topology.branches, asked.system.links, strict=True):
-        if branch.speed_count:
-            parts.extend(given.scales(link.joint, asked.arm))
-    return sp.stack(parts)
+    return given.speed_scales(asked.system, asked.arm)
 
 
 def position_blocks(asked: Ask, q: Array, time: Any) -> list[Block]:

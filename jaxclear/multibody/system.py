@@ -29,6 +29,12 @@ class Bearing(eqx.Module):
     joint: AbstractClearance
     contact_laws: tuple[ContactLaws, ...]
 
+    @property
+    def radii(self) -> list:
+        """Radius [m] of journal or ball in each possible contact; infinite where it has none."""
+        shapes = [laws.shape for laws in self.contact_laws]
+        return [jnp.inf if shape is None else shape.inner_radius for shape in shapes]
+
 
 class System(eqx.Module):
     """Links in the topology's order, loop closures and the joints that make them, clearance joints

@@ -14,23 +14,21 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.components.joint.base import drive_of
-from jaxclear.ground.least_change import least_change
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
     LOOP,
     ask,
+    nearer,
     position_blocks,
-    retract,
-    speed_scales,
     stacked,
 )
 from jaxclear.results.trajectory import Trajectory
 
 # Instants of the saving intervals around which the run ended; steps to close the loops at each.
 INSTANTS, ITERATIONS = 256, 12
-# Largest change in a step, and what may be left of a closure [rad, longest arms].
-LONGEST_STEP, CLOSED = 0.3, 1e-6
+# What may be left of a closure [rad, longest arms].
+CLOSED = 1e-6
 
 
 def diagnosed(trajectory: Trajectory) -> Trajectory:
@@ -58,19 +56,13 @@ def _closable(
 ) -> Bool[Array, ""]:
     """Whether coordinates that close the loops follow from q at all times."""
     asked = ask(mechanism, False)
-    scales = speed_scales(asked)
 
-    def equations(q, time):
-        return stacked(asked, [b for b in position_blocks(asked, q, time) if b.kind == LOOP])
+    def loops(q, time):
+        return [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
 
     def follow(q, time):
-        def improve(_, q):
-            step = -least_change(*equations(q, time), scales).change
-            longest = jnp.maximum(jnp.max(jnp.abs(step / scales)), LONGEST_STEP)
-            return retract(asked.system, q, step * (LONGEST_STEP / longest))
-
-        q = jax.lax.fori_loop(0, ITERATIONS, improve, q)
-        left = jnp.max(jnp.abs(equations(q, time)[1]))
+        q = jax.lax.fori_loop(0, ITERATIONS, lambda _, q: nearer(asked, q, loops(q, time)), q)
+        left = jnp.max(jnp.abs(stacked(asked, loops(q, time))[1]))
         return q, left <= CLOSED * jnp.minimum(asked.arm, 1.0)
 
     return jnp.all(jax.lax.scan(follow, q, times)[1])

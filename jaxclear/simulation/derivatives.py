@@ -14,7 +14,8 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from jaxclear.ground.quantity import public_name
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.wording import public_name
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.trajectory import Trajectory
@@ -30,7 +31,7 @@ def refusal(mechanism: Mechanism, integrator: AbstractIntegrator) -> str:
     joints = mechanism.topology.clearances
     if not joints:
         return ""
-    name = f"integrator.{public_name(type(integrator)).removeprefix('integrator.')}"
+    name = public_name(type(integrator))
     named = " and ".join(f'"{joint}"' for joint in joints[:2])
     some = f"joint {named}" if len(joints) == 1 else f"joints {named}{' …' * (len(joints) > 2)}"
     return (
@@ -44,8 +45,7 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
     is not that of the motion. `discrete`: derivatives of the discrete run are wanted, and pass
     where the integrator has them (`pathwise`).
     """
-    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(COMPUTED(run)))
-    why = refusal(run.mechanism, integrator) if traced else ""
+    why = refusal(run.mechanism, integrator) if is_traced(COMPUTED(run)) else ""
     if not why or (discrete and integrator.pathwise):
         return run
     ways = "take jaxclear.sensitivity, which compares methods and gives an error"

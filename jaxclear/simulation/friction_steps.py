@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from jaxclear.formulations import contact_rows, delassus
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant
-from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.integrators.checks import Check
 from jaxclear.results.state_history import StateHistory, over_time
@@ -90,18 +89,12 @@ def _contacts(now: Instant, formulation: AbstractFormulation) -> tuple:
     free = contact_rows.free_motion(now.model, now.time, now.q, now.v)
     rows = [row for contact in free.contacts for row in contact.rows]
     operator = delassus.delassus_operator(free, rows)
-    diagonal = [line[i] for i, line in enumerate(operator.matrix())]
-    along, across, first = [], [], 0
-    for contact in free.contacts:
-        count = len(contact.rows) - 1
-        along.append(jnp.asarray(diagonal[first], float))
-        across.append(sp.total(diagonal[first + 1 : first + 1 + count]) / max(count, 1))
-        first += 1 + count
-    return (
-        tuple(jnp.asarray(point.traction, float) for point in points),
-        tuple(jnp.asarray(point.slip_speed, float) for point in points),
-        tuple(jnp.asarray(point.normal_force, float) for point in points),
-        tuple(jnp.asarray(point.indentation, float) for point in points),
-        tuple(along),
-        tuple(jnp.asarray(x, float) for x in across),
+    found = zip(
+        *(
+            (point.traction, point.slip_speed, point.normal_force, point.indentation)
+            for point in points
+        ),
+        strict=True,
     )
+    lightness = zip(*operator.lightness([len(c.rows) - 1 for c in free.contacts]), strict=True)
+    return tuple(tuple(jnp.asarray(x, float) for x in part) for part in (*found, *lightness))

@@ -95,12 +95,8 @@ def _of_contacts(history: StateHistory, figures: dict[Check, Array]) -> dict[Che
         for check in (Check.CONTACT_STEP, Check.IMPACT_STEP)
         if check in figures
     }
-    shapes = [
-        laws.shape
-        for bearing in history.model().system.bearings.values()
-        for laws in bearing.contact_laws
-    ]
-    radii = [jnp.inf if shape is None else shape.inner_radius for shape in shapes]
+    bearings = history.model().system.bearings.values()
+    radii = [radius for bearing in bearings for radius in bearing.radii]
     return figures | rises | {Check.INDENTATION: depths / sp.stack(radii)}
 
 

@@ -17,12 +17,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.formulations.model import Model
-from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.stepping import SLIVER
-from jaxclear.multibody.system import System, longest_arm
+from jaxclear.multibody.given import speed_scales
+from jaxclear.multibody.system import longest_arm
 
 # Share of a run's steps that windows take; in a window steps are taken 1 + 2 times.
 SHARE, PASSES = 0.03, 3.0
@@ -107,7 +107,9 @@ def figures(model: Model, plan: Plan, states: Array, ends: Array) -> dict[Check,
     begin = states[np.searchsorted(plan.own, plan.shadows[:, 0])]
     coarse, coarse_on, fine, fine_on = (ends[plan.shadows[:, k]] for k in range(TURNS))
     speeds = slice(layout.coordinates, layout.memory_start)
-    scales = _lengths(model.system)
+    # What makes each speed one in m/s: the longest arm for those of turning.
+    arm = longest_arm(model.system)
+    scales = arm / speed_scales(model.system, arm)
     usual = _usual_rates(plan, states)
     met = usual * jnp.sum(_durations(plan, 0))
     found = {
@@ -155,14 +157,3 @@ def _difference(
     size = jnp.maximum(met, usual)[entries] * scales
     off = jnp.sum(abs(fine - coarse)[:, entries], axis=0) * scales
     return safe_divide(off, jnp.maximum(size, LEAST * jnp.max(size, initial=0.0)))
-
-
-def _lengths(system: System) -> Float[Array, " speeds"]:
-    """What makes each speed one in m/s: the longest arm for those of turning."""
-    arm = longest_arm(system)
-    scales = [
-        arm if all(map(sp.is_zero, column.linear)) else jnp.ones(())
-        for branch, link in zip(system.topology.branches, system.links, strict=True)
-        for column in link.joint.columns(link.joint.home)[: branch.speed_count]
-    ]
-    return jnp.stack(scales) if scales else jnp.zeros(0)

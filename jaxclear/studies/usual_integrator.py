@@ -7,9 +7,8 @@ are run alike.
 
 from typing import Any
 
-import jax
-
 from jaxclear.formulations.contact_rates import ContactRates, contact_rates
+from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators import AbstractIntegrator, FixedStep, ImplicitStep
 from jaxclear.laws.friction.base import AbstractForceFriction
 from jaxclear.multibody.mechanism import Mechanism
@@ -27,9 +26,7 @@ def usual_integrator(mechanism: Mechanism, duration: Any) -> tuple[AbstractInteg
     which is the usual one."""
     explicit = FixedStep()
     step = float(explicit.step)
-    if not _rubs(mechanism) or any(
-        isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((mechanism, duration))
-    ):
+    if not _rubs(mechanism) or is_traced((mechanism, duration)):
         return explicit, ""
     try:
         rates = contact_rates(mechanism, float(duration), step)
