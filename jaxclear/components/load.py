@@ -24,12 +24,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose
-from jaxclear.ground.quantity import (
-    AbstractQuantified,
-    Scalar,
-    quantity,
-    vector,
-)
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
 
 __all__ = [
     "AbstractBodyLoad",
@@ -50,9 +45,7 @@ __getattr__ = nothing_else("jaxclear.load", __all__)
 
 
 class MarkerMotion(NamedTuple):
-    """A marker as a load sees it: pose in the ground frame, velocity and angular velocity in ground
-    axes.
-    """
+    """A marker as a load sees it: pose in the ground frame, velocity and spin in ground axes."""
 
     pose: Pose
     velocity: sp.Vec
@@ -95,13 +88,22 @@ class AbstractBodyLoad(AbstractLoad):
 
 
 class AbstractCoordinateLoad(AbstractLoad):
-    """Acts on the single coordinate of a revolute or prismatic joint, child against parent."""
+    """Acts on the single coordinate of a joint, child against parent: an angle or a displacement.
+
+    The joint may also close a loop or have clearance; then its coordinate is that of the ideal
+    joint that it would be, read between its two markers. An angle is followed over whole turns,
+    from where `start` or `guess` of the mechanism gives it, else from within half a turn of 0.
+    """
 
     connection: eqx.AbstractVar[str]
 
     @abstractmethod
     def force(self, time: Scalar, position: Scalar, speed: Scalar) -> tuple[Any, Any, Any, Any]:
         """(generalised force, stored energy, dissipated power, external power)."""
+
+    def reads_position(self) -> bool:
+        """Whether the force depends on the coordinate; it does unless overridden."""
+        return True
 
 
 # A hundred times that of the Earth.
@@ -112,11 +114,7 @@ class Gravity(AbstractLoad):
     """Uniform gravity on all bodies, as an acceleration in the ground frame."""
 
     acceleration: tuple = vector(
-        (0.0, -9.81),
-        "m/s^2",
-        "acceleration of free fall, ground frame",
-        counts=(2, 3),
-        usual=USUAL_GRAVITY,
+        (0.0, -9.81), "m/s^2", "free fall, ground frame", counts=(2, 3), usual=USUAL_GRAVITY
     )
 
 
@@ -182,9 +180,9 @@ class Torque(AbstractBodyLoad):
 
 class MotorTorque(AbstractBodyLoad):
     """A torque [N m] on the body of `journal` about the z axis of `bearing`, and its reaction on
-    the body of `bearing`: a motor in a joint with clearance, which carries no coordinate. A number
-    or function of time. Equal and opposite however the journal leans; for an ideal joint of the
-    tree prefer JointTorque.
+    the body of `bearing`: a motor between two bodies that no joint need join. A number or function
+    of time. Equal and opposite however the journal leans; for a joint prefer JointTorque, which
+    takes its name.
     """
 
     bearing: Marker
@@ -246,17 +244,14 @@ class Spring(AbstractBodyLoad):
             )
         pull = sp.scale(tension, direction)
         reaction = tuple(sp.neg(x) for x in pull)
-        return Effect(
-            (Action(self.start, pull, sp.ZERO), Action(self.end, reaction, sp.ZERO)),
-            stored,
-            dissipated,
-            0,
-        )
+        actions = (Action(self.start, pull, sp.ZERO), Action(self.end, reaction, sp.ZERO))
+        return Effect(actions, stored, dissipated, 0)
 
 
 class JointSpring(AbstractCoordinateLoad):
-    """Spring and damper on the coordinate of a revolute or prismatic joint (N m/rad, N m
-    s/rad; N/m, N s/m if sliding).
+    """Spring and damper on the coordinate of a joint that turns or slides, ideal or with clearance
+    (N m/rad, N m s/rad; N/m, N s/m if sliding). Angles count over whole turns, as
+    `AbstractCoordinateLoad` says.
     """
 
     connection: str = eqx.field(static=True)
@@ -280,10 +275,13 @@ class JointSpring(AbstractCoordinateLoad):
             force, dissipated = sp.sub(force, self.damping * speed), self.damping * speed * speed
         return force, stored, dissipated, 0
 
+    def reads_position(self):
+        return self.stiffness is not None
+
 
 class JointTorque(AbstractCoordinateLoad):
-    """A torque [N m] (force [N] if sliding) on a joint's coordinate, child against parent: a
-    number or function of time.
+    """A torque [N m] (force [N] if sliding) on the coordinate of a joint, ideal or with clearance,
+    child against parent: a number or function of time.
     """
 
     connection: str = eqx.field(static=True)
@@ -297,3 +295,6 @@ class JointTorque(AbstractCoordinateLoad):
     def force(self, time, position, speed):
         force = value_at(self.value, time)
         return force, 0, 0, force * speed
+
+    def reads_position(self):
+        return False

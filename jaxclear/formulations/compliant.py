@@ -26,6 +26,7 @@ from jaxclear.multibody.state import (
     components,
     impact_speed_places,
     pack_memories,
+    unpack_angles,
     unpack_memories,
     unpack_motion,
 )
@@ -67,7 +68,8 @@ class CompliantContact(AbstractFormulation):
         q, v = unpack_motion(system, entries)
         motions = kinematics.link_motions(system, q, v, time)
         reports = contact_reports(system, motions, unpack_memories(layout, entries), model.worn)
-        forces = applied_forces(system, motions, reports, q, v, time)
+        angles = unpack_angles(layout, entries)
+        forces = applied_forces(system, motions, reports, q, v, time, angles)
         solution = dynamics.forward_dynamics(system, forces, model.stabilisation)
         rates = [
             *state_rate.coordinate_rates(system, q, v),

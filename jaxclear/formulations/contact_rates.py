@@ -24,6 +24,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.assembly import Start, assemble
+from jaxclear.multibody.closure_coordinates import angles_at_start
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
@@ -124,7 +125,8 @@ def _pressed(mechanism: Mechanism, start: Start, times: Any) -> dict[str, _Press
 
     def at(time):
         motions = kinematics.link_motions(model.system, q, v, time)
-        now = free_motion(model, time, q, v)
+        angles = angles_at_start(mechanism, model.system, model.layout, motions)
+        now = free_motion(model, time, q, v, angles)
         free = delassus.delassus_operator(now, []).free
         return {
             name: _of_joint(bearing, model.system, motions, now, free)

@@ -21,7 +21,7 @@ from jaxclear.multibody import constraints, contact_point, dynamics, kinematics
 from jaxclear.multibody.contact_point import GapFunction
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.kinematics import JacobianRow
-from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.state import unpack_angles, unpack_motion
 from jaxclear.multibody.system import System
 
 ContactJacobianRow = JacobianRow
@@ -118,15 +118,17 @@ def middle_of_step(
     predicted = [x + 0.5 * h * a for x, a in zip(v, accelerations, strict=True)]
     halfway = drift(model.system, q, q, v, 0.5 * h)
     motion = unpack_motion(model.system, [*halfway, *predicted])
-    return MiddleOfStep(q, v, halfway, predicted, free_motion(model, time_step.middle, *motion))
+    angles = unpack_angles(layout, entries)
+    now = free_motion(model, time_step.middle, *motion, angles)
+    return MiddleOfStep(q, v, halfway, predicted, now)
 
 
-def free_motion(model: Model, time: Any, q: tuple, v: tuple) -> FreeMotion:
-    """The equations of motion at an instant, contacts apart."""
+def free_motion(model: Model, time: Any, q: tuple, v: tuple, angles: dict[str, Any]) -> FreeMotion:
+    """The equations of motion at an instant, contacts apart; `angles` that the state follows."""
     system = model.system
     motions = kinematics.link_motions(system, q, v, time)
     poses, contacts = contact_points(model, motions)
-    forces = applied_forces(system, motions, {}, q, v, time)
+    forces = applied_forces(system, motions, {}, q, v, time, angles)
     masses, by_subtree = dynamics.equations_of_motion(system, forces)
     rows, wanted = (
         constraints.acceleration_equations(system, motions, model.stabilisation)

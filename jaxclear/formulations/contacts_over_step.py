@@ -19,6 +19,7 @@ from jaxclear.formulations.slip_over_step import SlipAtStart
 from jaxclear.formulations.state_rate import link_accelerations, passive_rates
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
+from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.contact_point import PointState
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.kinematics import along
@@ -83,14 +84,15 @@ def passive_rates_over(whole: Step, solution: ContactSolution, ends: list, mean:
     model, free_motion = whole.model, whole.middle.free_motion
     layout, system = model.layout, model.system
     if not layout.wear and not layout.energies:
-        return []
+        return angle_rates(system, layout, free_motion.forces.motions)
     acting = _acting_contacts(whole, solution, ends, whole.middle.change_to(mean))
     reports = joint_reports(system, free_motion.poses, acting)
     forces = free_motion.forces._replace(reports=reports)
     if layout.energies:
         motion = unpack_motion(system, [*whole.middle.halfway, *whole.middle.predicted])
         motions = free_motion.forces.motions
-        forces = applied_forces(system, motions, reports, *motion, whole.time_step.middle)
+        time, angles = whole.time_step.middle, forces.angles
+        forces = applied_forces(system, motions, reports, *motion, time, angles)
     accelerations, multipliers = (
         [sp.add(a, b) for a, b in zip(free, caused, strict=True)]
         for free, caused in (

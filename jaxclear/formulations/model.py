@@ -14,7 +14,7 @@ from jaxclear.multibody import kinematics
 from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.loops import Baumgarte
-from jaxclear.multibody.state import Layout
+from jaxclear.multibody.state import Layout, unpack_angles
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Motion
 
@@ -54,6 +54,11 @@ class Instant(NamedTuple):
     entries: list
     means: list
 
+    @property
+    def angles(self) -> dict[str, Any]:
+        """The angles that the state follows, by joint."""
+        return unpack_angles(self.model.layout, self.entries)
+
     def means_of(self, name: str) -> list:
         """Those of the means that belong to a joint."""
         start = 0
@@ -65,7 +70,8 @@ class Instant(NamedTuple):
 
     def forces(self, reports: dict[str, JointReport]) -> Forces:
         """Everything that acts, the clearance joints as reported."""
-        return applied_forces(self.model.system, self.motions, reports, self.q, self.v, self.time)
+        motion = (self.motions, reports, self.q, self.v, self.time)
+        return applied_forces(self.model.system, *motion, self.angles)
 
     def pose(self, name: str) -> Pose:
         """A clearance joint's journal as seen from its bearing."""

@@ -37,8 +37,9 @@ from jaxclear.formulations.state_rate import link_accelerations
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody import energy, kinematics
+from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import Forces, applied_forces
-from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.state import unpack_angles, unpack_motion
 from jaxclear.multibody.system import System, prepare
 
 # Components of the impulse of a joint that always touches: force and torque on the child, friction.
@@ -113,7 +114,8 @@ class PermanentContact(AbstractFormulation):
         halfway = displace(system, q, v, 0.5 * h)
         motion = unpack_motion(system, [*halfway, *middle])
         motions = kinematics.link_motions(system, *motion, time_step.middle)
-        forces = applied_forces(system, motions, {}, *motion, time_step.middle)
+        angles = unpack_angles(layout, entries)
+        forces = applied_forces(system, motions, {}, *motion, time_step.middle, angles)
         held = touching(system)
         slips = [slip_of(system, motions, one, middle) for one in held]
         response = friction_response(model, forces, motion[0])
@@ -128,7 +130,8 @@ class PermanentContact(AbstractFormulation):
         found = response.at(friction)
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
-        gained = [
+        gained = [h * rate for rate in angle_rates(system, layout, motions)]
+        gained += [
             h * x
             for k, reaction in enumerate(found.reactions)
             for x in (*reaction.force, *reaction.torque, friction[k])

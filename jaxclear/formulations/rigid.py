@@ -30,6 +30,7 @@ from jaxclear.formulations.unilateral import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import kinematics
+from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import contact_components, unpack_motion
@@ -135,12 +136,13 @@ def _passive(
     mean: list,
     end: Projected,
 ) -> list:
-    """Changes of what only follows the motion: worn volumes, impulses, energies."""
+    """Changes of what only follows the motion: angles, worn volumes, impulses, energies."""
     system, layout, h = model.system, model.layout, time_step.length
     impulses = [part for own in impact.by_contact for part in own]
-    if not layout.wear and not layout.energies:
-        return impulses
     free_motion = middle.free_motion
+    if not layout.wear and not layout.energies:
+        rates = angle_rates(system, layout, free_motion.forces.motions)
+        return [*(sp.mul(h, rate) for rate in rates), *impulses]
     forces = [tuple(sp.mul(1 / h, part) for part in own) for own in impact.by_contact]
     change = middle.change_to(mean)
     reports = rigid_reports(system, free_motion.poses, free_motion.contacts, forces, change)
@@ -151,7 +153,8 @@ def _passive(
         travelled = [sp.add(x, sp.mul(1 / h, m)) for x, m in zip(mean, end.moved, strict=True)]
         motion = unpack_motion(system, [*middle.halfway, *travelled])
         motions = kinematics.link_motions(system, *motion, time_step.middle)
-        acting = applied_forces(system, motions, reports, *motion, time_step.middle)
+        angles = free_motion.forces.angles
+        acting = applied_forces(system, motions, reports, *motion, time_step.middle, angles)
     total = _add_rates(delassus.free, impact.changes, h)
     multipliers = tuple(_add_rates(delassus.multipliers, impact.multipliers, h))
     solution = link_accelerations(system, total, multipliers)

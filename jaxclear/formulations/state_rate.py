@@ -5,6 +5,7 @@ from typing import Any
 
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import energy
+from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.state import Layout, unpack_motion
@@ -27,8 +28,9 @@ def drift(system: System, start: list, at: list, speeds: list, h: Any) -> list:
 
 
 def passive_rates(system: System, layout: Layout, forces: Forces, solution: Solution) -> list:
-    """Rates of what only follows the motion: worn volumes with their locations, and energies."""
-    out: list[Any] = []
+    """Rates of what only follows the motion: angles over whole turns, worn volumes with their
+    locations, and energies."""
+    out: list[Any] = angle_rates(system, layout, forces.motions)
     for slot in layout.wear:
         contact_laws = system.bearings[slot.bearing].contact_laws
         order = [k for k, pairing in enumerate(contact_laws) if pairing.wears].index(slot.contact)

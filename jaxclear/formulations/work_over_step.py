@@ -12,7 +12,7 @@ from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.forces import applied_forces, contact_reports
-from jaxclear.multibody.state import unpack_memories, unpack_motion
+from jaxclear.multibody.state import unpack_angles, unpack_memories, unpack_motion
 
 
 def energy_rates(model: Model, time: Any, entries: list, mean: list) -> list:
@@ -20,13 +20,13 @@ def energy_rates(model: Model, time: Any, entries: list, mean: list) -> list:
     the forces at a state's `entries`, over the `mean` speeds of the step that begins there."""
     system, layout = model.system, model.layout
     memories = unpack_memories(layout, entries)
-    coordinates = entries[: layout.coordinates]
+    coordinates, angles = entries[: layout.coordinates], unpack_angles(layout, entries)
 
     def at(speeds):
         q, v = unpack_motion(system, [*coordinates, *speeds])
         motions = kinematics.link_motions(system, q, v, time)
         reports = contact_reports(system, motions, memories, model.worn)
-        return applied_forces(system, motions, reports, q, v, time)
+        return applied_forces(system, motions, reports, q, v, time, angles)
 
     start = at(entries[layout.coordinates : layout.memory_start])
     middle = at(mean)

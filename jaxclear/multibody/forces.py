@@ -13,7 +13,7 @@ from jaxclear.components.load import Action, MarkerMotion
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
 from jaxclear.ground.pose import Pose
-from jaxclear.multibody import contact_point, kinematics, tree
+from jaxclear.multibody import closure_coordinates, contact_point, kinematics, tree
 from jaxclear.multibody.contact_point import JointReport
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.system import System, body_loads, coordinate_loads
@@ -23,6 +23,8 @@ from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 class Forces(NamedTuple):
     """Everything that acts, at one instant: wrenches by link, in its axes, and forces on its
     coordinates; `stored` energy [J] of the loads, their `damping_loss` and `external_power` [W].
+    `on_joints`: wrenches of loads on coordinates outside the tree, by joint, on its child about its
+    marker in the parent marker's axes; `angles` [rad]: those near which such coordinates were read.
     """
 
     motions: tuple[Motion, ...]
@@ -32,6 +34,8 @@ class Forces(NamedTuple):
     stored: Any
     damping_loss: Any
     external_power: Any
+    on_joints: dict[str, Wrench]
+    angles: dict[str, Any]
 
 
 def contact_reports(
@@ -56,8 +60,10 @@ def applied_forces(
     q: tuple,
     v: tuple,
     time: Any,
+    angles: dict[str, Any],
 ) -> Forces:
-    """Wrench of contacts and loads on every link, and forces on coordinates."""
+    """Wrench of contacts and loads on every link, and forces on coordinates; `angles` that the
+    state follows, by joint."""
     wrenches = [NOTHING] * len(system.links)
     for name, report in reports.items():
         closure = system.bearings[name].closure
@@ -75,13 +81,24 @@ def applied_forces(
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
     forces = [(0,) * len(motion.columns) for motion in motions]
+    on_joints: dict[str, Wrench] = {}
     for _, held in coordinate_loads(system):
-        index = system.topology.branches.index(system.topology.branch_of(held.connection))
-        force, energy, loss, power = held.force(time, q[index][0], v[index][0])
-        forces[index] = (sp.add(forces[index][0], force),)
+        name, branch = held.connection, system.topology.branch_of(held.connection)
+        if branch is not None:
+            index = system.topology.branches.index(branch)
+            force, energy, loss, power = held.force(time, q[index][0], v[index][0])
+            forces[index] = (sp.add(forces[index][0], force),)
+        else:
+            coordinate = system.measured[name]
+            now = closure_coordinates.read(coordinate, motions, angles.get(name))
+            force, energy, loss, power = held.force(time, now.position, now.speed)
+            own = Wrench(*(sp.scale(force, part) for part in now.wrench))
+            add_action_and_reaction(wrenches, coordinate.closure, now.pose, *own)
+            on_joints[name] = _sum(on_joints.get(name, NOTHING), own)
         stored, damping = sp.add(stored, energy), sp.add(damping, loss)
         external = sp.add(external, power)
-    return Forces(motions, reports, tuple(wrenches), tuple(forces), stored, damping, external)
+    links = (tuple(wrenches), tuple(forces))
+    return Forces(motions, reports, *links, stored, damping, external, on_joints, angles)
 
 
 def add_action_and_reaction(
@@ -102,8 +119,11 @@ def add_action_and_reaction(
 
 
 def _add(wrenches: list[Wrench], link: int, wrench: Wrench) -> None:
-    old = wrenches[link]
-    wrenches[link] = Wrench(sp.plus(old.force, wrench.force), sp.plus(old.torque, wrench.torque))
+    wrenches[link] = _sum(wrenches[link], wrench)
+
+
+def _sum(a: Wrench, b: Wrench) -> Wrench:
+    return Wrench(sp.plus(a.force, b.force), sp.plus(a.torque, b.torque))
 
 
 def _marker_motion(link: int | None, marker: Pose, motions: tuple[Motion, ...]) -> MarkerMotion:

@@ -104,7 +104,7 @@ class Mechanism(AbstractQuantified):
             "stabilisation",
             "a jaxclear.Baumgarte, a jaxclear.Projection, or None for none",
         )
-        validation.check_tree(self.topology, self.connections, self.loads)
+        validation.check_tree(self.topology, self.connections)
         check_plane(self.topology, self.bodies, self.connections, self.loads)
         places = {"start": self.start, "guess": self.guess}
         validation.check_start(self.bodies, self.connections, places, self.speeds)

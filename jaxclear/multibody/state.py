@@ -1,6 +1,7 @@
 """The state of a simulation as one flat array, and where everything sits in it.
 
-Sections in order: coordinates, speeds, memories of contact laws, worn volumes with their
+Sections in order: coordinates, speeds, memories of contact laws, angles that are followed over
+whole turns (of joints outside the tree with torsion springs), worn volumes with their
 volume-weighted locations, impulses (of joints whose forces are no functions of the state),
 energies. One array, because a compiled loop pays for every leaf it carries. What a scene lacks has
 no entries.
@@ -46,6 +47,7 @@ class Layout:
     coordinates: int
     speeds: int
     memories: tuple[tuple[str, tuple[tuple[bool, int], ...]], ...]
+    angles: tuple[str, ...]
     wear: tuple[WearSlot, ...]
     impulses: tuple[tuple[str, int], ...]
     energies: tuple[str, ...]
@@ -60,6 +62,10 @@ class Layout:
         return sum(
             remembers + bristles for _, kinds in self.memories for remembers, bristles in kinds
         )
+
+    @property
+    def angle_start(self) -> int:
+        return self.memory_start + self.memory_count
 
     @property
     def energy_start(self) -> int:
@@ -88,6 +94,8 @@ def lay_out(
         memories.append((name, tuple(kinds)))
         position += sum(remembers + bristles for remembers, bristles in kinds)
         samples[name] = (bearing, offset, axes, overlaps)
+    angles = tuple(name for name, own in system.measured.items() if own.followed)
+    position += len(angles)
     for name, (bearing, offset, axes, overlaps) in samples.items():
         for surface in bearing.joint.maps():
             for k, laws in enumerate(bearing.contact_laws):
@@ -105,6 +113,7 @@ def lay_out(
         topology.coordinate_count,
         topology.speed_count,
         tuple(memories),
+        angles,
         tuple(wear),
         impulses,
         energies,
@@ -194,6 +203,11 @@ def pack_memories(layout: Layout, memories: dict[str, tuple[PointState, ...]]) -
     return entries
 
 
+def unpack_angles(layout: Layout, entries: Any) -> dict[str, Any]:
+    """The angles [rad] that the state follows, by joint."""
+    return {name: entries[layout.angle_start + i] for i, name in enumerate(layout.angles)}
+
+
 def impact_speed_places(layout: Layout) -> tuple[int | None, ...]:
     """Where the impact speed of each possible contact sits in the state; None for a law that does
     not remember it.
@@ -218,6 +232,7 @@ def names(system: System, layout: Layout) -> list[str]:
             out += [f"{name}.impact_speed{k}"] * remembers + [
                 f"{name}.bristle{k}_{i}" for i in range(bristles)
             ]
+    out += [f"{name}.angle" for name in layout.angles]
     for slot in layout.wear:
         label = f"{slot.bearing}.{slot.surface}.volume{slot.contact}"
         out += [label] + [f"{label}.location{i}" for i in slot.averaged]

@@ -12,13 +12,14 @@ import jax.numpy as jnp
 
 from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
+from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.topology import Topology, joint_of
+from jaxclear.multibody.topology import Topology, coordinate_joint, joint_of
 from jaxclear.multibody.tree import Link
 
 
@@ -36,9 +37,19 @@ class Bearing(eqx.Module):
         return [jnp.inf if shape is None else shape.inner_radius for shape in shapes]
 
 
+class ClosureCoordinate(eqx.Module):
+    """The coordinate of a joint that the tree does not carry, on which loads act, between the two
+    markers of a closure; `followed`: it is an angle whose whole turns matter.
+    """
+
+    joint: AbstractJoint
+    closure: Closure
+    followed: bool = eqx.field(static=True)
+
+
 class System(eqx.Module):
     """Links in the topology's order, loop closures and the joints that make them, clearance joints
-    and loads.
+    and loads; `measured`: joints outside the tree on whose coordinate loads act.
     """
 
     links: tuple[Link, ...]
@@ -46,6 +57,7 @@ class System(eqx.Module):
     closing: tuple[Any, ...]
     bearings: dict[str, Bearing]
     loads: dict[str, Any]
+    measured: dict[str, ClosureCoordinate]
     load_markers: dict[str, tuple[tuple[int | None, Pose], ...]]
     gravity: sp.Vec
     topology: Topology = eqx.field(static=True)
@@ -93,7 +105,25 @@ def prepare(mechanism: Mechanism) -> System:
                 (topology.index(m.body), frames[m.body].after(m.pose())) for m in load.markers()
             )
     closing = tuple(mechanism.connections[name].joint for name in topology.loops)
-    return System(tuple(links), closures, closing, bearings, loads, markers, gravity, topology)
+    places = dict(zip(topology.loops, closures, strict=True))
+    places |= {name: bearing.closure for name, bearing in bearings.items()}
+    measured = _measured(mechanism, places)
+    return System(
+        tuple(links), closures, closing, bearings, loads, measured, markers, gravity, topology
+    )
+
+
+def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, ClosureCoordinate]:
+    """Joints outside the tree, of these closures, on whose coordinate loads act."""
+    acting = [x for x in mechanism.loads.values() if isinstance(x, AbstractCoordinateLoad)]
+    found = {}
+    for name, closure in places.items():
+        own = [load for load in acting if load.connection == name]
+        if own:
+            joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
+            followed = joint.units == ("rad",) and any(load.reads_position() for load in own)
+            found[name] = ClosureCoordinate(joint, closure, followed)
+    return found
 
 
 def _link(mechanism: Mechanism, position: int, subtree: tuple[int, ...], links: list[Link]) -> Link:
@@ -125,7 +155,7 @@ def _link(mechanism: Mechanism, position: int, subtree: tuple[int, ...], links: 
 
 
 def coordinate_loads(system: System) -> list[tuple[str, AbstractCoordinateLoad]]:
-    """Loads on coordinates of the tree, by name."""
+    """Loads on coordinates of joints, by name."""
     return [
         (name, load)
         for name, load in system.loads.items()

@@ -79,11 +79,22 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
             _check_body(f'load "{name}" acts on', marker.body, bodies)
     if isinstance(load, AbstractCoordinateLoad):
         check_known(f'joint for load "{name}" to act on', load.connection, connections)
-        joint = connections[load.connection].joint
-        if not isinstance(joint, AbstractJoint) or len(joint.home) != 1:
+        try:
+            joint = coordinate_joint(load.connection, bodies, connections)
+        except ValueError as error:
             raise ValueError(
-                f'load "{name}" acts on the coordinate of joint "{load.connection}", which must be '
-                "an ideal revolute or prismatic joint of this mechanism."
+                f'load "{name}" acts on joint "{load.connection}", which {error}'
+            ) from None
+        if len(joint.home) != 1:
+            raise ValueError(
+                f'load "{name}" acts on the coordinate of joint "{load.connection}", which must '
+                f"have one, of turning or sliding; it has {len(joint.home)}. Put the load on "
+                "markers (jaxclear.load.Torque) or on another joint."
+            )
+        if drive_of(joint) is not None:
+            raise ValueError(
+                f'load "{name}" acts on joint "{load.connection}", whose coordinate is driven; put '
+                "the load on markers (jaxclear.load.Torque) or on another joint."
             )
 
 
@@ -146,23 +157,13 @@ def check_finite(what: str, part: Any) -> None:
             raise ValueError(f"{what} has {name} = {leaf}; it must be a finite number.")
 
 
-def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
-    """Drives and loads on coordinates must fit the tree."""
+def check_tree(topology: Topology, connections: dict) -> None:
+    """Drives must fit the tree."""
     for name in topology.loops:
         if drive_of(connections[name].joint) is not None:
             raise ValueError(
                 f'joint "{name}" is driven but closes a loop of driven joints; a loop can follow '
                 "one of them only."
-            )
-    for name, load in loads.items():
-        if isinstance(load, AbstractCoordinateLoad) and (
-            topology.branch_of(load.connection) is None
-            or drive_of(connections[load.connection].joint) is not None
-        ):
-            raise ValueError(
-                f'load "{name}" acts on joint "{load.connection}", whose coordinate is driven or '
-                "cut to close a loop; put the load on markers (jaxclear.load.Torque) or on another "
-                "joint."
             )
 
 

@@ -14,6 +14,7 @@ from jaxclear.components.clearance import AbstractClearance
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.multibody import constraints, dynamics, energy, kinematics
+from jaxclear.multibody.tree import NOTHING
 from jaxclear.results.state_history import StateHistory, check_known, columns, over_time
 
 # Vectors of a clearance joint and numbers of each of its contacts, with their units.
@@ -78,7 +79,7 @@ class ContactHistory(eqx.Module):
 
 class ReactionHistory(eqx.Module):
     """`force` [N] and `torque` [N m] that the child receives from the parent at the child's marker,
-    in ground axes.
+    in ground axes; those of loads on the joint's own coordinate included.
     """
 
     force: Float[Array, "time 3"]
@@ -198,6 +199,8 @@ def _closure_reaction(now, forces, solution, name):
         wanted = system.closures[topology.loops.index(name)]
         found = constraints.constraint_wrenches(system, now.motions, solution.multipliers)
         closure, force, torque, _ = next(entry for entry in found if entry[0] is wanted)
+    loads = forces.on_joints.get(name, NOTHING)
+    force, torque = sp.plus(force, loads.force), sp.plus(torque, loads.torque)
     rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
     return sp.apply(rotation, force), sp.apply(rotation, torque)
 

@@ -86,7 +86,7 @@ def _contacts(now: Instant, formulation: AbstractFormulation) -> tuple:
     the inverse of the mass [1/kg] that a force along its normal moves, and one across."""
     reports = formulation.forces(now).reports
     points = [point for report in reports.values() for point in report.points]
-    free = contact_rows.free_motion(now.model, now.time, now.q, now.v)
+    free = contact_rows.free_motion(now.model, now.time, now.q, now.v, now.angles)
     rows = [row for contact in free.contacts for row in contact.rows]
     operator = delassus.delassus_operator(free, rows)
     found = zip(

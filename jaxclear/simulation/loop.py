@@ -17,6 +17,7 @@ from jaxclear.formulations.base import model_of
 from jaxclear.formulations.model import Model, State
 from jaxclear.integrators.base import AbstractIntegrator, Interval
 from jaxclear.integrators.outcome import Outcome
+from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import readings
@@ -59,6 +60,7 @@ def run(
     model = model_of(mechanism, formulation, balance)
     layout = model.layout
     state = jnp.concatenate([coordinates, speeds, jnp.zeros(layout.size - layout.memory_start)])
+    state = closure_coordinates.started(mechanism, model.system, layout, times[0], state)
     worn = unworn(model.system) if worn is None else worn
     plan = spot_checks.plan(times, integrator.usual_step)
     warm_start = integrator.first_warm_start(model_of_worn(model, worn), times[0], state)
@@ -103,7 +105,8 @@ def _turn(
     result = integrator.advance(worn_model, ahead, *begin)
     sound = jnp.all(jnp.isfinite(result.state))
     counts = running & turn.own
-    state = jnp.where(counts & sound, result.state, now.state)
+    reached = closure_coordinates.anchored(model.system, model.layout, turn.stop, result.state)
+    state = jnp.where(counts & sound, reached, now.state)
     worn = deposit(model.system, model.layout, now.worn, now.state, state)
     # What is not held to a tolerance (memories, worn volumes) can be lost while the steps still
     # succeed.

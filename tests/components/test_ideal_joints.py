@@ -4,6 +4,7 @@ whichever end the tree starts at.
 
 import jax
 import jax.numpy as jnp
+import jaxlie
 import numpy as np
 import pytest
 
@@ -11,7 +12,7 @@ import jaxclear as jc
 from jaxclear.components.clearance import PermanentPrismatic, PermanentRevolute
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.pose import REST
+from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody import constraints, kinematics, loops
 from jaxclear.multibody.system import prepare
 
@@ -234,3 +235,19 @@ def test_rows_rates_and_accelerations_are_derivatives():
     np.testing.assert_allclose(
         sp.stack(loops.row_accelerations(ALL_ROWS, pose, view, *ends)), second, atol=1e-12
     )
+
+
+@pytest.mark.parametrize("kind", [jc.joint.Revolute, jc.joint.Cylindrical], ids=by_name)
+def test_speeds_are_rates_of_the_coordinates_also_where_a_journal_leans(kind):
+    joint, (velocity, spin) = kind(), np.random.default_rng(6).normal(size=(2, 3))
+
+    def pose(time):
+        turn = jaxlie.SO3.exp(time * spin) @ jaxlie.SO3.exp(jnp.asarray([0.1, -0.2, 2.5]))
+        return Pose(tuple(map(tuple, turn.as_matrix())), tuple(time * velocity))
+
+    @jax.jit
+    def both(time):
+        rates = jax.jacfwd(lambda now: sp.stack(joint.coordinates_at(pose(now))))(time)
+        return sp.stack(joint.speeds_at(pose(time), tuple(velocity), tuple(spin))), rates
+
+    np.testing.assert_allclose(*both(0.0), atol=1e-14)

@@ -108,9 +108,9 @@ MECHANISMS = {
         ),
         'load "m" .* "pin", whose coordinate is driven',
     ),
-    "coordinate load on a cut joint": (
-        lambda: four_bar(loads={"m": jc.load.JointTorque("B", 1.0)}),
-        'load "m" .* "B"',
+    "coordinate load on a ball with clearance": (
+        lambda: rig(jc.clearance.BallSocket(LAW), loads={"m": jc.load.JointTorque("pin", 1.0)}),
+        'load "m" .* "pin", which must have one, .* it has 4',
     ),
     "two gravities": (
         lambda: rig(loads={"g": jc.load.Gravity(), "h": jc.load.Gravity()}),

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.pose import Pose, Twist
 from jaxclear.ground.quantity import AbstractQuantified
 
@@ -75,7 +76,9 @@ class AbstractJoint(AbstractQuantified):
     @abstractmethod
     def speeds_at(self, pose: Pose, velocity: sp.Vec, spin: sp.Vec) -> tuple:
         """Speeds at which the child's marker has this relative velocity and spin, both in the
-        parent marker's axes."""
+        parent marker's axes. Of a pose beside those that the joint allows (of a journal that leans)
+        the rate of the coordinate that `coordinates_at` tells, so that loads on it do its work.
+        """
 
     @abstractmethod
     def start(self, given: tuple) -> tuple:
@@ -130,6 +133,17 @@ def complete(joint: AbstractJoint, given: tuple) -> tuple:
     if len(given) != len(joint.home):
         raise ValueError(f"needs {len(joint.home)} numbers {joint.units}, not {len(given)}.")
     return given
+
+
+def turning(pose: Pose, spin: sp.Vec) -> Any:
+    """Rate [rad/s] of the angle about the parent's z axis at which the child's x axis is seen, for
+    a relative spin in the parent's axes; that about z where the z axes agree."""
+    x, y, lean = (row[0] for row in pose.rotation)
+    across = sp.add(sp.mul(x, spin[0]), sp.mul(y, spin[1]))
+    if sp.is_zero(lean) or sp.is_zero(across):
+        return spin[2]
+    flat = sp.add(sp.mul(x, x), sp.mul(y, y))
+    return sp.sub(spin[2], sp.mul(lean, safe_divide(across, flat)))
 
 
 def angle(sine: Any, cosine: Any) -> Any:

@@ -11,6 +11,7 @@ from jaxclear.components.joint.base import (
     AbstractDrivenJoint,
     AbstractVectorJoint,
     angle,
+    turning,
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import FLIP, REST, Pose, Twist, rotation_x, rotation_y, rotation_z
@@ -42,7 +43,7 @@ class Revolute(AbstractDrivenJoint):
         return (angle(pose.rotation[1][0], pose.rotation[0][0]),)
 
     def speeds_at(self, pose, velocity, spin):
-        return (spin[2],)
+        return (turning(pose, spin),)
 
 
 class Prismatic(AbstractDrivenJoint):
@@ -91,7 +92,7 @@ class Cylindrical(AbstractVectorJoint):
         return (pose.translation[2], angle(pose.rotation[1][0], pose.rotation[0][0]))
 
     def speeds_at(self, pose, velocity, spin):
-        return (velocity[2], spin[2])
+        return (velocity[2], turning(pose, spin))
 
 
 class Universal(AbstractVectorJoint):

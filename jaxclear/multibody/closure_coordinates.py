@@ -1,0 +1,106 @@
+r"""The coordinate of a joint that the tree does not carry, on which loads act: of one that closes a
+loop, or one with clearance.
+
+It is read between the joint's two markers, $q(T)$ of their relative pose $T$, and a load's force
+acts along $\partial q / \partial T$: the work of a load is that of its coordinate, also where a
+journal leans. An angle so read is known but for whole turns. Where a force depends on it the state
+follows the angle by its rate, and only its whole turns are taken from there, so that errors of the
+integration do not enter.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import Pose
+from jaxclear.multibody import kinematics
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import Layout, unpack_angles, unpack_motion
+from jaxclear.multibody.system import ClosureCoordinate, System
+from jaxclear.multibody.topology import coordinate_joint
+from jaxclear.multibody.tree import Motion, Wrench
+
+TURN = 2 * jnp.pi
+
+
+class Reading(NamedTuple):
+    """A coordinate at an instant: its `position` [rad, m] and `speed`, the `pose` of the child's
+    marker in the parent's, and the `wrench` on the child about its marker, in the parent marker's
+    axes, that is a unit of generalised force."""
+
+    position: Any
+    speed: Any
+    pose: Pose
+    wrench: Wrench
+
+
+def read(coordinate: ClosureCoordinate, motions: tuple[Motion, ...], angle: Any) -> Reading:
+    """The coordinate as the motions of the links tell it; `angle`: one within half a turn of it,
+    None where whole turns do not matter."""
+    pose, velocity, spin = kinematics.relative_motion(coordinate.closure, motions)[2]
+    joint = coordinate.joint
+    (position,), (speed,) = joint.coordinates_at(pose), joint.speeds_at(pose, velocity, spin)
+    if angle is not None:
+        position = nearest_turn(position, angle)
+    force = tuple(joint.speeds_at(pose, axis, sp.ZERO)[0] for axis in sp.IDENTITY)
+    torque = tuple(joint.speeds_at(pose, sp.ZERO, axis)[0] for axis in sp.IDENTITY)
+    return Reading(position, speed, pose, Wrench(force, torque))
+
+
+def nearest_turn(angle: Any, near: Any) -> Any:
+    """The angle [rad] and as many whole turns as bring it within half a turn of another."""
+    return angle + TURN * jnp.round((near - angle) / TURN)
+
+
+def angle_rates(system: System, layout: Layout, motions: tuple[Motion, ...]) -> list:
+    """Rates [rad/s] of the angles that the state follows."""
+    return [read(system.measured[name], motions, None).speed for name in layout.angles]
+
+
+def angles_at_start(
+    mechanism: Mechanism, system: System, layout: Layout, motions: tuple[Motion, ...]
+) -> dict[str, Any]:
+    """The angles [rad] that the state follows, by joint: within half a turn of what `start` or
+    `guess` gives for the joint, of 0 where they give nothing."""
+    angles = {}
+    told = mechanism.guess | mechanism.start
+    for name in layout.angles:
+        joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
+        near = joint.start(told[name])[0] if name in told else 0.0
+        angles[name] = read(system.measured[name], motions, near).position
+    return angles
+
+
+def started(
+    mechanism: Mechanism, system: System, layout: Layout, time: Any, state: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """The state at the start of a run, with the angles that it follows."""
+    if not layout.angles:
+        return state
+    motions = kinematics.link_motions(system, *unpack_motion(system, _entries(state)), time)
+    return _with_angles(layout, state, angles_at_start(mechanism, system, layout, motions))
+
+
+def anchored(
+    system: System, layout: Layout, time: Any, state: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """The state with the angles that it follows as its coordinates tell them: what their
+    integration has gathered in errors is dropped."""
+    if not layout.angles:
+        return state
+    entries = _entries(state)
+    motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
+    followed = unpack_angles(layout, entries)
+    angles = {n: read(system.measured[n], motions, x).position for n, x in followed.items()}
+    return _with_angles(layout, state, angles)
+
+
+def _entries(state: Array) -> list:
+    return [state[i] for i in range(len(state))]
+
+
+def _with_angles(layout: Layout, state: Array, angles: dict[str, Any]) -> Array:
+    first = layout.angle_start
+    return state.at[first : first + len(angles)].set(sp.stack(list(angles.values())))
