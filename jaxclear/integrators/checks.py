@@ -152,17 +152,17 @@ class Check(enum.IntEnum):
         'the indentation in joint "{place}" reaches {figure:.2g} of its radius (limit {limit:g}), '
         "for which no contact law was made: look at stiffness, loads and start",
     )
-    # Share of itself by which friction changes over a step as the slip does: a mean by its power.
+    # Share of friction's power that is taken where explicit steps do not resolve it.
     FRICTION_STEP = (
         1,
         "friction step",
         "1",
-        0.06,
+        0.015,
         "wear",
         CONTACTS,
-        'friction in joint "{place}" answers {figure:.2g} of the slip it meets within a step '
-        "(limit {limit:g}), so sliding, friction loss and wear may be far off: take shorter steps "
-        "or integrator.ImplicitStep",
+        '{figure:.2g} of what friction takes in joint "{place}" is taken where it stops slip '
+        "within a step (limit {limit:g}), so sliding, friction loss and wear may be far off: take "
+        "shorter steps or integrator.ImplicitStep",
     )
     # Angle by which a contact vibrates in a step, or share of slip that friction stops in it if
     # that is less: a mean by the power of friction. Steps that damp count as longer ones.

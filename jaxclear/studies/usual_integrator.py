@@ -1,10 +1,11 @@
 """The integrator of a study that asks for none: steps of a fixed length, explicit where contacts
-allow it, implicit where friction or damping answer faster than such a step.
+allow it, implicit where friction or damping answer faster than explicit steps should be long.
 
 It is chosen before anything is compiled, from the nominal numbers, so that all samples of a study
 are run alike.
 """
 
+import math
 from typing import Any
 
 from jaxclear.formulations.contact_rates import ContactRates, contact_rates
@@ -16,9 +17,15 @@ from jaxclear.multibody.mechanism import Mechanism
 # Share of 1 / rate that an explicit step may have in friction and damping: rk4 is stable up to
 # 2.78, and damps as it should up to here.
 EXPLICIT_SHARE = 2.0
-# Share of 1 / rate that an implicit step has in a contact, so that impacts, and with them friction
-# loss and wear, are within 2 % (benchmarks/claims/loaded_bearing.py).
-IMPLICIT_SHARE = 0.1
+# The same where that is what sets its length.
+CAREFUL_SHARE = 1.0
+# Shares of 1 / rate that steps have in a contact, so that impacts, and with them friction loss and
+# wear, are within 2 %: of explicit steps (the four-bar of jaxclear.commands, in which ten times as
+# many impacts follow on one another as in a bearing) and of implicit ones
+# (benchmarks/claims/loaded_bearing.py).
+IMPACT_SHARE, IMPLICIT_SHARE = 0.36, 0.1
+# Lengths of steps that a reader takes in at a glance, a decade of them.
+ROUND = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 
 
 def usual_integrator(mechanism: Mechanism, duration: Any) -> tuple[AbstractIntegrator, str]:
@@ -26,7 +33,7 @@ def usual_integrator(mechanism: Mechanism, duration: Any) -> tuple[AbstractInteg
     which is the usual one."""
     explicit = FixedStep()
     step = float(explicit.step)
-    if not _rubs(mechanism) or is_traced((mechanism, duration)):
+    if not _touches(mechanism) or is_traced((mechanism, duration)):
         return explicit, ""
     try:
         rates = contact_rates(mechanism, float(duration), step)
@@ -35,25 +42,44 @@ def usual_integrator(mechanism: Mechanism, duration: Any) -> tuple[AbstractInteg
         return explicit, ""
     if not rates:
         return explicit, ""
-    name, hardest = max(rates.items(), key=lambda item: _stiffness(item[1]))
     bristles = [joint for joint in rates if _bristles(mechanism, joint)]
-    too_fast = step * _stiffness(hardest) > EXPLICIT_SHARE
-    if not (too_fast or bristles):
-        return explicit, ""
+    allowed, cause = _longest(rates, step)
     contact = max(rate.contact for rate in rates.values())
-    short = min(step, IMPLICIT_SHARE / contact) if contact > 0 else step
-    if too_fast:
-        cause = (
-            f'friction in joint "{name}" answers within {1 / _stiffness(hardest):.2g} s under '
-            f"{hardest.force:.3g} N"
-        )
-    else:
+    implicit = min(step, IMPLICIT_SHARE / contact) if contact > 0 else step
+    if bristles:
         cause = f'friction in joint "{bristles[0]}" remembers deflections that settle at once'
-    sentence = (
-        f"Run with integrator.ImplicitStep({short:.3g}, rebound=1.0), because {cause}, too fast "
-        f"for the usual explicit steps of {step:.3g} s."
-    )
-    return ImplicitStep(short, rebound=1.0), sentence
+    elif allowed >= step:
+        return explicit, ""
+    usual = f"too fast for the usual explicit steps of {step:.3g} s."
+    if bristles or _rounded(allowed) < implicit:
+        sentence = f"Run with integrator.ImplicitStep({implicit:.3g}, rebound=1.0)"
+        return ImplicitStep(implicit, rebound=1.0), f"{sentence}, because {cause}, {usual}"
+    sentence = f"Run with integrator.FixedStep({_rounded(allowed):.3g})"
+    return FixedStep(_rounded(allowed)), f"{sentence}, because {cause}, {usual}"
+
+
+def _longest(rates: dict[str, ContactRates], step: float) -> tuple[float, str]:
+    """The longest explicit step [s] that contacts allow, and what sets it if that is shorter than
+    `step` [s]."""
+    name, hardest = max(rates.items(), key=lambda item: item[1].contact)
+    impacts = IMPACT_SHARE / hardest.contact if hardest.contact > 0 else math.inf
+    place, stiffest = max(rates.items(), key=lambda item: _stiffness(item[1]))
+    rate = _stiffness(stiffest)
+    friction = CAREFUL_SHARE / rate if rate * step > EXPLICIT_SHARE else math.inf
+    if friction < impacts:
+        return friction, (
+            f'friction in joint "{place}" answers within {1 / rate:.2g} s under '
+            f"{stiffest.force:.3g} N"
+        )
+    # Half a vibration of the contact.
+    lasts = math.pi * impacts / IMPACT_SHARE
+    return impacts, f'an impact in joint "{name}" is over within {lasts:.2g} s'
+
+
+def _rounded(step: float) -> float:
+    """The next shorter length [s] of those in `ROUND`."""
+    decade = 10.0 ** math.floor(math.log10(step))
+    return max((x for x in ROUND if x * decade <= step), default=ROUND[0]) * decade
 
 
 def _stiffness(rates: ContactRates) -> float:
@@ -61,14 +87,20 @@ def _stiffness(rates: ContactRates) -> float:
     return max(rates.friction, rates.damping)
 
 
-def _laws(mechanism: Mechanism, joint: str) -> list[AbstractForceFriction]:
-    laws = mechanism.connections[joint].joint.contact_laws()
-    return [x.friction for x in laws if x.friction is not None and not x.friction.set_valued]
-
-
-def _rubs(mechanism: Mechanism) -> bool:
-    return any(_laws(mechanism, joint) for joint in mechanism.topology.clearances)
+def _touches(mechanism: Mechanism) -> bool:
+    """Whether a contact may open and close."""
+    laws = (
+        own.contact
+        for joint in mechanism.topology.clearances
+        for own in mechanism.connections[joint].joint.contact_laws()
+    )
+    return any(law.compliant for law in laws)
 
 
 def _bristles(mechanism: Mechanism, joint: str) -> bool:
-    return any(law.bristles > 0 for law in _laws(mechanism, joint))
+    laws: list[AbstractForceFriction] = [
+        own.friction
+        for own in mechanism.connections[joint].joint.contact_laws()
+        if own.friction is not None and not own.friction.set_valued
+    ]
+    return any(law.bristles > 0 for law in laws)

@@ -59,6 +59,15 @@ def test_steps_that_resolve_friction_say_nothing_of_it(load):
         assert FRICTION & set(run.checks.figures)
 
 
+def test_friction_that_explicit_steps_resolve_is_not_said():
+    """A step stops an eighth of the slip, all the time: rk4 is right, and was said to be off."""
+    rig = loaded_bearing(20.0, jc.friction.CoulombTanh(transition_speed=1e-3))
+    run = run_of(rig, jc.integrator.FixedStep(), balance=True)
+    assert off(rig, run) < WRONG and not said(run)
+    long = run_of(rig, jc.integrator.FixedStep(2e-4), balance=True)
+    assert off(rig, long) > WRONG and said(long)
+
+
 @pytest.mark.parametrize("method", ["semi_implicit", "munthe_kaas4"])
 def test_every_explicit_method_says_so(method):
     run = run_of(

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.commands import four_bar
+from jaxclear.formulations.contact_rates import contact_rates
 from jaxclear.studies.usual_integrator import usual_integrator
 from tests.rigs.loaded_bearing import loaded_bearing, losses
 
@@ -64,11 +66,51 @@ def test_every_loaded_bearing_loses_what_a_tight_run_loses(law, radius, load, sl
     assert_loses_what_a_tight_run_loses(rig)
 
 
-def test_steps_stay_explicit_where_friction_is_slow_or_absent():
-    for rig in (jc.scenes.slider_crank(), jc.scenes.slider_crank(friction=False)):
-        asked = problem(rig)
-        assert isinstance(asked.integrator, jc.integrator.FixedStep)
-        assert asked.why_integrator == ""
+def test_steps_stay_as_usual_where_contacts_answer_slowly():
+    asked = problem(loaded_bearing(1.0, jc.friction.Stribeck(), radius=50e-3))
+    assert isinstance(asked.integrator, jc.integrator.FixedStep)
+    assert float(asked.integrator.step) == float(jc.integrator.FixedStep().step)
+    assert asked.why_integrator == ""
+
+
+def test_impacts_shorter_than_usual_steps_get_shorter_ones():
+    """The usual steps of 2e-5 s said that they did not resolve the impacts."""
+    rig = jc.scenes.slider_crank(friction=False)
+    asked = problem(rig)
+    assert isinstance(asked.integrator, jc.integrator.FixedStep)
+    assert float(asked.integrator.step) < float(jc.integrator.FixedStep().step)
+    assert 'an impact in joint "B" is over within' in asked.why_integrator
+    run = jc.simulate(rig, 0.05, integrator=asked.integrator, save=51)
+    assert run.warnings == ()
+
+
+def test_rates_of_a_driven_mechanism_are_those_of_its_start():
+    """The force that closes the clearance was taken where the drive had carried a crank to and
+    nothing else: 31 N for what turns out as a thousand and more."""
+    rig = jc.scenes.four_bar("planar")
+    assert contact_rates(rig, 1.0, 2e-5) == contact_rates(rig, 1e-6, 2e-5)
+    usual, why = usual_integrator(rig, 1.0)
+    assert float(usual.step) == 1e-5 and "an impact" in why
+
+
+@pytest.mark.slow
+def test_a_study_of_the_four_bar_is_right_and_warns_of_nothing():
+    """Steps of 2e-5 s wore 1.6 % too much in the mean, single samples up to 7 %, and three of four
+    samples warned."""
+    asked = four_bar.problem(2 * four_bar.TURN, 2 * four_bar.SAVES_PER_TURN + 1)
+    tight = jc.Problem(
+        asked.mechanism,
+        asked.response,
+        asked.variables,
+        duration=asked.duration,
+        integrator=jc.integrator.Adaptive(rtol=1e-9, atol=1e-13),
+        save=2 * four_bar.SAVES_PER_TURN + 1,
+    )
+    found, exact = (jc.monte_carlo(each, 24) for each in (asked, tight))
+    assert not found.warned.size and asked.why_integrator in found.sentence()
+    for name, values in exact.responses.items():
+        np.testing.assert_allclose(found.responses[name].mean(), values.mean(), rtol=WITHIN)
+        np.testing.assert_allclose(found.responses[name], values, rtol=2 * WITHIN)
 
 
 def test_a_study_says_why_its_steps_are_implicit():
