@@ -40,6 +40,7 @@ from jaxclear.multibody.magnitudes import UnusualMagnitude
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results import response
 from jaxclear.results.pointing_error import pointing_error
+from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution
@@ -68,6 +69,7 @@ __all__ = [
     "Projection",
     "Scalar",
     "SimulationError",
+    "State",
     "Trajectory",
     "UnusualMagnitude",
     "Variable",

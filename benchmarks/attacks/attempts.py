@@ -85,7 +85,7 @@ def _run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
         case.duration,
         integrator=integrator,
         save=asked.saves,
-        start_concentric=case.concentric,
+        state=jc.State(concentric=case.concentric),
         balance=asked.balance,
         throw=False,
     )

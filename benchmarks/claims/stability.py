@@ -260,7 +260,7 @@ def _drift(name: str, integrator: Any, most: int) -> dict[str, Any]:
             most * step,
             integrator=integrator,
             save=saves + 1,
-            start_concentric=False,
+            state=jc.State(concentric=False),
             throw=False,
         )
 

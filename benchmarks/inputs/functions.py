@@ -73,7 +73,7 @@ TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
     (
         "simulate",
         "concentric",
-        lambda x: jc.simulate(rig(), 1e-3, start_concentric=x),
+        lambda x: jc.simulate(rig(), 1e-3, state=jc.State(concentric=x)),
         KINDS["flag"],
     ),
     ("simulate", "balance", lambda x: jc.simulate(rig(), 1e-3, balance=x), KINDS["flag"]),

@@ -20,7 +20,7 @@ from jaxclear.ground.least_change import least_change
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody import contact_point, kinematics, start_check
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, ungiven
 from jaxclear.multibody.start_equations import (
     GIVEN,
     GUESS,
@@ -40,7 +40,17 @@ from jaxclear.multibody.start_equations import (
     stacked,
 )
 
-__all__ = ["Start", "assemble", "assemble_arrays", "assembled", "determined", "guess", "is_sound"]
+__all__ = [
+    "Start",
+    "assemble",
+    "assemble_arrays",
+    "assemble_from",
+    "assembled",
+    "carried_on",
+    "determined",
+    "guess",
+    "is_sound",
+]
 
 ITERATIONS = 30
 # A part may start this deep in another, as a share of the smaller radius in contact [1]: as deep as
@@ -48,10 +58,16 @@ ITERATIONS = 30
 DEEPEST = 2e-3
 
 
-def assemble_arrays(mechanism: Mechanism, concentric: bool = True, time: float = 0.0) -> Start:
-    """The consistent start nearest the mechanism's guess; pure, so it maps and differentiates."""
+def assemble_arrays(
+    mechanism: Mechanism,
+    concentric: bool = True,
+    time: Any = 0.0,
+    rough: tuple[Array, Array] | None = None,
+) -> Start:
+    """The consistent start nearest `rough` coordinates and speeds, by default the mechanism's
+    guess; pure, so it maps and differentiates."""
     asked = ask(mechanism, concentric)
-    q, v = guess(mechanism)
+    q, v = guess(mechanism) if rough is None else rough
     start_check.check_flat_bodies(mechanism, asked.system, motions_at(asked, q, v, time)[2])
     if is_solved(asked):
         return _started(asked, q, v, time)
@@ -73,6 +89,23 @@ def assemble_arrays(mechanism: Mechanism, concentric: bool = True, time: float =
     for _ in range(2):
         v = v - least_change(*stacked(asked, speed_blocks(asked, q, v, time)), scales).change
     return _started(asked, q, v, time)
+
+
+def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any) -> Start:
+    """The start at a `time` [s] from coordinates and speeds of a run: they themselves where its
+    loops are closed, as far as a run keeps them, otherwise the nearest that close them. Nothing
+    that is given for a start is held; pure.
+    """
+    bare = ungiven(mechanism)
+    asked = ask(bare, False)
+    found = assemble_arrays(bare, False, time, (coordinates, speeds))
+    left = stacked(asked, position_blocks(asked, coordinates, time))[1]
+    closed = jnp.max(jnp.abs(left), initial=0.0) <= start_check.HELD * asked.arm
+    q, v = (
+        jnp.where(closed, own, nearest)
+        for own, nearest in ((coordinates, found.coordinates), (speeds, found.speeds))
+    )
+    return found._replace(coordinates=q, speeds=v, depths={})
 
 
 def _started(asked: Ask, q: Array, v: Array, time: Any) -> Start:
@@ -121,6 +154,12 @@ def _judged(mechanism: Mechanism, concentric: bool) -> tuple[Start, Array]:
     return start, is_sound(mechanism, start)
 
 
+@eqx.filter_jit
+def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Array]:
+    start = carried_on(mechanism, *rest)
+    return start, is_sound(mechanism, start)
+
+
 @answering
 def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     """Consistent start of a mechanism with numbers; refuses, by name, what cannot be: loops that do
@@ -138,6 +177,14 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     if not sound:
         start_check.refuse(mechanism, start)
     start_check.check_rank(mechanism, start)
+    return start
+
+
+def assemble_from(mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any) -> Start:
+    """`carried_on`, for a mechanism with numbers. Raises `ValueError` where loops do not close."""
+    start, sound = _carried_on(mechanism, coordinates, speeds, time)
+    if not is_traced(start) and not sound:
+        start_check.refuse(mechanism, start)
     return start
 
 

@@ -142,6 +142,11 @@ class Mechanism(AbstractQuantified):
         )
 
 
+def ungiven(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with nothing given for its start."""
+    return eqx.tree_at(lambda m: (m.start, m.speeds, m.guess), mechanism, ({}, {}, {}))
+
+
 def loosened(mechanism: Mechanism, names: tuple[str, ...]) -> Mechanism:
     """The mechanism with the coordinates of these names guessed, not given."""
     if not names:

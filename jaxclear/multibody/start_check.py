@@ -100,7 +100,7 @@ def _eccentric(mechanism: Mechanism, start: Start, name: str) -> str:
     return (
         f'the journal of joint "{name}" cannot be brought to the middle of its bearing: '
         f"{_most(start.residuals[name]):.3g} m (or rad) remain. Check the lengths, give a better "
-        "start or guess, or simulate with start_concentric=False."
+        "start or guess, or simulate with state=jaxclear.State(concentric=False)."
     )
 
 

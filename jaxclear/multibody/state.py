@@ -58,6 +58,11 @@ class Layout:
         return self.coordinates + self.speeds
 
     @property
+    def remembered(self) -> slice:
+        """What a motion goes on with beside coordinates and speeds."""
+        return slice(self.memory_start, self.angle_start + len(self.angles))
+
+    @property
     def memory_count(self) -> int:
         return sum(
             remembers + bristles for _, kinds in self.memories for remembers, bristles in kinds

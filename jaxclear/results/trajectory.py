@@ -7,7 +7,6 @@ pays for none of them. The methods here are fronts of the functions that do it.
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -15,7 +14,8 @@ from jaxtyping import Array, Float, Int
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_count, check_known
+from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.checks import Checks
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import state
@@ -28,6 +28,7 @@ from jaxclear.results.histories import (
     EnergyHistory,
     ReactionHistory,
 )
+from jaxclear.results.saved_state import SavedMotion, State
 from jaxclear.results.state_history import StateHistory
 
 
@@ -111,7 +112,7 @@ class Trajectory(eqx.Module):
         return self.checks.warnings
 
     def __str__(self) -> str:
-        if np.ndim(self.outcome) or isinstance(self.outcome, jax.core.Tracer):
+        if np.ndim(self.outcome) or is_traced(self.outcome):
             return repr(self)
         steps = f"{int(self.accepted_steps)} steps, {len(self.time)} saved instants"
         return f"{self.result}\n{float(self.ended):.6g} s in {steps}.\n{self.checks}"
@@ -120,6 +121,31 @@ class Trajectory(eqx.Module):
         """Names of the columns of `states`."""
         model = self.history.model()
         return state.names(model.system, model.layout)
+
+    def state(self, index: int = -1) -> State:
+        """The state at a saving time, by default the last, for another run to begin there:
+        `simulate(..., state=run.state())`. Raises `ValueError` for a time that the run did not
+        reach, and before its end where surfaces wear: their depths are known there only.
+        """
+        count = len(self.time)
+        check_count("index of a saving time", index, at_least=-count)
+        if index >= count:
+            raise ValueError(f"saving time {index} was asked for; the run has {count}.")
+        if self.worn and index % count != count - 1:
+            raise ValueError(
+                f"saving time {index} was asked for; worn depths are known at the end of a run "
+                "only, so simulate up to there."
+            )
+        if not is_traced((self.ended, self.time)) and self.time[index] > self.ended:
+            raise ValueError(
+                f"the run ended at {float(self.ended):.6g} s, before the saving time at "
+                f"{float(self.time[index]):.6g} s."
+            )
+        layout, names, row = self.history.layout(), self.state_names(), self.states[index]
+        first, middle, beside = layout.coordinates, layout.memory_start, layout.remembered
+        parts = row[:first], row[first:middle], row[beside]
+        motion = SavedMotion(self.time[index], *parts, tuple(names[:middle]), tuple(names[beside]))
+        return State(self.worn or None, motion=motion)
 
     def body(self, name: str) -> BodyHistory:
         """Motion of a body."""

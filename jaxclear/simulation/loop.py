@@ -25,6 +25,7 @@ from jaxclear.native import verdict
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation import progress, spot_checks
+from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.referee import refereed
 from jaxclear.simulation.spot_checks import Turns
 from jaxclear.simulation.wear import Worn, deposit, unworn
@@ -53,15 +54,18 @@ def run(
     integrator: AbstractIntegrator,
     balance: bool = False,
     report: bool = False,
-    worn: Worn | None = None,
+    past: Past = Past(),
 ) -> Trajectory:
-    """The pure core of `simulate`: from consistent coordinates and speeds to a trajectory."""
+    """The pure core of `simulate`: from consistent coordinates and speeds, and what is left of a
+    past, to a trajectory."""
     formulation = integrator.formulation
     model = model_of(mechanism, formulation, balance)
     layout = model.layout
     state = jnp.concatenate([coordinates, speeds, jnp.zeros(layout.size - layout.memory_start)])
     state = closure_coordinates.started(mechanism, model.system, layout, times[0], state)
-    worn = unworn(model.system) if worn is None else worn
+    if past.remembered is not None:
+        state = state.at[layout.remembered].set(past.remembered)
+    worn = unworn(model.system) if past.worn is None else past.worn
     plan = spot_checks.plan(times, integrator.usual_step)
     warm_start = integrator.first_warm_start(model_of_worn(model, worn), times[0], state)
     first = Carry(state, worn, warm_start, jnp.asarray(Outcome.REACHED), times[0])

@@ -16,11 +16,12 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.multibody.assembly import assemble
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import stoppable
+from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
+from jaxclear.simulation.beginning import beginning
 from jaxclear.simulation.bristles import told_of_bristles
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import guarded
@@ -93,6 +94,14 @@ def check_duration(duration: Any) -> Any:
     return duration
 
 
+def _check_compiling() -> None:
+    if jax.config.jax_disable_jit:  # type: ignore[attr-defined]
+        raise ValueError(
+            "simulate compiles its loop, and jax.disable_jit is on; look into a law or a joint by "
+            "calling it alone."
+        )
+
+
 @answering
 def simulate(
     mechanism: Mechanism,
@@ -100,7 +109,7 @@ def simulate(
     *,
     integrator: AbstractIntegrator | None = None,
     save: Any = 501,
-    start_concentric: bool = True,
+    state: State | None = None,
     balance: bool = False,
     progress_bar: bool = False,
     throw: bool = True,
@@ -108,33 +117,28 @@ def simulate(
     """Simulate a mechanism for `duration` [s] from its own start.
 
     `save`: number of equally spaced saving times, or the times [s]; worn surfaces are updated at
-    these times. `integrator`: `jaxclear.integrator.Adaptive()` by default. `start_concentric`:
-    journals start in the middle of their bearings, moving with them, as far as `start` and `speeds`
-    of the mechanism let them; False closes ideal loops only. `balance`:
-    also integrate the energies that `Trajectory.energy_balance` needs. Changing numbers, duration
-    or tolerances does not compile again; changing the number of saving times does. Raises
-    `ValueError` for a mechanism that cannot start and for a derivative through contacts that open
-    and close (see `jaxclear.sensitivity`), and, unless `throw=False`, `SimulationError` with a
-    sentence for a run that ends early.
+    these times. `integrator`: `jaxclear.integrator.Adaptive()` by default. `state`: where the run
+    begins instead, such as `run.state()` of another one; saving times, worn volumes and energies
+    count from there. `balance`: also integrate the energies that `Trajectory.energy_balance` needs.
+    Changing numbers, duration or tolerances does not compile again; changing the number of saving
+    times does. Raises `ValueError` for a mechanism that cannot start and for a derivative through
+    contacts that open and close (see `jaxclear.sensitivity`), and, unless `throw=False`,
+    `SimulationError` with a sentence for a run that ends early.
     """
     check_double_precision()
     check_duration(duration)
     check_flags("simulate", balance=balance, progress_bar=progress_bar, throw=throw)
-    if jax.config.jax_disable_jit:  # type: ignore[attr-defined]
-        raise ValueError(
-            "simulate compiles its loop, and jax.disable_jit is on; look into a law or a joint by "
-            "calling it alone."
-        )
+    _check_compiling()
     times = saving_times(duration, save)
     integrator = Adaptive() if integrator is None else integrator
     check_run(mechanism, integrator)
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
-    start = assemble(mechanism, start_concentric)
+    state = State() if state is None else state
+    start, begins, past = beginning(mechanism, integrator.formulation, state)
     with stoppable(), progress.bar(progress_bar, "simulating"):
-        trajectory = _run(
-            mechanism, start.coordinates, start.speeds, times, integrator, balance, progress_bar
-        )
+        ready = mechanism, start.coordinates, start.speeds, begins + times, integrator
+        trajectory = _run(*ready, balance, progress_bar, past)
         trajectory = diagnosed(guarded(jax.block_until_ready(trajectory), integrator))
     if throw and isinstance(trajectory.outcome, jax.core.Tracer):
         raise ValueError(

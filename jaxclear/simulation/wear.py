@@ -6,7 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.arguments import check_known
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.quantity import is_traced
+from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import System
 
@@ -23,6 +26,45 @@ def unworn(system: System) -> Worn:
         for name, bearing in system.bearings.items()
         if bearing.joint.maps()
     }
+
+
+def worn_as_given(mechanism: Mechanism, given: Worn | None) -> Worn | None:
+    """Depth maps from which a run sets out: those given [m], by joint and surface, zero where
+    nothing is given; None for None. Raises `ValueError` with a sentence for what is no such map."""
+    if given is None:
+        return None
+    joints = {name: mechanism.connections[name].joint for name in mechanism.topology.clearances}
+    cells = {
+        name: {surface: wear_map.cells for surface, (wear_map, _) in joint.maps().items()}
+        for name, joint in joints.items()
+        if joint.maps()
+    }
+    for joint, surfaces in given.items():
+        check_known("worn joint", joint, cells, " in this mechanism")
+        for surface in surfaces:
+            check_known(f'worn surface of joint "{joint}"', surface, cells[joint])
+    return {
+        joint: {
+            surface: _depths(f'worn["{joint}"]["{surface}"]', given[joint][surface], shape)
+            if surface in given.get(joint, {})
+            else jnp.zeros(shape)
+            for surface, shape in surfaces.items()
+        }
+        for joint, surfaces in cells.items()
+    }
+
+
+def _depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:
+    """Depths of a map of so many cells [m]."""
+    if jnp.shape(depths) != tuple(cells):
+        raise ValueError(
+            f"{name} has the shape {jnp.shape(depths)}; the map of this surface has the cells "
+            f"{tuple(cells)}."
+        )
+    depths = jnp.asarray(depths, float)
+    if not is_traced(depths) and not bool(jnp.all(jnp.isfinite(depths) & (depths >= 0))):
+        raise ValueError(f"{name} has depths that are no numbers, or below 0 m.")
+    return depths
 
 
 def deposit(system: System, layout: Layout, worn: Worn, before: Array, after: Array) -> Worn:

@@ -24,7 +24,7 @@ def first_difference(one: Problem, other: Problem) -> str:
     if one.response_names != other.response_names:
         named = _listed(one.response_names)
         return f"its responses are {named}, not {_listed(other.response_names)}"
-    for what in ("mechanism", "response", "duration", "shares", "integrator"):
+    for what in ("mechanism", "response", "duration", "shares", "integrator", "state"):
         found = _difference(getattr(one, what), getattr(other, what), what)
         if found:
             return found

@@ -19,10 +19,18 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, inside, numbers
 from jaxclear.ground.wording import described, meant
 from jaxclear.integrators import AbstractIntegrator, Checks, Outcome
-from jaxclear.multibody.assembly import Start, assemble_arrays, determined, is_sound
+from jaxclear.multibody.assembly import (
+    Start,
+    assemble_arrays,
+    carried_on,
+    determined,
+    is_sound,
+)
 from jaxclear.multibody.mechanism import Mechanism, loosened
 from jaxclear.results.response import unit_of
+from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.beginning import Past, past_of
 from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
@@ -78,7 +86,8 @@ class Problem(AbstractQuantified):
     `integrator`: by default steps of a fixed length, because equal work for every sample is what
     batches and derivatives want: `FixedStep()`, or an `ImplicitStep` where friction would answer
     faster than such steps resolve; `why_integrator` says so. `save`: saving times, as in
-    `simulate`; `shares` [1] are they, as shares of the duration. Raises `ValueError` with a
+    `simulate`; `shares` [1] are they, as shares of the duration. `state`: where its runs begin, as
+    in `simulate`. Raises `ValueError` with a
     sentence for what cannot be asked.
     """
 
@@ -88,6 +97,8 @@ class Problem(AbstractQuantified):
     duration: Array
     shares: Float[Array, " saves"]
     integrator: AbstractIntegrator
+    state: State
+    past: Past
     # JAX sorts the keys of a dictionary; the order in which things were given is kept here.
     names: tuple[str, ...] = eqx.field(static=True)
     response_names: tuple[str, ...] = eqx.field(static=True)
@@ -105,6 +116,7 @@ class Problem(AbstractQuantified):
         duration: float,
         integrator: AbstractIntegrator | None = None,
         save: Any = 201,
+        state: State | None = None,
     ):
         check_double_precision()
         self.mechanism = mechanism
@@ -118,7 +130,10 @@ class Problem(AbstractQuantified):
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
         check_run(mechanism, self.integrator)
         check_steps(integrator, times)
-        self.determined = determined(self.integrator.formulation.seen(mechanism))
+        seen = self.integrator.formulation.seen(mechanism)
+        self.state = State() if state is None else state
+        self.past = past_of(seen, self.integrator.formulation, self.state)
+        self.determined = determined(seen) if self.state.motion is None else ()
         for name, wanted in self.response.items():
             if not callable(wanted) or isinstance(wanted, type):
                 hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
@@ -164,9 +179,14 @@ class Problem(AbstractQuantified):
     def started(self, values: Float[Array, " variables"]) -> tuple[Mechanism, Start, Trajectory]:
         """The mechanism of one set of values as it is simulated, its start, and its run; pure."""
         mechanism = self.integrator.formulation.seen(self.with_values(values))
-        start = assemble_arrays(mechanism)
-        times = self.shares * self.duration
-        return mechanism, start, run(mechanism, *start[:2], times, self.integrator)
+        times, motion = self.shares * self.duration, self.state.motion
+        if motion is None:
+            start = assemble_arrays(mechanism, self.state.concentric)
+        else:
+            start = carried_on(mechanism, *motion.moving)
+            times = motion.time + times
+        found = run(mechanism, *start[:2], times, self.integrator, past=self.past)
+        return mechanism, start, found
 
     def evaluate(
         self, values: Float[Array, " variables"], *, discrete_derivatives: bool = False

@@ -28,7 +28,9 @@ def bouncing():
 
 
 def simulate(integrator):
-    return jc.simulate(bouncing(), 0.05, save=6, integrator=integrator, start_concentric=False)
+    return jc.simulate(
+        bouncing(), 0.05, save=6, integrator=integrator, state=jc.State(concentric=False)
+    )
 
 
 def test_as_accurate_as_short_steps_throughout_at_a_fraction_of_the_steps():

@@ -160,7 +160,7 @@ def test_saving_times_within_the_impact_change_nothing():
         (jc.integrator.ImplicitStep(2e-6, rebound=1.0), 1e-4),
     ):
         end = jc.simulate(
-            thrown(law), duration, save=500, integrator=integrator, start_concentric=False
+            thrown(law), duration, save=500, integrator=integrator, state=jc.State(concentric=False)
         )
         speed = -end.body("journal").velocity[-1, :2] @ jnp.array([0.6, 0.8]) / 0.1
         np.testing.assert_allclose(speed, 0.5, atol=off)
@@ -170,7 +170,9 @@ def test_saving_times_within_the_impact_change_nothing():
 def test_implicit_solver_takes_them_too():
     implicit = jc.integrator.Adaptive(KVAERNO, rtol=1e-9, atol=1e-11)
     law = jc.contact.Gonthier(stiffness=STIFFNESS, restitution=0.5)
-    end = jc.simulate(thrown(law), 6e-3, save=2, integrator=implicit, start_concentric=False)
+    end = jc.simulate(
+        thrown(law), 6e-3, save=2, integrator=implicit, state=jc.State(concentric=False)
+    )
     speed = -end.body("journal").velocity[-1, :2] @ jnp.array([0.6, 0.8]) / 0.1
     np.testing.assert_allclose(speed, 0.5, atol=1e-6)
 
@@ -181,7 +183,7 @@ def test_law_without_memory_has_nothing_to_take():
         6e-3,
         save=2,
         integrator=jc.integrator.Adaptive(rtol=1e-9, atol=1e-11),
-        start_concentric=False,
+        state=jc.State(concentric=False),
     )
     speed = -end.body("journal").velocity[-1, :2] @ jnp.array([0.6, 0.8]) / 0.1
     np.testing.assert_allclose(speed, 1.0, atol=1e-6)
@@ -249,7 +251,9 @@ def test_a_grazing_touch_is_not_stepped_over():
     # The last one may not step over it: steps of a thousandth of the flight.
     for rtol, largest in ((1e-7, 1.0), (1e-10, 1e-3 * end)):
         integrator = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol, largest_step=largest)
-        found = jc.simulate(rig, end, save=2, integrator=integrator, start_concentric=False)
+        found = jc.simulate(
+            rig, end, save=2, integrator=integrator, state=jc.State(concentric=False)
+        )
         heights.append(float(found.body("ball").com[-1, 1]))
     # Without the touch it would be back at the centre.
     assert abs(heights[1]) > 1e-5
@@ -270,5 +274,5 @@ def test_flights_through_the_centre_reach_their_end_at_the_tightest_tolerance(fr
             start={"journal": (-3e-3, off, 0.0)},
             speeds={"journal": (0.01, 0.0, 0.0)},
         )
-        found = jc.simulate(rig, 10.0, save=2, integrator=tight, start_concentric=False)
+        found = jc.simulate(rig, 10.0, save=2, integrator=tight, state=jc.State(concentric=False))
         assert found.succeeded and abs(float(found.body("journal").com[-1, 0])) < 5e-3

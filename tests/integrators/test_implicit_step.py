@@ -40,9 +40,9 @@ def test_linear_contact_is_damped_as_by_the_theta_method(rebound, angle):
     )
     integrator = jc.integrator.ImplicitStep(STEP, rebound=rebound, newton_iterations=2)
     path = np.asarray(
-        jc.simulate(rig, 8 * STEP, save=9, integrator=integrator, start_concentric=False).states[
-            :, 0
-        ]
+        jc.simulate(
+            rig, 8 * STEP, save=9, integrator=integrator, state=jc.State(concentric=False)
+        ).states[:, 0]
     )
     assert (path > 1e-4).all()
     # d(n+2) = trace d(n+1) - determinant d(n) for any linear method; differences d drop the
@@ -70,7 +70,7 @@ def test_elastic_impact_within_a_step_keeps_the_rebound(rebound):
         2.6e-3,
         save=2,
         integrator=jc.integrator.ImplicitStep(STEP, rebound=rebound),
-        start_concentric=False,
+        state=jc.State(concentric=False),
     )
     velocity = np.asarray(end.body("journal").velocity[-1, :2])
     np.testing.assert_allclose(velocity, -rebound * np.array([0.06, 0.08]), atol=2e-3)
@@ -153,7 +153,11 @@ def test_agrees_with_the_reference_on_a_sliding_wearing_journal():
     """Measured 8e-7 m and 3e-5."""
     runs = [
         jc.simulate(
-            touching_journal(), 0.05, save=26, integrator=integrator, start_concentric=False
+            touching_journal(),
+            0.05,
+            save=26,
+            integrator=integrator,
+            state=jc.State(concentric=False),
         )
         for integrator in (
             jc.integrator.ImplicitStep(5e-5, rebound=1.0),
@@ -190,7 +194,7 @@ def test_energy_balance_closes():
         save=11,
         integrator=jc.integrator.ImplicitStep(),
         balance=True,
-        start_concentric=False,
+        state=jc.State(concentric=False),
     )
     energy = run.energy_balance()
     lost = float(energy.contact_loss[-1] + energy.friction_loss[-1])

@@ -14,7 +14,7 @@ NEWTON = optimistix.Newton(rtol=1e-6, atol=1e-8)
 
 def simulate(integrator):
     return jc.simulate(
-        touching_journal(), 0.05, save=26, integrator=integrator, start_concentric=False
+        touching_journal(), 0.05, save=26, integrator=integrator, state=jc.State(concentric=False)
     )
 
 

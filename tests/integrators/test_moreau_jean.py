@@ -104,7 +104,7 @@ def simulate(mechanism, duration, save=11, step=STEP, **rest):
         duration,
         save=save,
         integrator=jc.integrator.MoreauJean(step),
-        start_concentric=False,
+        state=jc.State(concentric=False),
         balance=True,
         **rest,
     )

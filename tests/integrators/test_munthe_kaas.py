@@ -305,7 +305,8 @@ def test_impacts_on_the_group_agree_with_ordinary_steps():
         jc.integrator.FixedStep(1e-6),
     )
     runs = [
-        jc.simulate(drop, 0.03, save=7, integrator=i, start_concentric=False) for i in integrators
+        jc.simulate(drop, 0.03, save=7, integrator=i, state=jc.State(concentric=False))
+        for i in integrators
     ]
     on_group, steps_on_group, ordinary = (np.asarray(r.body("journal").com) for r in runs)
     assert np.diff(ordinary[:, 1]).max() > 1e-5  # it has touched and gone up again

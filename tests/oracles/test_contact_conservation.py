@@ -51,7 +51,12 @@ def colliding_pair():
 def collision():
     fine = jc.integrator.Adaptive(**FINE)
     return jc.simulate(
-        colliding_pair(), 0.02, save=41, integrator=fine, start_concentric=False, balance=True
+        colliding_pair(),
+        0.02,
+        save=41,
+        integrator=fine,
+        state=jc.State(concentric=False),
+        balance=True,
     )
 
 
@@ -100,7 +105,9 @@ def bounce(law):
         speeds={"journal": (0.06, 0.08, 0.0)},
     )
     fine = jc.integrator.Adaptive(**FINE)
-    return jc.simulate(rig, 2.6e-3, save=2, integrator=fine, start_concentric=False, balance=True)
+    return jc.simulate(
+        rig, 2.6e-3, save=2, integrator=fine, state=jc.State(concentric=False), balance=True
+    )
 
 
 def rebound(damping):
@@ -147,7 +154,11 @@ def test_remembered_speed_survives_a_long_flight():
         {"bearing": jc.Connection(bearing, "ground", "journal")},
         speeds={"journal": (0.5, 0.0, 0.0)},
     )
-    speed = jc.simulate(rig, 1.6, save=3, start_concentric=False).body("journal").velocity[-1, 0]
+    speed = (
+        jc.simulate(rig, 1.6, save=3, state=jc.State(concentric=False))
+        .body("journal")
+        .velocity[-1, 0]
+    )
     np.testing.assert_allclose(speed, -0.5 * 0.5, rtol=1e-3)
 
 

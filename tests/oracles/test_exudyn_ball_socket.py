@@ -55,7 +55,9 @@ def thrown_rod(contact, friction):
 def thrown(contact, friction):
     fine = jc.integrator.Adaptive(rtol=1e-8, atol=1e-10)
     rig = thrown_rod(contact, friction)
-    return jc.simulate(rig, TIMES[-1], save=TIMES, integrator=fine, start_concentric=False)
+    return jc.simulate(
+        rig, TIMES[-1], save=TIMES, integrator=fine, state=jc.State(concentric=False)
+    )
 
 
 @pytest.mark.parametrize("case", LAWS)

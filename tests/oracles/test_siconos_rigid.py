@@ -60,7 +60,7 @@ def up(child):
 def run(case, mechanism, integrator):
     times = np.arange(case["steps"] + 1) * case["step"]
     return jc.simulate(
-        mechanism, times[-1], save=times, integrator=integrator, start_concentric=False
+        mechanism, times[-1], save=times, integrator=integrator, state=jc.State(concentric=False)
     )
 
 
@@ -219,7 +219,7 @@ def test_bounces_have_the_closed_form_s_times(restitution):
         times[-1],
         save=times,
         integrator=jc.integrator.MoreauJean(step),
-        start_concentric=False,
+        state=jc.State(concentric=False),
     )
     speed, first = np.asarray(found.speed("up"))[:, 0], np.sqrt(2 / GRAVITY)
     impacts = times[1:][np.diff(speed) > 1.0]

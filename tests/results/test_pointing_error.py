@@ -376,7 +376,7 @@ def test_simulated_journal_moves_the_tip_by_its_offset():
         {"gravity": jc.load.Gravity()},
         speeds={"arm": (0.05, 0.0, 2.0)},
     )
-    run = jc.simulate(rig, 0.05, save=11, start_concentric=False)
+    run = jc.simulate(rig, 0.05, save=11, state=jc.State(concentric=False))
     error = jc.pointing_error(run, jc.Marker("arm", at=(0.3, 0.0), axis="x"))
     offset = np.linalg.norm(run.contact("J").offset, axis=1)
     np.testing.assert_allclose(error.position_error, offset, rtol=0, atol=1e-15)

@@ -12,7 +12,7 @@ from tests.rigs.falling_journal import touching_journal
 
 @pytest.fixture(scope="module")
 def run():
-    return jc.simulate(touching_journal(), 0.05, save=51, start_concentric=False)
+    return jc.simulate(touching_journal(), 0.05, save=51, state=jc.State(concentric=False))
 
 
 def test_responses_are_what_their_names_say(run):

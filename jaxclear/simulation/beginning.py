@@ -1,0 +1,58 @@
+"""Where a run begins, and what it takes over from one before."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.formulations.base import AbstractFormulation, model_of
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.wording import listed
+from jaxclear.multibody.assembly import Start, assemble, assemble_from
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import names
+from jaxclear.results.saved_state import State
+from jaxclear.simulation.wear import Worn, worn_as_given
+
+
+class Past(eqx.Module):
+    """What a run takes over from one before: depth maps of `worn` surfaces [m], and what is
+    `remembered` beside the motion; None: new surfaces, nothing to remember."""
+
+    worn: Worn | None = None
+    remembered: Float[Array, " m"] | None = None
+
+
+def beginning(
+    mechanism: Mechanism, formulation: AbstractFormulation, state: State
+) -> tuple[Start, Any, Past]:
+    """The consistent start of a mechanism with numbers, its time [s], and what is taken over.
+    Raises `ValueError` with a sentence for what cannot be."""
+    past = past_of(mechanism, formulation, state)
+    if state.motion is None:
+        return assemble(mechanism, state.concentric), 0.0, past
+    return assemble_from(mechanism, *state.motion.moving), state.motion.time, past
+
+
+def past_of(mechanism: Mechanism, formulation: AbstractFormulation, begun: State) -> Past:
+    """What is taken over from a state; what is remembered where the laws remember the same.
+    Raises `ValueError` with a sentence for what does not belong to this mechanism."""
+    expect(begun, State, "state", "a jaxclear.State, such as run.state()")
+    surfaces, saved = worn_as_given(mechanism, begun.worn), begun.motion
+    if saved is None:
+        return Past(surfaces)
+    model = model_of(mechanism, formulation)
+    own = names(model.system, model.layout)
+    moving = own[: model.layout.memory_start]
+    if saved.names != tuple(moving):
+        raise ValueError(
+            "the state is that of another mechanism: its coordinates and speeds are "
+            f"{listed(saved.names)}, those of this one {listed(moving)}."
+        )
+    known = [saved.coordinates, saved.speeds, saved.remembered, saved.time]
+    if not is_traced(known) and not all(bool(jnp.all(jnp.isfinite(x))) for x in known):
+        raise ValueError("the state has numbers that are not finite.")
+    fits = saved.remembered_names == tuple(own[model.layout.remembered])
+    return Past(surfaces, saved.remembered if fits else None)

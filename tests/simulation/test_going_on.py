@@ -1,0 +1,122 @@
+"""A run goes on from a saved state and from worn surfaces: as one run would, and not otherwise."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.scenes.slider_crank import slider_crank
+from tests.rigs.loaded_bearing import loaded_bearing
+
+# Powers of two: instants of both ways are the same to the last bit.
+HALF, SAVES, STEP = 2.0**-8, 5, 2.0**-16
+
+
+def rod_length(rig):
+    return rig.connections["B"].parent.at[0]
+
+
+def bearing():
+    return loaded_bearing(100.0, jc.friction.CoulombTanh(transition_speed=1e-2), sliding=True)
+
+
+def first_half(rig, integrator):
+    return jc.simulate(rig, HALF, save=SAVES, integrator=integrator)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "within"),
+    [(jc.integrator.FixedStep(STEP), 0.0), (jc.integrator.Adaptive(rtol=1e-9), 1e-5)],
+    ids=["fixed", "adaptive"],
+)
+def test_two_halves_are_the_whole(integrator, within):
+    """With a law that remembers, and a surface that wears."""
+    rig = bearing()
+    whole = jc.simulate(rig, 2 * HALF, save=2 * SAVES - 1, integrator=integrator)
+    one = first_half(rig, integrator)
+    two = jc.simulate(rig, HALF, save=SAVES, integrator=integrator, state=one.state())
+    np.testing.assert_array_equal(two.time, whole.time[SAVES - 1 :])
+    motion = rig.topology.coordinate_count + rig.topology.speed_count
+    found, wanted = two.states[:, :motion], whole.states[SAVES - 1 :, :motion]
+    np.testing.assert_allclose(found, wanted, rtol=within, atol=within * 1e-3)
+    depths = [run.worn_depth("B", "bearing") for run in (two, whole)]
+    assert depths[0].sum() > one.worn_depth("B", "bearing").sum() > 0
+    np.testing.assert_allclose(*depths, rtol=1e-12 + 10 * within, atol=0)
+    volumes = [run.worn_volume("B", "bearing") for run in (one, two, whole)]
+    np.testing.assert_allclose(volumes[0][-1] + volumes[1][-1], volumes[2][-1], rtol=1e-12 + within)
+
+
+def test_problem_goes_on_as_simulate_does():
+    rig, integrator = bearing(), jc.integrator.FixedStep(STEP)
+    one = first_half(rig, integrator)
+    run = jc.simulate(rig, HALF, save=SAVES, integrator=integrator, state=one.state())
+    problem = jc.Problem(
+        rig,
+        jc.response.PeakWornDepth("B"),
+        {
+            "clearance": jc.Variable(
+                lambda rig: rig.connections["B"].joint.clearance, tolerance=1e-6
+            )
+        },
+        duration=HALF,
+        save=SAVES,
+        integrator=integrator,
+        state=one.state(),
+    )
+    found = eqx.filter_jit(jc.Problem.evaluate)(problem, problem.nominal()).responses["response"]
+    np.testing.assert_allclose(found, run.worn_depth("B", "bearing").max(), rtol=1e-12)
+
+
+def test_a_worn_gap_is_deeper():
+    """A journal pressed on a surface worn evenly lies as much deeper."""
+    rig, integrator = bearing(), jc.integrator.FixedStep(STEP)
+    depth = 1e-6
+    flat = jnp.full_like(first_half(rig, integrator).worn["B"]["bearing"], depth)
+    gaps = [
+        jc.simulate(rig, HALF, save=SAVES, integrator=integrator, state=state)
+        .contact("B")
+        .indentation[0, 0]
+        for state in (None, jc.State({"B": {"bearing": flat}}))
+    ]
+    assert float(gaps[0] - gaps[1]) == pytest.approx(depth, rel=1e-9)
+
+
+def test_a_state_closes_the_loops_of_other_lengths():
+    """The nearest place that does; the drive goes on from the time of the state."""
+    rig = slider_crank("ideal")
+    run = jc.simulate(rig, 0.01, save=5)
+    long = eqx.tree_at(rod_length, rig, rod_length(rig) + 1e-4)
+    again = jc.simulate(long, 0.01, save=5, state=run.state())
+    assert float(again.time[0]) == float(run.time[-1])
+    opening = max(float(jnp.max(each)) for each in again.drift().values())
+    assert opening < 1e-8
+    places = [each.body("slider").com[k] for each, k in ((run, -1), (again, 0))]
+    assert 0 < jnp.linalg.norm(places[1] - places[0]) < 2e-4
+
+
+def test_what_does_not_belong_is_refused_by_name():
+    rig, integrator = bearing(), jc.integrator.FixedStep(STEP)
+    one = first_half(rig, integrator)
+
+    def start(state):
+        jc.simulate(rig, HALF, save=SAVES, integrator=integrator, state=state)
+
+    def worn(depths):
+        return lambda: jc.State(depths)
+
+    other = jc.simulate(slider_crank("ideal"), 1e-3, save=2)
+    for state, sentence in (
+        (worn({"C": {}}), 'no worn joint "C" in this mechanism; there is "B"'),
+        (worn({"B": {"bore": 0.0}}), 'no worn surface of joint "B" "bore"'),
+        (worn({"B": {"bearing": jnp.zeros(3)}}), r'"bearing"\] has the shape \(3,\)'),
+        (worn({"B": {"bearing": -one.worn["B"]["bearing"]}}), "below 0 m"),
+        (worn(one), "worn of a State is a Trajectory"),
+        (lambda: one, "state is a Trajectory"),
+        (other.state, "another mechanism"),
+        (lambda: one.state(0), "worn depths are known at the end of a run only"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            start(state())
+    with pytest.raises(ValueError, match="saving time 5 was asked for; the run has 5"):
+        one.state(5)
