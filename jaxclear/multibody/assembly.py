@@ -21,6 +21,7 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody import contact_point, kinematics, start_check
 from jaxclear.multibody.mechanism import Mechanism, ungiven
+from jaxclear.multibody.side_of_guess import warn_of_nearer_assembly
 from jaxclear.multibody.start_equations import (
     GIVEN,
     GUESS,
@@ -166,7 +167,8 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     not close or say nothing new, more given than they leave free, parts deep in each other.
 
     `concentric=False` leaves clearance joints where the guess puts them and closes ideal loops
-    only. Raises `ValueError`.
+    only. Raises `ValueError`; warns where the guess has led to a way to assemble that is not the
+    nearest.
     """
     check_double_precision()
     expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")
@@ -177,6 +179,7 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     if not sound:
         start_check.refuse(mechanism, start)
     start_check.check_rank(mechanism, start)
+    warn_of_nearer_assembly(mechanism, start, lambda other: _judged(other, concentric))
     return start
 
 

@@ -59,7 +59,8 @@ class Mechanism(AbstractQuantified):
     the ideal joint that it would be. More than the loops leave free is refused where it does not
     close them already (to 1e-6 of a radian or of the longest arm). `guess`: rough coordinates
     likewise, held only where loops and `start` leave them free; they choose between the ways to
-    assemble. Raises `ValueError` with a sentence naming what is wrong.
+    assemble (a run warns where a nearer one was passed over). Raises `ValueError` with a sentence
+    naming what is wrong.
     """
 
     bodies: dict[str, Body]
