@@ -49,9 +49,9 @@ def unchecked() -> Iterator[None]:
     """Programs that are traced in here have no checks."""
     places: list[tuple[Any, str, Any]] = [
         (spot_checks, "window_starts", lambda count: []),
-        (referee, "_of_saved_states", lambda history: {}),
-        (fixed_step, "contacts_met", lambda *_: None),
-        (implicit_step, "contacts_met", lambda *_: None),
+        (referee, "_of_saved_states", lambda *_: ({}, {})),
+        (fixed_step, "_nothing_met", lambda *_: None),
+        (implicit_step, "contacts_met", lambda met, *_: met),
     ]
     before = [(place, name, getattr(place, name)) for place, name, _ in places]
     for place, name, nothing in places:

@@ -279,19 +279,18 @@ def _sentence(check: Check, worst: float, place: str) -> str:
 
 
 def over_run(
-    found: dict[Check, Float[Array, "intervals places"]],
-    ends: Float[Array, " intervals"],
+    parts: list[tuple[dict[Check, Float[Array, "intervals places"]], Float[Array, " intervals"]]],
     places: dict[str, tuple[str, ...]],
 ) -> Checks:
-    """The worst over a run of figures found in every saving interval, which end at `ends` [s];
+    """The worst over a run of figures found in saving intervals, which end at such times [s];
     `places`: names of the places by what they are of. What is not a number counts as infinite.
     """
     figures = {}
-    for check, each in found.items():
-        names = places[check.of]
-        if not names:
-            continue
-        known = jnp.where(jnp.isnan(each), jnp.inf, each)
-        latest = jnp.argmax(known, axis=0)
-        figures[check] = Figure(jnp.max(known, axis=0), jnp.asarray(ends)[latest], names)
+    for found, ends in parts:
+        for check, each in found.items():
+            if not places[check.of]:
+                continue
+            known = jnp.where(jnp.isnan(each), jnp.inf, each)
+            when = ends[jnp.argmax(known, axis=0)]
+            figures[check] = Figure(jnp.max(known, axis=0), when, places[check.of])
     return Checks(figures)

@@ -120,7 +120,7 @@ class FixedStep(AbstractIntegrator):
             _, y, now = self._step(model, time, lambda _: h, h, y, last)
             return index + 1, closed(model, time + h, y), now, _met(met, last, now)
 
-        first = (jnp.zeros((), int), state, warm_start, _met(None, warm_start, warm_start))
+        first = (jnp.zeros((), int), state, warm_start, _nothing_met(warm_start))
         if self.steps_per_save is None:
             _, end, last, met = while_loop(lambda carry: carry[0] < steps, turn, first)
         else:
@@ -149,7 +149,7 @@ class FixedStep(AbstractIntegrator):
             time = jnp.where(h == stop - time, stop, time + h)
             return time, steps + 1, closed(model, time, y), now, _met(met, last, now)
 
-        met = _met(None, warm_start, warm_start)
+        met = _nothing_met(warm_start)
         first = (interval.start, jnp.zeros((), int), state, warm_start, met)
         _, steps, end, last, met = while_loop(lambda carry: carry[0] < stop, one, first)
         rubbed = {Check.FRICTION_STEP: longest / self.contact_steps}
@@ -219,4 +219,11 @@ class FixedStep(AbstractIntegrator):
 
 def _met(met: Any, last: Any, now: Any) -> Any:
     """What was met of the contacts, from their motion at the starts of two steps."""
-    return None if last is None else contacts_met(met, last[0].depths, now[0].depths)
+    if met is None:
+        return None
+    return contacts_met(met, *jax.lax.stop_gradient((last[0].depths, now[0].depths)))
+
+
+def _nothing_met(last: Any) -> Any:
+    """What was met before the first step; None where nothing looks at contacts."""
+    return None if last is None else (jnp.zeros_like(last[0].depths),) * 2

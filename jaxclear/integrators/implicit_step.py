@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
@@ -100,12 +101,14 @@ class ImplicitStep(AbstractIntegrator):
             end, now = self.formulation.implicit_step(
                 model, time_step, state, last, bias, self.newton_iterations
             )
-            met = None if met is None else contacts_met(met, last[depths], now[depths])
+            if met is not None:
+                met = contacts_met(met, *jax.lax.stop_gradient((last[depths], now[depths])))
             return closed(model, interval.start + (index + 1) * h, end), (now, met)
 
         met = None
         if contacts:
-            met = contacts_met(None, warm_start[depths], warm_start[depths])
+            begun = positive_part(jax.lax.stop_gradient(warm_start[depths]))
+            met = jnp.zeros_like(begun), begun
         carried = (warm_start, met)
         if self.steps_per_save is None:
             end, (warm_start, met) = march(one, steps, state, carried)

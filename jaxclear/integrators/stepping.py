@@ -5,13 +5,11 @@ and the answer at its end.
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.model import Model
-from jaxclear.ground.numerics import positive_part
 from jaxclear.integrators.base import Advance, Interval
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.outcome import Outcome
@@ -43,12 +41,16 @@ def march(
     return state, warm_start
 
 
-def contacts_met(met: tuple | None, before: Any, after: Any) -> tuple:
+def contacts_met(met: tuple, before: Any, after: Any) -> tuple:
     """(largest rise of an indentation within a step [m], largest indentation [m]) of each contact,
-    after another step from indentations `before` to those `after` it; `met` until then."""
-    begun, ended = (positive_part(jax.lax.stop_gradient(depths)) for depths in (before, after))
-    rise, largest = (jnp.zeros_like(ended),) * 2 if met is None else met
-    return jnp.maximum(rise, ended - begun), jnp.maximum(largest, ended)
+    after another step from indentations `before` to those `after` it; `met` until then.
+
+    What rises to no more than 0 does not count, as these are 0 in the beginning. What is not a
+    number is not met: every operation is paid for in every step.
+    """
+    rise, largest = met
+    risen = jnp.minimum(after, after - before)
+    return jnp.where(risen > rise, risen, rise), jnp.where(after > largest, after, largest)
 
 
 def arrived(

@@ -75,6 +75,13 @@ def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
     """Maps a function of an `Instant` over the saved states; tuples of numbers become arrays with
     time first.
     """
+    one, rows = reader(history, function)
+    return jax.vmap(one)(*rows)
+
+
+def reader(history: StateHistory, function: Callable[[Instant], Any]) -> tuple[Callable, tuple]:
+    """A function of an `Instant` as one of the numbers that are saved of it, and these numbers,
+    time first."""
     check_double_precision()
     model = history.model()
     system, layout = model.system, model.layout
@@ -87,8 +94,7 @@ def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
         return sp.dense(function(Instant(now, motions, q, v, time, entries, parts)))
 
     columns = [history.states[:, i] for i in range(layout.size)]
-    means = history.mean_forces(layout)
-    return jax.vmap(one)(history.time, columns, history.read, means)
+    return one, (history.time, columns, history.read, history.mean_forces(layout))
 
 
 def columns(value: Any) -> Any:

@@ -17,10 +17,10 @@ from jaxtyping import Array, Float
 
 from jaxclear.formulations import contact_rows, delassus
 from jaxclear.formulations.base import AbstractFormulation
-from jaxclear.formulations.model import Instant
+from jaxclear.formulations.model import Instant, Model
+from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.integrators.checks import Check
-from jaxclear.results.state_history import StateHistory, over_time
 
 # Both are kept by integrators as the length [s] of their steps in contact.
 KINDS = (Check.FRICTION_STEP, Check.CREEP_STEP)
@@ -29,22 +29,25 @@ KINDS = (Check.FRICTION_STEP, Check.CREEP_STEP)
 STABLE, POWER = 2.0, 3
 
 
+def rubs(model: Model) -> bool:
+    """Whether a contact has friction that its slip decides."""
+    laws = [own for b in model.system.bearings.values() for own in b.contact_laws]
+    return any(own.friction is not None and not own.friction.set_valued for own in laws)
+
+
 def friction_steps(
-    seen: StateHistory,
+    model: Model,
+    seen: Float[Array, "looks 6 contacts"],
     depths: Float[Array, "looks contacts"] | None,
     steps: dict[Check, Float[Array, " looks"]],
 ) -> dict[Check, Float[Array, " contacts"]]:
-    """By contact (its joint's) the figures of friction over a run, from the states `seen` at its
-    start and at its looks, the largest indentations [m] of the saving intervals that end there
+    """By contact (its joint's) the figures of friction over a run, from what its looks have `seen`
+    of the `contacts`, the largest indentations [m] of the saving intervals that end there
     (None: those seen), and the lengths [s] of `steps` by the check that judges them."""
-    bearings = seen.model().system.bearings
+    bearings = model.system.bearings
     laws = [own for b in bearings.values() for own in b.contact_laws]
     joints = np.array([name for name, b in bearings.items() for _ in b.contact_laws])
-    rubbing = [own.friction is not None and not own.friction.set_valued for own in laws]
-    if not steps or not any(rubbing):
-        return {}
-    found = over_time(seen, lambda now: _contacts(now, seen.formulation))
-    drag, slip, normal, indented, along, across = (jnp.stack(part, axis=1)[1:] for part in found)
+    drag, slip, normal, indented, along, across = (seen[:, part] for part in range(6))
     depths = jnp.maximum(indented, 0.0 if depths is None else depths)
     power = drag * slip
     force, stiffness = (
@@ -90,14 +93,16 @@ def _slopes(laws: Any, steps: Float[Array, " looks"]) -> tuple[Array, Array]:
     return slope(steps), 2 * (slope(2 * steps) - slope(steps)) / steps
 
 
-def _contacts(now: Instant, formulation: AbstractFormulation) -> tuple:
+def contacts(now: Instant, formulation: AbstractFormulation) -> Float[Array, "6 contacts"]:
     """Of every possible contact: friction [N], slip [m/s], normal force [N], indentation [m], and
     the inverse of the mass [1/kg] that a force along its normal moves, and one across."""
     reports = formulation.forces(now).reports
     points = [point for report in reports.values() for point in report.points]
     free = contact_rows.free_motion(now.model, now.time, now.q, now.v, now.angles)
     rows = [row for contact in free.contacts for row in contact.rows]
-    operator = delassus.delassus_operator(free, rows)
+    light = delassus.delassus_operator(free, rows).lightness(
+        [len(contact.rows) - 1 for contact in free.contacts]
+    )
     found = zip(
         *(
             (point.traction, point.slip_speed, point.normal_force, point.indentation)
@@ -105,5 +110,4 @@ def _contacts(now: Instant, formulation: AbstractFormulation) -> tuple:
         ),
         strict=True,
     )
-    lightness = zip(*operator.lightness([len(c.rows) - 1 for c in free.contacts]), strict=True)
-    return tuple(tuple(jnp.asarray(x, float) for x in part) for part in (*found, *lightness))
+    return jnp.stack([sp.stack(part) for part in (*found, *zip(*light, strict=True))])

@@ -6,16 +6,20 @@ equations of motion nothing but its reading.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.base import model_of
 from jaxclear.formulations.model import Model, State
 from jaxclear.integrators.base import AbstractIntegrator, Interval
+from jaxclear.integrators.checks import Check
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism
@@ -27,7 +31,7 @@ from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation import progress, spot_checks
 from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.referee import refereed
-from jaxclear.simulation.spot_checks import Turns
+from jaxclear.simulation.spot_checks import TURNS, Plan, Turns
 from jaxclear.simulation.wear import Worn, deposit, unworn
 
 # Weight of the laws' memories in the error control: they need not be exact, but a step longer than
@@ -37,13 +41,15 @@ MEMORY_WEIGHT = 1e-2
 
 
 class Carry(NamedTuple):
-    """What a run hands from turn to turn; `ended` [s] is the last saving time that it reached."""
+    """What a run hands from turn to turn; `ended` [s] is the last saving time that it reached,
+    `steps` those accepted and rejected so far."""
 
     state: State
     worn: Worn
     warm_start: Any
     outcome: Int[Array, ""]
     ended: Float[Array, ""]
+    steps: tuple[Int[Array, ""], Int[Array, ""]]
 
 
 def run(
@@ -68,65 +74,98 @@ def run(
     worn = unworn(model.system) if past.worn is None else past.worn
     plan = spot_checks.plan(times, integrator.usual_step)
     warm_start = integrator.first_warm_start(model_of_worn(model, worn), times[0], state)
-    first = Carry(state, worn, warm_start, jnp.asarray(Outcome.REACHED), times[0])
-    shadow = (state, warm_start) if len(plan.shadows) else None
+    reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
+    first = Carry(state, worn, warm_start, reached, times[0], (none, none))
+    turn, unpack = _turns(model, integrator, report)
+    last, (states, read, packed), ends = _through(plan, turn, first)
+    figures = jax.vmap(unpack)(packed)
+    states = jnp.concatenate([state[None], states])
+    read = jax.tree.map(lambda depths: jnp.concatenate([depths[:1], depths]), read)
+    history = StateHistory(mechanism, formulation, times, states, read, balance)
+    stats = RunStats(*last.steps, verdict(last.outcome))
+    trajectory = Trajectory(history, last.worn, last.outcome, last.ended, stats)
+    begun = times[:-1] <= last.ended
+    kept = {check: jnp.where(begun, each.T, 0.0).T for check, each in figures.items()}
+    return refereed(trajectory, kept, spot_checks.figures(model, plan, states, ends))
 
-    def turn(carry, span):
+
+def _turns(model: Model, integrator: AbstractIntegrator, report: bool) -> tuple[Callable, Callable]:
+    """(a turn as it stands in the loop, traced once however often it stands there; how the figures
+    that it leaves are unpacked, known once it has been traced)."""
+    arrays, rest = eqx.partition((model, integrator), eqx.is_array)
+    unpack: list[Callable] = []
+
+    @jax.jit
+    def one(arrays, now, turn):
+        now, (*left, figures) = _turn(*eqx.combine(arrays, rest), now, turn)
+        # A loop of XLA pays for every array that its turns leave.
+        packed, unpacked = ravel_pytree(figures)
+        unpack.append(unpacked)
+        return now, (*left, packed)
+
+    def turn(now, span):
         if report:
             jax.debug.callback(progress.advance, span.progress)
-        return _turn(model, integrator, carry, span)
+        return one(arrays, now, span)
 
-    (last, _), saved = jax.lax.scan(turn, (first, shadow), plan.turns)
-    ends, read, (accepted, rejected), figures = saved
-    states = jnp.concatenate([state[None], _rows(ends, plan.own)])
-    before = np.concatenate([plan.own[:1], plan.own])
-    read = jax.tree.map(lambda depths: _rows(depths, before), read)
-    history = StateHistory(mechanism, formulation, times, states, read, balance)
-    stats = RunStats(accepted.sum(), rejected.sum(), verdict(last.outcome))
-    trajectory = Trajectory(history, last.worn, last.outcome, last.ended, stats)
-    kept = {check: _rows(each, plan.own) for check, each in figures.items()}
-    return refereed(trajectory, kept | spot_checks.figures(model, plan, states, ends))
+    return turn, lambda packed: unpack[0](packed)
 
 
-def _rows(values: Array, places: np.ndarray) -> Array:
-    """Some rows of what every turn has left."""
-    return values if len(places) == len(values) else values[places]
+def _through(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Any, Array | None]:
+    """(what the last turn hands on, what every saving interval has left, the states at the ends of
+    all parts). What shadows are apart from the run is seen to between parts, so that the run's own
+    turns pay nothing for them."""
+    if not len(plan.windows):
+        return *jax.lax.scan(turn, first, plan.turns), None
+    count = len(plan.turns.start) - TURNS * len(plan.windows)
+    left = jax.eval_shape(turn, first, jax.tree.map(lambda each: each[0], plan.turns))[1]
+    rows = jax.tree.map(lambda each: jnp.zeros((count, *each.shape), each.dtype), left)
+
+    def one(index, carry):
+        now, rows = carry
+        now, row = turn(now, jax.tree.map(lambda each: each[index], plan.turns))
+        # A shadow's go to the last row, which is the run's own in the end.
+        put = lambda each, values: jax.lax.dynamic_update_index_in_dim(each, values, index, 0)
+        return now, jax.tree.map(put, rows, row)
+
+    def through(carry, part):
+        now, shadow, rows = carry
+        begin = _choose(part.goes_on, shadow, now)
+        end, rows = jax.lax.fori_loop(part.first, part.stop, one, (begin, rows))
+        state = jnp.where(end.outcome == Outcome.NOT_FINITE, jnp.nan, end.state)
+        shadow = now._replace(state=end.state, warm_start=end.warm_start)
+        return (_choose(part.own, end, now), shadow, rows), state
+
+    (last, _, rows), ends = jax.lax.scan(through, (first, first, rows), plan.parts)
+    return last, rows, ends
 
 
 def _turn(
-    model: Model, integrator: AbstractIntegrator, carry: tuple, turn: Turns
-) -> tuple[tuple, tuple]:
-    """One turn of the loop: a saving interval of the run, or a shadow, of which nothing stays but
-    its last state."""
-    now, shadow = carry
+    model: Model, integrator: AbstractIntegrator, now: Carry, turn: Turns
+) -> tuple[Carry, tuple[State, Worn, dict[Check, Array]]]:
+    """One turn of the loop: what it hands on, and what it leaves: the state at its end, the worn
+    surfaces as its gaps saw them, and its figures."""
     running = now.outcome == Outcome.REACHED
     worn_model = model_of_worn(model, now.worn)
-    ahead = Interval(turn.start, turn.stop, _error_weights(model.layout), running)
-    begin = (now.state, now.warm_start)
-    if shadow is not None:
-        begin = _choose(turn.goes_on, shadow, begin)
-        ahead = ahead._replace(share=turn.share)
-    result = integrator.advance(worn_model, ahead, *begin)
+    ahead = Interval(turn.start, turn.stop, _error_weights(model.layout), running, turn.share)
+    result = integrator.advance(worn_model, ahead, now.state, now.warm_start)
     sound = jnp.all(jnp.isfinite(result.state))
-    counts = running & turn.own
     reached = closure_coordinates.anchored(model.system, model.layout, turn.stop, result.state)
-    state = jnp.where(counts & sound, reached, now.state)
+    state = jnp.where(running & sound, reached, now.state)
     worn = deposit(model.system, model.layout, now.worn, now.state, state)
     # What is not held to a tolerance (memories, worn volumes) can be lost while the steps still
     # succeed.
     lost = ~sound & (result.outcome == Outcome.REACHED)
     found = jnp.where(lost, Outcome.NOT_FINITE, result.outcome)
-    outcome = jnp.where(counts, found, now.outcome)
-    ended = jnp.where(counts & (outcome == Outcome.REACHED), turn.stop, now.ended)
-    steps = (jnp.where(counts, result.accepted, 0), jnp.where(counts, result.rejected, 0))
-    figures = {c: jnp.where(counts, x, 0.0) for c, x in (result.figures or {}).items()}
-    row, warm_start = state, result.warm_start
-    if shadow is not None:
-        row = jnp.where(turn.own, state, result.state)
-        warm_start = _choose(turn.own, result.warm_start, now.warm_start)
-        shadow = (result.state, result.warm_start)
-    after = Carry(state, worn, warm_start, outcome, ended)
-    return (after, shadow), (row, worn_model.worn, steps, figures)
+    outcome = jnp.where(running, found, now.outcome)
+    ended = jnp.where(running & (outcome == Outcome.REACHED), turn.stop, now.ended)
+    taken = jax.tree.map(
+        lambda before, more: before + jnp.where(running, more, 0),
+        now.steps,
+        (result.accepted, result.rejected),
+    )
+    after = Carry(state, worn, result.warm_start, outcome, ended, taken)
+    return after, (state, worn_model.worn, result.figures or {})
 
 
 def _choose(condition: Any, these: Any, those: Any) -> Any:

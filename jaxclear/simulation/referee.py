@@ -29,52 +29,58 @@ from jaxclear.integrators.checks import (
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm
-from jaxclear.results.state_history import StateHistory, over_time
+from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.friction_steps import KINDS, friction_steps
+from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubs
+from jaxclear.simulation.looks import Looks, look
 
-# Saved states of a run, at most, that are looked at: a loop that has come open stays so for long.
-LOOKS = 50
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
 LEAST_LIFT = 0.01
 
 
 def refereed(
-    trajectory: Trajectory, figures: dict[Check, Float[Array, "intervals places"]]
+    trajectory: Trajectory,
+    figures: dict[Check, Float[Array, "intervals places"]],
+    windows: dict[Check, Float[Array, " places"]],
 ) -> Trajectory:
-    """The run with its checks: those that its integrator kept in each saving interval, and those
-    that its saved states tell. It ends where one of them is beyond what a run can mend.
+    """The run with its checks: those that its integrator kept in each saving interval, those of its
+    `windows`, and those that its saved states tell. It ends where one of these is beyond what a run
+    can mend.
     """
     history = trajectory.history
-    rubbed = {check: figures[check] for check in KINDS if check in figures}
+    looks, ends = look(history), jnp.asarray(history.time)[1:]
+    steps = {check: figures[check][looks.intervals] for check in KINDS if check in figures}
     kept = {check: each for check, each in figures.items() if check not in KINDS}
-    depths = kept.get(Check.INDENTATION)
-    told = _of_saved_states(history) | _of_friction(history, depths, rubbed)
-    found = jax.lax.stop_gradient(_of_contacts(history, kept) | told)
-    ends = jnp.asarray(history.time)[1:]
-    checks = over_run(found, ends, _places(history))
-    verdict = _ending(found)
+    seen, rubbed = _of_saved_states(looks, steps, kept.get(Check.INDENTATION))
+    of_run = {check: each[None] for check, each in (windows | rubbed).items()}
+    parts = [
+        (_of_contacts(history, kept), ends),
+        (seen, ends[looks.intervals]),
+        (of_run, ends[-1:]),
+    ]
+    places = _places(history)
+    checks = over_run([(jax.lax.stop_gradient(each), at) for each, at in parts], places)
+    verdict = _ending(seen)
     if jnp.ndim(verdict) == 0:
         return dataclasses.replace(trajectory, checks=checks)
-    bad = (verdict != Outcome.REACHED) & (ends <= trajectory.ended)
-    first, stops = jnp.argmax(bad), jnp.any(bad)
+    bad = (verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
+    worst, stops = jnp.argmax(bad), jnp.any(bad)
+    first = jnp.asarray(looks.intervals)[worst]
     # As of every run that ended early, the last state is kept up to its planned end.
     later = (jnp.arange(len(history.time)) > first + 1)[:, None]
     states = jnp.where(stops & later, history.states[first + 1], history.states)
     return dataclasses.replace(
         trajectory,
         history=dataclasses.replace(history, states=states),
-        outcome=jnp.where(stops, verdict[first], trajectory.outcome),
+        outcome=jnp.where(stops, verdict[worst], trajectory.outcome),
         ended=jnp.where(stops, ends[first], trajectory.ended),
         checks=checks,
     )
 
 
-def _ending(
-    found: dict[Check, Float[Array, "intervals places"]],
-) -> Float[Array, " intervals"]:
-    """`Outcome` that each interval's figures call for: `REACHED` where none is certainly wrong."""
+def _ending(found: dict[Check, Float[Array, "looks places"]]) -> Float[Array, " looks"]:
+    """`Outcome` that the figures of each look call for: `REACHED` where none is certainly wrong."""
     outcome: Any = Outcome.REACHED
     for check, each in found.items():
         if np.isfinite(check.ends_at):
@@ -114,51 +120,46 @@ def _places(history: StateHistory) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _of_saved_states(history: StateHistory) -> dict[Check, Float[Array, "intervals places"]]:
-    """Figures that the states at the saving times tell."""
-    system, count = history.model().system, len(history.time) - 1
-    looked = _spread(count)
-    seen = _at(history, np.concatenate([[0], 1 + looked]))
+def _of_saved_states(
+    looks: Looks, steps: dict[Check, Array], depths: Array | None
+) -> tuple[dict[Check, Float[Array, "looks places"]], dict[Check, Float[Array, " contacts"]]]:
+    """Figures that the looks tell, and those of friction, of the run as a whole, also from the
+    lengths [s] of `steps` there and the largest indentations [m] in every saving interval."""
+    model, formulation = looks.seen.model(), looks.seen.formulation
+    system = model.system
+    driven = any(drive_of(link.joint) is not None for link in system.links)
+    rubbing = bool(steps) and rubs(model)
+
+    def judged(now: Instant) -> dict[str, Array]:
+        return (
+            ({"openings": _openings(now)} if system.closures else {})
+            | ({} if driven else _energies(now, formulation))
+            | ({"contacts": contacts(now, formulation)} if rubbing else {})
+        )
+
+    said = looks.of(judged)
     found = {}
-    if system.closures:
-        arm = longest_arm(system)
-        found[Check.LOOP_DRIFT] = over_time(seen, lambda now: _openings(now, arm))[1:]
-    if all(drive_of(link.joint) is None for link in system.links):
-        energies = over_time(seen, lambda now: _energies(now, history.formulation))
-        # A load from outside may give energy.
-        if energies:
-            # Rigid contacts that overlap at the start are moved apart, whatever that takes.
-            if history.formulation.forces_are_means:
-                energies = tuple(part.at[0].set(jnp.maximum(part[0], part[1])) for part in energies)
-            found[Check.ENERGY_GAIN] = _gains(_small_energy(system), *energies)[1:, None]
-    return {
-        check: jnp.zeros((count, values.shape[1])).at[looked].set(values)
-        for check, values in found.items()
-    }
+    if "openings" in said:
+        found[Check.LOOP_DRIFT] = said["openings"][1:]
+    if "energies" in said:
+        gains = _gains(_small_energy(system), said["energies"], formulation.forces_are_means)
+        found[Check.ENERGY_GAIN] = gains[1:, None]
+    if not rubbing:
+        return found, {}
+    deepest = None if depths is None else depths[looks.intervals]
+    return found, friction_steps(model, said["contacts"][1:], deepest, steps)
 
 
-def _of_friction(
-    history: StateHistory, depths: Array | None, steps: dict[Check, Array]
-) -> dict[Check, Float[Array, "intervals places"]]:
-    """Figures of friction; they stand for the run as a whole: at its end."""
-    count = len(history.time) - 1
-    looked = _spread(count)
-    seen = _at(history, np.concatenate([[0], 1 + looked]))
-    rows = jax.tree.map(lambda each: each[looked], (depths, steps))
-    found = friction_steps(seen, *rows)
-    return {check: jnp.zeros((count, len(each))).at[-1].set(each) for check, each in found.items()}
-
-
-def _energies(now: Instant, formulation: AbstractFormulation) -> tuple:
-    """(kinetic energy, potential energy, at most stored in contacts) [J]; () where a load gives
+def _energies(now: Instant, formulation: AbstractFormulation) -> dict[str, Float[Array, "3"]]:
+    """Kinetic energy, potential energy, at most stored in contacts [J]; nothing where a load gives
     energy from outside."""
     forces = formulation.forces(now)
     if not sp.is_zero(forces.external_power):
-        return ()
+        return {}
     kinetic, potential = energy.mechanical_energy(now.model.system, forces)
     points = [point for report in forces.reports.values() for point in report.points]
     stored = sp.total(point.normal_force * positive_part(point.indentation) for point in points)
-    return kinetic, potential, jnp.asarray(stored, float)
+    return {"energies": sp.stack([kinetic, potential, stored])}
 
 
 def _small_energy(system: System) -> Any:
@@ -169,35 +170,21 @@ def _small_energy(system: System) -> Any:
     return LEAST_LIFT * mass * gravity * longest_arm(system)
 
 
-def _gains(
-    small: Any,
-    kinetic: Float[Array, " looks"],
-    potential: Float[Array, " looks"],
-    stored: Float[Array, " looks"],
-) -> Float[Array, " looks"]:
-    """Energy above that of the start beside all that there was to change, and a `small` one [J]."""
+def _gains(small: Any, energies: Float[Array, "looks 3"], moved: bool) -> Float[Array, " looks"]:
+    """Energy above that of the start beside all that there was to change, and a `small` one [J].
+    `moved`: rigid contacts that overlap at the start are moved apart, whatever that takes."""
+    if moved:
+        energies = energies.at[0].max(energies[1])
+    kinetic, potential, stored = energies.T
     start = kinetic[0] + potential[0] + stored[0]
     scale = start - jnp.min(potential) + jnp.max(kinetic) + small
     return safe_divide(positive_part(kinetic + potential - start), scale)
 
 
-def _spread(count: int) -> np.ndarray:
-    """Up to `LOOKS` of so many saving intervals, evenly spread, the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(count, LOOKS)).round().astype(int))
-
-
-def _at(history: StateHistory, rows: np.ndarray) -> StateHistory:
-    """The history at some of its saving times."""
-    time, states, read = jax.tree.map(
-        lambda x: jnp.asarray(x)[rows], (history.time, history.states, history.read)
-    )
-    return dataclasses.replace(history, time=time, states=states, read=read)
-
-
-def _openings(now: Instant, arm: Any) -> Float[Array, " loops"]:
+def _openings(now: Instant) -> Float[Array, " loops"]:
     """Largest residual of each loop's closure: displacements beside the longest arm, cosines as
     they are."""
-    openings = []
+    openings, arm = [], longest_arm(now.model.system)
     for closure in now.model.system.closures:
         _, pose, _ = kinematics.relative_motion(closure, now.motions)
         values = zip(closure.rows, loops.residuals(closure.rows, pose), strict=True)

@@ -3,7 +3,8 @@ steps of half their length, and what both end with compared.
 
 They see whatever is too stiff for the steps, in any load, law or joint, on every rung. Windows
 begin at saving times, are spread over the run and take a fixed share of it. They are turns of the
-run's own loop, *shadows*: nothing of them enters the run.
+run's own loop, *shadows*, between parts of it: nothing of them enters the run, and its own turns do
+not look for them.
 
 A window is four turns: through it with the run's own steps, and on over an instant, from which the
 accelerations (so the forces) at its end follow; then the same with finer steps.
@@ -11,10 +12,9 @@ accelerations (so the forces) at its end follow; then the same with finer steps.
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import safe_divide
@@ -40,55 +40,86 @@ LEAST = 0.1
 
 
 class Turns(NamedTuple):
-    """Turns of a run's loop, one after the other: from `start` to `stop` [s], with steps of this
-    `share` of the usual length; whether a turn is the run's `own` or a shadow, and whether that
-    `goes_on` from where the shadow before has ended; the saving interval by which the run gets on.
+    """Turns of a run's loop: from `start` to `stop` [s], with steps of this `share` of the usual
+    length; `progress`: by which share of the whole the run gets on.
     """
 
     start: Float[Array, " turns"]
     stop: Float[Array, " turns"]
     share: Float[Array, " turns"]
-    own: Bool[Array, " turns"]
-    goes_on: Bool[Array, " turns"]
     progress: Float[Array, " turns"]
 
 
+class Parts(NamedTuple):
+    """Parts of a run's loop in the order in which they are gone through: each the turns from
+    `first` up to `stop`; whether they are the run's `own` or a shadow, and whether that `goes_on`
+    from where the shadow before has ended.
+    """
+
+    first: np.ndarray
+    stop: np.ndarray
+    own: np.ndarray
+    goes_on: np.ndarray
+
+
 class Plan(NamedTuple):
-    """A run's `turns`; where among them its own are, and those of each window (windows, 4)."""
+    """A run's `turns`, one for each saving interval and behind them those of the windows; the
+    `parts` in which they are gone through, and the saving intervals at whose start a window
+    begins."""
 
     turns: Turns
-    own: np.ndarray
-    shadows: np.ndarray
+    parts: Parts
+    windows: np.ndarray
+
+    @property
+    def shadows(self) -> np.ndarray:
+        """Where among the parts those of each window are (windows, 4)."""
+        return np.flatnonzero(~self.parts.own).reshape(-1, TURNS)
 
 
 def plan(times: Float[Array, " saves"], step: Scalar | None) -> Plan:
     """The turns of a run that is saved at these times; `step` [s]: the usual one, which a window
     holds at least (None: no windows)."""
     count = len(times) - 1
-    windows = [] if step is None else window_starts(count)
-    # (saving interval, share of the steps, own, goes on)
-    rows: list[tuple] = []
-    for interval in range(count):
-        for finer in (1.0, FINER) if interval in windows else ():
-            rows += [(interval, finer, False, False), (interval, 1.0, False, True)]
-        rows.append((interval, 1.0, True, False))
-    index, share, own, goes_on = map(np.array, zip(*rows, strict=True))
+    windows = np.array([] if step is None else window_starts(count), int)
     times = jnp.asarray(times)
-    starts, stops = times[index], times[index + 1]
-    progress = jnp.where(own, stops - starts, 0.0) / (times[-1] - times[0])
-    if step is not None and windows:
-        length = min(1.0, SHARE * count / (PASSES * len(windows)))
-        asked = starts + jnp.maximum(length * (stops - starts), step)
-        # A window that fills its interval ends with it, to the last bit.
-        ends = jnp.where(asked > stops - SLIVER * (stops - starts), stops, asked)
-        starts, stops = (
-            jnp.where(goes_on, ends, starts),
-            jnp.where(own, stops, jnp.where(goes_on, ends + INSTANT * (ends - starts), ends)),
-        )
-    turns = Turns(
-        starts, stops, jnp.asarray(share), jnp.asarray(own), jnp.asarray(goes_on), progress
-    )
-    return Plan(turns, np.flatnonzero(own), np.flatnonzero(~own).reshape(-1, TURNS))
+    starts, stops = times[:-1], times[1:]
+    share, progress = jnp.ones(count), (stops - starts) / (times[-1] - times[0])
+    if step is not None and len(windows):
+        begin, end = _windows(starts[windows], stops[windows], count, step)
+        instant = end + INSTANT * (end - begin)
+        starts = jnp.concatenate([starts, _in_turn(begin, end, begin, end)])
+        stops = jnp.concatenate([stops, _in_turn(end, instant, end, instant)])
+        shares = np.tile([1.0, 1.0, FINER, 1.0], len(windows))
+        share = jnp.concatenate([share, shares])
+        progress = jnp.concatenate([progress, jnp.zeros(len(shares))])
+    return Plan(Turns(starts, stops, share, progress), _parts(count, windows), windows)
+
+
+def _windows(starts: Array, stops: Array, count: int, step: Scalar) -> tuple[Array, Array]:
+    """Beginnings and ends [s] of the windows in these saving intervals of `count`."""
+    length = min(1.0, SHARE * count / (PASSES * len(starts)))
+    asked = starts + jnp.maximum(length * (stops - starts), step)
+    # A window that fills its interval ends with it, to the last bit.
+    return starts, jnp.where(asked > stops - SLIVER * (stops - starts), stops, asked)
+
+
+def _in_turn(*turns: Float[Array, " windows"]) -> Float[Array, " turns"]:
+    return jnp.stack(turns, axis=1).ravel()
+
+
+def _parts(count: int, windows: np.ndarray) -> Parts:
+    """Where each window begins the run is left for four turns, which stand behind its own."""
+    rows: list[tuple[int, int, bool, bool]] = []
+    done, shadow = 0, count
+    for start in windows:
+        rows += [(done, start, True, False)] if start > done else []
+        for turn in range(TURNS):
+            rows.append((shadow, shadow + 1, False, turn % 2 == 1))
+            shadow += 1
+        done = start
+    rows.append((done, count, True, False))
+    return Parts(*map(np.array, zip(*rows, strict=True)))
 
 
 def window_starts(count: int) -> list[int]:
@@ -97,14 +128,16 @@ def window_starts(count: int) -> list[int]:
     return sorted({int(count * ((k + 0.5) * GOLDEN % 1.0)) for k in range(number)})
 
 
-def figures(model: Model, plan: Plan, states: Array, ends: Array) -> dict[Check, Array]:
-    """What the windows tell, from the states at the saving times and at the end of every turn: by
-    how much changes of the speeds (so mean forces), accelerations at their ends (so forces) and
-    worn volumes differ between the two passes, beside their sizes."""
-    if not len(plan.shadows):
+def figures(
+    model: Model, plan: Plan, states: Array, ends: Array | None
+) -> dict[Check, Float[Array, " places"]]:
+    """What the windows tell, from the states at the saving times and at the end of every part
+    (None: no windows): by how much changes of the speeds (so mean forces), accelerations at their
+    ends (so forces) and worn volumes differ between the two passes, beside their sizes."""
+    if ends is None:
         return {}
     layout = model.layout
-    begin = states[np.searchsorted(plan.own, plan.shadows[:, 0])]
+    begin = states[plan.windows]
     coarse, coarse_on, fine, fine_on = (ends[plan.shadows[:, k]] for k in range(TURNS))
     speeds = slice(layout.coordinates, layout.memory_start)
     # What makes each speed one in m/s: the longest arm for those of turning.
@@ -119,7 +152,7 @@ def figures(model: Model, plan: Plan, states: Array, ends: Array) -> dict[Check,
         found[Check.HALVED_FORCES] = _difference(
             safe_divide(coarse_on - coarse, _durations(plan, 1)),
             safe_divide(fine_on - fine, _durations(plan, 3)),
-            usual * len(plan.shadows),
+            usual * len(plan.windows),
             speeds,
             scales,
         )
@@ -128,23 +161,20 @@ def figures(model: Model, plan: Plan, states: Array, ends: Array) -> dict[Check,
         found[Check.HALVED_WEAR] = _difference(
             coarse - begin, fine - begin, met, volumes, jnp.ones(len(volumes))
         )
-    # They stand for the run as a whole: at its end.
-    last = len(plan.own) - 1
-    return {check: jnp.zeros((last + 1, len(x))).at[last].set(x) for check, x in found.items()}
+    return found
 
 
 def _durations(plan: Plan, turn: int) -> Float[Array, "windows 1"]:
     """How long one of its four turns takes in each window [s]."""
-    rows = plan.shadows[:, turn]
+    rows = plan.parts.first[plan.shadows[:, turn]]
     return (plan.turns.stop[rows] - plan.turns.start[rows])[:, None]
 
 
 def _usual_rates(plan: Plan, states: Array) -> Float[Array, " states"]:
     """How fast each entry of the state changes over the run, from one saving time to the next
     [1/s]: a window that is quiet beside that tells nothing of the run."""
-    turns = jax.tree.map(lambda each: each[plan.own], plan.turns)
     way = jnp.sum(abs(states[1:] - states[:-1]), axis=0)
-    return safe_divide(way, turns.stop[-1] - turns.start[0])
+    return safe_divide(way, plan.turns.stop[len(states) - 2] - plan.turns.start[0])
 
 
 def _difference(
