@@ -129,6 +129,18 @@ class Check(enum.IntEnum):
         "not the contact, and motion, forces and wear are off: take shorter steps, contact_steps, "
         "or integrator.ImplicitStep",
     )
+    # Restitution of impacts that fall within such a step, beside that of their law.
+    REBOUND_STEP = (
+        10,
+        "rebound step",
+        "1",
+        0.08,
+        "motion",
+        CONTACTS,
+        'impacts in joint "{place}" fall within a step and end with the restitution of the steps '
+        "(rebound), which is off by about {figure:.2g} of the contact law's (limit {limit:g}), so "
+        "motion, forces and wear are off: take shorter steps or integrator.Adaptive",
+    )
     # Of what nothing drives or pushes: energy above that of the start, beside all it had to change.
     ENERGY_GAIN = (
         8,
@@ -276,21 +288,3 @@ class Checks(eqx.Module):
 def _sentence(check: Check, worst: float, place: str) -> str:
     text = check.sentence.format(figure=worst, place=place, limit=check.limit)
     return f"{text[0].upper()}{text[1:]}."
-
-
-def over_run(
-    parts: list[tuple[dict[Check, Float[Array, "intervals places"]], Float[Array, " intervals"]]],
-    places: dict[str, tuple[str, ...]],
-) -> Checks:
-    """The worst over a run of figures found in saving intervals, which end at such times [s];
-    `places`: names of the places by what they are of. What is not a number counts as infinite.
-    """
-    figures = {}
-    for found, ends in parts:
-        for check, each in found.items():
-            if not places[check.of]:
-                continue
-            known = jnp.where(jnp.isnan(each), jnp.inf, each)
-            when = ends[jnp.argmax(known, axis=0)]
-            figures[check] = Figure(jnp.max(known, axis=0), when, places[check.of])
-    return Checks(figures)

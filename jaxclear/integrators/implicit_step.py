@@ -118,4 +118,7 @@ class ImplicitStep(AbstractIntegrator):
             # the time to compile.
             turn = jax.checkpoint(lambda carry, index: (one(index, *carry), None))
             end, (warm_start, met) = jax.lax.scan(turn, (state, carried), turns)[0]
-        return arrived(end, steps, warm_start, met, {Check.CREEP_STEP: h * (1 + DAMPED * bias)})
+        judged = {Check.CREEP_STEP: h * (1 + DAMPED * bias)}
+        if contacts:
+            judged[Check.REBOUND_STEP] = jnp.stack([h, jnp.asarray(self.rebound, float)])
+        return arrived(end, steps, warm_start, met, judged)

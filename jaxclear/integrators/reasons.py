@@ -27,6 +27,10 @@ REASONS: dict[Check, str] = {
         "explicit steps that rise less than this through a contact bring a body back with the "
         "speed that its law says, within 5 %; beyond, every run of the attack was off"
     ),
+    Check.REBOUND_STEP: (
+        "told from the share of an impact that falls within a step, and from how much the law and "
+        "the step take; the laws' usual restitution of 0.9 is met whatever the step, within 5 %"
+    ),
     Check.ENERGY_GAIN: (
         "a mechanism that nothing drives cannot gain energy; the accuracy of mean forces is allowed"
     ),

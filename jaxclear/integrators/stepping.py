@@ -58,14 +58,14 @@ def arrived(
     steps: Any,
     warm_start: Any,
     met: tuple | None = None,
-    rubbed: dict | None = None,
+    judged: dict | None = None,
     rises: Check = Check.CONTACT_STEP,
 ) -> Advance:
-    """The answer of steps that are never rejected, and that have `met` so deep contacts; `rubbed`:
-    the length [s] of steps in contact, by the check that judges friction over them; `rises`: the
+    """The answer of steps that are never rejected, and that have `met` so deep contacts; `judged`:
+    what checks judge steps by, the length [s] of those in contact for friction's; `rises`: the
     check that judges by how much indentations rise in a step."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
-    figures = {} if rubbed is None else dict(rubbed)
+    figures = {} if judged is None else dict(judged)
     if met is not None:
         figures |= dict(zip((rises, Check.INDENTATION), met, strict=True))
     return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, figures)

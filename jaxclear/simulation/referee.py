@@ -24,7 +24,8 @@ from jaxclear.integrators.checks import (
     SURFACES,
     WHOLE,
     Check,
-    over_run,
+    Checks,
+    Figure,
 )
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import energy, kinematics, loops
@@ -33,6 +34,7 @@ from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubs
 from jaxclear.simulation.looks import Looks, look
+from jaxclear.simulation.rebound import rebound_steps
 
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
@@ -52,15 +54,19 @@ def refereed(
     looks, ends = look(history), jnp.asarray(history.time)[1:]
     steps = {check: figures[check][looks.intervals] for check in KINDS if check in figures}
     kept = {check: each for check, each in figures.items() if check not in KINDS}
+    model, rebound = history.model(), kept.pop(Check.REBOUND_STEP, None)
     seen, rubbed = _of_saved_states(looks, steps, kept.get(Check.INDENTATION))
     of_run = {check: each[None] for check, each in (windows | rubbed).items()}
+    if rebound is not None:
+        met = kept[Check.CONTACT_STEP], kept[Check.INDENTATION]
+        of_run[Check.REBOUND_STEP] = rebound_steps(model, *met, rebound)[None]
     parts = [
         (_of_contacts(history, kept), ends),
         (seen, ends[looks.intervals]),
         (of_run, ends[-1:]),
     ]
     places = _places(history)
-    checks = over_run([(jax.lax.stop_gradient(each), at) for each, at in parts], places)
+    checks = _over_run([(jax.lax.stop_gradient(each), at) for each, at in parts], places)
     verdict = _ending(seen)
     if jnp.ndim(verdict) == 0:
         return dataclasses.replace(trajectory, checks=checks)
@@ -77,6 +83,24 @@ def refereed(
         ended=jnp.where(stops, ends[first], trajectory.ended),
         checks=checks,
     )
+
+
+def _over_run(
+    parts: list[tuple[dict[Check, Float[Array, "intervals places"]], Float[Array, " intervals"]]],
+    places: dict[str, tuple[str, ...]],
+) -> Checks:
+    """The worst over a run of figures found in saving intervals, which end at such times [s];
+    `places`: names of the places by what they are of. What is not a number counts as infinite.
+    """
+    figures = {}
+    for found, ends in parts:
+        for check, each in found.items():
+            if not places[check.of]:
+                continue
+            known = jnp.where(jnp.isnan(each), jnp.inf, each)
+            when = ends[jnp.argmax(known, axis=0)]
+            figures[check] = Figure(jnp.max(known, axis=0), when, places[check.of])
+    return Checks(figures)
 
 
 def _ending(found: dict[Check, Float[Array, "looks places"]]) -> Float[Array, " looks"]:
