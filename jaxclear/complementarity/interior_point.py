@@ -30,6 +30,8 @@ __all__ = ["InteriorPoint"]
 NEAR, LEAST, SHORTENED, TRIES = 1e-2, 0.2, 0.7, 16
 # Share of the way to the nearest boundary that a step may go.
 SHORT_OF_BOUNDARY = 0.995
+# A number that falls by less in a whole step never reaches zero.
+LEAST_FALL = 1e-300
 # Products within this share of kappa, and the linear equations to this in scaled units, end the
 # iteration.
 CENTRED = 1e-11
@@ -162,7 +164,7 @@ def _step(matrix, offset, kappa, z, w):
 def _length(z, w, dz, dw):
     """The longest step up to 1 that keeps z and w positive."""
     ratios = [
-        jnp.where(d < 0, -x / jnp.where(d < 0, d, 1.0), jnp.inf) for x, d in ((z, dz), (w, dw))
+        jnp.where(d < 0, x / jnp.maximum(-d, LEAST_FALL), jnp.inf) for x, d in ((z, dz), (w, dw))
     ]
     return jnp.minimum(1.0, SHORT_OF_BOUNDARY * jnp.min(jnp.minimum(*ratios)))
 

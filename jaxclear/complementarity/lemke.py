@@ -162,8 +162,9 @@ def _leaving(tableau: Tableau):
     """(row that leaves, whether none does): the lexicographically least ratio, z0 first."""
     n = tableau.basic.shape[0]
     column = tableau.entries[:, tableau.entering]
-    able = column > SMALLEST_PIVOT * jnp.maximum(jnp.max(jnp.abs(column)), 1.0)
-    divisor = jnp.where(able, column, 1.0)
+    smallest = SMALLEST_PIVOT * jnp.maximum(jnp.max(jnp.abs(column)), 1.0)
+    able = column > smallest
+    divisor = jnp.maximum(column, smallest)
 
     def least(candidates, values):
         ratios = jnp.where(candidates, values / divisor, jnp.inf)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.complementarity.problem import LCP, natural_residual
+from jaxclear.ground.numerics import OFF_THE_TIES
 
 __all__ = ["Scaled", "scaled", "scaled_residual", "size_of"]
 
@@ -36,8 +37,8 @@ class Scaled(NamedTuple):
 
 
 def _power_of_two(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The power of two next above |x|, and 1 at zero."""
-    exponent = jnp.frexp(jnp.where(x == 0, 0.5, x))[1]
+    """A power of two above |x|, the next or (just below it) the one after, and 1 at zero."""
+    exponent = jnp.frexp(jnp.where(x == 0, 0.5, OFF_THE_TIES * x))[1]
     return jnp.ldexp(jnp.ones_like(x), exponent)
 
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg as jsl
 
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import OFF_THE_TIES
 
 __all__ = ["LARGEST_WRITTEN_OUT", "Rows", "eliminate", "factor", "solve", "to_array"]
 
@@ -72,14 +73,15 @@ def eliminate(equations: list[Any]) -> list[Any]:
     """Solution of a system of equations, rows with their right-hand sides at the end, by Gauss's
     elimination with partial pivoting.
 
-    For matrices that are not symmetric, as those of contacts that slide. A pivot costs a select for
-    every row below it, which is twenty times what `factor` takes: prefer that one.
+    For matrices that are not symmetric, as those of contacts that slide. Of pivots that are alike
+    but for rounding the first is taken, always: in a batch XLA may ask twice. A pivot costs a
+    select for every row below it, which is twenty times what `factor` takes: prefer that one.
     """
     lines = list(equations)
     n = len(lines)
     for k in range(n):
         for i in range(k + 1, n):
-            larger = jnp.abs(lines[i][k]) > jnp.abs(lines[k][k])
+            larger = jnp.abs(lines[i][k]) > OFF_THE_TIES * jnp.abs(lines[k][k])
             lines[k], lines[i] = (
                 jnp.where(larger, lines[i], lines[k]),
                 jnp.where(larger, lines[k], lines[i]),

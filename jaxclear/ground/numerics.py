@@ -31,6 +31,10 @@ __getattr__ = nothing_else("jaxclear.numerics", __all__)
 # of x in denominators) neither overflow nor underflow: a contact's normal is a first derivative
 # already, and is differentiated once more by whoever varies it.
 TINY_SQUARE = 1e-100
+# By so much one of two numbers is enlarged before they are compared, where being equal is likely
+# (symmetric mechanisms, powers of two) and either answer will do: asked twice with different
+# rounding, the answer is then the same.
+OFF_THE_TIES = 1 + 2.0**-20
 
 
 def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:
