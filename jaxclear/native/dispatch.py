@@ -3,7 +3,7 @@
 XLA keeps a registered function for ever. Kernels go with their programs, so they are not
 registered: a custom call carries a kernel's number, which its text decides, and a table gives the
 address that this number has in this process. A number that is not in the table ends the run with an
-error of XLA.
+error of XLA. Calls under way are counted: the memory of a kernel is freed when there are none.
 """
 
 import ctypes
@@ -20,6 +20,10 @@ PLACES = 1 << 14
 # Pairs (number, address); a number stays when its kernel has gone, with address 0, until another
 # kernel takes its place.
 TABLE = (ctypes.c_int64 * (2 * PLACES))()
+# Calls under way of the kernels at each place.
+CALLS = (ctypes.c_int64 * PLACES)()
+# The number of a place while another kernel takes it.
+CHANGING = -1
 GONE = b"jaxclear: the kernel of this program has been dropped; compile the program again."
 # Code of an internal error in XLA's foreign function interface.
 INTERNAL = 13
@@ -55,7 +59,7 @@ execute:
   %first = and i64 %number, {mask}
   br label %probe
 probe:
-  %place = phi i64 [ %first, %execute ], [ %next, %further ]
+  %place = phi i64 [ %first, %execute ], [ %next, %further ], [ %first, %probe_anew ]
   %index = mul i64 %place, 2
   %pair = getelementptr i64, ptr %table, i64 %index
   %found = load atomic i64, ptr %pair acquire, align 8
@@ -69,14 +73,26 @@ further:
   %next = and i64 %following, {mask}
   br label %probe
 enter:
+  %calls = inttoptr i64 {calls} to ptr
+  %count = getelementptr i64, ptr %calls, i64 %place
+  %before = atomicrmw add ptr %count, i64 1 seq_cst
   %address_place = getelementptr i64, ptr %pair, i64 1
-  %address = load atomic i64, ptr %address_place acquire, align 8
-  %known = icmp ne i64 %address, 0
-  br i1 %known, label %call, label %missing
+  %address = load atomic i64, ptr %address_place seq_cst, align 8
+  %still = load atomic i64, ptr %pair seq_cst, align 8
+  %own = icmp eq i64 %still, %number
+  %there = icmp ne i64 %address, 0
+  %known = and i1 %own, %there
+  br i1 %known, label %call, label %leave
 call:
   %kernel = inttoptr i64 %address to ptr
-  %error = tail call ptr %kernel(ptr %frame)
+  %error = call ptr %kernel(ptr %frame)
+  %during = atomicrmw sub ptr %count, i64 1 seq_cst
   ret ptr %error
+leave:
+  %after = atomicrmw sub ptr %count, i64 1 seq_cst
+  br i1 %own, label %missing, label %probe_anew
+probe_anew:
+  br label %probe
 missing:
   %given = alloca {{ i64, ptr, ptr, i32 }}
   store {{ i64, ptr, ptr, i32 }} {{ i64 28, ptr null, ptr @message, i32 {internal} }}, ptr %given
@@ -86,6 +102,21 @@ missing:
   %create = load ptr, ptr %create_place
   %made = call ptr %create(ptr %given)
   ret ptr %made
+}}
+define void @{name}.enter(ptr %pair, i64 %number, i64 %address) {{
+entry:
+  %address_place = getelementptr i64, ptr %pair, i64 1
+  store atomic i64 {changing}, ptr %pair seq_cst, align 8
+  store atomic i64 %address, ptr %address_place seq_cst, align 8
+  store atomic i64 %number, ptr %pair seq_cst, align 8
+  ret void
+}}
+define i64 @{name}.leave(ptr %pair, ptr %count) {{
+entry:
+  %address_place = getelementptr i64, ptr %pair, i64 1
+  %address = atomicrmw xchg ptr %address_place, i64 0 seq_cst
+  %calls = load atomic i64, ptr %count seq_cst, align 8
+  ret i64 %calls
 }}
 """
 
@@ -99,6 +130,8 @@ def known_to_xla() -> Any:
         major=major,
         minor=minor,
         table=ctypes.addressof(TABLE),
+        calls=ctypes.addressof(CALLS),
+        changing=CHANGING,
         mask=PLACES - 1,
         length=len(GONE) + 1,
         message=GONE.decode(),
@@ -134,17 +167,35 @@ def _place(number: int) -> int:
 
 def enter(number: int, address: int) -> None:
     """From now on this number (positive, 63 bits) stands for the kernel at an address."""
-    place = _place(number)
-    # The number last: a kernel that runs in another thread may be looking here.
-    TABLE[2 * place + 1] = address
-    TABLE[2 * place] = number
+    # The number last, and nobody's before: a call in another thread may be looking here.
+    _ordered("enter", None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(
+        _pair(_place(number)), number, address
+    )
 
 
-def remove(number: int, address: int) -> None:
-    """The number stands for no kernel any more, if it stood for the one at this address."""
+def remove(number: int, address: int) -> int:
+    """The number stands for no kernel any more, if it stood for the one at this address. Gives the
+    place at which calls of it that are under way are counted."""
     place = _place(number)
     if (TABLE[2 * place], TABLE[2 * place + 1]) == (number, address):
-        TABLE[2 * place + 1] = 0
+        _ordered("leave", ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)(
+            _pair(place), ctypes.addressof(CALLS) + 8 * place
+        )
+    return place
+
+
+def in_use(place: int) -> bool:
+    """Whether a kernel is being called at a place of the table."""
+    return CALLS[place] > 0
+
+
+def _pair(place: int) -> int:
+    return ctypes.addressof(TABLE) + 16 * place
+
+
+def _ordered(what: str, *types: Any) -> Any:
+    """A function of machine code that changes the table in an order that other threads see too."""
+    return ctypes.CFUNCTYPE(*types)(known_to_xla().get_function_address(f"{TARGET}.{what}"))
 
 
 def size() -> int:

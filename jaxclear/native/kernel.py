@@ -5,6 +5,7 @@ table of `dispatch` under a number that its text decides. Samples run `lanes` at
 """
 
 import collections
+import contextlib
 import hashlib
 import threading
 import weakref
@@ -126,18 +127,37 @@ class Kernel:
     """Compiled code: the number by which a program calls it, and its address for a direct call.
 
     It goes with the last program that keeps it: its number then leaves the table, and its machine
-    code the memory.
+    code the memory, as soon as no call of it is under way.
     """
 
     def __init__(self, number: int, name: str, engine: Any):
         self.number, self.address = number, engine.get_function_address(f"{name}.samples")
-        self._engine = engine
         self._entry = engine.get_function_address(name)
-        weakref.finalize(self, dispatch.remove, number, self._entry).atexit = False
+        weakref.finalize(self, _dropped, number, self._entry, engine).atexit = False
 
     def publish(self) -> None:
         """Programs may call it from now on."""
         dispatch.enter(self.number, self._entry)
+
+
+# Machine code of kernels that were dropped while a call was under way, with their places in the
+# table. A deque: finalizers, in whatever thread, may not wait for a lock.
+_LINGERING: "collections.deque[tuple[int, Any]]" = collections.deque()
+
+
+def _dropped(number: int, entry: int, engine: Any) -> None:
+    """A kernel leaves the table; its machine code, kept by `engine`, goes when nobody is in it."""
+    _LINGERING.append((dispatch.remove(number, entry), engine))
+    free_the_unused()
+
+
+def free_the_unused() -> None:
+    """Frees machine code that lingers, where no call of it is under way any more."""
+    for _ in range(len(_LINGERING)):
+        with contextlib.suppress(IndexError):
+            place, engine = _LINGERING.popleft()
+            if dispatch.in_use(place):
+                _LINGERING.append((place, engine))
 
 
 # JAX computes in the background: a program may have been dropped before its kernel has begun. So
@@ -152,6 +172,7 @@ _KERNELS: "weakref.WeakValueDictionary[int, Kernel]" = weakref.WeakValueDictiona
 def build(program: Program, lanes: int) -> Kernel:
     """Compile, check, and make known. Raises `Unsupported`."""
     dispatch.known_to_xla()
+    free_the_unused()
     text = text_of(program, lanes)
     constants, state = avals_of(program)
     kept = list(zip([*constants, *state], in_memory(program), strict=True))

@@ -3,6 +3,9 @@
 import ctypes
 import gc
 import os
+import threading
+import time
+import weakref
 
 import jax
 import jax.numpy as jnp
@@ -84,3 +87,32 @@ def test_another_kernel_takes_the_place_of_one_that_has_gone(monkeypatch):
     dispatch.remove(first, 11)
     dispatch.enter(third, 33)
     assert dispatch.size() == 2 and list(dispatch.TABLE[2:6]) == [third, 33, second, 22]
+
+
+class Code:
+    """In the place of an engine: what holds the machine code."""
+
+
+def test_the_code_of_a_kernel_goes_when_the_last_call_of_it_has_ended():
+    """Also where its program, and many after it, are dropped while it runs."""
+    turn = lambda s: (s[0] + 1.0, 0.5 * s[1] + 1.0)
+    run = jax.jit(lambda x, most: while_loop(lambda s: s[0] < most, turn, (0.0, x))[1])
+    run(0.0, 1.0)
+    own, code = kernel._LATEST[-1], Code()
+    place, held, found = dispatch._place(own.number), weakref.ref(code), []
+    call = threading.Thread(target=lambda: found.append(float(run(0.0, 3e8))))
+    call.start()
+    end = time.monotonic() + 20.0
+    while not dispatch.in_use(place) and time.monotonic() < end:
+        time.sleep(1e-3)
+    assert dispatch.in_use(place)
+    kernel._dropped(own.number, own._entry, code)
+    del code
+    kernel.free_the_unused()
+    assert held() is not None
+    with pytest.raises(ValueError, match="kernel of this program"):
+        run(0.0, 1.0)
+    call.join()
+    kernel.free_the_unused()
+    assert held() is None and not dispatch.in_use(place)
+    assert found == [2.0]
