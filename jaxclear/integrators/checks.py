@@ -115,13 +115,13 @@ class Check(enum.IntEnum):
         "contact, and friction loss and wear of impacts may be off, though motion may be right: "
         "take shorter steps",
     )
-    # The same of explicit steps: beyond half, the speed with which a body comes back from an
-    # impact is that of the steps (benchmarks/attack.py).
+    # The same of explicit steps: beyond a third, where a body is after a few impacts is the steps'
+    # doing (benchmarks/attack.py).
     IMPACT_STEP = (
         2,
         "impact step",
         "1",
-        0.5,
+        0.35,
         "motion",
         CONTACTS,
         'within a step the indentation in joint "{place}" grows by {figure:.2g} of the largest '

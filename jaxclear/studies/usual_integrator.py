@@ -20,8 +20,7 @@ EXPLICIT_SHARE = 2.0
 # The same where that is what sets its length.
 CAREFUL_SHARE = 1.0
 # Shares of 1 / rate that steps have in a contact, so that impacts, and with them friction loss and
-# wear, are within 2 %: of explicit steps (the four-bar of jaxclear.commands, in which ten times as
-# many impacts follow on one another as in a bearing) and of implicit ones
+# wear, are within 2 %: of explicit steps (the four-bar of jaxclear.commands) and of implicit ones
 # (benchmarks/claims/loaded_bearing.py).
 IMPACT_SHARE, IMPLICIT_SHARE = 0.36, 0.1
 # Lengths of steps that a reader takes in at a glance, a decade of them.
