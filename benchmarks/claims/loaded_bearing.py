@@ -23,7 +23,17 @@ TIGHTER, TIGHT = (
 )
 # Right up to this share; below the least loss [J] the journal has not rubbed.
 WITHIN, LEAST = 0.02, 1e-12
-LAWS = ("Stribeck", "CoulombTanh", "ThreeZone", "Ambrosio", "Dahl", "LuGre")
+LAWS = (
+    "Stribeck",
+    "CoulombTanh",
+    "ThreeZone",
+    "AdamsStep",
+    "Ambrosio",
+    "Threlfall",
+    "BengisuAkay",
+    "Dahl",
+    "LuGre",
+)
 LOADS, RADII, STIFFNESSES = (
     (1.0, 5.0, 20.0, 100.0, 500.0, 1000.0, 5000.0),
     (2e-3, 5e-3, 10e-3, 50e-3),

@@ -1,5 +1,5 @@
-"""Answers the command line: `jaxclear four-bar`, `antenna` and `guide` run studies, `jaxclear
-parameters` lists a scene's numbers with units.
+"""Answers the command line: `jaxclear four-bar`, `antenna`, `guide` and `flap` run studies,
+`jaxclear parameters` lists a scene's numbers with units.
 
 What may be asked stands in `jaxclear_command`, which answers mistakes before this package is
 loaded. A new study is a module with a function `run`, a line here and an entry there.
@@ -12,11 +12,11 @@ from pathlib import Path
 import jax
 
 import jaxclear as jc
-from jaxclear.commands import antenna, four_bar, guide
+from jaxclear.commands import antenna, flap, four_bar, guide
 
 __all__ = ["answer"]
 
-STUDIES = {"four-bar": four_bar, "antenna": antenna, "guide": guide}
+STUDIES = {"four-bar": four_bar, "antenna": antenna, "guide": guide, "flap": flap}
 # Programs that compile faster than this are not kept [s].
 WORTH_KEEPING = 0.5
 

@@ -3,6 +3,7 @@ neither shows nor saves it.
 """
 
 from jaxclear.ground.answering import nothing_else
+from jaxclear.plot.modes import modes
 from jaxclear.plot.motion import angular_velocity, displacement, end_centres, journal_ends
 from jaxclear.plot.pointing import pointing_budget
 from jaxclear.plot.studies import monte_carlo, sensitivity, work_precision
@@ -13,6 +14,7 @@ __all__ = [
     "displacement",
     "end_centres",
     "journal_ends",
+    "modes",
     "monte_carlo",
     "pointing_budget",
     "sensitivity",

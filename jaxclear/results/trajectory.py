@@ -21,7 +21,7 @@ from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import explain
-from jaxclear.results import carrying, dataset, histories
+from jaxclear.results import carrying, dataset, histories, modes
 from jaxclear.results.histories import (
     BodyHistory,
     ContactHistory,
@@ -166,6 +166,19 @@ class Trajectory(eqx.Module):
         touches leans in its gap as its reaction says.
         """
         return histories.contact(self.history, name)
+
+    def modes(self, name: str) -> Any:
+        """How the journal of a clearance joint moves: free flight, impact, contact (`Mode`), as a
+        pandas table of the phases (from [s], to [s], mode, approach speed [m/s] of an impact). What
+        parts impact from contact stands in `results.modes`; save a few times a contact. Forces that
+        are means over saving intervals (MoreauJean) tell them to an interval."""
+        return modes.table(self.history, name)
+
+    def combined_modes(self, *names: str) -> Any:
+        """The modes of several joints (all with clearance by default) side by side, as a pandas
+        table: a row whenever one of them changes."""
+        known = self.formulation.contact_joints(self.mechanism)
+        return modes.combined(self.history, names or known)
 
     def situations(self, name: str) -> Int[Array, " time"]:
         """How a joint that always touches carries: 0 not at all, 1 at one point, 2 at two points on

@@ -1,4 +1,4 @@
-"""Reads the command line: `jaxclear four-bar`, `antenna` and `guide` run studies, `jaxclear
+"""Reads the command line: `jaxclear four-bar`, `antenna`, `guide` and `flap` run studies, `jaxclear
 parameters` lists a scene's numbers with units.
 
 A study is an entry in STUDIES, which declares its arguments, and a module of `jaxclear.commands`
@@ -50,6 +50,13 @@ def _guide(parser: Parser) -> None:
     add_quiet(parser)
 
 
+def _flap(parser: Parser) -> None:
+    add_out(parser, "flap_study")
+    duration = "simulated time [s] (default 0.5)"
+    parser.flag("--duration", duration, type=number(0.01, "s"), default=0.5)
+    add_quiet(parser)
+
+
 STUDIES = {
     "four-bar": Study(
         "four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives",
@@ -62,6 +69,9 @@ STUDIES = {
     "guide": Study(
         "slider in a rotating guide: corner forces, switchings, impacts of a small clearance",
         _guide,
+    ),
+    "flap": Study(
+        "flap actuation with four clearance joints: modes, impacts, forces, lever ratio", _flap
     ),
     "parameters": Study("all numbers of the four-bar with unit and meaning", lambda parser: None),
 }

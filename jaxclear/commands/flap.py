@@ -1,0 +1,147 @@
+"""The study of the flap actuation system from one command: modes of the four joints, their forces,
+the shaft beside that of ideal joints, and who carries most as the lever ratio changes.
+
+Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas
+from matplotlib.figure import Figure
+
+import jaxclear as jc
+from jaxclear import plot
+from jaxclear.commands.reported import report_warnings
+from jaxclear.plot.canvas import MILLI, canvas, warned
+from jaxclear.scenes.flap import JOINTS, flap
+
+__all__ = ["run", "study"]
+
+# Steps that resolve the stiff dampers: forces within 0.3 % of steps a quarter as long.
+STEP = 1e-6
+SAVES_PER_SECOND = 100_000
+LEVER_RATIOS = (0.5, 0.8, 1.0, 1.25, 2.0)
+# Of the runs over the lever ratio [s]: the first stroke.
+STROKE_TIME = 0.1
+
+
+def run(options: argparse.Namespace) -> None:
+    """Answers `jaxclear flap`."""
+    study(options.out, options.duration, not options.quiet)
+
+
+def simulated(rig: jc.Mechanism, duration: float, show: bool = False) -> Any:
+    """A run of the mechanism, saved densely enough to tell impacts."""
+    return jc.simulate(
+        rig,
+        duration,
+        save=round(duration * SAVES_PER_SECOND) + 1,
+        integrator=jc.integrator.ImplicitStep(STEP),
+        progress_bar=show,
+    )
+
+
+def mean_forces(run: Any) -> dict[str, float]:
+    """Mean normal force of each joint [N]."""
+    return {name: float(run.contact(name).normal_force.mean()) for name in JOINTS}
+
+
+def over_ratio() -> pandas.DataFrame:
+    """Mean force of each joint over the lever ratio."""
+    rows = []
+    for ratio in LEVER_RATIOS:
+        forces = mean_forces(simulated(flap(lever_ratio=ratio), STROKE_TIME))
+        rows.append({"lever ratio": ratio} | {f"{n} [N]": f for n, f in forces.items()})
+    return pandas.DataFrame(rows)
+
+
+def phases(run: Any) -> pandas.DataFrame:
+    """Phases of all joints, one after the other."""
+    own = [run.modes(name).assign(joint=name) for name in JOINTS]
+    return pandas.concat(own, ignore_index=True)
+
+
+def forces_figure(run: Any) -> Figure:
+    """Normal force of the four joints over time."""
+    figure, axes = canvas(len(JOINTS), 1, (8.0, 7.0), sharex=True, sharey=True)
+    for axis, name in zip(axes, JOINTS, strict=True):
+        force = np.asarray(run.contact(name).normal_force).sum(axis=1)
+        axis.plot(MILLI * np.asarray(run.time), force, lw=0.5, color="C0")
+        axis.set_ylabel(f"{name} [N]")
+    # Impacts are a hundred times what is carried between them.
+    axes[0].set_yscale("symlog", linthresh=100.0)
+    axes[0].set_ylim(bottom=0.0)
+    axes[-1].set_xlabel("time [ms]")
+    axes[0].set_title("Normal force of the joints (linear up to 100 N, logarithmic beyond)")
+    return warned(figure, {"": run})
+
+
+def shaft_figure(run: Any, ideal: Any) -> Figure:
+    """Angular velocity and acceleration of the shaft beside those of ideal joints."""
+    figure, axes = canvas(2, 1, (8.0, 6.0), sharex=True)
+    for one, style, label in ((run, "C0-", "four joints with clearance"), (ideal, "k--", "ideal")):
+        moment, speed = np.asarray(one.time), np.asarray(one.body("shaft").spin)[:, 2]
+        axes[0].plot(MILLI * moment, speed, style, lw=0.9, label=label)
+        axes[1].plot(MILLI * moment, np.gradient(speed, moment), style, lw=0.6)
+    # The first impacts are far above all that follows.
+    largest = 4 * np.abs(np.gradient(speed, moment)).max()
+    axes[1].set_ylim(-largest, largest)
+    axes[0].set_ylabel("angular velocity [rad/s]")
+    axes[1].set_ylabel("angular acceleration [rad/s²], peaks cut")
+    axes[1].set_xlabel("time [ms]")
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8
+    )
+    axes[0].set_title("The shaft")
+    return warned(figure, {"with clearance": run, "ideal": ideal})
+
+
+def ratio_figure(table: pandas.DataFrame) -> Figure:
+    """Mean force of each joint beside that of J1, over the lever ratio."""
+    figure, axes = canvas()
+    ratio = table["lever ratio"]
+    for name, marker in zip(JOINTS, "os^v", strict=True):
+        share = table[f"{name} [N]"] / table["J1 [N]"]
+        axes.plot(ratio, share, marker=marker, lw=0.8, label=name, alpha=0.8)
+    axes.plot(ratio, 1 / ratio, "k:", lw=0.8, label="1 / lever ratio")
+    axes.set_xlabel("lever ratio: distance of J3 from the pivot over that of J2")
+    axes.set_ylabel("mean force over that of J1")
+    axes.legend(fontsize=8)
+    axes.set_title("The lever ratio decides who carries most")
+    return figure
+
+
+def study(folder: Path, duration: float = 0.5, show: bool = True) -> None:
+    """Runs everything and writes it to `folder`; `duration` [s], `show`: progress bars."""
+    begun = time.perf_counter()
+    folder.mkdir(parents=True, exist_ok=True)
+    clear = simulated(flap(), duration, show)
+    ideal = jc.simulate(flap(()), duration, save=len(clear.time))
+    report_warnings({"four joints with clearance": clear, "ideal": ideal})
+    tables = {
+        "modes": phases(clear),
+        "combined_modes": clear.combined_modes(),
+        "lever_ratio": over_ratio(),
+    }
+    for name, table in tables.items():
+        table.to_csv(folder / f"{name}.csv", index=False)
+    spent = tables["modes"].assign(time=lambda rows: rows["to [s]"] - rows["from [s]"])
+    shares = spent.pivot_table("time", "joint", "mode", "sum", 0.0) / duration
+    print(f"share of the time in each mode\n{shares.to_string(float_format='%.3f')}\n")
+    print(f"{tables['lever_ratio'].to_string(index=False, float_format='%.4g')}\n")
+    figures = {
+        "modes": plot.modes(clear),
+        "forces": forces_figure(clear),
+        "shaft": shaft_figure(clear, ideal),
+        "lever_ratio": ratio_figure(tables["lever_ratio"]),
+    }
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=130)
+    print(
+        f"{len(figures)} figures and {len(tables)} tables in {folder.resolve()}, "
+        f"{time.perf_counter() - begun:.0f} s"
+    )

@@ -1,0 +1,167 @@
+"""How the journal of a clearance joint moves: free flight, impact, contact; and from when to when.
+
+A joint touches where one of its indentations is above 0. Touching begins as an impact, and lasts as
+one until the bodies have come back from it: the indentation's rate, the approach speed at first,
+falls to 0 and turns, and the impact ends where it turns again or where they part; or, where they do
+not come back, as soon as the rate has fallen to 0. What lasts beyond is contact. 0 is `SHARE` of
+the approach speed. Between saving times indentation follows Hermite's cubic through the depths and
+rates at both ends, so a touch is found within a fraction of the interval, and one that begins and
+ends within it where its rates tell of it.
+
+Source: the three modes of Ravn 1998, Multibody Syst. Dyn. 2, 1, doi:10.1023/A:1009759826529.
+"""
+
+import enum
+import itertools
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, PPoly
+
+from jaxclear.formulations.model import Instant
+from jaxclear.ground import sparse as sp
+from jaxclear.multibody import contact_point, kinematics
+from jaxclear.results.histories import check_contact_joint, contact
+from jaxclear.results.state_history import StateHistory, over_time
+
+# Share of the approach speed below which a journal counts as stopped.
+SHARE = 0.05
+
+
+class Mode(enum.IntEnum):
+    """How a journal moves in its bearing."""
+
+    FREE_FLIGHT = 0
+    IMPACT = 1
+    CONTACT = 2
+
+    @property
+    def label(self) -> str:
+        """The mode in words."""
+        return self.name.lower().replace("_", " ")
+
+
+class Phase(NamedTuple):
+    """A mode from `start` to `stop` [s]; `approach` [m/s]: speed at the touch, of an impact."""
+
+    start: float
+    stop: float
+    mode: Mode
+    approach: float
+
+
+def phases(history: StateHistory, name: str) -> list[Phase]:
+    """The modes of a joint, one after the other. Raises `ValueError` for another joint."""
+    check_contact_joint(history, name)
+    time = np.asarray(history.time)
+    if history.formulation.forces_are_means:
+        return _of_forces(time, np.asarray(contact(history, name).normal_force).sum(axis=1))
+    depth, rate = (np.asarray(x) for x in _gap(history, name))
+    path = CubicHermiteSpline(time, depth, rate)
+    crossings = np.unique(path.roots(discontinuity=False, extrapolate=False))
+    marks = np.concatenate([time[:1], crossings[np.isfinite(crossings)], time[-1:]])
+    found: list[Phase] = []
+    for start, stop in itertools.pairwise(marks):
+        if stop <= start:
+            continue
+        touching = path(0.5 * (start + stop)) > 0
+        if not touching:
+            found.append(Phase(start, stop, Mode.FREE_FLIGHT, np.nan))
+        elif start == time[0]:
+            found.append(Phase(start, stop, Mode.CONTACT, np.nan))
+        else:
+            found += _touching(path, start, stop)
+    return _merged(found)
+
+
+def table(history: StateHistory, name: str) -> Any:
+    """The phases as a pandas table."""
+    import pandas
+
+    rows = [(p.start, p.stop, p.mode.label, p.approach) for p in phases(history, name)]
+    labels = ["from [s]", "to [s]", "mode", "approach speed [m/s]"]
+    return pandas.DataFrame(rows, columns=labels)
+
+
+def combined(history: StateHistory, names: tuple[str, ...]) -> Any:
+    """The modes of several joints side by side, as a pandas table: a row whenever one changes."""
+    import pandas
+
+    own = {name: phases(history, name) for name in names}
+    starts = np.unique([phase.start for each in own.values() for phase in each])
+    columns = {"from [s]": starts, "to [s]": np.append(starts[1:], np.asarray(history.time)[-1])}
+    for name, each in own.items():
+        place = np.searchsorted([phase.start for phase in each], starts, side="right") - 1
+        columns[name] = [each[i].mode.label for i in place]
+    return pandas.DataFrame(columns)
+
+
+@eqx.filter_jit
+def _gap(history, name):
+    """Largest indentation [m] of a joint and its rate [m/s] over time."""
+
+    def one(now: Instant):
+        bearing = now.model.system.bearings[name]
+        relative = kinematics.relative_motion(bearing.closure, now.motions)[2]
+        worn = now.model.worn.get(name, {})
+        found = contact_point.indentation_rates(bearing.joint, relative, worn)
+        depths, rates = (sp.stack([point[i] for point in found]) for i in (0, 1))
+        deepest = jnp.argmax(depths)
+        return depths[deepest], rates[deepest]
+
+    return over_time(history, one)
+
+
+def _touching(path: Any, start: float, stop: float) -> list[Phase]:
+    """An impact, and the contact that it may end in."""
+    approach = float(path.derivative()(start))
+    end = _end_of_impact(path.derivative(), start, stop, SHARE * approach)
+    found = [Phase(start, end, Mode.IMPACT, approach)]
+    return [*found, Phase(end, stop, Mode.CONTACT, np.nan)] if end < stop else found
+
+
+def _end_of_impact(rate: Any, start: float, stop: float, least: float) -> float:
+    """When bodies that touched have come to rest, or have come back and stopped again [s]."""
+    stopped = _first(rate, least, start, stop)
+    if stopped is None:
+        return stop
+    # As long again as it took to stop, and once more: they come back by then, or not at all.
+    returning = _first(rate, -least, stopped, min(stop, stopped + 2 * (stopped - start)))
+    if returning is None:
+        return stopped
+    back = _first(rate, -least, np.nextafter(returning, np.inf), stop)
+    return stop if back is None else back
+
+
+def _first(rate: Any, level: float, start: float, stop: float) -> float | None:
+    """The first instant after `start` at which a rate passes a level; None where it does not."""
+    lower, upper = np.searchsorted(rate.x, [start, stop])
+    pieces = slice(max(lower - 1, 0), min(upper, len(rate.x) - 1))
+    part = PPoly(rate.c[:, pieces], rate.x[pieces.start : pieces.stop + 1])
+    times = part.solve(level, discontinuity=False, extrapolate=False)
+    times = times[np.isfinite(times) & (times > start) & (times < stop)]
+    return float(times.min()) if len(times) else None
+
+
+def _of_forces(time: np.ndarray, force: np.ndarray) -> list[Phase]:
+    """Phases of forces that are means over the saving intervals: known to an interval."""
+    found: list[Phase] = []
+    for i, (start, stop) in enumerate(itertools.pairwise(time)):
+        mode = Mode.CONTACT if force[i + 1] > 0 else Mode.FREE_FLIGHT
+        if mode == Mode.CONTACT and found and found[-1].mode == Mode.FREE_FLIGHT:
+            mode = Mode.IMPACT
+        found.append(Phase(start, stop, mode, np.nan))
+    return _merged(found)
+
+
+def _merged(found: list[Phase]) -> list[Phase]:
+    """Neighbours of one mode as one, but for impacts."""
+    out: list[Phase] = []
+    for phase in found:
+        if out and out[-1].mode == phase.mode != Mode.IMPACT:
+            out[-1] = out[-1]._replace(stop=phase.stop)
+        else:
+            out.append(phase)
+    return out

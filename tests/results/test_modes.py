@@ -1,0 +1,91 @@
+"""Free flight, impact and contact: instants in closed form, and the definition that parts impact
+from contact."""
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.results.modes import Mode
+
+MASS, STIFFNESS, SPEED, CLEARANCE = 1.0, 1e7, 0.1, 1e-4
+LASTS = np.pi * np.sqrt(MASS / STIFFNESS)
+
+
+def journal(load=None, **law):
+    """A journal in a linear wall, thrown from the middle along x, or pulled there from rest."""
+    joint = jc.clearance.PlanarJournalBearing(
+        jc.contact.KelvinVoigt(stiffness=STIFFNESS, **law),
+        None,
+        bearing_radius=10e-3,
+        clearance=CLEARANCE,
+    )
+    loads = {} if load is None else {"load": jc.load.Force(jc.Marker("journal"), (load, 0.0, 0.0))}
+    return jc.Mechanism(
+        {"journal": jc.Body(MASS, 1e-4)},
+        {"B": jc.Connection(joint, "ground", "journal")},
+        loads,
+        speeds={"journal": (SPEED if load is None else 0.0, 0.0, 0.0)},
+    )
+
+
+def phases(rig, duration, saves):
+    tight = jc.integrator.Adaptive(rtol=1e-10, atol=1e-14)
+    return jc.simulate(rig, duration, save=saves, integrator=tight).modes("B")
+
+
+@pytest.mark.parametrize("saves", [1001, 51])
+def test_instants_of_elastic_impacts(saves):
+    """Straight flights of two clearances, and half a swing in the wall; also where a saving
+    interval is a third of that."""
+    flight = 2 * CLEARANCE / SPEED
+    found = phases(journal(damping=0.0), 4.0 * (flight + LASTS), saves)
+    modes, starts = list(found["mode"]), found["from [s]"].to_numpy()
+    assert modes[:5] == ["free flight", "impact"] * 2 + ["free flight"]
+    first = CLEARANCE / SPEED
+    wanted = [0.0, first, first + LASTS, first + LASTS + flight, first + 2 * LASTS + flight]
+    within = 1e-6 if saves == 1001 else 1e-2
+    np.testing.assert_allclose(starts[:5], wanted, atol=within * LASTS)
+    np.testing.assert_allclose(found["approach speed [m/s]"][1], SPEED, rtol=10 * within)
+
+
+def test_what_lasts_is_contact():
+    """Under a load a journal comes back from its first impacts less and less, then stays."""
+    found = phases(journal(20.0, damping=600.0), 0.05, 2001)
+    modes = list(found["mode"])
+    assert modes[0] == Mode.FREE_FLIGHT.label and modes[1] == Mode.IMPACT.label
+    assert modes[-1] == Mode.CONTACT.label and modes.count(Mode.CONTACT.label) == 1
+    lasting = found.iloc[-1]
+    assert lasting["to [s]"] - lasting["from [s]"] > 0.02
+
+
+def test_an_impact_without_rebound_ends_when_the_journal_stands():
+    """With a damper that takes all, impact is followed by contact at once."""
+    found = phases(journal(20.0, damping=2e4), 0.02, 2001)
+    assert list(found["mode"]) == ["free flight", "impact", "contact"]
+    impact = found.iloc[1]
+    # The approach falls as exp(-damping t / mass), to a twentieth.
+    assert impact["to [s]"] - impact["from [s]"] == pytest.approx(np.log(20) / 2e4, rel=0.5)
+
+
+def test_modes_side_by_side_change_where_one_does():
+    rig = jc.scenes.flap()
+    run = jc.simulate(rig, 0.02, save=2001, integrator=jc.integrator.ImplicitStep(2e-6))
+    both = run.combined_modes("J1", "J2")
+    starts = sorted({*run.modes("J1")["from [s]"], *run.modes("J2")["from [s]"]})
+    np.testing.assert_array_equal(both["from [s]"], starts)
+    for name in ("J1", "J2"):
+        own = run.modes(name)
+        for _, row in both.iterrows():
+            middle = 0.5 * (row["from [s]"] + row["to [s]"])
+            inside = own[(own["from [s]"] <= middle) & (own["to [s]"] >= middle)]
+            assert list(inside["mode"]) == [row[name]]
+
+
+def test_rigid_contact_is_known_to_an_interval():
+    rig = journal(20.0, damping=0.0)
+    joint = jc.clearance.PlanarJournalBearing(
+        jc.contact.Rigid(restitution=0.0), None, bearing_radius=10e-3, clearance=CLEARANCE
+    )
+    rigid = jc.Mechanism(rig.bodies, {"B": jc.Connection(joint, "ground", "journal")}, rig.loads)
+    run = jc.simulate(rigid, 0.02, save=201, integrator=jc.integrator.MoreauJean(1e-5))
+    assert list(run.modes("B")["mode"]) == ["free flight", "impact", "contact"]

@@ -1,0 +1,84 @@
+"""The claims about the flap actuation system (paper 002)."""
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.scenes.flap import ARM, FIRST_ROD, FREQUENCY, JOINTS, SECOND_ROD, STROKE, flap
+
+STEP, DURATION, SAVES = 2e-6, 0.07, 7001
+
+
+def simulated(**scene):
+    implicit = jc.integrator.ImplicitStep(STEP)
+    return jc.simulate(flap(**scene), DURATION, save=SAVES, integrator=implicit)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return simulated()
+
+
+def forces(run):
+    return {name: np.asarray(run.contact(name).normal_force).sum(axis=1) for name in JOINTS}
+
+
+def test_ideal_joints_move_as_the_linkage_says():
+    """Two four-bars in a row: circles of the rods about pins that are known."""
+    run = jc.simulate(flap(()), 1 / FREQUENCY, save=11)
+    for t, shaft in zip(run.time, run.body("shaft").rotation, strict=True):
+        pin = np.array([0.5 * STROKE * (1 - np.cos(2 * np.pi * FREQUENCY * t)), 0.0])
+        for length, pivot in ((FIRST_ROD, FIRST_ROD), (SECOND_ROD, FIRST_ROD + SECOND_ROD)):
+            away = np.array([pivot, -ARM]) - pin
+            distance = np.hypot(*away)
+            along = (distance**2 + length**2 - ARM**2) / (2 * distance)
+            normal = np.array([-away[1], away[0]]) / distance
+            pin = pin + along * away / distance + np.sqrt(length**2 - along**2) * normal
+        np.testing.assert_allclose(ARM * shaft[:2, 1], pin - [pivot, -ARM], atol=1e-9)
+
+
+def test_the_shaft_keeps_its_speed_while_its_joint_is_free(run):
+    free = (np.asarray(run.contact("J4").indentation) < 0).all(axis=1)
+    between = free[1:] & free[:-1]
+    change = np.abs(np.diff(np.asarray(run.speed("O2"))[:, 0]))
+    assert between.sum() > 1000
+    # Apart from saving intervals within which an impact began and ended.
+    assert np.quantile(change[between], 0.99) < 1e-12
+    assert change[~between].max() > 1e-3
+
+
+def test_joints_of_a_rigid_rod_carry_nearly_the_same(run):
+    mean = {name: force.mean() for name, force in forces(run).items()}
+    assert mean["J2"] == pytest.approx(mean["J1"], rel=0.03)
+    assert mean["J4"] == pytest.approx(mean["J3"], rel=0.03)
+
+
+@pytest.mark.parametrize("ratio", [0.5, 2.0])
+def test_the_lever_ratio_decides_who_carries_most(ratio):
+    mean = {name: force.mean() for name, force in forces(simulated(lever_ratio=ratio)).items()}
+    assert mean["J3"] / mean["J2"] == pytest.approx(1 / ratio, rel=0.03)
+    # Nearer to the input within a rod: its inertia.
+    assert mean["J1"] > mean["J2"] and mean["J3"] > mean["J4"]
+
+
+def test_an_impact_shows_in_all_joints_of_a_chain_in_contact(run):
+    """The first impact of J4 finds the other three in contact; all jump within 0.1 ms."""
+    strike = run.modes("J4").query("mode == 'impact'")["from [s]"].iloc[0]
+    time = np.asarray(run.time)
+    before, after = ((time > strike + a) & (time < strike + b) for a, b in ((-2e-4, 0), (0, 1e-4)))
+    found = forces(run)
+    for name in JOINTS:
+        assert found[name][after].max() > 20 * max(found[name][before].max(), 10.0)
+
+
+def test_clearance_takes_up_the_play_joint_by_joint(run):
+    """From the actuator to the shaft, within the paper's first 6 to 20 ms."""
+    first = [run.modes(name)["to [s]"].iloc[0] for name in JOINTS]
+    assert first[0] > 6e-3 and first == sorted(first) and first[-1] < 20e-3
+
+
+def test_bad_input_is_refused_by_name():
+    with pytest.raises(ValueError, match='no joint in slack of flap "J5"'):
+        flap(("J5",))
+    with pytest.raises(ValueError, match="lever_ratio of flap"):
+        flap(lever_ratio=0.0)
