@@ -6,14 +6,15 @@ they move; where that fails no motion exists.
 """
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.components.joint.base import drive_of
+from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
@@ -32,37 +33,55 @@ CLOSED = 1e-6
 
 
 def diagnosed(trajectory: Trajectory) -> Trajectory:
-    """The run; one that ended early at a dead point says so, but for one that is being traced."""
-    if isinstance(trajectory.outcome, jax.core.Tracer):
+    """The run; one that ended early at a dead point says so. One that is being traced may be
+    anything and is left alone (`diagnosed_outcome`)."""
+    if is_traced(trajectory.outcome) or trajectory.succeeded:
         return trajectory
-    mechanism = trajectory.history.mechanism
-    driven = any(drive_of(c.joint) is not None for c in mechanism.connections.values())
-    if trajectory.succeeded or not driven or not mechanism.topology.loops:
-        return trajectory
-    times = np.asarray(trajectory.history.time)
-    last = int(np.searchsorted(times, float(trajectory.ended), side="right")) - 1
+    return dataclasses.replace(trajectory, outcome=diagnosed_outcome(trajectory))
+
+
+def diagnosed_outcome(trajectory: Trajectory) -> Int[Array, ""]:
+    """How a run ended, dead points told; pure. In a batch the search goes on only while some run of
+    it has ended early."""
+    history, outcome = trajectory.history, trajectory.outcome
+    driven = any(drive_of(c.joint) is not None for c in history.mechanism.connections.values())
+    if not driven or not history.mechanism.topology.loops:
+        return outcome
+    # Nothing here is to be differentiated.
+    mechanism, states, times = _constant((history.mechanism, history.states, history.time))
+    last = jnp.searchsorted(times, jax.lax.stop_gradient(trajectory.ended), side="right") - 1
     # The state before: a loop that came open was found open at the last.
-    before, after = max(last - 1, 0), min(last + 1, len(times) - 1)
-    q = trajectory.history.states[before, : mechanism.topology.coordinate_count]
-    instants = jnp.linspace(times[before], times[after], INSTANTS)
-    if bool(_closable(mechanism, q, instants)):
-        return trajectory
-    return dataclasses.replace(trajectory, outcome=jnp.asarray(Outcome.DEAD_POINT))
+    before, after = jnp.maximum(last - 1, 0), jnp.minimum(last + 1, len(times) - 1)
+    q = states[before, : mechanism.topology.coordinate_count]
+    early = outcome != Outcome.REACHED
+    closable = _closable(mechanism, q, times[before], times[after], early)
+    return jnp.where(early & ~closable, Outcome.DEAD_POINT, outcome)
+
+
+def _constant(tree: Any) -> Any:
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
 
 
 @eqx.filter_jit
 def _closable(
-    mechanism: Mechanism, q: Float[Array, " q"], times: Float[Array, " instants"]
+    mechanism: Mechanism, q: Float[Array, " q"], start: Any, stop: Any, asked_for: Bool[Array, ""]
 ) -> Bool[Array, ""]:
-    """Whether coordinates that close the loops follow from q at all times."""
+    """Whether coordinates that close the loops follow from q at all times from `start` to `stop`
+    [s]; true without a look where that is not asked for."""
     asked = ask(mechanism, False)
 
     def loops(q, time):
         return [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
 
-    def follow(q, time):
+    def goes_on(carry):
+        done, _, closed = carry
+        return (done < INSTANTS) & closed & asked_for
+
+    def follow(carry):
+        done, q, _ = carry
+        time = start + (stop - start) * done / (INSTANTS - 1)
         q = jax.lax.fori_loop(0, ITERATIONS, lambda _, q: nearer(asked, q, loops(q, time)), q)
         left = jnp.max(jnp.abs(stacked(asked, loops(q, time))[1]))
-        return q, left <= CLOSED * jnp.minimum(asked.arm, 1.0)
+        return done + 1, q, left <= CLOSED * jnp.minimum(asked.arm, 1.0)
 
-    return jnp.all(jax.lax.scan(follow, q, times)[1])
+    return jax.lax.while_loop(goes_on, follow, (jnp.asarray(0), q, jnp.asarray(True)))[2]

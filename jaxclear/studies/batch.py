@@ -20,6 +20,7 @@ from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare
 from jaxclear.native import calls_lapack, stop, stoppable
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.studies.problem import Problem, SampleResult
 
 # Memory for one chunk [bytes] on machines with a few GiB a core; states are saved for every sample
@@ -86,7 +87,8 @@ def run_of_sample(
     """
     with stoppable():
         found = run_chunk(problem, jnp.tile(values, (chunk, 1)))
-        return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
+        own = jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
+        return diagnosed(own)
 
 
 def evaluate_all(

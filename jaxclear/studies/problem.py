@@ -31,6 +31,7 @@ from jaxclear.results.response import unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
+from jaxclear.simulation.dead_point import diagnosed_outcome
 from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
@@ -208,7 +209,7 @@ class Problem(AbstractQuantified):
             jnp.stack([inside(leaf, metadata) for _, leaf, metadata in numbers(mechanism)])
         )
         sound = is_sound(mechanism, start)
-        outcome = jnp.where(sound, trajectory.outcome, Outcome.UNASSEMBLED)
+        outcome = jnp.where(sound, diagnosed_outcome(trajectory), Outcome.UNASSEMBLED)
         outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
         return SampleResult(responses, outcome, trajectory.ended, trajectory.checks)
 

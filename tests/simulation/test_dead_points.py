@@ -3,6 +3,7 @@
 import pytest
 
 import jaxclear as jc
+from jaxclear.integrators.outcome import Outcome
 
 RUNGS = {
     "adaptive": jc.integrator.Adaptive(),
@@ -63,3 +64,20 @@ def test_a_loop_torn_by_long_steps_is_not_called_a_dead_point():
     steps = jc.integrator.FixedStep(2e-3, "semi_implicit")
     run = jc.simulate(scene, 0.05, save=26, integrator=steps, throw=False)
     assert not run.succeeded and "dead point" not in run.result
+
+
+@pytest.mark.slow
+def test_a_sample_beyond_a_dead_point_says_so():
+    offset = jc.Variable(
+        lambda rig: rig.connections["G"].joint.drive.offset, jc.distribution.Uniform(0.01)
+    )
+    end = jc.response.FinalCoordinate("O")
+    rig, step = driven_slider(0.015), RUNGS["fixed"]
+    asked = jc.Problem(rig, end, {"offset": offset}, duration=0.1, save=21, integrator=step)
+    study = jc.monte_carlo(asked, 16, chunk=16)
+    beyond = study.values[:, 0] + 0.015 > 0.17
+    told = study.outcome == Outcome.DEAD_POINT
+    assert 0 < beyond.sum() < 16
+    # Close to the dead point forces are large enough to end a run that could go on.
+    assert told[study.values[:, 0] + 0.015 > 0.1701].all() and not told[~beyond].any()
+    assert "beyond a dead point" in study.rerun(int(told.argmax())).result

@@ -44,7 +44,7 @@ SCENES = {
     ),
     "guide": (
         lambda wear: jc.scenes.guide(friction="regularised"),
-        lambda rig: rig.bodies["slider"].com[0],
+        lambda rig: rig.connections["A"].parent.at[0],
     ),
 }
 QUICK = {("slider-crank", "implicit")}
