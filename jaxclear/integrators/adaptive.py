@@ -88,8 +88,13 @@ class Adaptive(AbstractIntegrator):
 
         return with_fast_loops(solve)(arrays, interval, state, warm_start)
 
-    def _controller(self, interval):
+    def _controller(self, interval, usual):
+        """The error control of an interval in which a step has a `usual` length [s]."""
         weights = interval.error_weights
+        # Finer steps are shorter too, also where errors ask for no more than one.
+        longest = jnp.where(interval.share < 1, interval.share * usual, jnp.inf)
+        if self.largest_step is not None:
+            longest = jnp.minimum(longest, self.largest_step)
         finer = interval.share**FINER_TOLERANCE
         return diffrax.PIDController(
             rtol=self.rtol * finer,
@@ -100,7 +105,7 @@ class Adaptive(AbstractIntegrator):
                 jnp.where(weights > 0, jnp.abs(weights * error), 0.0), initial=0.0
             ),
             dtmin=SMALLEST_STEP * jnp.maximum(jnp.abs(interval.start), jnp.abs(interval.stop)),
-            dtmax=self.largest_step,
+            dtmax=longest,
             force_dtmin=False,
         )
 
@@ -129,6 +134,7 @@ class Adaptive(AbstractIntegrator):
     def _solve(self, rest, arrays, interval, state, step) -> Advance:
         formulation, (start, stop) = self.formulation, interval[:2]
         length = stop - start
+        usual = jnp.where(step > 0, jnp.minimum(step, length), length)
 
         # Traced once, however often diffrax asks.
         @jax.jit
@@ -140,10 +146,10 @@ class Adaptive(AbstractIntegrator):
             self._solver(rest),
             start,
             stop,
-            jnp.where(step > 0, jnp.minimum(step, length), 1e-2 * length),
+            jnp.where(step > 0, interval.share * usual, 1e-2 * length),
             state,
             args=arrays,
-            stepsize_controller=self._controller(interval),
+            stepsize_controller=self._controller(interval, usual),
             saveat=diffrax.SaveAt(t1=True),
             max_steps=self.most_steps,
             adjoint=diffrax.ForwardMode(),

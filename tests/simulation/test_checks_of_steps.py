@@ -53,6 +53,21 @@ def test_forces_that_are_wrong_in_a_right_motion_are_said():
     assert beyond(exact) == set()
 
 
+def test_windows_of_long_adaptive_steps_have_a_finer_pass():
+    """Neither tolerance asks for shorter steps than the window: the second pass was the first one,
+    and the run saw nothing."""
+    turning = jc.scenes.slider_crank("ideal", crank_speed=600.0)
+    loose = jc.integrator.Adaptive(rtol=0.9, atol=1e6)
+    found, tight = (
+        jc.simulate(turning, 0.05, save=101, integrator=each)
+        for each in (loose, jc.integrator.Adaptive())
+    )
+    assert found.accepted_steps <= 2 * 100 + 1
+    speeds = slice(found.states.shape[1] // 2, None)
+    off = np.abs(found.states - tight.states)[:, speeds].max() / np.abs(tight.states).max()
+    assert found.checks.figures[Check.HALVED_MEAN_FORCES].worst.max() > 0.1 * off
+
+
 def test_contacts_crossed_in_one_step_are_said():
     """Peak forces are then those of the steps."""
     rig = jc.scenes.slider_crank()
