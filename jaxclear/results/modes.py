@@ -91,7 +91,10 @@ def combined(history: StateHistory, names: tuple[str, ...]) -> Any:
 
     own = {name: phases(history, name) for name in names}
     starts = np.unique([phase.start for each in own.values() for phase in each])
-    columns = {"from [s]": starts, "to [s]": np.append(starts[1:], np.asarray(history.time)[-1])}
+    columns: dict[str, Any] = {
+        "from [s]": starts,
+        "to [s]": np.append(starts[1:], np.asarray(history.time)[-1]),
+    }
     for name, each in own.items():
         place = np.searchsorted([phase.start for phase in each], starts, side="right") - 1
         columns[name] = [each[i].mode.label for i in place]

@@ -82,3 +82,23 @@ def test_bad_input_is_refused_by_name():
         flap(("J5",))
     with pytest.raises(ValueError, match="lever_ratio of flap"):
         flap(lever_ratio=0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ideal", [("J1",), ("J4",), JOINTS])
+def test_a_joint_in_lasting_contact_moves_the_shaft_as_an_ideal_one(run, ideal):
+    """In a window in which all joints of the run have been in contact for a while (before, one
+    clearance less is taken up, and impacts come at other times)."""
+    begins, ends = 30e-3, 60e-3
+    for name in JOINTS:
+        lasting = run.modes(name).query("mode == 'contact'")
+        assert ((lasting["from [s]"] < begins) & (lasting["to [s]"] > ends)).any()
+    other = simulated(slack=tuple(name for name in JOINTS if name not in ideal))
+    time = np.asarray(run.time)
+    window = (time > begins) & (time < ends)
+    speed, wanted = (np.asarray(r.body("shaft").spin)[:, 2] for r in (run, other))
+    np.testing.assert_allclose(speed[window], wanted[window], atol=5e-3 * np.abs(wanted).max())
+    away = np.gradient(speed - wanted, time)[window]
+    largest = np.abs(np.gradient(wanted, time)[window]).max()
+    # Both still ring from their impacts, which came at different times.
+    assert np.sqrt(np.mean(away**2)) < 0.08 * largest
