@@ -3,10 +3,11 @@ and ten problems each.
 
     python -m benchmarks.claims.advice [--quick] [--scene NAME ...] [--json FILE]
 
-Problems differ in responses, speeds, clearances, durations and the accuracy asked. The advisor sees
-its usual pilot, a quarter of the problem; all its candidates are then run on the whole of it. A
-setting is right if its error over all copies is within the accuracy in every response, and its next
-finer one's too. The choice is wrong if it is said to meet the accuracy and does not.
+Problems differ in the responses asked about, speeds, clearances, durations and accuracies. The
+advisor does what it always does; all its candidates are then run on the whole problem, for copies
+that it has not seen. A setting is right if its error over all of these is within the accuracy in
+every response, and its next finer one's too. The choice is wrong if it is said to meet the accuracy
+and does not. Costs are CPU seconds of one run.
 """
 
 import argparse
@@ -28,12 +29,18 @@ from benchmarks.trade.questions import Question
 from jaxclear.studies.advice.pilot import describe, pilot_of
 from jaxclear.studies.work_precision import default_candidates, tight_reference
 
-COPIES = 3
+# Copies beside the nominal one by which the advisor is judged, drawn by another seed.
+OTHERS = 3
 # Candidates this many times as dear as the cheapest right one are not run.
 TOO_DEAR = 3.0
 # By how much the choice may be dearer than the cheapest right one, and how far the reference may be
 # off, as a share of the accuracy, where it tells right from wrong.
 ALLOWED, TRUSTED = 1.5, 0.5
+# What a choice can be; without a reference it is told apart whether the advisor was sure.
+UNJUDGED, SURE = "no reference", "no reference, sure"
+VERDICTS = ("right", "right, dear", "wrong", "wrong, said so", UNJUDGED, SURE, "refused")
+# A size of a response beside which no error counts.
+BOUNDLESS = 1e100
 QUICK = ("slider-crank, ideal",)
 
 # What is asked together, and at which accuracies.
@@ -77,6 +84,18 @@ SCENES: dict[str, Callable[[float, float, float], Question]] = {
 }
 
 
+Names = tuple[str, ...]
+
+
+class Judge(NamedTuple):
+    """Copies on which candidates are judged, the reference's answers, and the responses asked
+    about."""
+
+    values: np.ndarray
+    wanted: Measured
+    names: Names
+
+
 class Tried(NamedTuple):
     """A candidate on the whole problem: largest error, CPU seconds, whether it is right."""
 
@@ -86,44 +105,34 @@ class Tried(NamedTuple):
     right: bool
 
 
-def asked(question: Question, names: tuple[str, ...]) -> jc.Problem:
-    """The problem with some of its responses."""
-    whole = question.problem
-    wanted = {name: whole.response[name] for name in whole.response_names if name in names}
-    return jc.Problem(
-        whole.mechanism,
-        wanted,
-        whole.variables,
-        duration=float(whole.duration),
-        save=len(whole.shares),
-    )
-
-
 def with_one(problem: jc.Problem, integrator: Any) -> jc.Problem:
     """The problem on another integrator."""
     return eqx.tree_at(lambda p: p.integrator, problem, integrator)
 
 
-def largest_error(found: Measured, wanted: Measured) -> float:
-    """Largest error over copies and responses, as a share of a response's root mean square."""
+def largest_error(found: Measured, wanted: Measured, names: Names) -> float:
+    """Largest error over copies and these responses, as a share of a response's root mean
+    square."""
     if found.said:
         return math.inf
     worst = 0.0
-    for name, answers in wanted.responses.items():
+    for name in names:
+        answers = wanted.responses[name]
         size = float(np.sqrt(np.mean(answers**2)))
         off = float(np.max(np.abs(found.responses[name] - answers)))
         worst = max(worst, off / size if np.isfinite(off) and size > 0 else math.inf)
     return worst
 
 
-def tried_on(problem: jc.Problem, accuracy: float, values: np.ndarray, wanted: Measured) -> list:
+def tried_on(problem: jc.Problem, accuracy: float, judge: Judge) -> list[Tried]:
     """All candidates of the advisor on the whole problem, the cheap ones of each method."""
     best, found = math.inf, []
+    values, wanted, names = judge
     for ladder in default_candidates(problem, tight_reference()).values():
         own: list[Tried] = []
         for integrator in ladder:
             got = measure(with_one(problem, integrator), values)
-            error = largest_error(got, wanted)
+            error = largest_error(got, wanted, names)
             own.append(Tried(describe(integrator), error, got.seconds, False))
             if len(own) > 1 and max(own[-1].error, own[-2].error) <= accuracy:
                 own[-2] = own[-2]._replace(right=True)
@@ -135,26 +144,36 @@ def tried_on(problem: jc.Problem, accuracy: float, values: np.ndarray, wanted: M
     return found
 
 
-def judged(scene: str, problem: jc.Problem, accuracy: float) -> dict[str, Any]:
-    """The advisor's choice beside the cheapest right one."""
-    settings = jc.PilotSettings(copies=COPIES)
-    advice = jc.advise(problem, accuracy, pilot=settings)
-    whole = jc.PilotSettings(copies=COPIES, duration=float(problem.duration))
+def judged(scene: str, problem: jc.Problem, names: Names, accuracy: float) -> dict[str, Any]:
+    """The advisor's choice beside the cheapest right one. Responses that are not asked about are
+    given a size beside which no error counts, so that one program serves all problems of a scene.
+    """
+    names = tuple(name for name in names if name in problem.response_names)
+    scales = {name: BOUNDLESS for name in problem.response_names if name not in names}
+    row = {"scene": scene, "responses": ", ".join(names), "accuracy": accuracy}
+    row |= {"duration [s]": float(problem.duration)}
+    try:
+        advice = jc.advise(problem, accuracy, scales=scales)
+    except ValueError as error:
+        return row | {"verdict": "refused", "said": str(error)}
+    row |= {"choice": describe(advice.recommended)}
+    whole = jc.PilotSettings(copies=1 + OTHERS, duration=float(problem.duration), seed=1)
     values = pilot_of(problem, whole).values
     wanted = measure(with_one(problem, tight_reference()), values)
     loose = measure(with_one(problem, jc.integrator.Adaptive(rtol=1e-9, atol=1e-11)), values)
-    doubt = largest_error(loose, wanted)
-    row = {"scene": scene, "responses": ", ".join(problem.response_names), "accuracy": accuracy}
-    row |= {"duration [s]": float(problem.duration), "choice": describe(advice.recommended)}
+    doubt = largest_error(loose, wanted, names)
     if doubt > TRUSTED * accuracy:
-        return row | {"verdict": "no reference", "references apart": doubt}
+        verdict = SURE if advice.met else UNJUDGED
+        return row | {"verdict": verdict, "references apart": doubt}
     chosen = measure(with_one(problem, advice.recommended), values)
-    error = largest_error(chosen, wanted)
-    tried = [one for one in tried_on(problem, accuracy, values, wanted) if one.right]
+    error = largest_error(chosen, wanted, names)
+    tried = [one for one in tried_on(problem, accuracy, Judge(values, wanted, names)) if one.right]
     cheapest = min(tried, key=lambda one: one.seconds, default=None)
     row |= {"error": error, "CPU [ms]": 1e3 * chosen.seconds}
     if cheapest is not None:
-        row |= {"cheapest right": cheapest.setting, "ratio": chosen.seconds / cheapest.seconds}
+        same = cheapest.setting == row["choice"]
+        ratio = 1.0 if same else chosen.seconds / cheapest.seconds
+        row |= {"cheapest right": cheapest.setting, "ratio": ratio}
     return row | {"verdict": _verdict(advice.met, error <= accuracy + doubt, row.get("ratio"))}
 
 
@@ -171,8 +190,8 @@ def rows_of(scene: str, numbers: tuple = NUMBERS) -> list[dict[str, Any]]:
     rows = []
     for names in (FORCES, MOTION):
         for (faster, wider, share), accuracy in zip(numbers, ACCURACIES, strict=False):
-            question = SCENES[scene](faster, wider, share)
-            row = judged(scene, asked(question, names), accuracy)
+            problem = SCENES[scene](faster, wider, share).problem
+            row = judged(scene, problem, names, accuracy)
             rows.append(row)
             print("   ", row, flush=True)
     return rows
@@ -184,10 +203,7 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for scene in [*dict.fromkeys(row["scene"] for row in rows), "all"]:
         own = [row for row in rows if scene in (row["scene"], "all")]
         ratios = [row["ratio"] for row in own if row.get("ratio") and row["verdict"] != "wrong"]
-        counts = {
-            verdict: sum(row["verdict"] == verdict for row in own)
-            for verdict in ("right", "right, dear", "wrong", "wrong, said so", "no reference")
-        }
+        counts = {verdict: sum(row["verdict"] == verdict for row in own) for verdict in VERDICTS}
         table.append(
             {"scene": scene, "problems": len(own)}
             | counts
@@ -201,13 +217,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one scene, two problems")
     parser.add_argument("--scene", nargs="*", choices=SCENES, help="these scenes alone")
+    parser.add_argument("--sets", type=int, default=len(NUMBERS), help="sets of numbers, of five")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     options = parser.parse_args()
     known = json.loads(options.json.read_text()) if options.json and options.json.exists() else {}
     every = known.get("every problem", [])
     for scene in options.scene or (QUICK if options.quick else SCENES):
         begun = time.process_time()
-        rows = rows_of(scene, NUMBERS[:1] if options.quick else NUMBERS)
+        rows = rows_of(scene, NUMBERS[: 1 if options.quick else options.sets])
         every = [row for row in every if row["scene"] != scene] + rows
         for row in summary(rows)[:1]:
             print(row, f"{time.process_time() - begun:.0f} s CPU", flush=True)

@@ -48,13 +48,14 @@ class FixedStep(AbstractIntegrator):
     cross the clearance). "semi_implicit" is symplectic Euler: order 1, one evaluation a step, no
     drift of the energy; "euler" gains energy, "heun" slowly. "munthe_kaas1" to "munthe_kaas4"
     (order 1 to 4) keep rotations on their group; see `MuntheKaas`. `contact_steps` divides a step
-    that starts in contact, or would end there at the present closing speed, into that many; free
-    flight keeps the long step, so bounces are resolved at a fraction of the cost. `steps_per_save`
-    fixes the number of steps between saving times instead: reverse-mode derivatives (`jax.grad`)
-    need it, forward-mode ones do not. Impact speeds are those at the touch within a step, to the
-    third power of the step; a force that begins as the 3/2th power of the indentation limits the
-    order of a run through impacts to 5/2. Derivatives are those of the discrete run: where contacts
-    open and close, not those of the motion (`jaxclear.sensitivity` compares methods).
+    that starts in contact, or would end there at the present closing speed and acceleration, into
+    that many; free flight keeps the long step, so bounces are resolved at a fraction of the cost.
+    `steps_per_save` fixes the number of steps between saving times instead: reverse-mode
+    derivatives (`jax.grad`) need it, forward-mode ones do not. Impact speeds are those at the touch
+    within a step, to the third power of the step; a force that begins as the 3/2th power of the
+    indentation limits the order of a run through impacts to 5/2. Derivatives are those of the
+    discrete run: where contacts open and close, not those of the motion (`jaxclear.sensitivity`
+    compares methods).
     """
 
     pathwise: ClassVar = True
@@ -117,7 +118,7 @@ class FixedStep(AbstractIntegrator):
         def turn(carry):
             index, y, last, met = carry
             time = interval.start + index * h
-            _, y, now = self._step(model, time, lambda _: h, h, y, last)
+            _, y, now = self._step(model, time, lambda *_: h, h, y, last)
             return index + 1, closed(model, time + h, y), now, _met(met, last, now)
 
         first = (jnp.zeros((), int), state, warm_start, _nothing_met(warm_start))
@@ -134,9 +135,8 @@ class FixedStep(AbstractIntegrator):
         stop = interval.stop
 
         def choose(left):
-            def length(contacts):
-                coming = jnp.maximum(contacts.rates, 0.0) * longest
-                near = jnp.any((contacts.depths >= 0) | (contacts.depths + coming > 0))
+            def length(contacts, last):
+                near = jnp.any(_near(contacts, last, longest))
                 h = jnp.where(near, longest / self.contact_steps, longest)
                 return jnp.where(h > left * (1 - SLIVER), left, h)
 
@@ -156,9 +156,9 @@ class FixedStep(AbstractIntegrator):
         return arrived(end, steps, last, met, rubbed, Check.IMPACT_STEP)
 
     def _step(self, model, time, length, h, y, last):
-        """The length and the end of a step, and what it leaves to the next. `length(contacts)`
-        chooses it [s] by the contacts at its start; `h` is the longest. Stages are a loop: the
-        equations stand in the program once.
+        """The length and the end of a step, and what it leaves to the next. `length(contacts,
+        last)` chooses it [s] by the contacts at its start and what the last step left; `h` is the
+        longest. Stages are a loop: the equations stand in the program once.
         """
         if self.method in ON_GROUPS:
             return self._step_on_group(model, time, length, h, y, last)
@@ -176,7 +176,7 @@ class FixedStep(AbstractIntegrator):
             model, time + nodes[stage] * h, y + (h * nodes[stage]) * slope
         )
         opens = stage == 0
-        h = jnp.where(opens, length(contacts), h)
+        h = jnp.where(opens, length(contacts, last), h)
         if last is not None:
             if self.formulation.remembers(model):
                 aware = self.formulation.remember(model, y, last[0], contacts, last[1])
@@ -205,7 +205,7 @@ class FixedStep(AbstractIntegrator):
         """As `_step`; the contacts are looked at beforehand, where something depends on them."""
         if last is not None or self.contact_steps is not None:
             contacts = self.formulation.contacts(model, time, y)
-            h = length(contacts)
+            h = length(contacts, last)
             if last is not None:
                 y = self.formulation.remember(model, y, last[0], contacts, last[1])
                 last = contacts, h
@@ -227,3 +227,17 @@ def _met(met: Any, last: Any, now: Any) -> Any:
 def _nothing_met(last: Any) -> Any:
     """What was met before the first step; None where nothing looks at contacts."""
     return None if last is None else (jnp.zeros_like(last[0].depths),) * 2
+
+
+def _near(contacts: Any, last: Any, longest: Any) -> Any:
+    """Whether each contact is closed, has parted within the last step, or would close within the
+    `longest` [s]: by its closing speed, and by how that has grown since the last step began (a load
+    ends a short flight however slowly it begins)."""
+    coming = jnp.maximum(contacts.rates, 0.0) * longest
+    near = (contacts.depths >= 0) | (contacts.depths + coming > 0)
+    if last is None:
+        return near
+    before, length = last
+    growth = jnp.maximum(contacts.rates - before.rates, 0.0) / length
+    falling = contacts.depths + (contacts.rates + 0.5 * growth * longest) * longest
+    return near | (before.depths >= 0) | (falling > 0)

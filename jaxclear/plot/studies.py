@@ -103,22 +103,27 @@ def work_precision(advice: Advice) -> Figure:
     """Error of every trial against its cost alone, one line a method, with the accuracy asked and
     the recommended setting.
 
-    Grey: the reference, and what it cannot tell from no error. Runs that failed are not drawn;
-    errors outside are drawn at the edge, LARGEST_ERROR or the lower end of the grey.
+    Lines: the pilot; hollow marks: what was then run over the whole problem. Grey: the reference,
+    and what it cannot tell from no error. Runs that failed are not drawn; errors outside are drawn
+    at the edge, LARGEST_ERROR or the lower end of the grey.
     """
     expect(advice, Advice, "the advice", "what jaxclear.advise returns")
-    found = advice.comparison
+    found, first = advice.comparison, advice.stages[0]
     figure, axis = canvas(1, 1, (8.0, 5.4))
     known = max(criterion.trust for criterion in found.criteria.values())
     floor = max(0.3 * min(known, found.accuracy), 1e-12)
     table = advice.table().rename(columns={"wall s per simulated s": "cost"})
     table = table[np.isfinite(table["error"]) & np.isfinite(table["cost"])]
     table = table.assign(error=table["error"].clip(floor, LARGEST_ERROR))
-    tried = table[~table["method"].isin(BESIDE)]
-    for name, rows in tried.groupby("method", sort=False):
-        axis.plot(rows["cost"], rows["error"], "o-", ms=4, lw=1.2, label=name)
+    short = table["simulated [s]"] == first.pilot.duration
+    tried = ~table["method"].isin(BESIDE)
+    for name, rows in table[tried & short].groupby("method", sort=False):
+        (line,) = axis.plot(rows["cost"], rows["error"], "o-", ms=4, lw=1.2, label=name)
+        rows = table[(table["method"] == name) & ~short]
+        if len(rows):
+            axis.plot(rows["cost"], rows["error"], "o", ms=7, mfc="none", color=line.get_color())
     for name, marker in zip(BESIDE, "Dx", strict=True):
-        rows = table[table["method"] == name]
+        rows = table[(table["method"] == name) & short]
         axis.plot(rows["cost"], rows["error"], marker, ms=6, color="0.35", label=name)
     best = table[table["recommended"]]
     ring = {"ms": 14, "mfc": "none", "mec": "k", "mew": 1.6}

@@ -2,10 +2,10 @@
 
 Two runs of the reference, one ten times tighter than the other, tell how far it can be trusted.
 Where they agree to half the accuracy asked, every copy is compared with itself and the worst
-counts. Where they do not, single runs are not reproducible (rattling is chaotic), and means over
-the copies are compared, with the 95 % error of their difference; as they are where only means are
-asked for. If the copies are too few to show the accuracy, the limit is what they can show, and the
-answer must say so.
+counts, with something to spare for copies that were not seen. Where they do not, single runs are
+not reproducible (rattling is chaotic), and means over the copies are compared, with the 95 % error
+of their difference; as they are where only means are asked for. If the copies are too few to show
+the accuracy, the limit is what they can show, and the answer must say so.
 """
 
 from collections.abc import Mapping
@@ -24,6 +24,9 @@ FEWEST = 3
 # twice what the reference shows (means), three times for single runs, of which only one difference
 # is known.
 SLACK_OF_MEANS, SLACK_OF_RUNS = 2.0, 3.0
+# Of n copies the worst must keep within n / (n + SPARED) of the accuracy: then another one exceeds
+# it about once in a hundred where errors scatter normally, whatever n.
+SPARED = 3.0
 # A normal variable lies within its 95 % interval: half of 5 % on each side.
 TAIL = 0.975
 
@@ -70,13 +73,18 @@ def criterion(
     size = float(np.sqrt(np.mean(tight**2))) if size is None else size
     trust = difference(loose, tight, size, False).error
     if trust <= TRUSTED * accuracy and not (means and len(tight) >= FEWEST):
-        return Criterion(tight, size, False, trust, accuracy, accuracy)
+        return Criterion(tight, size, False, trust, _spare(len(tight)) * accuracy, accuracy)
     if len(tight) < FEWEST:
         return Criterion(tight, size, False, trust, max(accuracy, SLACK_OF_RUNS * trust), accuracy)
     trust = sum(difference(loose, tight, size, True))
     return Criterion(
         0.5 * (loose + tight), size, True, trust, max(accuracy, SLACK_OF_MEANS * trust), accuracy
     )
+
+
+def _spare(copies: int) -> float:
+    """Share of the accuracy that the worst of so many copies may use up."""
+    return copies / (copies + SPARED) if copies > 1 else 1.0
 
 
 def criteria(

@@ -1,7 +1,7 @@
 """Which settings an advisor tries: every kind of integrator from long steps to short ones.
 
 Steps go down in numbers a person would choose (1, 2, 5), from the saving interval on. Tolerances go
-down to the reference's.
+down (1, 3) to the reference's.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -48,6 +48,13 @@ def steps(longest: float) -> Iterator[float]:
                 yield float(f"{digit}e{power}")
 
 
+def _factors() -> Iterator[float]:
+    """1 or 3 times a power of ten, from `DECADES` of them down to one."""
+    for decade in range(DECADES, 1, -1):
+        yield from (10.0**decade, 3 * 10.0 ** (decade - 1))
+    yield 10.0
+
+
 def default_candidates(problem: Problem, tight: Adaptive) -> dict[str, list[AbstractIntegrator]]:
     """The kinds that jaxclear has, coarse to fine. Without clearances nothing has a contact to take
     short steps in.
@@ -55,7 +62,7 @@ def default_candidates(problem: Problem, tight: Adaptive) -> dict[str, list[Abst
     interval = float(np.max(np.diff(problem.shares * problem.duration)))
     lengths = list(steps(min(LONGEST, interval)))
     candidates: dict[str, list[AbstractIntegrator]] = {
-        "Adaptive": [loosened(tight, 10.0**decade) for decade in range(DECADES, 0, -1)],
+        "Adaptive": [loosened(tight, factor) for factor in _factors()],
         "FixedStep rk4": [FixedStep(step) for step in lengths],
         "ImplicitStep": [ImplicitStep(step) for step in lengths],
         "FixedStep semi_implicit": [FixedStep(step, method="semi_implicit") for step in lengths],

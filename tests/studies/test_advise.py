@@ -11,6 +11,7 @@ import pytest
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.studies import verdict
+from jaxclear.studies.advice.choice import piloted
 from jaxclear.studies.advice.curve import REFERENCE
 from jaxclear.studies.advice.pilot import Trial, describe, evaluate_one, pilot_of
 from jaxclear.studies.work_precision import default_candidates, loosened, steps, tight_reference
@@ -100,10 +101,13 @@ def advice():
     )
 
 
+FINE = jc.integrator.FixedStep(1e-6)
+
+
 def truth(problem, values):
     """Steps far below those of any candidate: the same equations, none of the reference's error
     control."""
-    fine = eqx.tree_at(lambda p: p.integrator, problem, jc.integrator.FixedStep(1e-6))
+    fine = eqx.tree_at(lambda p: p.integrator, problem, FINE)
     return evaluate_one(fine, jnp.asarray(values)).responses
 
 
@@ -204,7 +208,10 @@ def test_each_kind_of_integrator_compiles_once():
 
     question = swings(counted, MASS)
     found = jc.advise(
-        question, 1e-7, pilot=jc.PilotSettings(copies=2), candidates=explicit("rk4", scale=200.0)
+        question,
+        1e-7,
+        pilot=jc.PilotSettings(copies=2, whole=False),
+        candidates=explicit("rk4", scale=200.0),
     )
     assert len(found.comparison.curves["rk4"].trials) > 2
     # One program for both references, one for the method and the problem's own.
@@ -212,7 +219,7 @@ def test_each_kind_of_integrator_compiles_once():
     jc.advise(
         question,
         1e-3,
-        pilot=jc.PilotSettings(copies=3, seed=1),
+        pilot=jc.PilotSettings(copies=3, seed=1, whole=False),
         candidates=explicit("rk4", scale=100.0),
     )
     assert len(traced) == 2
@@ -243,6 +250,53 @@ def test_a_pilot_is_the_start_of_the_problem():
     np.testing.assert_array_equal(piece.problem.response["stray"].reference, path[:11])
 
 
+def test_what_holds_for_the_pilot_alone_is_found_out():
+    """The pilot ends before the first touch: any step is right in it."""
+    place = {"place": jc.response.FinalCoordinate("journal", 1, unit="m")}
+    found = jc.advise(
+        falls(place, duration=0.025),
+        1e-3,
+        pilot=jc.PilotSettings(copies=1),
+        candidates=explicit("rk4"),
+    )
+    first = found.first
+    assert verdict.coarsest(first.curves["rk4"].trials, first.criteria) == 0
+    assert found.met
+    exact, long, chosen = (
+        float(evaluate_one(problem, jnp.asarray(first.pilot.values[0])).responses["place"])
+        for problem in (
+            eqx.tree_at(lambda p: p.integrator, found.asked, integrator)
+            for integrator in (FINE, first.curves["rk4"].trials[0].integrator, found.recommended)
+        )
+    )
+    assert abs(chosen / exact - 1) < 1e-3 < abs(long / exact - 1)
+    assert "one run over the first 0.007 s and on one run over all of 0.025 s" in found.sentence()
+    told = found.table()
+    assert sorted(set(told["simulated [s]"])) == pytest.approx([0.007, 0.025])
+    assert sum(told["recommended"]) == 1
+
+
+def test_a_pilot_in_which_nothing_touches_is_made_longer():
+    """The journal falls for 0.0143 s."""
+    question = falls({"force": FALL["force"]}, save=51)
+    pilot, _ = piloted(question, jc.PilotSettings(copies=1), {})
+    assert 0.0143 < pilot.duration < 0.05
+
+
+def test_advice_that_cannot_be_confirmed_is_not_sure():
+    """The reference itself has no answer over the whole."""
+    late = lambda run: jnp.where(run.time[-1] > 0.5, jnp.nan, last_angle(run))
+    found = jc.advise(swings(late), 0.01, candidates=explicit("rk4", scale=200.0))
+    assert found.comparison.met and not found.met
+    assert "Over the whole 1 s nothing is shown" in found.sentence()
+
+
+def test_the_worst_of_a_few_copies_leaves_something_to_those_not_seen():
+    answers = np.linspace(1.0, 2.0, 9)
+    limits = [verdict.criterion(answers[:n], answers[:n], 0.01).limit for n in (1, 3, 9)]
+    assert limits == pytest.approx([0.01, 0.005, 0.0075])
+
+
 def test_copies_that_no_integrator_can_run_are_left_out():
     found = jc.advise(
         swings(variables=MASS),
@@ -268,7 +322,7 @@ def test_a_setting_that_passes_by_luck_is_not_taken():
     criteria = {"r": verdict.criterion(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0]), 0.01)}
     assert (
         verdict.coarsest(
-            (trial(0.5), trial(0.001), trial(0.1), trial(0.004), trial(0.001)), criteria
+            (trial(0.5), trial(0.001), trial(0.1), trial(0.003), trial(0.001)), criteria
         )
         == 3
     )

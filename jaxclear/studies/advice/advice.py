@@ -5,7 +5,7 @@ What is decided is decided in `comparison`; here it is put into words and tables
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import equinox as eqx
@@ -27,16 +27,19 @@ class Advice(eqx.Module):
     the others, `table()` every trial; `jaxclear.plot.work_precision` draws it.
 
     `met`: whether the recommended setting was shown to meet the accuracy. `at(accuracy)` judges the
-    same trials anew.
+    same trials anew. What is recommended is founded on `comparison`: of the whole problem, where
+    `first` is that of the pilot, or of the pilot alone; `unconfirmed`: why not of the whole.
     """
 
     asked: Problem
     comparison: Comparison
+    first: Comparison | None = None
+    unconfirmed: str = eqx.field(static=True, default="")
 
     @property
     def met(self) -> bool:
         """True where the recommended setting was shown to meet the accuracy, and not by luck."""
-        return self.comparison.met
+        return self.comparison.met and not self.unconfirmed
 
     @property
     def cost(self) -> float:
@@ -55,20 +58,34 @@ class Advice(eqx.Module):
 
     def at(self, accuracy: float) -> "Advice":
         """The same trials judged at another accuracy. Finer than the one they were run for, they
-        may not reach far enough.
+        may not reach far enough; coarser, there may be cheaper ones.
         """
-        judged = self.comparison.at(checked_accuracy(accuracy))
-        return dataclasses.replace(self, comparison=judged)
+        asked = checked_accuracy(accuracy)
+        return self._judged(lambda found: found.at(asked))
 
     def of_means(self) -> "Advice":
         """The same trials judged by means over the copies, not by single runs."""
-        return dataclasses.replace(self, comparison=self.comparison.of_means())
+        return self._judged(lambda found: found.of_means())
+
+    def _judged(self, judge: Callable[[Comparison], Comparison]) -> "Advice":
+        first = None if self.first is None else judge(self.first)
+        return dataclasses.replace(self, comparison=judge(self.comparison), first=first)
+
+    @property
+    def stages(self) -> tuple[Comparison, ...]:
+        """The comparisons that were made: of the pilot, and of the whole problem where that is
+        another."""
+        return (self.comparison,) if self.first is None else (self.first, self.comparison)
 
     def sentence(self) -> str:
         """The answer in plain words."""
         found = self.comparison
-        parts = [*_recommended(found), *_doubts(found), *_warnings(found), *_if_means_count(found)]
-        return " ".join([*parts, _present(found), _pilot(found)])
+        parts = [*_recommended(found, self.met), *_doubts(found), *_warnings(found)]
+        parts += [*_if_means_count(found), self.unconfirmed, _present(self.stages[0])]
+        seen = " and on ".join(_seen(stage) for stage in self.stages)
+        rest = "" if found.is_whole else f" of {found.pilot.whole:.3g} s"
+        parts += [f"Seen on {seen}{rest}."]
+        return " ".join(part for part in parts if part)
 
     def warnings(self) -> list[str]:
         """What the runs of the recommended setting and of the reference warn of, in sentences."""
@@ -76,29 +93,24 @@ class Advice(eqx.Module):
 
     def why_not(self) -> dict[str, str]:
         """Why each other method is not the one recommended, in a sentence."""
-        found, reasons = self.comparison, {}
-        for name, curve in found.curves.items():
-            if name in (found.choice.method, REFERENCE, PRESENT):
-                continue
-            place = verdict.coarsest(curve.trials, found.criteria)
-            finished = [trial for trial in curve.trials if not trial.failure]
-            if place is not None:
-                ratio = found.cost_of(Choice(name, place)) / found.cost
-                best = describe(curve.trials[place].integrator)
-                reasons[name] = f"dearer: {best} meets it at {ratio:.2g} times the cost."
-            elif not finished:
-                reasons[name] = f"fails: {curve.trials[-1].failure} {curve.stopped}"
-            else:
-                reasons[name] = f"{_shortcoming(finished, found.criteria)} {curve.stopped}"
-        return reasons
+        latest = {name: stage for stage in self.stages for name in stage.curves}
+        beside = (self.comparison.choice.method, REFERENCE, PRESENT)
+        return {
+            name: _reason(stage, name, self.cost)
+            for name, stage in latest.items()
+            if name not in beside
+        }
 
     def table(self) -> Any:
         """All trials as a pandas table. Errors are shares of the size of a response."""
         import pandas
 
-        rows = []
-        for name, curve in self.comparison.curves.items():
-            rows += [_row(self.comparison, Choice(name, i)) for i in range(len(curve.trials))]
+        rows = [
+            _row(stage, Choice(name, place), self.comparison)
+            for stage in self.stages
+            for name, curve in stage.curves.items()
+            for place in range(len(curve.trials))
+        ]
         return pandas.DataFrame(rows)
 
 
@@ -110,7 +122,7 @@ def checked_accuracy(accuracy: Any) -> float:
     return float(accuracy)
 
 
-def _row(found: Comparison, choice: Choice) -> dict[str, Any]:
+def _row(found: Comparison, choice: Choice, last: Comparison) -> dict[str, Any]:
     criteria, trial = found.criteria, found.trial(choice)
     errors, which = verdict.errors(trial, criteria), verdict.worst(trial, criteria)[0]
     row = {
@@ -126,7 +138,8 @@ def _row(found: Comparison, choice: Choice) -> dict[str, Any]:
         "in a batch": trial.cost_in_batch,
         "compile [s]": trial.compile,
         "meets": verdict.passes(trial, criteria),
-        "recommended": found.choice == choice,
+        "recommended": found is last and found.choice == choice,
+        "simulated [s]": found.pilot.duration,
         "remark": _remark(found, choice),
     }
 
@@ -139,18 +152,36 @@ def _remark(found: Comparison, choice: Choice) -> str:
     if verdict.undecided(trial, criteria):
         return f"undecided: some {verdict.copies_to_decide(trial, criteria)} copies would tell"
     if not verdict.passes(trial, criteria):
-        return "too inaccurate"
+        near = all(
+            sum(verdict.error_of(trial.responses[name], one)) <= one.accuracy
+            for name, one in criteria.items()
+        )
+        return "leaves too little for copies that were not seen" if near else "too inaccurate"
     if first is None or choice.place < first:
         return "unconfirmed: its finer neighbour is missing or fails"
     return trial.warnings
 
 
-def _recommended(found: Comparison) -> Iterator[str]:
+def _reason(found: Comparison, name: str, cost: float) -> str:
+    """What is wrong with a method that is not recommended beside one of this cost [s/s]."""
+    curve, criteria = found.curves[name], found.criteria
+    place = verdict.coarsest(curve.trials, criteria)
+    finished = [trial for trial in curve.trials if not trial.failure]
+    if place is not None:
+        ratio = found.cost_of(Choice(name, place)) / cost
+        best = describe(curve.trials[place].integrator)
+        return f"dearer: {best} meets it at {ratio:.2g} times the cost."
+    if not finished:
+        return f"fails: {curve.trials[-1].failure} {curve.stopped}"
+    return f"{_shortcoming(finished, criteria)} {curve.stopped}"
+
+
+def _recommended(found: Comparison, met: bool) -> Iterator[str]:
     criteria, trial = found.criteria, found.chosen
     which, error = _worst(trial, criteria)
     named = f' (largest in "{which}")' if len(criteria) > 1 else ""
     text, asked = describe(trial.integrator), _percent(found.accuracy)
-    if found.met:
+    if met:
         yield f"{text} meets {asked}:"
     elif verdict.passes(trial, criteria):
         yield (
@@ -231,12 +262,10 @@ def _present(found: Comparison) -> str:
     )
 
 
-def _pilot(found: Comparison) -> str:
-    copies, pilot = len(found.pilot.values), found.pilot
+def _seen(found: Comparison) -> str:
+    copies, duration = len(found.pilot.values), found.pilot.duration
     many = "one run" if copies == 1 else f"{copies} copies"
-    whole = pilot.duration >= pilot.whole
-    part = "all of" if whole else f"the first {pilot.duration:.3g} s of"
-    return f"Seen on {many} over {part} {pilot.whole:.3g} s."
+    return f"{many} over {'all of' if found.is_whole else 'the first'} {duration:.3g} s"
 
 
 def _shortcoming(finished: list[Trial], criteria: dict[str, Criterion]) -> str:

@@ -35,6 +35,11 @@ class Comparison(eqx.Module):
         return verdict.criteria(trials, self.names, self.accuracy, self.sizes, self.means)
 
     @property
+    def is_whole(self) -> bool:
+        """Whether the runs are as long as the problem."""
+        return self.pilot.duration >= self.pilot.whole
+
+    @property
     def choice(self) -> Choice:
         """The recommended trial; the most accurate one where none passes."""
         criteria = self.criteria
@@ -44,7 +49,7 @@ class Comparison(eqx.Module):
             if place is not None:
                 passing.append(Choice(name, place))
         if passing:
-            timed = [choice for choice in passing if self.batch is None or self._gain(choice)]
+            timed = [choice for choice in passing if self.batch is None or self.gain(choice)]
             return min(timed or passing, key=self.cost_of)
         finished = [choice for choice in self._candidates() if not self.trial(choice).failure]
         return min(
@@ -74,9 +79,9 @@ class Comparison(eqx.Module):
         batch was asked for (what a method's one timed setting gains there, its others are taken to
         gain)."""
         cost = self.trial(choice).cost
-        return cost if self.batch is None else cost * (self._gain(choice) or 1.0)
+        return cost if self.batch is None else cost * (self.gain(choice) or 1.0)
 
-    def _gain(self, choice: Choice) -> float | None:
+    def gain(self, choice: Choice) -> float | None:
         """Cost of a sample in a batch as a share of that alone; None where no setting of the method
         was timed.
         """

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.arguments import check_number
+from jaxclear.ground.arguments import check_flags, check_number
 from jaxclear.ground.quantity import AbstractQuantified, count
 from jaxclear.integrators import AbstractIntegrator, Adaptive, Outcome
 from jaxclear.simulation.simulate import check_run
@@ -42,15 +42,18 @@ class PilotSettings(AbstractQuantified):
     `copies`: nominal and perturbed runs; more of them where the answer says that motion is chaotic.
     `duration` [s]: how long they are, a quarter of the problem's by default. `seed` draws the
     copies. `reference`: an `Adaptive` trusted as the truth, checked against itself at ten times its
-    tolerances.
+    tolerances. `whole`: whether the choice is then confirmed over the whole problem; otherwise
+    what is found holds for the pilot.
     """
 
     copies: int = count(8, "nominal and perturbed runs")
     duration: float | None = eqx.field(static=True, default=None)
     seed: int = count(0, "seed that draws the copies", at_least=0)
     reference: Adaptive = eqx.field(default_factory=tight_reference)
+    whole: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
+        check_flags("PilotSettings", whole=self.whole)
         if self.duration is not None:
             check_number("duration of PilotSettings", self.duration, "s", above=0)
 

@@ -1,0 +1,121 @@
+"""Whether what a pilot found holds over the whole problem.
+
+The settings between which the pilot decided are run to the end on its copies, beside a reference of
+their own: finer ones until two neighbours are right, coarser ones and cheaper methods that the
+pilot found nearly right. Errors that grow with time, or come late, are seen here; so are hard first
+instants that count little in the end.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from jaxclear.integrators import AbstractIntegrator
+from jaxclear.studies import verdict
+from jaxclear.studies.advice.comparison import Comparison
+from jaxclear.studies.advice.curve import PRESENT, REFERENCE, Choice, Curve
+from jaxclear.studies.advice.pilot import Pilot, PilotSettings, Trial
+from jaxclear.studies.advice.trials import (
+    DEARER_THAN_REFERENCE,
+    NO_FINER,
+    TOO_DEAR,
+    once,
+    reference,
+)
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.verdict import Criterion
+
+# A setting is worth a run over the whole where the pilot's error is at most this many times what
+# passes, and a method where it might save this share.
+NEARLY, WORTH = 4.0, 0.15
+
+
+def confirmed(
+    first: Comparison,
+    problem: Problem,
+    ladders: Mapping[str, Sequence[AbstractIntegrator]],
+    settings: PilotSettings,
+) -> tuple[Comparison | None, str]:
+    """The comparison over the whole problem; None where none was asked for, or with a sentence
+    where none can be had."""
+    if not settings.whole or first.is_whole:
+        return None, ""
+    whole = Pilot(problem, first.pilot.values, first.pilot.whole)
+    try:
+        whole, known = reference(whole, settings.reference, first.sizes)
+    except ValueError as error:
+        return None, f"Over the whole {whole.whole:.3g} s nothing is shown: {error}"
+    criteria = verdict.criteria(known.trials, first.names, first.accuracy, first.sizes, first.means)
+    run, most = once(whole, known.trials), DEARER_THAN_REFERENCE * known.trials[-1].cost
+    curves, best = {REFERENCE: known}, np.inf
+    for name, coarsest, start in _promising(first):
+        if first.cost_of(Choice(name, coarsest)) > (1 - WORTH) * best:
+            continue
+        found, place = _walk(run, ladders[name], (coarsest, start), criteria, most)
+        curves[name] = _as_in_batch(first, name, found)
+        right = verdict.coarsest(found.trials, criteria)
+        if right is not None:
+            best = min(best, _cost_in_pilot(first, Choice(name, place + right)))
+    return dataclasses.replace(first, pilot=whole, curves=curves), ""
+
+
+def _promising(first: Comparison) -> list[tuple[str, int, int]]:
+    """Methods with the coarsest setting that the pilot found nearly right and the one to begin
+    with, cheapest first."""
+    criteria, found = first.criteria, []
+    for name, curve in first.curves.items():
+        near = [
+            place
+            for place, trial in enumerate(curve.trials)
+            if verdict.worst(trial, criteria)[1] <= NEARLY
+        ]
+        if near and name not in (REFERENCE, PRESENT):
+            right = verdict.coarsest(curve.trials, criteria)
+            found.append((name, near[0], near[-1] if right is None else right))
+    return sorted(found, key=lambda one: first.cost_of(Choice(one[0], one[2])))
+
+
+def _walk(
+    run: Callable[[AbstractIntegrator], Trial],
+    ladder: Sequence[AbstractIntegrator],
+    places: tuple[int, int],
+    criteria: dict[str, Criterion],
+    most: float,
+) -> tuple[Curve, int]:
+    """Trials of neighbours on a ladder, and the place of the first of them.
+
+    From the second of `places` to finer ones until two are right or one is dearer than `most`
+    [s/s], then to coarser ones, down to the first of `places`, while these are right.
+    """
+    coarsest, start = places
+    trials: list[Trial] = []
+    why = NO_FINER
+    for integrator in ladder[start:]:
+        trials.append(run(integrator))
+        if verdict.coarsest(tuple(trials), criteria) is not None:
+            why = ""
+            break
+        if trials[-1].cost > most:
+            why = TOO_DEAR
+            break
+    place = start
+    while place > coarsest and verdict.passes(trials[0], criteria):
+        place -= 1
+        trials.insert(0, run(ladder[place]))
+    return Curve(tuple(trials), why), place
+
+
+def _as_in_batch(first: Comparison, name: str, found: Curve) -> Curve:
+    """The curve with the costs in a batch that the pilot tells."""
+    gain = first.gain(Choice(name, 0))
+    if gain is None:
+        return found
+    timed = (dataclasses.replace(one, cost_in_batch=gain * one.cost) for one in found.trials)
+    return Curve(tuple(timed), found.stopped)
+
+
+def _cost_in_pilot(first: Comparison, choice: Choice) -> float:
+    """What a setting cost in the pilot; of one finer than its finest, what that cost."""
+    finest = len(first.curves[choice.method].trials) - 1
+    return first.cost_of(choice._replace(place=min(choice.place, finest)))
