@@ -163,6 +163,7 @@ class Check(enum.IntEnum):
         CONTACTS,
         'the indentation in joint "{place}" reaches {figure:.2g} of its radius (limit {limit:g}), '
         "for which no contact law was made: look at stiffness, loads and start",
+        (1.0, Outcome.SUNK_IN),
     )
     # Share of friction's power that is taken where explicit steps do not resolve it.
     FRICTION_STEP = (

@@ -44,6 +44,13 @@ class Outcome(AbstractOutcome):
         "Drive another joint, or keep the drive within reach.",
     )
 
+    SUNK_IN = (
+        10,
+        "A journal, ball or slider sank into the wall that holds it by more than its own radius: "
+        "for these loads and speeds the contact is too soft, or the steps are too long. Look at "
+        "stiffness, loads and start, or take shorter steps.",
+    )
+
     @property
     def began(self) -> bool:
         """Whether there was a run at all."""

@@ -58,16 +58,18 @@ def refereed(
     seen, rubbed = _of_saved_states(looks, steps, kept.get(Check.INDENTATION))
     of_run = {check: each[None] for check, each in (windows | rubbed).items()}
     if rebound is not None:
-        met = kept[Check.CONTACT_STEP], kept[Check.INDENTATION]
-        of_run[Check.REBOUND_STEP] = rebound_steps(model, *met, rebound)[None]
+        rises = kept[Check.CONTACT_STEP], kept[Check.INDENTATION]
+        of_run[Check.REBOUND_STEP] = rebound_steps(model, *rises, rebound)[None]
+    met = _of_contacts(history, kept)
     parts = [
-        (_of_contacts(history, kept), ends),
+        (met, ends),
         (seen, ends[looks.intervals]),
         (of_run, ends[-1:]),
     ]
     places = _places(history)
     checks = _over_run([(jax.lax.stop_gradient(each), at) for each, at in parts], places)
-    verdict = _ending(seen)
+    sunk = {check: met[check][looks.intervals] for check in (Check.INDENTATION,) if check in met}
+    verdict = _ending(sunk | seen)
     if jnp.ndim(verdict) == 0:
         return dataclasses.replace(trajectory, checks=checks)
     bad = (verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
@@ -125,9 +127,12 @@ def _of_contacts(history: StateHistory, figures: dict[Check, Array]) -> dict[Che
         for check in (Check.CONTACT_STEP, Check.IMPACT_STEP)
         if check in figures
     }
-    bearings = history.model().system.bearings.values()
-    radii = [radius for bearing in bearings for radius in bearing.radii]
-    return figures | rises | {Check.INDENTATION: depths / sp.stack(radii)}
+    return figures | rises | {Check.INDENTATION: depths / _radii(history.model().system)}
+
+
+def _radii(system: System) -> Float[Array, " contacts"]:
+    """Radius of journal or ball in every possible contact [m]."""
+    return sp.stack([radius for one in system.bearings.values() for radius in one.radii])
 
 
 def _places(history: StateHistory) -> dict[str, tuple[str, ...]]:
@@ -148,21 +153,26 @@ def _of_saved_states(
     looks: Looks, steps: dict[Check, Array], depths: Array | None
 ) -> tuple[dict[Check, Float[Array, "looks places"]], dict[Check, Float[Array, " contacts"]]]:
     """Figures that the looks tell, and those of friction, of the run as a whole, also from the
-    lengths [s] of `steps` there and the largest indentations [m] in every saving interval."""
+    lengths [s] of `steps` there and the largest indentations [m] in every saving interval (None:
+    those seen count)."""
     model, formulation = looks.seen.model(), looks.seen.formulation
     system = model.system
     driven = any(drive_of(link.joint) is not None for link in system.links)
     rubbing = bool(steps) and rubs(model)
+    sinking = depths is None and bool(system.bearings) and not formulation.forces_are_means
 
     def judged(now: Instant) -> dict[str, Array]:
         return (
             ({"openings": _openings(now)} if system.closures else {})
             | ({} if driven else _energies(now, formulation))
             | ({"contacts": contacts(now, formulation)} if rubbing else {})
+            | ({"depths": _depths(now, formulation)} if sinking else {})
         )
 
     said = looks.of(judged)
     found = {}
+    if "depths" in said:
+        found[Check.INDENTATION] = said["depths"][1:] / _radii(system)
     if "openings" in said:
         found[Check.LOOP_DRIFT] = said["openings"][1:]
     if "energies" in said:
@@ -172,6 +182,13 @@ def _of_saved_states(
         return found, {}
     deepest = None if depths is None else depths[looks.intervals]
     return found, friction_steps(model, said["contacts"][1:], deepest, steps)
+
+
+def _depths(now: Instant, formulation: AbstractFormulation) -> Float[Array, " contacts"]:
+    """Indentation of every possible contact [m]."""
+    reports = formulation.forces(now).reports.values()
+    depths = [positive_part(point.indentation) for report in reports for point in report.points]
+    return jnp.asarray(sp.stack(depths), float)
 
 
 def _energies(now: Instant, formulation: AbstractFormulation) -> dict[str, Float[Array, "3"]]:

@@ -91,11 +91,17 @@ def test_impacts_that_explicit_steps_do_not_resolve_are_said():
     assert Check.IMPACT_STEP not in beyond(short)
 
 
-def test_an_indentation_as_large_as_the_journal_is_said():
+def pushed_through(stiffness, integrator):
+    soft = jc.scenes.slider_crank(contact=jc.contact.CarvalhoMartins(stiffness=stiffness))
+    return jc.simulate(soft, 0.02, save=11, integrator=integrator, throw=False)
+
+
+@pytest.mark.parametrize("integrator", [jc.integrator.FixedStep(), jc.integrator.Adaptive()])
+def test_a_journal_that_sinks_in_is_said_and_ends_the_run_beyond_its_radius(integrator):
     """No contact law was made for it."""
-    soft = jc.scenes.slider_crank(contact=jc.contact.CarvalhoMartins(stiffness=1e3))
-    found = jc.simulate(soft, 0.01, save=11, integrator=jc.integrator.FixedStep())
-    assert Check.INDENTATION in beyond(found)
+    said, ended = (pushed_through(stiffness, integrator) for stiffness in (1e6, 1e2))
+    assert said.succeeded and Check.INDENTATION in beyond(said)
+    assert ended.outcome == Outcome.SUNK_IN and ended.ended < 0.02
 
 
 def test_shadows_do_not_touch_the_run():
