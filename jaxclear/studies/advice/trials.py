@@ -17,7 +17,7 @@ from jaxclear.studies.work_precision import LOOSER, loosened
 # A curve is followed until its error is this share of the accuracy: the figure shows how it falls.
 FAR_BELOW = 0.1
 # It is left where a finer setting would be this many times as dear as the reference.
-DEARER_THAN_REFERENCE = 1.5
+DEARER_THAN_REFERENCE = 2.0
 # A finer setting is taken to cost at most this much more than the last (2.5 is the widest gap
 # between steps).
 MOST_GROWTH = 2.5
@@ -66,11 +66,14 @@ def follow(
 
 
 def expected_cost(trials: list[Trial]) -> float:
-    """What the next finer setting will cost, from the last two."""
+    """What the next finer setting will cost: more than the last two as costs have grown on the
+    mean, since single times are too long on a busy machine."""
     costs = [trial.cost for trial in trials if np.isfinite(trial.cost)]
     if len(costs) < 2:
         return 0.0
-    return costs[-1] * float(np.clip(costs[-1] / costs[-2], 1.0, MOST_GROWTH))
+    growth = (costs[-1] / costs[0]) ** (1 / (len(costs) - 1))
+    growth = float(np.clip(growth, 1.0, MOST_GROWTH))
+    return growth * min(costs[-1], growth * costs[-2])
 
 
 def _is_far_below(trial: Trial, criteria: dict[str, Criterion]) -> bool:
