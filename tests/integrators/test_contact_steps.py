@@ -66,7 +66,8 @@ def test_a_pressed_journal_does_not_chatter_in_long_steps():
         )
     )
     forces = [np.asarray(run.contact("B").normal_force) for run in (mixed, short)]
-    # The largest was off by two thirds before the load was looked at; both are run at the same steps where they touch.
+    # Both have the same steps where they touch; without a look at the load they were off by two
+    # thirds of the largest.
     np.testing.assert_allclose(*forces, rtol=1e-6, atol=1e-6 * forces[1].max())
     assert int(mixed.accepted_steps) < 0.85 * int(short.accepted_steps)
 

@@ -8,7 +8,6 @@ neighbour's is too. That setting and those beside it are then run over the whole
 (`confirmation`), because errors that grow with time are larger at the end of a longer run.
 """
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -104,16 +103,15 @@ def piloted(
     """The pilot and its reference. One whose duration nobody gave is doubled while a response is 0
     in it: a journal may not have touched yet.
     """
-    asked, whole = settings.duration is not None, float(problem.duration)
+    asked, whole, longer = settings.duration is not None, float(problem.duration), None
     while True:
-        short = pilot_of(problem, settings)
+        short = pilot_of(problem, settings, longer)
         try:
             return reference(short, settings.reference, scales)
         except NothingToMeasure:
             if asked or short.duration >= whole:
                 raise
             longer = min(2 * short.duration, whole)
-            settings = dataclasses.replace(settings, duration=longer)
 
 
 def _allowance(

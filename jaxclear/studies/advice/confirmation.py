@@ -9,8 +9,6 @@ instants that count little in the end.
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
-
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.studies import verdict
 from jaxclear.studies.advice.comparison import Comparison
@@ -48,15 +46,18 @@ def confirmed(
         return None, f"Over the whole {whole.whole:.3g} s nothing is shown: {error}"
     criteria = verdict.criteria(known.trials, first.names, first.accuracy, first.sizes, first.means)
     run, most = once(whole, known.trials), DEARER_THAN_REFERENCE * known.trials[-1].cost
-    curves, best = {REFERENCE: known}, np.inf
+    curves, best = {REFERENCE: known}, known.trials[0].cost
+    # A simulated second is dearer where there is more contact than in the pilot.
+    dearer = best / first.curves[REFERENCE].trials[0].cost
     for name, coarsest, start in _promising(first):
-        if first.cost_of(Choice(name, coarsest)) > (1 - WORTH) * best:
+        gain = first.gain(Choice(name, coarsest)) or 1.0
+        if dearer * first.cost_of(Choice(name, coarsest)) > (1 - WORTH) * best:
             continue
-        found, place = _walk(run, ladders[name], (coarsest, start), criteria, most)
+        found = _walk(run, ladders[name], (coarsest, start), criteria, most)
         curves[name] = _as_in_batch(first, name, found)
         right = verdict.coarsest(found.trials, criteria)
         if right is not None:
-            best = min(best, _cost_in_pilot(first, Choice(name, place + right)))
+            best = min(best, gain * found.trials[right].cost)
     return dataclasses.replace(first, pilot=whole, curves=curves), ""
 
 
@@ -82,8 +83,8 @@ def _walk(
     places: tuple[int, int],
     criteria: dict[str, Criterion],
     most: float,
-) -> tuple[Curve, int]:
-    """Trials of neighbours on a ladder, and the place of the first of them.
+) -> Curve:
+    """Trials of neighbours on a ladder.
 
     From the second of `places` to finer ones until two are right or one is dearer than `most`
     [s/s], then to coarser ones, down to the first of `places`, while these are right.
@@ -103,7 +104,7 @@ def _walk(
     while place > coarsest and verdict.passes(trials[0], criteria):
         place -= 1
         trials.insert(0, run(ladder[place]))
-    return Curve(tuple(trials), why), place
+    return Curve(tuple(trials), why)
 
 
 def _as_in_batch(first: Comparison, name: str, found: Curve) -> Curve:
@@ -113,9 +114,3 @@ def _as_in_batch(first: Comparison, name: str, found: Curve) -> Curve:
         return found
     timed = (dataclasses.replace(one, cost_in_batch=gain * one.cost) for one in found.trials)
     return Curve(tuple(timed), found.stopped)
-
-
-def _cost_in_pilot(first: Comparison, choice: Choice) -> float:
-    """What a setting cost in the pilot; of one finer than its finest, what that cost."""
-    finest = len(first.curves[choice.method].trials) - 1
-    return first.cost_of(choice._replace(place=min(choice.place, finest)))

@@ -100,10 +100,12 @@ def evaluate_one(problem: Problem, values: Float[Array, " variables"]) -> Sample
     return problem.evaluate(values)
 
 
-def pilot_of(problem: Problem, settings: PilotSettings) -> Pilot:
-    """The pilot of a problem: as long as asked for, rounded up to a saving time."""
+def pilot_of(problem: Problem, settings: PilotSettings, longer: float | None = None) -> Pilot:
+    """The pilot of a problem: as long as asked for, or `longer` [s], rounded up to a saving
+    time."""
     whole = float(problem.duration)
     wanted = SHARE * whole if settings.duration is None else settings.duration
+    wanted = wanted if longer is None else longer
     shares = np.asarray(problem.shares)
     saves = int(np.searchsorted(shares, wanted / whole * (1 - 1e-9))) + 1
     piece = problem if saves >= len(shares) else _up_to(problem, saves)
