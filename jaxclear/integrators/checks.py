@@ -171,11 +171,11 @@ class Check(enum.IntEnum):
         "friction step",
         "1",
         0.015,
-        "wear",
+        "motion",
         CONTACTS,
         '{figure:.2g} of what friction takes in joint "{place}" is taken where it stops slip '
-        "within a step (limit {limit:g}), so sliding, friction loss and wear may be far off: take "
-        "shorter steps or integrator.ImplicitStep",
+        "within a step (limit {limit:g}), so sliding, friction loss and wear may be far off, and "
+        "with them where bodies are: take shorter steps or integrator.ImplicitStep",
     )
     # Angle by which a contact vibrates in a step, or share of slip that friction stops in it if
     # that is less: a mean by the power of friction. Steps that damp count as longer ones.

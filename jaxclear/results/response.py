@@ -17,9 +17,10 @@ from jaxtyping import Array, Float
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.kinds import as_given
-from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.numerics import positive_part, safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count
 from jaxclear.ground.wording import described
+from jaxclear.integrators.checks import Check
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
@@ -167,7 +168,8 @@ class MeanContactForce(AbstractResponse):
 
     Where forces are means over the saving intervals (rigid contact, joints that always touch), the
     mean over the run; of joints that always touch it is that of the size of the mean reaction, so
-    save densely beside the time in which this turns.
+    save densely beside the time in which this turns. Impacts that are shorter than the saving
+    interval are caught by chance, and with them their share of the mean.
     """
 
     joint: str = eqx.field(static=True)
@@ -184,8 +186,11 @@ class MeanContactForce(AbstractResponse):
 
 
 class PeakContactForce(AbstractResponse):
-    """Largest normal force of a clearance joint at the saving times [N]; save densely enough to
-    catch the impacts.
+    """Largest normal force of a contact of a clearance joint [N]: that at the saving times, or the
+    elastic force at the deepest indentation of any step where that is larger.
+
+    Steps that adapt their length keep no indentations, nor do guides: save densely enough to catch
+    the impacts. What is more than at the saving times has no part in derivatives.
     """
 
     joint: str = eqx.field(static=True)
@@ -195,7 +200,23 @@ class PeakContactForce(AbstractResponse):
         return "peak forces"
 
     def __call__(self, run):
-        return jnp.max(run.contact(self.joint).normal_force)
+        saved = jnp.max(run.contact(self.joint).normal_force)
+        missed = positive_part(_deepest_force(run, self.joint) - saved)
+        return saved + jax.lax.stop_gradient(missed)
+
+
+def _deepest_force(run: Trajectory, joint: str) -> Scalar:
+    """Elastic force [N] at the deepest indentation of any step; 0 where none was kept."""
+    figure = run.checks.figures.get(Check.INDENTATION)
+    if figure is None:
+        return jnp.zeros(())
+    bearing = run.history.model().system.bearings[joint]
+    shares = [figure.worst[k] for k, place in enumerate(figure.places) if place == joint]
+    found = [
+        laws.contact.elastic_force(jnp.where(jnp.isfinite(radius), share * radius, 0.0))
+        for laws, share, radius in zip(bearing.contact_laws, shares, bearing.radii, strict=True)
+    ]
+    return jnp.max(jnp.stack(found))
 
 
 class FinalCoordinate(AbstractResponse):
