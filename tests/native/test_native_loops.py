@@ -16,6 +16,7 @@ import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import (
     arithmetic,
     call_frame,
+    check,
     control,
     kernel,
     loop,
@@ -300,6 +301,28 @@ def test_a_wrong_kernel_is_caught_and_not_used(monkeypatch, caplog):
     with caplog.at_level(logging.INFO, logger=loop.LOG.name):
         assert np.isclose(jax.jit(fast)(0.3), plain(0.3), rtol=ROUNDING)
     assert "does not agree" in caplog.text
+
+
+@slowly
+@pytest.mark.parametrize("beyond", [-1e-6, 1.5, 1e-2])
+def test_a_kernel_that_is_wrong_in_some_states_only_is_caught(beyond, monkeypatch, caplog):
+    """Of negative numbers, of large ones, of small ones: those that a contact parts by."""
+    monkeypatch.setitem(rules.RULES, "mul", rules.RULES["add"])
+    monkeypatch.setitem(arithmetic._FLOAT_OPS, "mul", "fadd")
+    there = (lambda x: x > beyond) if beyond > 1 else (lambda x: x < beyond)
+    fast, plain = turns(lambda x: jnp.where(there(x), x * x, x + 1.0), 3)
+    with caplog.at_level(logging.INFO, logger=loop.LOG.name):
+        x = jnp.full(6, 2 * beyond)
+        np.testing.assert_allclose(jax.jit(fast)(x), plain(x), rtol=ROUNDING)
+    assert "does not agree" in caplog.text
+
+
+def test_a_check_looks_at_states_within_and_beyond_a_clearance():
+    number = jax.ShapeDtypeStruct((), float)
+    for draw in range(5):
+        samples = check.random_values([number], [number, number], draw)
+        overlaps = [np.hypot(x, y) - clearance for clearance, x, y in samples]
+        assert overlaps[1] < 0 < overlaps[2]
 
 
 def test_an_unknown_interface_of_xla_is_refused(monkeypatch, tmp_path):
