@@ -23,6 +23,7 @@ import jax
 import numpy as np
 
 import jaxclear as jc
+from benchmarks.measure import about
 from benchmarks.trade import questions
 from benchmarks.trade.curves import Measured, measure
 from benchmarks.trade.questions import Question
@@ -37,8 +38,12 @@ TOO_DEAR = 3.0
 # off, as a share of the accuracy, where it tells right from wrong.
 ALLOWED, TRUSTED = 1.5, 0.5
 # What a choice can be; without a reference it is told apart whether the advisor was sure.
-UNJUDGED, SURE = "no reference", "no reference, sure"
-VERDICTS = ("right", "right, dear", "wrong", "wrong, said so", UNJUDGED, SURE, "refused")
+# In doubt: off by more than the accuracy, but not by more than the references are apart.
+UNJUDGED, SURE, IN_DOUBT = "no reference", "no reference, sure", "in doubt"
+VERDICTS = (
+    *("right", "right, dear", "wrong", "wrong, said so"),
+    *(IN_DOUBT, UNJUDGED, SURE, "refused"),
+)
 # A size of a response beside which no error counts.
 BOUNDLESS = 1e100
 QUICK = ("slider-crank, ideal",)
@@ -174,7 +179,9 @@ def judged(scene: str, problem: jc.Problem, names: Names, accuracy: float) -> di
         same = cheapest.setting == row["choice"]
         ratio = 1.0 if same else chosen.seconds / cheapest.seconds
         row |= {"cheapest right": cheapest.setting, "ratio": ratio}
-    return row | {"verdict": _verdict(advice.met, error <= accuracy + doubt, row.get("ratio"))}
+    if accuracy < error <= accuracy + doubt:
+        return row | {"verdict": IN_DOUBT, "references apart": doubt}
+    return row | {"verdict": _verdict(advice.met, error <= accuracy, row.get("ratio"))}
 
 
 def _verdict(met: bool, right: bool, ratio: float | None) -> str:
@@ -229,6 +236,7 @@ def main() -> None:
         for row in summary(rows)[:1]:
             print(row, f"{time.process_time() - begun:.0f} s CPU", flush=True)
         jax.clear_caches()
+        known |= {"about": about("benchmarks.claims.advice", options.json)}
         known |= {"the advisor's choice": summary(every), "every problem": every}
         if options.json:
             options.json.write_text(json.dumps(known, indent=1) + "\n")
