@@ -20,6 +20,7 @@ from benchmarks.attacks.verdicts import Verdict
 from jaxclear.integrators import Adaptive
 from jaxclear.multibody.system import prepare
 from jaxclear.simulation import simulate as simulation
+from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.wear import unworn
 
 # By how much the numbers of a mechanism are never known: answers that this changes beyond the
@@ -102,7 +103,14 @@ def _worn_run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
     start = jc.assemble(rig, case.concentric)
     worn = jax.tree.map(lambda depth: asked.worn * _hollow(depth), unworn(prepare(rig)))
     return _compiled(
-        rig, start.coordinates, start.speeds, times, integrator, asked.balance, False, worn
+        rig,
+        start.coordinates,
+        start.speeds,
+        times,
+        integrator,
+        asked.balance,
+        False,
+        Past(worn=worn),
     )
 
 

@@ -67,7 +67,8 @@ def test_run_ends_or_says_why(kind, integrator):
         for leaf in jax.tree.leaves((states, worn)):
             assert np.all(np.isfinite(leaf))
         assert Outcome(int(outcome)).began
-        assert (int(outcome) == 0) == (float(ended) == 1e-4)
+        # What is found at the very end is told of the end.
+        assert int(outcome) != 0 or float(ended) == 1e-4
 
     check()
 
