@@ -100,8 +100,9 @@ def _over_run(
             if not places[check.of]:
                 continue
             known = jnp.where(jnp.isnan(each), jnp.inf, each)
-            when = ends[jnp.argmax(known, axis=0)]
-            figures[check] = Figure(jnp.max(known, axis=0), when, places[check.of])
+            latest = jnp.argmax(known, axis=0)
+            worst = jnp.take_along_axis(known, latest[None], axis=0)[0]
+            figures[check] = Figure(worst, ends[latest], places[check.of])
     return Checks(figures)
 
 
