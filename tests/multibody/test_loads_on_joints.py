@@ -117,3 +117,16 @@ def test_a_torsion_spring_in_a_leaning_journal_gives_back_what_it_takes():
     balance = run.energy_balance()
     assert abs(run.contact("pin").axis[:, :2]).max() > 0.02
     assert abs(balance.error).max() < 1e-8 * balance.potential.max()
+
+
+@pytest.mark.slow
+def test_a_run_that_goes_on_keeps_the_turns_of_a_spring():
+    rig, step = slider_crank("A", *wound("A")), jc.integrator.FixedStep(2e-5)
+    whole = ran(rig)
+    one = jc.simulate(rig, TIME / 2, save=7, integrator=step)
+    two = jc.simulate(rig, TIME / 2, save=7, integrator=step, state=one.state())
+    first = whole.history.layout().angle_start
+    assert abs(one.history.states[-1, first]) > np.pi
+    np.testing.assert_allclose(
+        two.history.states[-1, first], whole.history.states[-1, first], atol=1e-6
+    )
