@@ -189,8 +189,9 @@ class PeakContactForce(AbstractResponse):
     """Largest normal force of a contact of a clearance joint [N]: that at the saving times, or the
     elastic force at the deepest indentation of any step where that is larger.
 
-    Steps that adapt their length keep no indentations, nor do guides: save densely enough to catch
-    the impacts. What is more than at the saving times has no part in derivatives.
+    Steps that adapt their length know their indentations at saving times alone, and guides none:
+    save densely enough to catch the impacts. What is more than at the saving times has no part in
+    derivatives.
     """
 
     joint: str = eqx.field(static=True)
@@ -208,7 +209,7 @@ class PeakContactForce(AbstractResponse):
 def _deepest_force(run: Trajectory, joint: str) -> Scalar:
     """Elastic force [N] at the deepest indentation of any step; 0 where none was kept."""
     figure = run.checks.figures.get(Check.INDENTATION)
-    if figure is None:
+    if figure is None or run.formulation.forces_are_means:
         return jnp.zeros(())
     bearing = run.history.model().system.bearings[joint]
     shares = [figure.worst[k] for k, place in enumerate(figure.places) if place == joint]

@@ -18,11 +18,14 @@ def run():
 def test_responses_are_what_their_names_say(run):
     force = np.asarray(run.contact("B").normal_force)
     com = np.asarray(run.body("journal").com)
+    # On its way out a contact pushes less than its spring did at this depth on the way in.
+    law = run.mechanism.connections["B"].joint.contact_laws()[0].contact
+    pressed = float(law.elastic_force(run.contact("B").indentation.max()))
     expected = {
         jc.response.PeakWornDepth("B"): np.asarray(run.worn["B"]["bearing"]).max(),
         jc.response.WornVolume("B"): run.worn_volume("B", "bearing")[-1],
         jc.response.MeanContactForce("B"): force.sum(axis=1).mean(),
-        jc.response.PeakContactForce("B"): force.max(),
+        jc.response.PeakContactForce("B"): max(force.max(), pressed),
         jc.response.FinalCoordinate("journal", 1, unit="m"): com[-1, 1],
     }
     covered = {type(response) for response in expected} | {
