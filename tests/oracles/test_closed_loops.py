@@ -185,8 +185,10 @@ def test_windows_pass_their_singular_position():
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:jaxclear runs a time loop through XLA")
 def test_forty_windows_of_iftomm():
-    """Benchmark A02: 81 rods, 80 closure rows, 20 s."""
+    """Benchmark A02: 81 rods, 80 closure rows, 20 s. So many rows are factorised as arrays, for
+    which there is no machine code."""
     data = IFTOMM["A02"]
     error, _ = tip_error(
         40, np.array(data["time"]), jc.integrator.Adaptive(rtol=1e-9, atol=1e-11), data["place"]
