@@ -50,10 +50,9 @@ class Advance(NamedTuple):
 class AbstractIntegrator(AbstractQuantified):
     """Carries a state over an interval.
 
-    `pathwise`: whether forward-mode derivatives
-    through its steps are those of the discrete run (where contacts open and close, not those of the
-    motion). `projects`: whether loops can be closed anew
-    after its steps.
+    `pathwise`: whether forward-mode derivatives through its steps are those of the discrete run
+    (where contacts open and close, not those of the motion). `projects`: whether loops can be
+    closed anew after its steps.
     """
 
     pathwise: eqx.AbstractClassVar[bool]
@@ -89,6 +88,7 @@ class AbstractIntegrator(AbstractQuantified):
     @property
     def usual_step(self) -> Scalar | None:
         """Length [s] of its steps, which heed `Interval.share`, so that a run can check itself with
-        finer ones; 0 where it finds their length itself. None: it does neither.
+        finer ones; 0 where it finds their length itself. None: it does neither, or its steps are
+        counted, for reverse-mode derivatives, into which a finer run that goes wrong would leak.
         """
         return None

@@ -94,9 +94,7 @@ class FixedStep(AbstractIntegrator):
 
     @property
     def usual_step(self):
-        # A fixed number of steps is for reverse-mode derivatives, into which a shadow of the run
-        # that goes wrong would leak.
-        return self.step if self.steps_per_save is None else None
+        return self.asked_step()
 
     @property
     def formulation(self):

@@ -70,7 +70,7 @@ class MoreauJean(AbstractIntegrator):
 
     @property
     def usual_step(self):
-        return self.step
+        return self.asked_step()
 
     @property
     def formulation(self):

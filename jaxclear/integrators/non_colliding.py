@@ -62,7 +62,7 @@ class NonColliding(AbstractIntegrator):
 
     @property
     def usual_step(self):
-        return self.step
+        return self.asked_step()
 
     @property
     def formulation(self):
