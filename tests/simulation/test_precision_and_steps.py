@@ -9,7 +9,7 @@ import pytest
 import jaxclear as jc
 
 RIG = jc.scenes.slider_crank(wear=False)
-STEPS = jc.integrator.FixedStep(1e-4)
+STEPS = jc.integrator.FixedStep(1e-5)
 CLEARANCE = {"c": jc.Variable(lambda r: r.connections["B"].joint.clearance, tolerance=1e-5)}
 
 
