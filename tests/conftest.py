@@ -1,8 +1,10 @@
 """What holds for every test: examples that are drawn are the same in every run, unless asked
-otherwise.
+otherwise, and compiled programs do not pile up.
 """
 
+import gc
 import os
+from pathlib import Path
 
 import jax
 import pytest
@@ -15,6 +17,20 @@ settings.register_profile("searching", deadline=None, print_blob=True)
 settings.load_profile(
     "repeatable" if os.environ.get("CI") else os.environ.get("HYPOTHESIS_PROFILE", "repeatable")
 )
+
+
+# Every compiled program maps pieces of memory, a few tens of them. Linux allows a process 65 530;
+# beyond, XLA crashes.
+MAPS, MOST_MAPS = Path("/proc/self/maps"), 15_000
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_programs():
+    """Programs of the files before are dropped where they are many."""
+    yield
+    if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture

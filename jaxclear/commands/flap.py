@@ -120,7 +120,7 @@ def study(folder: Path, duration: float = 0.5, show: bool = True) -> None:
     begun = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
     clear = simulated(flap(), duration, show)
-    ideal = jc.simulate(flap(()), duration, save=len(clear.time))
+    ideal = jc.simulate(flap("ideal"), duration, save=len(clear.time))
     report_warnings({"four joints with clearance": clear, "ideal": ideal})
     tables = {
         "modes": phases(clear),

@@ -39,6 +39,7 @@ from jaxclear.laws.stiffness import HertzStiffness, Shape
 from jaxclear.multibody.mechanism import Mechanism
 
 JOINTS = ("J1", "J2", "J3", "J4")
+KINDS = {"planar": JOINTS, "ideal": ()}
 BEARING_RADIUS, BEARING_LENGTH = 7.5e-3, 20e-3
 FIRST_ROD, SECOND_ROD, ARM = 0.15, 0.2, 0.06
 # Density times section [kg/m]: of steel and of the light alloy.
@@ -89,21 +90,35 @@ def _lever() -> Body:
     return Body(mass, mass * ARM**2 / 12, (0.0, 0.5 * ARM))
 
 
+def _bodies() -> dict[str, Body]:
+    return {
+        "actuator": Body(1.0, 1e-3),
+        "rod 1": _bar(STEEL_BAR, FIRST_ROD),
+        "lever 1": _lever(),
+        "rod 2": _bar(ALLOY_BAR, SECOND_ROD),
+        "shaft": Body(ALLOY_BAR * ARM, SHAFT_INERTIA),
+    }
+
+
 @answering
 def flap(
-    slack: Sequence[str] = JOINTS,
+    kind: str | Sequence[str] = "planar",
     clearance: float = 0.1e-3,
     *,
     lever_ratio: float = 1.0,
     drive: AbstractDrive | None = None,
 ) -> Mechanism:
-    """The mechanism of the paper. `slack`: the joints, of J1 to J4, that have `clearance` (radial
-    [m]); the others are ideal. `lever_ratio` [1]: distance of J3 from the pivot of lever arm 1,
-    over that of J2. `drive`: of the actuator along x [m], your own in place of the paper's.
+    """The mechanism of the paper. `kind`: "planar", all four joints with `clearance` (radial [m]);
+    "ideal", none; or the names of those, of J1 to J4, that have it, the others being ideal.
+    `lever_ratio` [1]: distance of J3 from the pivot of lever arm 1, over that of J2. `drive`: of
+    the actuator along x [m], your own in place of the paper's.
     """
-    expect(slack, (tuple, list), "slack of flap", "a list of joints, such as ('J1', 'J4')")
+    if isinstance(kind, str):
+        check_known("kind of flap (beside a list of joints)", kind, KINDS)
+    slack = KINDS[kind] if isinstance(kind, str) else kind
+    expect(slack, (tuple, list), "kind of flap", '"planar", "ideal", or a list of joints')
     for name in slack:
-        check_known("joint in slack of flap", name, JOINTS)
+        check_known("joint in kind of flap", name, JOINTS)
     check_number("clearance of flap", clearance, "m", above=0)
     check_number("lever_ratio of flap", lever_ratio, above=0)
     if drive is None:
@@ -111,13 +126,7 @@ def flap(
     joints = {name: bearing(clearance) if name in slack else Revolute() for name in JOINTS}
     height, second = (lever_ratio - 1) * ARM, FIRST_ROD + SECOND_ROD
     return Mechanism(
-        bodies={
-            "actuator": Body(1.0, 1e-3),
-            "rod 1": _bar(STEEL_BAR, FIRST_ROD),
-            "lever 1": _lever(),
-            "rod 2": _bar(ALLOY_BAR, SECOND_ROD),
-            "shaft": Body(ALLOY_BAR * ARM, SHAFT_INERTIA),
-        },
+        bodies=_bodies(),
         connections={
             "P": Connection(
                 Prismatic(drive=drive), Marker("ground", axis="x"), Marker("actuator", axis="x")

@@ -25,7 +25,7 @@ def forces(run):
 
 def test_ideal_joints_move_as_the_linkage_says():
     """Two four-bars in a row: circles of the rods about pins that are known."""
-    run = jc.simulate(flap(()), 1 / FREQUENCY, save=11)
+    run = jc.simulate(flap("ideal"), 1 / FREQUENCY, save=11)
     for t, shaft in zip(run.time, run.body("shaft").rotation, strict=True):
         pin = np.array([0.5 * STROKE * (1 - np.cos(2 * np.pi * FREQUENCY * t)), 0.0])
         for length, pivot in ((FIRST_ROD, FIRST_ROD), (SECOND_ROD, FIRST_ROD + SECOND_ROD)):
@@ -78,7 +78,7 @@ def test_clearance_takes_up_the_play_joint_by_joint(run):
 
 
 def test_bad_input_is_refused_by_name():
-    with pytest.raises(ValueError, match='no joint in slack of flap "J5"'):
+    with pytest.raises(ValueError, match='no joint in kind of flap "J5"'):
         flap(("J5",))
     with pytest.raises(ValueError, match="lever_ratio of flap"):
         flap(lever_ratio=0.0)
@@ -93,7 +93,7 @@ def test_a_joint_in_lasting_contact_moves_the_shaft_as_an_ideal_one(run, ideal):
     for name in JOINTS:
         lasting = run.modes(name).query("mode == 'contact'")
         assert ((lasting["from [s]"] < begins) & (lasting["to [s]"] > ends)).any()
-    other = simulated(slack=tuple(name for name in JOINTS if name not in ideal))
+    other = simulated(kind=tuple(name for name in JOINTS if name not in ideal))
     time = np.asarray(run.time)
     window = (time > begins) & (time < ends)
     speed, wanted = (np.asarray(r.body("shaft").spin)[:, 2] for r in (run, other))

@@ -52,6 +52,7 @@ def test_checks_stand_in_a_table_with_the_joint_and_the_limit():
     assert "loop drift" in str(found) and str(found).startswith(found.result)
 
 
+@pytest.mark.slow
 def test_a_batch_keeps_the_figures_of_every_sample():
     """A torn sample ends by itself."""
     integrator = jc.integrator.ImplicitStep(1e-3)

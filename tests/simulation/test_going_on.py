@@ -27,8 +27,12 @@ def first_half(rig, integrator):
 
 @pytest.mark.parametrize(
     ("integrator", "within"),
-    [(jc.integrator.FixedStep(STEP), 0.0), (jc.integrator.Adaptive(rtol=1e-9), 1e-5)],
-    ids=["fixed", "adaptive"],
+    [
+        pytest.param(jc.integrator.FixedStep(STEP), 0.0, id="fixed"),
+        pytest.param(
+            jc.integrator.Adaptive(rtol=1e-9), 1e-5, id="adaptive", marks=pytest.mark.slow
+        ),
+    ],
 )
 def test_two_halves_are_the_whole(integrator, within):
     """With a law that remembers, and a surface that wears."""

@@ -225,6 +225,7 @@ def test_each_kind_of_integrator_compiles_once():
     assert len(traced) == 2
 
 
+@pytest.mark.slow
 def test_in_batches_the_cheapest_there_is_taken(advice):
     found = jc.advise(
         advice.asked,
@@ -276,6 +277,7 @@ def test_what_holds_for_the_pilot_alone_is_found_out():
     assert sum(told["recommended"]) == 1
 
 
+@pytest.mark.slow
 def test_a_pilot_in_which_nothing_touches_is_made_longer():
     """The journal falls for 0.0143 s."""
     question = falls({"force": FALL["force"]}, save=51)
@@ -283,6 +285,7 @@ def test_a_pilot_in_which_nothing_touches_is_made_longer():
     assert 0.0143 < pilot.duration < 0.05
 
 
+@pytest.mark.slow
 def test_advice_that_cannot_be_confirmed_is_not_sure():
     """The reference itself has no answer over the whole."""
     late = lambda run: jnp.where(run.time[-1] > 0.5, jnp.nan, last_angle(run))

@@ -121,6 +121,7 @@ def test_a_study_says_why_its_steps_are_implicit():
     assert chosen.why_integrator == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["LuGre", "Dahl"])
 def test_bristles_run_by_default(law):
     """Deflections settle within 1e-6 m of sliding: an explicit step of 2e-5 s was not a number
