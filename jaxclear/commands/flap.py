@@ -21,7 +21,7 @@ from jaxclear.scenes.flap import JOINTS, flap
 
 __all__ = ["run", "study"]
 
-# Steps that resolve the stiff dampers: forces within 0.3 % of steps a quarter as long.
+# Steps that resolve the stiff dampers: at twice their length runs warn of creep.
 STEP = 1e-6
 SAVES_PER_SECOND = 100_000
 LEVER_RATIOS = (0.5, 0.8, 1.0, 1.25, 2.0)

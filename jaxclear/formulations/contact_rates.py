@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.clearance import ContactLaws
-from jaxclear.components.joint.base import drive_of
 from jaxclear.formulations import delassus
 from jaxclear.formulations.base import model_of
 from jaxclear.formulations.compliant import CompliantContact
@@ -66,11 +65,9 @@ class _Pressed(NamedTuple):
 def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[str, ContactRates]:
     """Rates of every clearance joint with a compliant law, in a run of `duration` [s] with steps of
     `step` [s] (over which friction that remembers is taken)."""
-    system = prepare(mechanism)
     # A drive takes its link to where the others, which stay at their start, cannot follow.
-    driven = any(drive_of(link.joint) is not None for link in system.links)
-    times = jnp.linspace(0.0, 0.0 if driven else duration, INSTANTS)
-    bearings, found = system.bearings, {}
+    times = jnp.zeros(1) if mechanism.driven else jnp.linspace(0.0, duration, INSTANTS)
+    bearings, found = prepare(mechanism).bearings, {}
     for name, at_times in _pressed(mechanism, assemble(mechanism), times).items():
         loads = np.asarray(at_times.acceleration / jnp.maximum(at_times.lightness, LEAST_LIGHTNESS))
         worst = int(np.argmax(np.max(loads, axis=1)))

@@ -108,6 +108,11 @@ def is_traced(tree: Any) -> bool:
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
+def constant(tree: Any) -> Any:
+    """A tree that is not to be differentiated."""
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
+
+
 def quantity(
     default: Any = dataclasses.MISSING,
     unit: str = "1",

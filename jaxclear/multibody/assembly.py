@@ -191,9 +191,9 @@ def assemble_from(mechanism: Mechanism, coordinates: Array, speeds: Array, time:
     return start
 
 
-def determined(mechanism: Mechanism) -> tuple[str, ...]:
+def determined(mechanism: Mechanism, concentric: bool = True) -> tuple[str, ...]:
     """Names of coordinates that `start` gives although loops, drives, concentric journals and what
     is given before determine them. Raises `ValueError` for a start that is refused."""
-    start = assemble(mechanism)
+    start = assemble(mechanism, concentric)
     known = mechanism.start and not is_traced(start)
     return start_check.determined(mechanism, start) if known else ()

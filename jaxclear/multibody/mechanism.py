@@ -10,6 +10,7 @@ from typing import Any
 import equinox as eqx
 
 from jaxclear.components.body import Body, Connection
+from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, as_number, parameters
@@ -122,6 +123,11 @@ class Mechanism(AbstractQuantified):
 
     def __str__(self) -> str:
         return in_words(self)
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Joints whose coordinate a drive prescribes."""
+        return tuple(n for n, c in self.connections.items() if drive_of(c.joint) is not None)
 
     @property
     def baumgarte(self) -> Baumgarte | None:

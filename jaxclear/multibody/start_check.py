@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.clearance import AbstractPermanentJoint
-from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
@@ -88,11 +87,11 @@ def _open_loop(mechanism: Mechanism, start: Start, name: str) -> str:
 
 
 def _dead_point(mechanism: Mechanism, start: Start, name: str) -> str:
-    driven = [n for n, c in mechanism.connections.items() if drive_of(c.joint) is not None]
     return (
         f'the mechanism stands at a dead point: the loop through joint "{name}" cannot follow the '
-        f"drive of {', '.join(map(repr, driven))} from here, {_most(start.rates[name]):.3g} m/s "
-        "(or rad/s) remain. Drive another joint, or start elsewhere."
+        f"drive of {', '.join(map(repr, mechanism.driven))} from here, "
+        f"{_most(start.rates[name]):.3g} m/s (or rad/s) "
+        "remain. Drive another joint, or start elsewhere."
     )
 
 

@@ -14,8 +14,8 @@ and rod 2, J4 rod 2 and lever arm 2.
 
 Assumed, because the paper's text does not say: rods of 150 and 200 mm with a section of 20 mm by
 10 mm; lever arms of 60 mm of the same section, J3 at `lever_ratio` times the distance of J2 from
-the pivot; shaft and inertia plate together 0.13 kg m2 (a plate of steel of 0.3 m by 0.2 m by 36 mm
-about its long edge's middle); pins of the same steel as the bearing houses; "one percent of the
+the pivot; shaft and inertia plate together 0.13 kg m2 (as a plate of steel of 0.3 m by 0.2 m by
+21 mm about its long edge); pins of the same steel as the bearing houses; "one percent of the
 stiffness" in Adams' units, N and mm; the actuator moves as 5 mm (1 - cos 2 pi 4 t), from rest, as
 a servo does (a sine would begin at 0.13 m/s, and the play be taken up within a millisecond); no
 gravity (the paper names none, and no direction), pivots without friction.

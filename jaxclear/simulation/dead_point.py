@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxclear.components.joint.base import drive_of
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
@@ -44,11 +43,10 @@ def diagnosed_outcome(trajectory: Trajectory) -> Int[Array, ""]:
     """How a run ended, dead points told; pure. In a batch the search goes on only while some run of
     it has ended early."""
     history, outcome = trajectory.history, trajectory.outcome
-    driven = any(drive_of(c.joint) is not None for c in history.mechanism.connections.values())
-    if not driven or not history.mechanism.topology.loops:
+    if not history.mechanism.driven or not history.mechanism.topology.loops:
         return outcome
     # Nothing here is to be differentiated.
-    mechanism, states, times = _constant((history.mechanism, history.states, history.time))
+    mechanism, states, times = constant((history.mechanism, history.states, history.time))
     last = jnp.searchsorted(times, jax.lax.stop_gradient(trajectory.ended), side="right") - 1
     # The state before: a loop that came open was found open at the last.
     before, after = jnp.maximum(last - 1, 0), jnp.minimum(last + 1, len(times) - 1)
@@ -56,10 +54,6 @@ def diagnosed_outcome(trajectory: Trajectory) -> Int[Array, ""]:
     early = outcome != Outcome.REACHED
     closable = _closable(mechanism, q, times[before], times[after], early)
     return jnp.where(early & ~closable, Outcome.DEAD_POINT, outcome)
-
-
-def _constant(tree: Any) -> Any:
-    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
 
 
 @eqx.filter_jit

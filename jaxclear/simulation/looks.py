@@ -9,13 +9,13 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from jaxclear.formulations.model import Instant
+from jaxclear.ground.quantity import constant
 from jaxclear.native import while_loop
 from jaxclear.results.state_history import StateHistory, reader
 
@@ -41,7 +41,7 @@ def look(history: StateHistory) -> Looks:
     count = len(history.time) - 1
     intervals = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
     rows = np.concatenate([[0], 1 + intervals])
-    still = jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, history)
+    still = constant(history)
     time, states, read = jax.tree.map(
         lambda x: jnp.asarray(x)[rows], (still.time, still.states, still.read)
     )

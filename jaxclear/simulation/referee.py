@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.joint.base import drive_of
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
@@ -68,8 +67,9 @@ def refereed(
     ]
     places = _places(history)
     checks = _over_run([(jax.lax.stop_gradient(each), at) for each, at in parts], places)
-    sunk = {check: met[check][looks.intervals] for check in (Check.INDENTATION,) if check in met}
-    verdict = _ending(sunk | seen)
+    sunk = met.get(Check.INDENTATION)
+    judged = seen if sunk is None else {Check.INDENTATION: sunk[looks.intervals]} | seen
+    verdict = _ending(judged)
     if jnp.ndim(verdict) == 0:
         return dataclasses.replace(trajectory, checks=checks)
     bad = (verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
@@ -158,7 +158,7 @@ def _of_saved_states(
     those seen count)."""
     model, formulation = looks.seen.model(), looks.seen.formulation
     system = model.system
-    driven = any(drive_of(link.joint) is not None for link in system.links)
+    driven = looks.seen.mechanism.driven
     rubbing = bool(steps) and rubs(model)
     sinking = depths is None and bool(system.bearings) and not formulation.forces_are_means
 
@@ -189,7 +189,7 @@ def _depths(now: Instant, formulation: AbstractFormulation) -> Float[Array, " co
     """Indentation of every possible contact [m]."""
     reports = formulation.forces(now).reports.values()
     depths = [positive_part(point.indentation) for report in reports for point in report.points]
-    return jnp.asarray(sp.stack(depths), float)
+    return sp.stack(depths)
 
 
 def _energies(now: Instant, formulation: AbstractFormulation) -> dict[str, Float[Array, "3"]]:

@@ -134,7 +134,8 @@ class Problem(AbstractQuantified):
         seen = self.integrator.formulation.seen(mechanism)
         self.state = State() if state is None else state
         self.past = past_of(seen, self.integrator.formulation, self.state)
-        self.determined = determined(seen) if self.state.motion is None else ()
+        own = self.state.motion is None
+        self.determined = determined(seen, self.state.concentric) if own else ()
         for name, wanted in self.response.items():
             if not callable(wanted) or isinstance(wanted, type):
                 hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""

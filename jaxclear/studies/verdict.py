@@ -160,9 +160,14 @@ def copies_to_decide(trial: Trial, criteria: dict[str, Criterion]) -> int:
     return int(np.ceil(len(trial.outcome) * excess**2))
 
 
-def coarsest(trials: tuple[Trial, ...], criteria: dict[str, Criterion]) -> int | None:
-    """The first trial of a method that passes and whose finer neighbour passes too: one that passes
-    alone may do so by luck.
+def shown(trials: tuple[Trial, ...], criteria: dict[str, Criterion]) -> list[int]:
+    """The trials of a method that pass and whose finer neighbour passes too: one that passes alone
+    may do so by luck.
     """
     good = [passes(trial, criteria) for trial in trials]
-    return next((i for i in range(len(good) - 1) if good[i] and good[i + 1]), None)
+    return [i for i in range(len(good) - 1) if good[i] and good[i + 1]]
+
+
+def coarsest(trials: tuple[Trial, ...], criteria: dict[str, Criterion]) -> int | None:
+    """The first trial of a method that is `shown`; None without one."""
+    return next(iter(shown(trials, criteria)), None)

@@ -146,7 +146,6 @@ def _row(found: Comparison, choice: Choice, last: Comparison) -> dict[str, Any]:
 
 def _remark(found: Comparison, choice: Choice) -> str:
     criteria, trial = found.criteria, found.trial(choice)
-    first = verdict.coarsest(found.curves[choice.method].trials, criteria)
     if trial.failure:
         return trial.failure
     if verdict.undecided(trial, criteria):
@@ -157,6 +156,7 @@ def _remark(found: Comparison, choice: Choice) -> str:
             for name, one in criteria.items()
         )
         return "leaves too little for copies that were not seen" if near else "too inaccurate"
+    first = verdict.coarsest(found.curves[choice.method].trials, criteria)
     if first is None or choice.place < first:
         return "unconfirmed: its finer neighbour is missing or fails"
     return trial.warnings
@@ -165,12 +165,13 @@ def _remark(found: Comparison, choice: Choice) -> str:
 def _reason(found: Comparison, name: str, cost: float) -> str:
     """What is wrong with a method that is not recommended beside one of this cost [s/s]."""
     curve, criteria = found.curves[name], found.criteria
-    place = verdict.coarsest(curve.trials, criteria)
+    meet = [Choice(name, place) for place in verdict.shown(curve.trials, criteria)]
     finished = [trial for trial in curve.trials if not trial.failure]
-    if place is not None:
-        ratio = found.cost_of(Choice(name, place)) / cost
-        best = describe(curve.trials[place].integrator)
-        return f"dearer: {best} meets it at {ratio:.2g} times the cost."
+    if meet:
+        best = min(meet, key=found.cost_of)
+        ratio = found.cost_of(best) / cost
+        text = describe(found.trial(best).integrator)
+        return f"dearer: {text} meets it at {ratio:.2g} times the cost."
     if not finished:
         return f"fails: {curve.trials[-1].failure} {curve.stopped}"
     return f"{_shortcoming(finished, criteria)} {curve.stopped}"

@@ -43,11 +43,12 @@ class Comparison(eqx.Module):
     def choice(self) -> Choice:
         """The recommended trial; the most accurate one where none passes."""
         criteria = self.criteria
-        passing = []
-        for name, curve in self.curves.items():
-            place = verdict.coarsest(curve.trials, criteria)
-            if place is not None:
-                passing.append(Choice(name, place))
+        # Not the coarsest of each method: longer steps that are rejected may cost more.
+        passing = [
+            Choice(name, place)
+            for name, curve in self.curves.items()
+            for place in verdict.shown(curve.trials, criteria)
+        ]
         if passing:
             timed = [choice for choice in passing if self.batch is None or self.gain(choice)]
             return min(timed or passing, key=self.cost_of)
@@ -94,9 +95,9 @@ class Comparison(eqx.Module):
     def met(self) -> bool:
         """True where the recommended setting was shown to meet the accuracy, and not by luck."""
         criteria, choice = self.criteria, self.choice
-        from_here = self.curves[choice.method].trials[choice.place :]
-        shown = all(criterion.limit <= self.accuracy for criterion in criteria.values())
-        return shown and verdict.coarsest(from_here, criteria) == 0
+        trials = self.curves[choice.method].trials
+        known = all(criterion.limit <= self.accuracy for criterion in criteria.values())
+        return known and choice.place in verdict.shown(trials, criteria)
 
     @property
     def cost(self) -> float:
