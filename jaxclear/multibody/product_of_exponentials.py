@@ -106,7 +106,8 @@ def nominal_motion(rows: tuple[str, ...], relative: Transform) -> Transform:
     elif held == ACROSS_HELD:
         # The shortest turn that lays the child's z axis back into the plane across x.
         x, y, z = rotation[:, 2]
-        lean = safe_divide(jnp.arcsin(x), safe_sqrt(y * y + z * z))
+        across = safe_sqrt(y * y + z * z)
+        lean = safe_divide(jnp.arctan2(x, across), across)
         none = jnp.zeros_like(x)
         turn = exponentials([lean * jnp.stack([none, none, none, none, -z, y])])[0]
         rotation = turn[:3, :3] @ rotation

@@ -266,6 +266,18 @@ def test_nominal_motion_keeps_what_the_ideal_joint_leaves_free(joint, free):
         assert distance <= apart.min() and apart.min() < 1.2 * distance
 
 
+def test_nominal_motion_of_an_axis_that_stands_across_is_finite_with_its_derivative():
+    """The child's z axis along the parent's x, to rounding and beyond: the shortest turn is not one
+    but many, and the given pose is kept."""
+    across = jnp.asarray(matrix(ALONG_X, np.zeros(3)))
+    for share in (1.0, 1 + 2.0**-50, 1 - 2.0**-50):
+        given = across.at[:3, 2].set(jnp.array([share, 1e-30, 0.0]))
+        turn, moved = jax.jvp(lambda pose: nominal_motion(("x.z",), pose), (given,), (given,))
+        assert np.isfinite(turn).all() and np.isfinite(moved).all()
+    leant = jnp.asarray(matrix(Rotation.from_euler("y", 1.0).as_matrix(), np.zeros(3)))
+    np.testing.assert_allclose(nominal_motion(("x.z",), leant), np.eye(4), atol=1e-15)
+
+
 @pytest.mark.slow
 def test_error_over_a_run_recovers_deviations_and_adds_up(wobbling):
     run, _, deviations = wobbling
