@@ -5,9 +5,10 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is two functions, three that tell of the program, and two for Ctrl-C:
+The boundary is three functions, three that tell of the program, and two for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
+- `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
 - `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence;
 - `calls_lapack(after)`: whether the compiled program does, and cannot run beside another one;
@@ -16,6 +17,7 @@ The boundary is two functions, three that tell of the program, and two for Ctrl-
 On its way a loop passes through these files:
 
 - `loop`: the loop as a primitive of JAX: how it batches, differentiates and is lowered.
+- `rows`: functions as loops of one turn.
 - `control`, `arithmetic`, `elementary`, `shapes`, `indexing`, `reductions`: one rule for each of
   JAX's primitives, in the registry of `rules`: what it becomes as LLVM code.
 - `writer`: the text under construction. An array is a NumPy array of register names, so reshaping
@@ -27,8 +29,8 @@ On its way a loop passes through these files:
 - `verdicts`: which loops became kernels, and why others did not.
 
 JAX's own loop is taken instead where a primitive has no rule, where the program is long, where the
-check fails, on an accelerator, for derivatives, and with JAXCLEAR_PLAIN_LOOPS=1. The first three
-warn, once for each reason; all reasons are in the verdict.
+check fails, on an accelerator, for derivatives, and with JAXCLEAR_PLAIN_LOOPS=1. Of time loops the
+first three warn, once for each reason; all reasons are in the verdict.
 
 What a kernel holds of its arguments: constants and the first state as one packed row of floats for
 each sample (whole numbers and truth values as floats, exact to 2^53); constant arrays of more than
@@ -44,12 +46,14 @@ give it a case in tests/native/test_rules.py.
 """
 
 from jaxclear.native.loop import while_loop, with_fast_loops
+from jaxclear.native.rows import over_rows
 from jaxclear.native.stopping import stop, stoppable
 from jaxclear.native.verdicts import calls_lapack, explain, verdict
 
 __all__ = [
     "calls_lapack",
     "explain",
+    "over_rows",
     "stop",
     "stoppable",
     "verdict",

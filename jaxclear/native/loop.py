@@ -38,6 +38,21 @@ def while_loop(condition: Callable[[Any], Any], body: Callable[[Any], Any], firs
     """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over
     batches.
     """
+    return _loop(condition, body, first, False)
+
+
+def once(function: Callable, *numbers: Any) -> Any:
+    """A function of few numbers as a kernel: a loop of one turn. Differentiable as the function is;
+    where there is no kernel, samples of a batch are gone through one after the other.
+    """
+    traced = jax.jit(function)
+    shapes = jax.eval_shape(traced, *numbers)
+    nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shapes)
+    turn = lambda carry: (carry[0] + 1, traced(*numbers))
+    return _loop(lambda carry: carry[0] < 1, turn, (jnp.zeros((), int), nothing), True)[1]
+
+
+def _loop(condition: Callable, body: Callable, first: Any, once: bool) -> Any:
     first = jax.tree.map(jnp.asarray, first)
     leaves, structure = jax.tree.flatten(first)
     tests, fixed_tests = _open(jax.make_jaxpr(condition)(first))
@@ -46,7 +61,7 @@ def while_loop(condition: Callable[[Any], Any], body: Callable[[Any], Any], firs
         raise TypeError(
             f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
         )
-    program = Program(tests, turns, len(fixed_tests), len(fixed_turns))
+    program = Program(tests, turns, len(fixed_tests), len(fixed_turns), once)
     out = loop_p.bind(*fixed_tests, *fixed_turns, *leaves, program=program, rank=0)
     return jax.tree.unflatten(structure, out)
 
@@ -123,10 +138,12 @@ def _open(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:
 
 
 def reference(*values: Any, program: Program) -> list:
-    """The same by `jax.lax.while_loop`."""
+    """The same by `jax.lax.while_loop`, or by the body alone where it takes one turn."""
     c, b = program.condition_constants, program.body_constants
     tests, turns = jaxpr_as_fun(program.condition), jaxpr_as_fun(program.body)
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], list(values[c + b :])
+    if program.once:
+        return list(turns(*fixed_body, *first))
     return list(
         jax.lax.while_loop(
             lambda s: tests(*fixed_condition, *s)[0], lambda s: list(turns(*fixed_body, *s)), first
@@ -137,8 +154,14 @@ def reference(*values: Any, program: Program) -> list:
 def _batched_reference(*values, program, rank):
     function = functools.partial(reference, program=program)
     for _ in range(rank):
-        function = jax.vmap(function)
+        function = _row_by_row(function) if program.once else jax.vmap(function)
     return function(*values)
+
+
+def _row_by_row(function):
+    # XLA would fuse what a long function works out into every place that reads it, over whole
+    # arrays, and compile without end.
+    return lambda *values: jax.lax.map(lambda row: function(*row), values)
 
 
 @loop_p.def_impl
@@ -222,10 +245,10 @@ def _lower_on_cpu(ctx, *values, program, rank):
         return out
     except (Unsupported, ImportError) as missing:
         reason = f"there is no machine code for {missing}"
-        _warn_once(reason)
     except Exception as failure:
         # The fast path must not cost a run: say so, and let XLA compile the loop.
         reason = f"the kernel could not be written: {failure!r}"
+    if not program.once:
         _warn_once(reason)
     return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=reason)
 

@@ -16,13 +16,14 @@ from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 class Program(NamedTuple):
     """A while loop as two programs: condition over (its constants, state), body over (its
-    constants, state).
+    constants, state). `once`: it always takes one turn, and so is a function.
     """
 
     condition: ClosedJaxpr
     body: ClosedJaxpr
     condition_constants: int
     body_constants: int
+    once: bool = False
 
 
 def avals_of(program: Program) -> tuple[list, list]:

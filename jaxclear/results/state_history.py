@@ -5,7 +5,6 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -18,6 +17,7 @@ from jaxclear.ground.wording import unknown
 from jaxclear.multibody import kinematics, state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
+from jaxclear.native import over_rows
 
 
 class StateHistory(eqx.Module):
@@ -75,13 +75,6 @@ def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
     """Maps a function of an `Instant` over the saved states; tuples of numbers become arrays with
     time first.
     """
-    one, rows = reader(history, function)
-    return jax.vmap(one)(*rows)
-
-
-def reader(history: StateHistory, function: Callable[[Instant], Any]) -> tuple[Callable, tuple]:
-    """A function of an `Instant` as one of the numbers that are saved of it, and these numbers,
-    time first."""
     check_double_precision()
     model = history.model()
     system, layout = model.system, model.layout
@@ -94,7 +87,7 @@ def reader(history: StateHistory, function: Callable[[Instant], Any]) -> tuple[C
         return sp.dense(function(Instant(now, motions, q, v, time, entries, parts)))
 
     columns = [history.states[:, i] for i in range(layout.size)]
-    return one, (history.time, columns, history.read, history.mean_forces(layout))
+    return over_rows(one, history.time, columns, history.read, history.mean_forces(layout))
 
 
 def columns(value: Any) -> Any:
