@@ -41,4 +41,3 @@ def look(history: StateHistory) -> Looks:
         lambda x: jnp.asarray(x)[rows], (still.time, still.states, still.read)
     )
     return Looks(intervals, dataclasses.replace(still, time=time, states=states, read=read))
-
