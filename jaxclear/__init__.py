@@ -46,6 +46,8 @@ from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution
 from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
+from jaxclear.studies.life.settled import settled
+from jaxclear.studies.life.wear_life import wear_life
 from jaxclear.studies.monte_carlo import monte_carlo
 from jaxclear.studies.problem import Problem, Variable
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
@@ -95,9 +97,11 @@ __all__ = [
     "response",
     "scenes",
     "sensitivity",
+    "settled",
     "simulate",
     "stiffness",
     "vector",
     "wear",
+    "wear_life",
 ]
 __getattr__ = nothing_else("jaxclear", __all__)

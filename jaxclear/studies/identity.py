@@ -5,6 +5,8 @@ can say it.
 """
 
 import dataclasses
+import hashlib
+from types import CodeType
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +17,8 @@ from jaxclear.studies.problem import Problem
 
 # Longest description of a thing that differs, in characters.
 LONGEST = 60
+# Of a digest.
+DIGITS = 16
 
 
 def first_difference(one: Problem, other: Problem) -> str:
@@ -103,3 +107,45 @@ def _short(thing: Any) -> str:
     if isinstance(thing, dict):
         return f"{{{', '.join(map(repr, thing))}}}"[:LONGEST]
     return type(thing).__name__
+
+
+def in_texts(problem: Problem) -> dict[str, str]:
+    """A text for each part of a problem, by its path: two problems are one where these are the
+    same. Numbers with all their digits, large arrays and functions by a digest."""
+    found: dict[str, str] = {}
+    for what in ("mechanism", "response", "duration", "shares", "integrator", "state"):
+        _tell(getattr(problem, what), what, found)
+    for name in problem.names:
+        found[f'variable "{name}"'] = str(_places(problem, name))
+        _tell(problem.variables[name].distribution, f'distribution of "{name}"', found)
+    return found
+
+
+def _tell(thing: Any, path: str, found: dict[str, str]) -> None:
+    """Puts the texts of a part of a problem, and of its parts, into `found`."""
+    if eqx.is_array(thing) or isinstance(thing, np.ndarray):
+        values = np.asarray(thing)
+        digest = hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()[:DIGITS]
+        text = repr(values.item()) if values.ndim == 0 else f"an array {values.shape} {digest}"
+        found[path] = text
+    elif callable(thing) and getattr(thing, "__code__", None) is not None:
+        _tell_function(thing, path, found)
+    elif (parts := _parts(thing)) is not None:
+        found[path] = type(thing).__name__
+        for key, part in parts.items():
+            _tell(part, f"{path}{key}", found)
+    else:
+        found[path] = repr(thing)[:LONGEST]
+
+
+def _tell_function(function: Any, path: str, found: dict[str, str]) -> None:
+    """A function by what it does and with what."""
+    code = function.__code__
+    # Constants of a function may be code, whose text tells where it lies in memory.
+    constants = [c for c in code.co_consts if not isinstance(c, CodeType)]
+    said = repr((code.co_code, constants, code.co_names, code.co_varnames)).encode()
+    found[path] = f"the function {function.__name__} {hashlib.sha256(said).hexdigest()[:DIGITS]}"
+    for i, cell in enumerate(function.__closure__ or ()):
+        _tell(cell.cell_contents, f"{path} holds [{i}]", found)
+    for i, value in enumerate(function.__defaults__ or ()):
+        _tell(value, f"{path} by default [{i}]", found)

@@ -161,7 +161,8 @@ class Problem(AbstractQuantified):
 
     def nominal(self) -> Float[Array, " variables"]:
         """Nominal value of each variable."""
-        return jnp.stack([self._leaves(self.variables[name])[0] for name in self.names])
+        found = [self._leaves(self.variables[name])[0] for name in self.names]
+        return jnp.stack(found) if found else jnp.zeros(0)
 
     def units(self) -> dict[str, str]:
         """Unit of each response."""

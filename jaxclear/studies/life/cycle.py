@@ -1,0 +1,187 @@
+"""One cycle of a machine: from a state and worn surfaces to the state at its end, what wore, and
+the responses.
+
+Compiled once for a whole life: state, surfaces and numbers are inputs of the program.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxclear.formulations.base import model_of
+from jaxclear.ground.arguments import check_number, expect
+from jaxclear.integrators import Checks, Outcome
+from jaxclear.multibody import closure_coordinates
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import names
+from jaxclear.native import stoppable
+from jaxclear.results import response
+from jaxclear.results.saved_state import SavedMotion, State
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.beginning import Past, beginning
+from jaxclear.simulation.dead_point import diagnosed
+from jaxclear.simulation.loop import run
+from jaxclear.simulation.wear import Worn, unworn
+from jaxclear.studies.life.periodicity import apart
+from jaxclear.studies.problem import Problem
+
+
+class Cycle(eqx.Module):
+    """What is kept of a cycle: the motion at its `end`, by joint and surface the depth [m] and the
+    volume [m3] that `wore` and `lost`, the problem's `responses`, how far its two ends are `apart`
+    (`periodicity`), how its run ended (`outcome`) and when [s], and what that found out about
+    itself. Arrays on the host.
+    """
+
+    end: SavedMotion
+    wore: Worn
+    lost: dict[str, dict[str, Array]]
+    responses: dict[str, Array]
+    apart: dict[str, Array]
+    outcome: Int[Array, ""]
+    ended: Float[Array, ""]
+    checks: Checks
+
+    @property
+    def distance(self) -> float:
+        """How far its ends are apart [1], at the worst place; `nan` where its run failed."""
+        return float(np.max(list(self.apart.values()))) if self.apart else 0.0
+
+    @property
+    def worst(self) -> str:
+        """Where its ends are furthest apart."""
+        return max(self.apart, key=lambda name: float(self.apart[name])) if self.apart else ""
+
+    @property
+    def fault(self) -> str:
+        """Why it is of no use, in a sentence; "" for one that reached its end."""
+        if self.outcome != Outcome.REACHED:
+            sentence = Outcome(int(self.outcome)).sentence
+            return f"the run of a cycle ended early, at {float(self.ended):.6g} s. {sentence}"
+        numbers = [*jax.tree.leaves(self.wore), self.distance]
+        if not all(np.all(np.isfinite(each)) for each in numbers):
+            return "the run of a cycle reached its end with numbers that are not finite."
+        return ""
+
+
+@eqx.filter_jit
+def compiled_cycle(
+    problem: Problem, values: Float[Array, " variables"], begin: SavedMotion, worn: Worn
+) -> tuple[Cycle, Trajectory]:
+    """A cycle and its run."""
+    mechanism = problem.integrator.formulation.seen(problem.with_values(values))
+    times = begin.time + problem.shares * problem.duration
+    past = Past(worn, begin.remembered)
+    found = run(mechanism, begin.coordinates, begin.speeds, times, problem.integrator, past=past)
+    state = found.states[-1]
+    first, middle, beside = found.history.layout().coordinates, len(begin.names), begin.remembered
+    end = SavedMotion(
+        times[-1],
+        state[:first],
+        state[first:middle],
+        state[found.history.layout().remembered].reshape(beside.shape),
+        begin.names,
+        begin.remembered_names,
+    )
+    kept = Cycle(
+        end,
+        jax.tree.map(lambda after, before: after - before, found.worn, worn),
+        volumes(found),
+        {name: jnp.asarray(own(found), float) for name, own in problem.response.items()},
+        apart(found.history),
+        found.outcome,
+        found.ended,
+        found.checks,
+    )
+    return kept, found
+
+
+def cycle(
+    problem: Problem, values: Any, begin: SavedMotion, worn: Worn
+) -> tuple[Cycle, Trajectory]:
+    """A cycle simulated, and its run."""
+    with stoppable():
+        kept, found = jax.block_until_ready(compiled_cycle(problem, values, begin, worn))
+        found = diagnosed(found)
+    kept = dataclasses.replace(kept, outcome=found.outcome)
+    return jax.tree.map(np.asarray, kept), found
+
+
+def kind_of_cycle(problem: Problem, values: Any, begin: SavedMotion, worn: Worn) -> Cycle:
+    """A cycle of the problem with shapes in place of numbers; nothing is simulated."""
+    return eqx.filter_eval_shape(compiled_cycle, problem, values, begin, worn)[0]
+
+
+def volumes(found: Trajectory) -> Worn:
+    """Volume [m3] lost in a run, by joint and surface."""
+    return {
+        joint: {surface: found.worn_volume(joint, surface)[-1] for surface in surfaces}
+        for joint, surfaces in found.worn.items()
+    }
+
+
+def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
+    """Where the first cycle begins, and on which surfaces. Raises `ValueError` with a sentence for
+    a start that cannot be."""
+    formulation = problem.integrator.formulation
+    mechanism = formulation.seen(problem.with_values(values))
+    start, time, past = beginning(mechanism, formulation, problem.state)
+    model = model_of(mechanism, formulation)
+    layout = model.layout
+    rest = jnp.zeros(layout.size - layout.memory_start)
+    whole = jnp.concatenate([start.coordinates, start.speeds, rest])
+    time = jnp.asarray(time, float)
+    whole = closure_coordinates.started(mechanism, model.system, layout, time, whole)
+    remembered = whole[layout.remembered] if past.remembered is None else past.remembered
+    named = names(model.system, layout)
+    first, beside = layout.memory_start, layout.remembered
+    parts = start.coordinates, start.speeds, remembered
+    motion = SavedMotion(time, *parts, tuple(named[:first]), tuple(named[beside]))
+    return motion, unworn(model.system) if past.worn is None else past.worn
+
+
+def as_problem(owner: str, asked: Any, period: Any, state: State | None = None) -> Problem:
+    """The problem whose duration is one cycle: the one given, or a mechanism with its `period` [s],
+    the `state` from which it begins and the responses that one asks of it. Raises `ValueError` with
+    a sentence."""
+    if isinstance(asked, Problem):
+        if period is not None or state is not None:
+            raise ValueError(
+                f"{owner} is given a Problem, whose duration is the period and which has its own "
+                "state, and one of them besides: leave it out."
+            )
+        return asked
+    expect(asked, Mechanism, f"the first argument of {owner}", "a Mechanism or a Problem")
+    if period is None:
+        raise ValueError(f"{owner} of a mechanism needs its period [s]: how long one cycle takes.")
+    check_number(f"period of {owner}", period, "s", above=0)
+    return Problem(asked, usual_responses(asked), {}, duration=period, state=state)
+
+
+def usual_responses(mechanism: Mechanism) -> dict[str, Callable]:
+    """Mean and peak force of each joint with clearance; without any, the largest speed."""
+    joints = mechanism.topology.clearances
+    means: dict[str, Callable] = {
+        f"mean force {name}": response.MeanContactForce(name) for name in joints
+    }
+    peaks: dict[str, Callable] = {
+        f"peak force {name}": response.PeakContactForce(name) for name in joints
+    }
+    return means | peaks or {"largest speed [m/s]": largest_speed}
+
+
+def largest_speed(found: Trajectory) -> Array:
+    """Of the centres of mass of all bodies [m/s]."""
+    speeds = [jnp.linalg.norm(found.body(b).velocity, axis=-1) for b in found.mechanism.bodies]
+    return jnp.max(jnp.stack(speeds))
+
+
+def as_state(motion: SavedMotion, worn: Worn) -> State:
+    """The state from which a run goes on."""
+    return State(worn or None, motion=motion)

@@ -1,0 +1,123 @@
+"""A life on its way: rates of wear on the surfaces that the steps ask for, each from where the
+motion settled before, and what was found out on the way.
+
+Steps carry on a row of numbers: the depths of all cells, and behind them for each surface the mean
+depth that its lost volume makes, whose noise is far less than that of the cells.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from jaxclear.integrators import Checks
+from jaxclear.simulation.wear import Worn
+from jaxclear.studies.life.cycle import Cycle, cycle, first_state, kind_of_cycle
+from jaxclear.studies.life.prediction import Place, predicted, units_of_coordinates
+from jaxclear.studies.life.settling import Patience, Settling, settle
+from jaxclear.studies.life.steps import Cells, CycleFailed, Rate
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.store import Store
+
+
+class Living:
+    """A life on its way: its problem, the cycles simulated so far, where the motion settled."""
+
+    def __init__(self, problem: Problem, values: Any, patience: Patience, store: Store | None):
+        self.problem, self.values, self.patience, self.store = problem, values, patience, store
+        self.motion, self.worn = first_state(problem, values)
+        depth, self.unflat = flattened(self.worn)
+        self.areas = _areas(problem, self.worn)
+        self.cells = _cells(self.areas)
+        self.count = len(depth)
+        self.first_row = np.concatenate([depth, np.zeros(len(self.areas))])
+        seen = problem.integrator.formulation.seen(problem.mechanism)
+        self.units = units_of_coordinates(seen)
+        self.places: list[Place] = []
+        self.settlings: list[Settling] = []
+        self.simulated = 0
+        self.last_run: Any = None
+        self.kind: Any = None
+        if store is not None:
+            self.kind = kind_of_cycle(problem, values, self.motion, self.worn)
+
+    def evaluate(self, row: np.ndarray, set_down: bool = False) -> Rate:
+        """What a cycle wears on surfaces of these depths; not the one in which the machine is
+        `set_down`. Raises `CycleFailed`."""
+        depth = row[: self.count]
+        begin = predicted(self.places, depth, self.units) if self.places else self.motion
+        least = 2 if set_down else 1
+        found = settle(self._cycle, begin, self.unflat(depth), self.patience, least=least)
+        if found.last.fault:
+            raise CycleFailed(found.last.fault)
+        if not found.periodic:
+            # States of a motion that does not settle follow no line.
+            self.places.clear()
+        self.places.append(Place(depth, found.last.end))
+        self.settlings.append(found)
+        wear = self._row(found.wear, found.lost)
+        return Rate(wear, self._row(found.noise, found.noise_of_lost), len(found.cycles), found)
+
+    def _row(self, depths: Worn, volumes: Worn) -> np.ndarray:
+        """Depths of all cells, and behind them those of each surface as its volume has it."""
+        means = flattened(volumes)[0] / np.array([own.sum() for own in self.areas])
+        return np.concatenate([flattened(depths)[0], means])
+
+    def checks(self) -> Checks:
+        """The worst of every figure over all cycles that were taken as the motion."""
+        all_checks = [one.checks for s in self.settlings for one in s.taken]
+        worst = all_checks[0]
+        for other in all_checks[1:]:
+            worst = _worse(worst, other)
+        return worst
+
+    def _cycle(self, motion: Any, worn: Worn) -> Cycle:
+        """A cycle, from the store where it is there."""
+        begun = flattened((motion, worn))[0]
+        known = None if self.store is None else self.store.taken(begun, self.kind)
+        if known is None:
+            known, self.last_run = cycle(self.problem, self.values, motion, worn)
+            if self.store is not None:
+                self.store.add(begun, known)
+        self.simulated += 1
+        return known
+
+
+def _worse(one: Checks, other: Checks) -> Checks:
+    """Of each figure at each place the worse of two."""
+    figures = {}
+    for check, mine in one.figures.items():
+        theirs = other.figures[check]
+        more = theirs.worst > mine.worst
+        figures[check] = type(mine)(
+            jnp.where(more, theirs.worst, mine.worst),
+            jnp.where(more, theirs.time, mine.time),
+            mine.places,
+        )
+    return Checks(figures)
+
+
+def flattened(tree: Any) -> tuple[np.ndarray, Any]:
+    """All numbers in a row, and the way back."""
+    flat, back = ravel_pytree(tree)
+    return np.asarray(flat), back
+
+
+def _areas(problem: Problem, worn: Worn) -> list[np.ndarray]:
+    """Areas [m2] of the cells of each worn surface."""
+    connections = problem.mechanism.connections
+    areas = {
+        joint: {s: np.asarray(connections[joint].joint.maps()[s][0].areas()) for s in surfaces}
+        for joint, surfaces in worn.items()
+    }
+    return [own.ravel() for own in jax.tree.leaves(areas)]
+
+
+def _cells(areas: list[np.ndarray]) -> Cells:
+    """How depths stand in a row: cells of one surface after the other, then their mean depths."""
+    sizes = [*(own.size for own in areas), *(1 for _ in areas)]
+    ends = np.cumsum(sizes)
+    parts = tuple(slice(int(end - own), int(end)) for own, end in zip(sizes, ends, strict=True))
+    return Cells(parts, np.concatenate([*areas, np.ones(len(areas))]))

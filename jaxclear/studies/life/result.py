@@ -1,0 +1,269 @@
+"""A life as an answer: depth, volume and responses over cycles, how far they are to be trusted, and
+after how many cycles one of them reaches a limit.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.integrators import Checks
+from jaxclear.results.response import concerned
+from jaxclear.results.saved_state import State
+from jaxclear.simulation.wear import Worn
+from jaxclear.studies.life.curves import first_crossing, through_rates, without_overshoot
+from jaxclear.studies.life.settling import Settling
+from jaxclear.studies.life.steps import Cells, Node
+from jaxclear.studies.problem import Problem
+
+# A normal variable stays within this many deviations in 95 % of cases.
+CONFIDENCE = 1.96
+# The slope of a response is taken over twice this share of the life.
+SLOPE_OVER = 1e-3
+DEPTH, VOLUME = "depth", "volume"
+
+
+class Stage(NamedTuple):
+    """A point of a life at which cycles were run: the `node` of the steps, and how the motion
+    `settled` there."""
+
+    node: Node
+    settled: Settling
+
+
+class Lifetime(NamedTuple):
+    """Cycles after which a limit is reached (`inf` where it is not within the life that was asked
+    for), half the width of a 95 % interval, and a sentence."""
+
+    cycles: float
+    error: float
+    sentence: str
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+class WearLife(eqx.Module):
+    """The wear of a life. `stages` are the points at which cycles were run, `cells` say how depths
+    stand in a row, `new` are the surfaces at its start; `asked` [cycles] and `tolerance` [1] as
+    asked for; `ended` says why a life ended before its time, "" for one that did not; `simulated`
+    cycles were run in all, `rejected` steps taken back; `checks` is the worst that any cycle found
+    out about itself.
+    """
+
+    problem: Problem
+    stages: tuple[Stage, ...]
+    cells: Cells
+    new: Worn
+    checks: Checks
+    asked: float = eqx.field(static=True)
+    tolerance: float = eqx.field(static=True)
+    ended: str = eqx.field(static=True)
+    simulated: int = eqx.field(static=True)
+    rejected: int = eqx.field(static=True)
+
+    @property
+    def cycles(self) -> np.ndarray:
+        """Cycles of machine life at the stages."""
+        return np.array([stage.node.cycles for stage in self.stages])
+
+    @property
+    def surfaces(self) -> tuple[tuple[str, str], ...]:
+        """(joint, surface) of all that wears."""
+        # In the order of JAX, as the cells are.
+        return tuple(
+            (joint, surface) for joint in sorted(self.new) for surface in sorted(self.new[joint])
+        )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the cycles behind the life warn of."""
+        return self.checks.warnings
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Error of the depth at each stage, as a share of it: what the steps may be off and the
+        95 % interval of what noise has left, root mean squares over the cells, of the worst
+        surface."""
+        return self._errors(slice(0, len(self.surfaces)))
+
+    @property
+    def errors_of_volume(self) -> np.ndarray:
+        """The same of the volume lost."""
+        return self._errors(slice(len(self.surfaces), None))
+
+    def _errors(self, which: slice) -> np.ndarray:
+        first, found = self.stages[0].node.depth, []
+        for node in (stage.node for stage in self.stages):
+            off = node.error + CONFIDENCE * self.cells.sizes(np.sqrt(node.variance))
+            depth = np.maximum(self.cells.sizes(node.depth - first), np.finfo(float).tiny)
+            found.append(float(np.max((off / depth)[which], initial=0.0)) if node.cycles else 0.0)
+        return np.array(found)
+
+    @property
+    def error(self) -> float:
+        """Error of the depth at the end, as a share of it."""
+        return float(self.errors[-1])
+
+    @property
+    def quantities(self) -> dict[str, str]:
+        """What a life tells of, with its unit: the largest depth and the whole volume lost, those
+        of each surface, and the responses."""
+        own = {}
+        for joint, surface in self.surfaces:
+            own[f"{DEPTH} {joint} {surface}"] = "m"
+            own[f"{VOLUME} {joint} {surface}"] = "m^3"
+        return {DEPTH: "m", VOLUME: "m^3"} | own | self.problem.units()
+
+    def over_life(self, name: str, cycles: Any = None) -> np.ndarray:
+        """A quantity at the stages, or after so many `cycles`."""
+        check_known("quantity", name, self.quantities, " in this life")
+        at = self.cycles if cycles is None else np.asarray(cycles, float)
+        function = self._function(name)
+        return np.array([function(self._within(one)) for one in at.ravel()]).reshape(at.shape)
+
+    def worn(self, cycles: float | None = None) -> Worn:
+        """Depth of all surfaces [m] after so many cycles, by joint and surface; at the end without
+        a number. Between stages by cubics through depths and rates."""
+        at = self.cycles[-1] if cycles is None else cycles
+        flat, back = ravel_pytree(self.new)
+        return jax.tree.map(np.asarray, back(self._rows()(self._within(at))[: len(flat)]))
+
+    def state(self, cycles: float | None = None) -> State:
+        """A start of a run on surfaces worn so far."""
+        return State(self.worn(cycles))
+
+    def until(self, name: str, limit: float) -> Lifetime:
+        """After how many cycles a quantity first reaches a limit, in its unit: from "depth" (the
+        largest of all), "volume", those of one surface, or a response. The error is what that of
+        the depth, and for a response its noise and the way between stages, may shift it by."""
+        check_known("quantity", name, self.quantities, " in this life")
+        check_number("the limit", limit)
+        unit, last = self.quantities[name], float(self.cycles[-1])
+        function = self._function(name)
+        at = first_crossing(function, self.cycles, float(limit))
+        if at is None:
+            value = function(last)
+            sentence = f"The {name} is {value:.4g} {unit} after {last:.4g} cycles, not {limit:.4g}."
+            return Lifetime(np.inf, np.nan, f"{sentence} {self.ended}".rstrip())
+        error = self._shift(name, at)
+        told = f"The {name} reaches {limit:.4g} {unit} after {at:.4g} ± {error:.1g} cycles."
+        return Lifetime(at, error, told)
+
+    def _shift(self, name: str, at: float) -> float:
+        """By how many cycles errors may shift the time at which a quantity has its value."""
+        rows, last = self._rows(), float(self.cycles[-1])
+        kind = VOLUME if name.startswith(VOLUME) else DEPTH
+        errors = self.errors_of_volume if kind == VOLUME else self.errors
+        count = len(self.surfaces)
+        which = slice(count, None) if kind == VOLUME else slice(0, count)
+        wear = self.cells.sizes(rows.derivative()(at))[which]
+        lost = self.cells.sizes(rows(at) - rows(0.0))[which]
+        moved = float(np.interp(at, self.cycles, errors)) * lost
+        shift = float(np.max(np.divide(moved, wear, out=np.zeros_like(wear), where=wear > 0)))
+        if name not in self.problem.response_names:
+            return shift
+        function, step = self._function(name), SLOPE_OVER * last
+        low, high = max(at - step, 0.0), min(at + step, last)
+        slope = abs(function(high) - function(low)) / (high - low)
+        means, noise = np.array([stage.settled.responses()[name] for stage in self.stages]).T
+        curved = abs(function(at) - float(np.interp(at, self.cycles, means)))
+        own = CONFIDENCE * float(np.interp(at, self.cycles, noise)) + curved
+        return float(np.hypot(shift, own / slope)) if slope > 0 else np.inf
+
+    def _function(self, name: str) -> Callable[[float], float]:
+        """A quantity over cycles."""
+        if name in self.problem.response_names:
+            means = np.array([stage.settled.responses()[name][0] for stage in self.stages])
+            curve = without_overshoot(self.cycles, means)
+            return lambda at: float(curve(at))
+        kind, _, surface = name.partition(" ")
+        rows, places = self._rows(), self.surfaces
+        own = [i for i, place in enumerate(places) if surface in ("", " ".join(place))]
+        if kind == DEPTH:
+            parts = [self.cells.surfaces[i] for i in own]
+            return lambda at: float(max(rows(at)[part].max() for part in parts))
+        areas = [float(self.cells.areas[self.cells.surfaces[i]].sum()) for i in own]
+        first = [i - len(places) for i in own]
+        return lambda at: float(np.dot(areas, rows(at)[first]))
+
+    def _rows(self) -> Any:
+        """Depths of all cells and mean depths of all surfaces, in a row, over cycles."""
+        depth = np.array([stage.node.depth for stage in self.stages])
+        wear = np.array([stage.node.rate.wear for stage in self.stages])
+        return through_rates(self.cycles, depth, wear)
+
+    def _within(self, cycles: Any) -> float:
+        check_number("cycles of this life", cycles, at_least=0, at_most=float(self.cycles[-1]))
+        return float(cycles)
+
+    def sentence(self) -> str:
+        """How far the life went, from how many cycles, how deep it has worn, and what limits the
+        trust in it."""
+        reached, deepest = float(self.cycles[-1]), self.over_life(DEPTH)[-1]
+        back = f", {self.rejected} steps taken back" if self.rejected else ""
+        text = f"{reached:.4g} cycles of machine life from {self.simulated} simulated ones{back}: "
+        known = [100 * own for own in (self.error, self.errors_of_volume[-1])]
+        text += f"{deepest:.4g} m deep, known to {known[0]:.2g} %, the volume to {known[1]:.2g} %."
+        if self.ended:
+            early = f"The life ended before its {self.asked:.4g} cycles: {self.ended}"
+            text = f"{early} Until then, {text}"
+        restless = sum(not stage.settled.periodic for stage in self.stages)
+        if restless:
+            text += (
+                f" At {restless} of {len(self.stages)} stages no cycle is periodic: rates are "
+                "means over cycles, and their noise is part of that error."
+            )
+        if self.error > self.tolerance:
+            text += f" That is more than the {100 * self.tolerance:.2g} % asked for."
+        return text
+
+    def __str__(self) -> str:
+        return "\n".join([self.sentence(), *self.warnings])
+
+    def concerned(self, response: str) -> bool:
+        """Whether a warning concerns this response."""
+        wanted = self.problem.response[response]
+        return any(
+            worst > check.limit and concerned(wanted, check.concerns)
+            for check, worst, _, _ in self.checks.rows()
+        )
+
+    def table(self) -> Any:
+        """A pandas table, a row a stage: cycles, depths, volumes, the error of the depth [1],
+        whether the motion is periodic, responses with their standard errors."""
+        import pandas
+
+        columns: dict[str, Any] = {"cycles": self.cycles}
+        for name, unit in self.quantities.items():
+            label = name if unit == "1" else f"{name} [{unit}]"
+            columns[label] = self.over_life(name)
+            if name in self.problem.response_names:
+                columns[f"{name} error"] = [
+                    stage.settled.responses()[name][1] for stage in self.stages
+                ]
+        columns["error of depth"] = self.errors
+        columns["error of volume"] = self.errors_of_volume
+        columns["periodic"] = [stage.settled.periodic for stage in self.stages]
+        return pandas.DataFrame(columns)
+
+    def to_dataset(self) -> Any:
+        """Everything as an xarray Dataset over cycles: maps and rates of all surfaces, responses,
+        errors."""
+        import xarray
+
+        columns: dict[str, Any] = {}
+        for joint, surface in self.surfaces:
+            dims = ("cycles", f"{joint}.{surface}.around", f"{joint}.{surface}.along")
+            maps = [self.worn(at)[joint][surface] for at in self.cycles]
+            columns[f"{joint}.{surface}.worn"] = (dims, np.stack(maps), {"units": "m"})
+        for name, unit in self.quantities.items():
+            columns[name] = ("cycles", self.over_life(name), {"units": unit})
+        columns["error of depth"] = ("cycles", self.errors, {"units": "1"})
+        columns["error of volume"] = ("cycles", self.errors_of_volume, {"units": "1"})
+        told = {"result": self.sentence(), "warnings": " ".join(self.warnings)}
+        return xarray.Dataset(columns, {"cycles": self.cycles}, told | self.checks.attributes())

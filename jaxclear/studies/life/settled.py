@@ -1,0 +1,197 @@
+"""The settled cycle of a machine: `jaxclear.settled`.
+
+A machine that is set down begins with a motion of its own, a journal that falls through its play.
+After some cycles it ends each one as it began it, or it never does: then a cycle is known by means.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.components.joint.base import drive_of
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags, check_number
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.results.saved_state import State
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation import progress
+from jaxclear.simulation.simulate import SimulationError
+from jaxclear.simulation.wear import Worn
+from jaxclear.studies.life.cycle import Cycle, as_problem, as_state, cycle, first_state
+from jaxclear.studies.life.settling import Patience, Settling, correlation_factor, settle, total
+from jaxclear.studies.problem import Problem
+
+# A place within this of where it was [rad, m] is the same place; a period is written with so many
+# digits.
+SAME_PLACE = 1e-5
+
+
+class Settled(eqx.Module):
+    """The settled cycle. `settling` holds all cycles that were run, `run` is the last of them,
+    `worn` the surfaces on which each began; `tolerance` [1] as it was asked for.
+    """
+
+    problem: Problem
+    settling: Settling
+    run: Trajectory
+    worn: Worn
+    tolerance: float = eqx.field(static=True)
+
+    @property
+    def periodic(self) -> bool:
+        """Whether the last cycle ended as it began, within the tolerance."""
+        return self.settling.periodic
+
+    @property
+    def cycles(self) -> int:
+        """Cycles run."""
+        return len(self.settling.cycles)
+
+    @property
+    def state(self) -> State:
+        """Where the next cycle begins, on the surfaces on which the last one began."""
+        return as_state(self.settling.last.end, self.worn)
+
+    @property
+    def wear(self) -> Worn:
+        """Depth [m] that a cycle wears, by joint and surface: of the last one where the motion is
+        periodic, otherwise the mean."""
+        return self.settling.wear
+
+    @property
+    def noise(self) -> Worn:
+        """Standard error of `wear` [m], cell by cell; 0 where the motion is periodic."""
+        return self.settling.noise
+
+    @property
+    def responses(self) -> dict[str, tuple[float, float]]:
+        """Each response of a cycle, and its standard error (0 where the motion is periodic)."""
+        return self.settling.responses()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the cycles that are taken as the motion warn of."""
+        told = [one.checks.warnings for one in self.settling.taken]
+        return tuple(dict.fromkeys(sentence for own in told for sentence in own))
+
+    def sentence(self) -> str:
+        """After how many cycles the motion is periodic, or that it is not, and what then is known
+        of its means."""
+        last, period = self.settling.last, float(self.problem.duration)
+        if last.fault:
+            return f"Cycle {self.cycles}: {last.fault}"
+        told = f"{last.worst} is {last.distance:.2g} from where it was a cycle before"
+        limit = f"(tolerance {self.tolerance:.2g})"
+        if self.periodic:
+            count = f"{self.cycles} cycle{'' if self.cycles == 1 else 's'} of {period:.6g} s"
+            return f"Periodic after {count}: {told} {limit}."
+        text = f"Not periodic after {self.cycles} cycles of {period:.6g} s: {told} {limit}."
+        means = f"{text} Means are over the last {self.settling.measured} cycles"
+        lost = np.array([total(one) for one in self.settling.taken])
+        if not lost.any():
+            return f"{means}."
+        error = correlation_factor(lost) * lost.std() / np.sqrt(max(len(lost) - 1, 1)) / lost.mean()
+        return f"{means}; the volume worn in a cycle is known to {100 * error:.2g} % (one sigma)."
+
+    def __str__(self) -> str:
+        return "\n".join([self.sentence(), *self.warnings])
+
+    def table(self) -> Any:
+        """A pandas table, a row a cycle: how far its ends are apart and where most, the volume
+        [m^3] lost by each surface, the responses, whether it is taken as the motion."""
+        import pandas
+
+        rows = []
+        for number, one in enumerate(self.settling.cycles, 1):
+            lost = {
+                f"{joint} {surface} [m^3]": float(volume)
+                for joint, surfaces in one.lost.items()
+                for surface, volume in surfaces.items()
+            }
+            taken = number > self.cycles - self.settling.measured
+            row = {"cycle": number, "apart": one.distance, "most": one.worst, "taken": taken}
+            units = self.problem.units()
+            told = {
+                name if units[name] == "1" else f"{name} [{units[name]}]": float(value)
+                for name, value in one.responses.items()
+            }
+            rows.append(row | lost | told)
+        return pandas.DataFrame(rows)
+
+
+@answering
+def settled(
+    asked: Mechanism | Problem,
+    period: float | None = None,
+    *,
+    state: State | None = None,
+    tolerance: float = 1e-3,
+    cycles: int = 20,
+    progress_bar: bool = False,
+    throw: bool = True,
+) -> Settled:
+    """Run cycle after cycle until one ends as it began: a mechanism and its `period` [s], or a
+    `Problem` whose duration is the period, at its nominal numbers.
+
+    Each cycle goes on where the one before stood; worn surfaces are put back to what they were. A
+    cycle is periodic where its two ends are within `tolerance`: places of bodies in longest arms of
+    the mechanism, attitudes in rad (whole turns left out), velocities in the largest of the cycle,
+    journals in clearances. After `cycles` of them without one, the later half is taken for means
+    with their noise, as is right for chaotic motion. `state`: where the first one begins. Raises
+    `ValueError` where drives do not repeat after a period, and, unless `throw=False`,
+    `SimulationError` for a cycle that ends early.
+    """
+    problem = as_problem("settled", asked, period, state)
+    check_number("tolerance of settled", tolerance, above=0)
+    check_count("cycles of settled", cycles, 1)
+    check_flags("settled", progress_bar=progress_bar, throw=throw)
+    values = problem.nominal()
+    begin, worn = first_state(problem, values)
+    runs: list[Trajectory] = []
+
+    def one(motion, surfaces):
+        kept, run = cycle(problem, values, motion, surfaces)
+        runs[:] = [run]
+        progress.advance(1 / cycles)
+        return kept
+
+    with progress.bar(progress_bar, "settling"):
+        found = settle(
+            one, begin, worn, Patience(tolerance, 1.0, cycles), lambda c: not restless(problem, c)
+        )
+    result = Settled(problem, found, runs[0], worn, tolerance)
+    if found.last.fault:
+        if throw:
+            raise SimulationError(result.sentence(), runs[0])
+        return result
+    check_period("settled", problem, found.last)
+    return result
+
+
+def restless(problem: Problem, one: Cycle) -> dict[str, tuple[float, float]]:
+    """The drives that do not repeat over a cycle: by joint, what they move it by [rad, m], and how
+    far that is from where it was."""
+    end, found = one.end.time, {}
+    for name in problem.mechanism.driven:
+        joint = problem.mechanism.connections[name].joint
+        drive = drive_of(joint)
+        assert drive is not None
+        before, after = (drive.motion(t)[0] for t in (end - problem.duration, end))
+        poses = [joint.motion((q,)) for q in (before, after)]
+        parts = [np.array([[*p.rotation[i], p.translation[i]] for i in range(3)]) for p in poses]
+        away = float(np.linalg.norm(parts[1] - parts[0]))
+        if away > SAME_PLACE:
+            found[name] = float(after - before), away
+    return found
+
+
+def check_period(owner: str, problem: Problem, one: Cycle) -> None:
+    """Raises `ValueError` where a drive does not repeat over a cycle."""
+    for name, (moved, away) in restless(problem, one).items():
+        unit = problem.mechanism.connections[name].joint.units[0]
+        raise ValueError(
+            f'the drive of joint "{name}" moves it by {moved:.6g} {unit} in a period of '
+            f"{float(problem.duration):.6g} s, which leaves it {away:.2g} from where it was: give "
+            f"{owner} the period after which the drives repeat."
+        )

@@ -1,0 +1,148 @@
+"""Cycles, one after the other on the same surfaces, until one ends as it began; and means over
+cycles where none does.
+
+Surfaces are put back after every cycle: what wears in one is far below what moves a journal, and so
+the motion has a state to settle in.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxclear.results.saved_state import SavedMotion
+from jaxclear.simulation.wear import Worn
+from jaxclear.studies.life.cycle import Cycle
+
+# A mean over fewer cycles has no error worth the name.
+FEWEST = 4
+# A correlation of neighbours above this is told from a trend by no few cycles.
+MOST_CORRELATED = 0.9
+# Of a volume [m3] that is none.
+TINY = np.finfo(float).tiny
+
+Runner = Callable[[SavedMotion, Worn], Cycle]
+
+
+class Patience(NamedTuple):
+    """When settling ends: ends of a cycle `within` of each other [1] (`periodicity`), the mean of
+    the volume lost known to `noise` (1: as large as itself), or after `most` cycles."""
+
+    within: float
+    noise: float
+    most: int
+
+
+class Settling(NamedTuple):
+    """The cycles of one settling, whether the last is periodic, and how many of the last ones are
+    to be taken as the motion."""
+
+    cycles: tuple[Cycle, ...]
+    periodic: bool
+    measured: int
+
+    @property
+    def taken(self) -> tuple[Cycle, ...]:
+        """The cycles that are taken as the motion."""
+        return self.cycles[-self.measured :]
+
+    @property
+    def last(self) -> Cycle:
+        return self.cycles[-1]
+
+    @property
+    def wear(self) -> Worn:
+        """Depth [m] that a cycle wears, by joint and surface."""
+        return jax.tree.map(lambda *all: np.mean(all, axis=0), *(c.wore for c in self.taken))
+
+    @property
+    def noise(self) -> Worn:
+        """Standard error of `wear` [m]; 0 where the motion is periodic."""
+        factor = correlation_factor([total(c) for c in self.taken])
+        return jax.tree.map(
+            lambda *all: factor * standard_error(np.stack(all)), *(c.wore for c in self.taken)
+        )
+
+    @property
+    def lost(self) -> Worn:
+        """Volume [m3] that a cycle takes, by joint and surface."""
+        return jax.tree.map(lambda *all: np.mean(all), *(c.lost for c in self.taken))
+
+    @property
+    def noise_of_lost(self) -> Worn:
+        """Standard error of `lost` [m3]."""
+        factor = correlation_factor([total(c) for c in self.taken])
+        return jax.tree.map(
+            lambda *all: factor * standard_error(np.stack(all)), *(c.lost for c in self.taken)
+        )
+
+    @property
+    def relative_noise(self) -> float:
+        """Standard error of the volume that a cycle takes beside it, of the worst surface."""
+        shares = jax.tree.map(lambda e, v: e / max(v, TINY), self.noise_of_lost, self.lost)
+        return float(max(jax.tree.leaves(shares), default=0.0))
+
+    def responses(self) -> dict[str, tuple[float, float]]:
+        """Mean of each response over the cycles taken, and its standard error."""
+        found = {}
+        for name in self.last.responses:
+            own = np.array([c.responses[name] for c in self.taken])
+            error = correlation_factor(own) * float(standard_error(own))
+            found[name] = float(own.mean()), error
+        return found
+
+
+def total(cycle: Cycle) -> float:
+    """Volume [m3] lost in a cycle by all surfaces."""
+    return float(sum(jax.tree.leaves(cycle.lost)))
+
+
+def standard_error(values: np.ndarray) -> np.ndarray:
+    """Of the mean over the first axis, as if the values were independent."""
+    if len(values) < 2:
+        return np.zeros(values.shape[1:])
+    return values.std(axis=0, ddof=1) / np.sqrt(len(values))
+
+
+def correlation_factor(values: Any) -> float:
+    """By how much a standard error is larger because neighbours are alike: that of a series whose
+    correlation falls geometrically, from its first correlation.
+
+    Source: Box, Jenkins & Reinsel 2008, Time Series Analysis, 4th ed., chapter 2.
+    """
+    apart = np.asarray(values) - np.mean(values)
+    spread = float(np.sum(apart * apart))
+    if len(apart) < 2 or spread == 0:
+        return 1.0
+    alike = min(max(float(np.sum(apart[1:] * apart[:-1])) / spread, 0.0), MOST_CORRELATED)
+    return float(np.sqrt((1 + alike) / (1 - alike)))
+
+
+def settle(
+    run: Runner,
+    begin: SavedMotion,
+    worn: Worn,
+    patience: Patience,
+    ready: Callable = lambda c: True,
+    least: int = 1,
+) -> Settling:
+    """At `least` so many cycles from a state until one is periodic and `ready`, until their mean
+    is known well enough, or until patience ends. Then all but the first are taken where a mean was
+    wanted, otherwise the later half. A cycle that fails is the last."""
+    cycles: list[Cycle] = []
+    while len(cycles) < patience.most:
+        one = run(begin, worn)
+        cycles.append(one)
+        if one.fault:
+            return Settling(tuple(cycles), False, 1)
+        begin = one.end
+        if len(cycles) >= least and one.distance <= patience.within and ready(one):
+            return Settling(tuple(cycles), True, 1)
+        # The first one falls into its place.
+        found = Settling(tuple(cycles), False, len(cycles) - 1)
+        known = found.measured >= FEWEST and found.relative_noise <= patience.noise
+        if known and patience.noise < 1 and ready(one):
+            return found
+    wanted = len(cycles) - 1 if patience.noise < 1 else len(cycles) // 2
+    return Settling(tuple(cycles), False, max(1, wanted))

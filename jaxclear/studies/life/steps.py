@@ -1,0 +1,217 @@
+"""From the depth that a cycle wears to the depth of a life: steps of many cycles with an error
+control.
+
+The embedded pair of Bogacki and Shampine, carried on with its third-order answer. Its own estimate
+is the error of its second-order answer, far too large for that; multiplied by three times the
+relative change of the rate over the step it is the error of the third-order answer, 1.5 times too
+large where wear dies away exponentially. An error is a root mean square over the cells of a
+surface, as a share of what it wears in the step, of the worst surface: so the shares asked for are
+those of a whole life.
+
+Source: Bogacki & Shampine 1989, Appl. Math. Lett. 2, 321, doi:10.1016/0893-9659(89)90079-7.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax
+import numpy as np
+
+TABLEAU = diffrax.Bosh3.tableau
+WEIGHTS, ERRORS = np.asarray(TABLEAU.b_sol), np.asarray(TABLEAU.b_error)
+STAGES = tuple(np.asarray(row) for row in TABLEAU.a_lower)
+# Of y' = -y the errors of third and second order are as 2 z to 1, z the change of the rate.
+OF_THIRD_ORDER = 3.0
+# Error of a step, as a share of what it wears, beside the cube of the change of the rate: the same
+# equation.
+OF_CUBE = OF_THIRD_ORDER / 48.0
+# A step aims at this share of the error allowed, and is at most so many times the one before.
+SAFETY, GROWTH, LEAST = 0.9, 3.0, 0.1
+# A step that is this many times too long is given up after its second rate.
+HOPELESS = 2.0
+# A surface that wears less than this share of the one that wears most is judged beside that.
+NEGLIGIBLE = 0.01
+# Noise that an estimate consists of within two standard errors is no error.
+CONFIDENCE = 2.0
+# So often a step is shortened after a cycle has failed.
+MOST_FAILURES = 3
+
+
+class CycleFailed(RuntimeError):
+    """A rate that does not exist; the sentence says why."""
+
+
+class Rate(NamedTuple):
+    """Depth [m] that a cycle wears in each cell, its standard error, the number of cycles that it
+    took to know it, and what else these told."""
+
+    wear: np.ndarray
+    noise: np.ndarray
+    cost: int
+    told: Any = None
+
+
+class Cells(NamedTuple):
+    """How the cells of all surfaces stand in one row: those of each surface, and all their areas
+    [m2]."""
+
+    surfaces: tuple[slice, ...]
+    areas: np.ndarray
+
+    def sizes(self, depths: np.ndarray) -> np.ndarray:
+        """Root mean square over the cells of each surface."""
+        squares = self.areas * depths * depths
+        return np.array(
+            [np.sqrt(squares[own].sum() / self.areas[own].sum()) for own in self.surfaces]
+        )
+
+    def shares(self, errors: np.ndarray, of: np.ndarray) -> np.ndarray:
+        """Sizes of errors as shares of those of something else, by surface."""
+        whole = self.sizes(of)
+        whole = np.maximum(whole, NEGLIGIBLE * whole.max(initial=0.0))
+        return np.divide(self.sizes(errors), whole, out=np.zeros(len(whole)), where=whole > 0)
+
+    def share(self, errors: np.ndarray, of: np.ndarray) -> float:
+        """Of the worst surface."""
+        return float(self.shares(errors, of).max(initial=0.0))
+
+
+class Node(NamedTuple):
+    """A point of a life: after so many `cycles` the `depth` [m] of each cell and the `rate`; since
+    the start the `error` [m], by surface, and the variance [m2] that noise has left in each
+    cell."""
+
+    cycles: float
+    depth: np.ndarray
+    rate: Rate
+    error: np.ndarray
+    variance: np.ndarray
+
+
+class Stepped(NamedTuple):
+    """Nodes of a life, how many steps were taken back, and why it ended before its time; ""."""
+
+    nodes: tuple[Node, ...]
+    rejected: int
+    ended: str
+
+
+Evaluate = Callable[[np.ndarray], Rate]
+# Hears of the share of the life by which it has gone on.
+Hear = Callable[[float], None]
+
+
+def live(
+    evaluate: Evaluate,
+    start: Node,
+    cells: Cells,
+    cycles: float,
+    tolerance: float,
+    first: float,
+    hear: Hear = lambda share: None,
+) -> Stepped:
+    """Steps to the end of `cycles`, each with an error of at most `tolerance` [1] of what it wears;
+    the `first` is so many cycles long. Steps that would be no longer than what their rates cost
+    give way to cycles one by one."""
+    nodes, rejected, failures, length = [start], 0, 0, first
+    while cycles - nodes[-1].cycles > 1e-9 * cycles:
+        now, left = nodes[-1], cycles - nodes[-1].cycles
+        length = left / np.ceil(left / length - 1e-9)
+        try:
+            if min(length, left) <= len(STAGES) * now.rate.cost:
+                nodes.append(_one_by_one(evaluate, now, min(1.0, left)))
+                length = max(length, 1.0) * GROWTH
+                hear(min(1.0, left) / cycles)
+                continue
+            after, factor = _stepped(evaluate, now, cells, length, tolerance)
+        except CycleFailed as reason:
+            failures, rejected = failures + 1, rejected + 1
+            if failures > MOST_FAILURES or length <= 1.0:
+                return Stepped(tuple(nodes), rejected, str(reason))
+            length *= LEAST
+            continue
+        if after is None:
+            rejected += 1
+        else:
+            nodes.append(after)
+            failures = 0
+            hear(length / cycles)
+        length *= factor
+    return Stepped(tuple(nodes), rejected, "")
+
+
+def live_by_jumps(
+    evaluate: Evaluate,
+    start: Node,
+    cells: Cells,
+    cycles: float,
+    jump: float,
+    hear: Hear = lambda share: None,
+) -> Stepped:
+    """Steps of `jump` cycles, each with the rate at its start; half of what the next rate says
+    otherwise is their error."""
+    nodes = [start]
+    while cycles - nodes[-1].cycles > 1e-9 * cycles:
+        now = nodes[-1]
+        length = min(jump, cycles - now.cycles)
+        try:
+            depth = now.depth + length * now.rate.wear
+            rate = evaluate(depth)
+        except CycleFailed as reason:
+            return Stepped(tuple(nodes), 0, str(reason))
+        error = now.error + cells.sizes(0.5 * length * (rate.wear - now.rate.wear))
+        variance = now.variance + (length * now.rate.noise) ** 2
+        nodes.append(Node(now.cycles + length, depth, rate, error, variance))
+        hear(length / cycles)
+    return Stepped(tuple(nodes), 0, "")
+
+
+def _one_by_one(evaluate: Evaluate, now: Node, length: float) -> Node:
+    """A cycle (or what is left of one) as it was simulated."""
+    depth = now.depth + length * now.rate.wear
+    variance = now.variance + (length * now.rate.noise) ** 2
+    return Node(now.cycles + length, depth, evaluate(depth), now.error, variance)
+
+
+def _stepped(
+    evaluate: Evaluate, now: Node, cells: Cells, length: float, tolerance: float
+) -> tuple[Node | None, float]:
+    """(the node after a step of `length` cycles, None where it is taken back; the factor by which
+    the next one is longer)."""
+    rates = [now.rate]
+    for row in STAGES:
+        depth = now.depth + length * sum(a * own.wear for a, own in zip(row, rates, strict=True))
+        rates.append(evaluate(depth))
+        if len(rates) == 2:
+            change = _change(cells, rates[0], rates[1]) / row[0]
+            far = change * (OF_CUBE / tolerance) ** (1 / 3)
+            if far > HOPELESS:
+                return None, max(SAFETY / far, LEAST)
+    # The last stage is the answer of third order: `depth` is where the step ends.
+    grown = depth - now.depth
+    estimate = length * sum(w * own.wear for w, own in zip(ERRORS, rates, strict=True))
+    noise = length * np.sqrt(sum((w * r.noise) ** 2 for w, r in zip(ERRORS, rates, strict=True)))
+    shares = _beyond(cells.shares(estimate, grown), cells.shares(noise, grown))
+    shares = shares * OF_THIRD_ORDER * _change(cells, rates[0], rates[-1])
+    error = float(shares.max(initial=0.0))
+    factor = GROWTH if error == 0 else SAFETY * (tolerance / error) ** (1 / 3)
+    factor = float(np.clip(factor, LEAST, GROWTH))
+    if error > tolerance:
+        return None, factor
+    left = sum((w * r.noise) ** 2 for w, r in zip(WEIGHTS, rates, strict=True))
+    whole = now.error + shares * cells.sizes(grown)
+    variance = now.variance + length**2 * left
+    return Node(now.cycles + length, depth, rates[-1], whole, variance), factor
+
+
+def _change(cells: Cells, one: Rate, other: Rate) -> float:
+    """Relative change between two rates, beyond their noise."""
+    less = min((one.wear, other.wear), key=lambda wear: float(cells.sizes(wear).max(initial=0.0)))
+    noise = np.hypot(one.noise, other.noise)
+    found = _beyond(cells.shares(other.wear - one.wear, less), cells.shares(noise, less))
+    return float(found.max(initial=0.0))
+
+
+def _beyond(sizes: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Sizes without what noise explains."""
+    return np.sqrt(np.maximum(sizes**2 - (CONFIDENCE * noise) ** 2, 0.0))

@@ -1,0 +1,148 @@
+"""The wear of a machine over its life: `jaxclear.wear_life`.
+
+A cycle is simulated, what it wears carried on over as many cycles as an error control allows, and
+so on, each cycle from where the one before settled. One program is compiled for the whole life:
+worn surfaces are an input of it.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags, check_number
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.simulation import progress
+from jaxclear.simulation.simulate import SimulationError
+from jaxclear.studies.identity import in_texts
+from jaxclear.studies.life.cycle import as_problem
+from jaxclear.studies.life.living import Living
+from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
+from jaxclear.studies.life.settled import check_period
+from jaxclear.studies.life.settling import Patience
+from jaxclear.studies.life.steps import CycleFailed, Node, Stepped, live, live_by_jumps
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.store import Store
+
+# Ends of a cycle this far apart are the same, as in `settled`.
+SETTLED = 1e-3
+# The first step wears at most this share of the smallest clearance, in at most this share of the
+# life.
+FIRST_DEPTH, FIRST_SHARE = 0.1, 0.25
+
+
+@answering
+def wear_life(
+    asked: Mechanism | Problem,
+    cycles: float = 1e6,
+    *,
+    period: float | None = None,
+    tolerance: float = 1e-2,
+    jump: float | None = None,
+    most: int = 12,
+    store: str | Path | None = None,
+    progress_bar: bool = False,
+) -> WearLife:
+    """The wear of a life of so many `cycles`, from few simulated ones: of a mechanism and its
+    `period` [s], or of a `Problem` whose duration is the period and whose responses are followed,
+    at its nominal numbers.
+
+    Steps are as long as lets each be wrong by `tolerance` [1] of what it wears, and so the whole
+    life (root mean square over the cells of a surface); `jump` [cycles] gives them a fixed length
+    instead, each with the rate at its start. The rate is that of a periodic cycle (`settled`);
+    where none comes it is a mean over as many as bring its noise below the tolerance, `most` at the
+    most, and what noise is left belongs to the error. `store`: a folder (Zarr) that keeps every
+    cycle; asked again, the life goes on from there. A cycle that fails ends the life, with what was
+    reached and why. Raises `ValueError` with a sentence for what cannot be asked, and
+    `SimulationError` where the very first cycle fails.
+    """
+    problem = as_problem("wear_life", asked, period)
+    check_number("cycles of wear_life", cycles, above=0)
+    check_number("tolerance of wear_life", tolerance, above=0)
+    if jump is not None:
+        check_number("jump of wear_life", jump, at_least=1)
+    check_count("most of wear_life", most)
+    check_flags("wear_life", progress_bar=progress_bar)
+    _check_wears(problem)
+    _check_names(problem)
+    kept = None if store is None else Store.opened(store, "a wear life", in_texts(problem))
+    living = Living(problem, problem.nominal(), Patience(SETTLED, tolerance, most), kept)
+    with progress.bar(progress_bar, "wear life"):
+        result = lived(living, float(cycles), float(tolerance), jump)
+    if kept is not None:
+        kept.conclude(result.to_dataset())
+    return result
+
+
+def lived(living: Living, cycles: float, tolerance: float, jump: float | None) -> WearLife:
+    """The life, and what is kept of it."""
+    found = _stepped(living, cycles, tolerance, jump)
+    return WearLife(
+        living.problem,
+        tuple(Stage(node, node.rate.told) for node in found.nodes),
+        living.cells,
+        living.worn,
+        living.checks(),
+        cycles,
+        tolerance,
+        found.ended,
+        living.simulated,
+        found.rejected,
+    )
+
+
+def _stepped(living: Living, cycles: float, tolerance: float, jump: float | None) -> Stepped:
+    """The nodes of the life."""
+    row, cells = living.first_row, living.cells
+    try:
+        rate = living.evaluate(row, set_down=living.problem.state.motion is None)
+    except CycleFailed as reason:
+        raise SimulationError(f"The life has no first cycle: {reason}", living.last_run) from None
+    check_period("wear_life", living.problem, rate.told.last)
+    start = Node(0.0, row, rate, np.zeros(len(cells.surfaces)), np.zeros_like(row))
+
+    hear = progress.advance
+    if jump is not None:
+        return live_by_jumps(living.evaluate, start, cells, cycles, float(jump), hear)
+    deepest = float(rate.wear.max(initial=0.0))
+    room = FIRST_DEPTH * _smallest_clearance(living.problem.mechanism)
+    first = min(FIRST_SHARE * cycles, room / deepest if deepest > 0 else cycles)
+    return live(living.evaluate, start, cells, cycles, tolerance, max(first, 1.0), hear)
+
+
+def _smallest_clearance(mechanism: Mechanism) -> float:
+    """Of the joints that wear [m]; infinite where none says."""
+    joints = (mechanism.connections[name].joint for name in mechanism.topology.clearances)
+    known = (getattr(joint, "clearance", None) for joint in joints if joint.maps())
+    return min((float(size) for size in known if size is not None), default=np.inf)
+
+
+def _check_names(problem: Problem) -> None:
+    """Raises `ValueError` where a response is called as what every life tells of."""
+    for name in problem.response_names:
+        kind = name.partition(" ")[0]
+        if kind in (DEPTH, VOLUME):
+            raise ValueError(
+                f'response "{name}" is called as the {kind} that every life tells of; give it '
+                "another name."
+            )
+
+
+def _check_wears(problem: Problem) -> None:
+    """Raises `ValueError` where nothing wears, or wear is carried on already."""
+    mechanism = problem.integrator.formulation.seen(problem.mechanism)
+    surfaces = {
+        f'{surface} of joint "{name}"': wearing
+        for name in mechanism.topology.clearances
+        for surface, (_, wearing) in mechanism.connections[name].joint.maps().items()
+    }
+    if not surfaces:
+        raise ValueError(
+            "nothing wears in this mechanism: give a joint with clearance a jaxclear.Wearing."
+        )
+    for what, wearing in surfaces.items():
+        if float(wearing.acceleration) != 1:
+            raise ValueError(
+                f"the {what} wears with acceleration={float(wearing.acceleration):g}; wear_life "
+                "carries wear on by itself: leave it at 1."
+            )

@@ -1,0 +1,282 @@
+"""The wear of a life against closed forms: of a journal on a ring that turns under a load that
+falls with wear, and of the steps alone.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.studies.life import living
+from jaxclear.studies.life.steps import Cells, Node, Rate, live, live_by_jumps
+from tests.rigs.wearing_ring import (
+    FORCE,
+    LENGTH,
+    RADIUS,
+    SAVES,
+    SLOPE,
+    STIFFNESS,
+    TURN,
+    ClosedForm,
+    problem,
+    uniform,
+    wearing_ring,
+)
+
+# Depth [m] at which the force of each law has fallen to about a half.
+DEPTHS = {False: 5e-6, True: 1e-5}
+
+
+class Lived(NamedTuple):
+    law: ClosedForm
+    turns: float
+    problem: jc.Problem
+
+    def life(self, **kwargs):
+        return jc.wear_life(self.problem, self.turns, **kwargs)
+
+    def error(self, life):
+        return float(life.over_life("depth")[-1]) / DEPTHS[self.law.hyperbolic] - 1
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["exponential", "square root"])
+def lived(request):
+    law = ClosedForm(hyperbolic=request.param)
+    turns = law.turns(DEPTHS[request.param])
+    return Lived(law, turns, problem(wearing_ring(hyperbolic=request.param)))
+
+
+@pytest.mark.parametrize(("tolerance", "within", "cycles"), [(0.1, 1e-2, 10), (1e-2, 1e-3, 15)])
+def test_a_load_that_falls_with_wear_follows_its_closed_form(lived, tolerance, within, cycles):
+    """Within the tolerance, from few cycles, all of them counted; the estimated error is the true
+    one up to a factor of five."""
+    life = lived.life(tolerance=tolerance)
+    true = abs(lived.error(life))
+    assert true < within and life.error < min(tolerance, 2 * within)
+    assert 1.0 <= life.error / true <= 5.0
+    assert life.simulated <= cycles and not life.ended and not life.warnings
+    assert uniform(life.worn()["B"]["bearing"]) < 1e-3
+    forces = life.over_life("force")
+    wanted = [lived.law.force_at(float(h)) for h in life.over_life("depth")]
+    # Cycles that count as settled end within 1e-3 of a clearance of where they began.
+    np.testing.assert_allclose(forces, wanted, rtol=max(5e-4, 0.05 * tolerance))
+    assert life.cycles[-1] == pytest.approx(lived.turns)
+
+
+def test_between_stages_and_until_a_limit(lived):
+    life = lived.life()
+    places = np.linspace(0.0, lived.turns, 7)
+    wanted = [lived.law.depth(float(n)) if n else 0.0 for n in places]
+    size = DEPTHS[lived.law.hyperbolic]
+    np.testing.assert_allclose(life.over_life("depth", places), wanted, atol=5e-3 * size)
+    limit = 0.6 * size
+    found = life.until("depth", limit)
+    assert abs(found.cycles - lived.law.turns(limit)) < found.error < 0.01 * found.cycles
+    assert "reaches" in found.sentence
+    force = lived.law.force_at(limit)
+    found = life.until("force", force)
+    assert abs(found.cycles - lived.law.turns(limit)) < found.error
+    never = life.until("volume", 1.0)
+    assert np.isinf(never.cycles) and "not 1." in never.sentence
+
+
+def test_jumps_of_fixed_length_are_of_first_order(lived):
+    """As the papers step: half the jump, half the error, and the estimate tells it."""
+    errors = []
+    for count in (8, 16):
+        life = lived.life(jump=lived.turns / count)
+        errors.append(lived.error(life))
+        assert errors[-1] < life.error < 2 * errors[-1]
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.1)
+
+
+def test_volume_of_a_constant_load_is_that_of_archard():
+    """However deep the wall, every turn takes the volume k F s / H, to rounding."""
+    ring = wearing_ring(slope=0.0)
+    life = jc.wear_life(problem(ring), 1e6)
+    lost = [stage.settled.last.lost["B"]["bearing"] for stage in life.stages[1:]]
+    assert life.over_life("depth")[-1] > 1e-5
+    np.testing.assert_allclose(lost, lost[0], rtol=1e-9)
+    way = 2 * np.pi * (RADIUS + 0.5 * FORCE / STIFFNESS)
+    assert lost[0] == pytest.approx(1e-5 / 2e9 * FORCE * way, rel=1e-6)
+    assert life.simulated <= 10
+    volume = life.over_life("volume")
+    np.testing.assert_allclose(np.diff(volume) / np.diff(life.cycles), lost[0], rtol=1e-4)
+    np.testing.assert_allclose(
+        life.over_life("depth")[-1] * 2 * np.pi * RADIUS * LENGTH, volume[-1], rtol=1e-4
+    )
+
+
+def test_a_life_of_two_cycles_is_two_cycles():
+    """Nothing is carried on where nothing is saved by it."""
+    fast = eqx.tree_at(
+        lambda r: r.connections["B"].joint.bearing_wear.law.wear_coefficient,
+        wearing_ring(),
+        jnp.asarray(1e-2),
+    )
+    start = jc.settled(problem(fast), tolerance=1e-9)
+    state = start.state
+    life = jc.wear_life(problem(fast, state=state), 2)
+    first = jc.simulate(fast, TURN, save=SAVES, integrator=start.problem.integrator, state=state)
+    own = {"save": SAVES, "integrator": start.problem.integrator, "state": first.state()}
+    second = jc.simulate(fast, TURN, **own)
+    assert life.simulated == 3 and life.error == 0.0
+    brute = np.asarray(second.worn["B"]["bearing"])
+    np.testing.assert_allclose(life.worn()["B"]["bearing"], brute, rtol=1e-6)
+    assert brute.max() > 3e-8
+
+
+def test_an_interrupted_life_goes_on_bit_for_bit(tmp_path, monkeypatch):
+    asked = problem(wearing_ring())
+    turns = ClosedForm().turns(DEPTHS[False])
+    whole = jc.wear_life(asked, turns)
+    simulate, done = living.cycle, []
+
+    def interrupted(*args):
+        if len(done) == 5:
+            raise KeyboardInterrupt
+        done.append(1)
+        return simulate(*args)
+
+    monkeypatch.setattr(living, "cycle", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        jc.wear_life(asked, turns, store=tmp_path / "life")
+    counted = []
+    monkeypatch.setattr(living, "cycle", lambda *args: counted.append(1) or simulate(*args))
+    life = jc.wear_life(problem(wearing_ring()), turns, store=tmp_path / "life")
+    assert len(counted) == whole.simulated - 5 and life.simulated == whole.simulated
+    np.testing.assert_array_equal(life.worn()["B"]["bearing"], whole.worn()["B"]["bearing"])
+    np.testing.assert_array_equal(life.errors, whole.errors)
+    np.testing.assert_array_equal(life.over_life("force"), whole.over_life("force"))
+    # What is complete is read, and so is the result by itself.
+    counted.clear()
+    jc.wear_life(asked, turns, store=tmp_path / "life")
+    assert not counted
+    xarray = pytest.importorskip("xarray")
+    with xarray.open_zarr(tmp_path / "life" / "result.zarr", consolidated=False) as kept:
+        np.testing.assert_array_equal(kept["depth"], whole.over_life("depth"))
+        assert kept["depth"].attrs["units"] == "m"
+    # A longer life takes over what it can.
+    jc.wear_life(asked, 2 * turns, store=tmp_path / "life")
+    assert counted
+
+
+def test_a_store_of_another_problem_is_refused(tmp_path):
+    jc.wear_life(problem(wearing_ring()), 1, store=tmp_path / "life")
+    other = problem(wearing_ring(slope=2 * SLOPE))
+    sentence = r"loads\[\"press\"\]\.slope is 100000\.0 there, 200000\.0 here"
+    with pytest.raises(ValueError, match=sentence):
+        jc.wear_life(other, 1, store=tmp_path / "life")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter").write_text("dear")
+    with pytest.raises(ValueError, match="not empty and holds no study"):
+        jc.wear_life(other, 1, store=tmp_path / "full")
+
+
+def test_a_life_ends_where_its_cycles_fail():
+    """With what was reached and why: near the depth at which the load breaks."""
+    life = jc.wear_life(problem(wearing_ring(slope=0.0, breaks=3e-6)), 1e6)
+    assert life.ended.startswith("the run of a cycle ended early")
+    assert "ended before its 1e+06 cycles" in life.sentence()
+    depth = life.over_life("depth")[-1]
+    # The contact lies 1e-6 m deep.
+    assert depth == pytest.approx(2e-6, rel=0.05)
+    assert life.cycles[-1] == pytest.approx(1e6 * depth / 2.5e-5, rel=0.01)
+    assert "not 1" in life.until("depth", 1.0).sentence
+
+
+def test_table_and_dataset_tell_the_life(lived):
+    life = lived.life()
+    table = life.table()
+    assert list(table["cycles"]) == list(life.cycles)
+    assert {"depth [m]", "volume B bearing [m^3]", "force [N]", "error of depth"} <= set(table)
+    data = life.to_dataset()
+    np.testing.assert_array_equal(data["B.bearing.worn"][-1], life.worn()["B"]["bearing"])
+    again = jc.settled(problem(life.problem.mechanism, state=life.state()))
+    assert again.responses["force"][0] == pytest.approx(life.over_life("force")[-1], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("asked", "sentence"),
+    [
+        (lambda: jc.wear_life(jc.scenes.slider_crank(), period=0.1), "nothing wears"),
+        (lambda: jc.wear_life(problem(wearing_ring()), -1), "cycles of wear_life is -1"),
+        (lambda: jc.wear_life(problem(wearing_ring()), jump=0.5), "jump of wear_life is 0.5"),
+        (lambda: jc.wear_life(problem(wearing_ring()), store=3), "must be the path of a folder"),
+        (lambda: jc.wear_life(wearing_ring()), r"needs its period \[s\]"),
+        (
+            lambda: jc.wear_life(
+                eqx.tree_at(
+                    lambda r: r.connections["B"].joint.bearing_wear.acceleration,
+                    wearing_ring(),
+                    jnp.asarray(50.0),
+                ),
+                period=TURN,
+            ),
+            "acceleration=50; wear_life carries wear on by itself",
+        ),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(asked, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        asked()
+
+
+# The steps alone: one cell whose rate is known.
+ONE = Cells((slice(0, 1),), np.ones(1))
+
+
+def stepped(rate, turns, tolerance, noise=0.0, seed=0):
+    """Steps over a rate of one cell with relative noise."""
+    rng = np.random.default_rng(seed)
+
+    def evaluate(depth):
+        exact = rate(depth)
+        return Rate(exact * (1 + noise * rng.normal(size=1)), noise * exact, 1)
+
+    start = Node(0.0, np.zeros(1), evaluate(np.zeros(1)), np.zeros(1), np.zeros(1))
+    return live(evaluate, start, ONE, turns, tolerance, 0.25 * turns)
+
+
+def test_steps_are_of_third_order():
+    """A tolerance a thousand times smaller, steps ten times shorter."""
+    counts = []
+    for tolerance in (1e-4, 1e-7):
+        found = stepped(lambda h: 1e-6 / (1 + h), 1e6, tolerance)
+        error = found.nodes[-1].depth[0] / (np.sqrt(3.0) - 1) - 1
+        assert abs(error) < tolerance
+        counts.append(len(found.nodes))
+    assert counts[1] / counts[0] == pytest.approx(10.0, rel=0.3)
+
+
+def test_noise_takes_no_steps_back_and_belongs_to_the_error():
+    """Rates known to 3 %: the error told covers the true one in 95 of 100 lives."""
+    covered = []
+    for seed in range(100):
+        found = stepped(lambda h: 1e-6 / (1 + h), 1e6, 1e-2, noise=0.03, seed=seed)
+        last = found.nodes[-1]
+        assert found.rejected <= 2 and len(found.nodes) < 10
+        told = last.error[0] + 1.96 * np.sqrt(last.variance[0])
+        covered.append(abs(last.depth[0] - (np.sqrt(3.0) - 1)) < told)
+    assert np.mean(covered) > 0.9
+
+
+def test_a_stiff_scar_is_followed_one_by_one():
+    """Where the rate answers within two cycles, steps of many would be no longer than their
+    price."""
+    found = stepped(lambda h: 0.5 * (1 - h), 30.0, 1e-3)
+    assert found.nodes[-1].depth[0] == pytest.approx(1.0, abs=1e-6)
+    assert max(np.diff([node.cycles for node in found.nodes])) <= 8
+
+
+def test_jumps_alone():
+    def evaluate(depth):
+        return Rate(1e-6 * np.ones(1), np.zeros(1), 1)
+
+    start = Node(0.0, np.zeros(1), evaluate(None), np.zeros(1), np.zeros(1))
+    found = live_by_jumps(evaluate, start, ONE, 1e6, 3e5)
+    assert [node.cycles for node in found.nodes] == [0.0, 3e5, 6e5, 9e5, 1e6]
+    assert found.nodes[-1].depth[0] == pytest.approx(1.0)
