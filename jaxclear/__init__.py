@@ -23,7 +23,7 @@ if _OPEN and os.environ.get("JAXCLEAR_PLAIN_XLA", "0") in ("", "0"):
 # meaning in float32.
 jax.config.update("jax_enable_x64", True)
 
-from jaxclear import complementarity
+from jaxclear import complementarity, mesh
 from jaxclear import formulations as formulation
 from jaxclear import integrators as integrator
 from jaxclear.components import clearance, drive, joint, load
@@ -89,6 +89,7 @@ __all__ = [
     "joint",
     "load",
     "material",
+    "mesh",
     "monte_carlo",
     "numerics",
     "pointing_error",

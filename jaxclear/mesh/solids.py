@@ -1,0 +1,182 @@
+"""The parts whose walls wear, as block meshes: a bush, a pin, the shell of a socket.
+
+Each stands in the frame of its wear map: axis along z, directions from x towards y. Cells get
+taller from the wall inwards, each by `GROWTH`; half of those through the thickness belong to blocks
+at the wall.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.components.wear_map import AbstractWearMap, direction_angle, spline_weights
+from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.mesh.block_mesh import BlockMesh, joined
+from jaxclear.mesh.deformation import BlockDeformation, deformation
+
+GROWTH = 1.3
+# Half the side of a pin's square core, as a share of the radius.
+CORE = 0.4
+
+
+class Solid(eqx.Module):
+    """A worn part: its mesh as new, and how the mesh follows the wear of its wall.
+
+    `into`: from each point of the wall into the material; `position`: where in the wear map it
+    lies, in units of cells.
+    """
+
+    follow: BlockDeformation
+    into: Float[Array, "wall 3"]
+    position: Float[Array, "wall 2"]
+
+    @property
+    def new(self) -> BlockMesh:
+        """The mesh of the part before it wears."""
+        return self.follow.mesh
+
+    def wall_depth(self, depth: Float[Array, "around along"]) -> Float[Array, " wall"]:
+        """Worn depth at the points of the wall [m]: the map's own splines, in both directions."""
+        column, across = spline_weights(self.position[:, 0])
+        row, upward = spline_weights(self.position[:, 1])
+        columns = (column[:, None] + jnp.arange(-1, 2)) % depth.shape[0]
+        rows = jnp.clip(row[:, None] + jnp.arange(-1, 2), 0, depth.shape[1] - 1)
+        weights = across[:, :, None] * upward[:, None, :]
+        return jnp.sum(weights * depth[columns[:, :, None], rows[:, None, :]], axis=(1, 2))
+
+    def displacement(self, depth: Float[Array, "around along"]) -> Float[Array, "points 3"]:
+        """Displacement of every point of the mesh [m] for a map of worn depth [m]."""
+        wall = self.wall_depth(depth)[:, None] * self.into
+        fixed = jnp.zeros((len(self.follow.held) - len(wall), 3))
+        return self.follow(jnp.concatenate([wall, fixed]))
+
+    def worn(self, depth: Float[Array, "around along"]) -> BlockMesh:
+        """The mesh of the worn part; the same points and cells, displaced."""
+        points = self.new.points + self.displacement(depth)
+        return eqx.tree_at(lambda mesh: mesh.points, self.new, points)
+
+
+def bush(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
+    """Ring around a bearing's bore: `cells` around (a multiple of 4), along (even) and through
+    (even); its outer wall stays."""
+    radius, length = float(wear_map.radius), float(wear_map.length)
+    outward = radius + thickness * _heights(cells[2])
+    blocks = [
+        _ring(angles, heights, depths)
+        for angles in _pieces(np.linspace(0, 2 * np.pi, cells[0] + 1), 4)
+        for heights in _pieces(np.linspace(-0.5, 0.5, cells[1] + 1) * length, 2)
+        for depths in _pieces(outward, 2)
+    ]
+    mesh = joined([np.stack(blocks)])
+    distance = np.hypot(*np.asarray(mesh.points).T[:2])
+    return _solid(mesh, wear_map, distance, (radius, outward[-1]), _around_and_along)
+
+
+def pin(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
+    """Journal with a square core: `cells` around (a multiple of 4), along (even) and from the wall
+    to the core (even). Its `thickness` [m] is that of the blocks at the wall, at most half the
+    radius."""
+    radius, length = float(wear_map.radius), float(wear_map.length)
+    angles = np.linspace(0, 2 * np.pi, cells[0] + 1) + np.pi / 4
+    side = cells[0] // 4
+    across = np.linspace(-1.0, 1.0, side + 1) * CORE * radius
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * CORE * radius
+    share = np.linspace(0, 1, side + 1)[:, None]
+    shells, core = [], []
+    inward = thickness * _heights(cells[2] // 2)
+    for heights in _pieces(np.linspace(-0.5, 0.5, cells[1] + 1) * length, 2):
+        core.append(_upright(np.stack(np.meshgrid(across, across, indexing="ij"), -1), heights))
+        for quarter, sector in enumerate(_pieces(angles, 4)):
+            wall = np.stack([np.cos(sector), np.sin(sector)], -1)
+            square = (1 - share) * corners[quarter] + share * corners[quarter + 1]
+            layer = (radius - inward)[None, :, None] * wall[:, None]
+            steps = np.linspace(0, 1, cells[2] // 2 + 1)[None, :, None]
+            rest = (1 - steps) * layer[:, -1:] + steps * square[:, None]
+            shells += [_upright(layer, heights), _upright(rest, heights)]
+    mesh = joined([np.stack(shells), np.stack(core)])
+    distance = np.hypot(*np.asarray(mesh.points).T[:2])
+    return _solid(mesh, wear_map, distance, (radius,), _around_and_along)
+
+
+def socket(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
+    """Shell around a ball, the six sides of a cube blown up: `cells` around (a multiple of 4), the
+    second number is not needed, and through (even); its outer wall stays."""
+    radius = float(wear_map.radius)
+    outward = radius + thickness * _heights(cells[2])
+    share = np.tan(np.linspace(-0.25, 0.25, cells[0] // 4 + 1) * np.pi)
+    u, v = np.meshgrid(share, share, indexing="ij")
+    sides = [
+        np.roll(np.stack([sign * np.ones_like(u), u, v], -1), axis, -1)
+        for axis in range(3)
+        for sign in (-1.0, 1.0)
+    ]
+    blocks = [
+        (side / np.linalg.norm(side, axis=-1, keepdims=True))[:, :, None] * depths[:, None]
+        for side in sides
+        for depths in _pieces(outward, 2)
+    ]
+    mesh = joined([np.stack(blocks)])
+    distance = np.linalg.norm(np.asarray(mesh.points), axis=1)
+    return _solid(mesh, wear_map, distance, (radius, outward[-1]), _azimuth_and_elevation)
+
+
+def _heights(count: int) -> Float[np.ndarray, " count+1"]:
+    """Distances of layers from the wall, as shares of the thickness."""
+    return np.concatenate([[0.0], np.cumsum(GROWTH ** np.arange(count))]) / np.sum(
+        GROWTH ** np.arange(count)
+    )
+
+
+def _pieces(marks: Float[np.ndarray, " marks"], count: int) -> list[Float[np.ndarray, " marks"]]:
+    size = (len(marks) - 1) // count
+    return [marks[i * size : (i + 1) * size + 1] for i in range(count)]
+
+
+def _ring(angles, heights, radii):
+    angle, z, r = np.meshgrid(angles, heights, radii, indexing="ij")
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
+
+
+def _upright(plane, heights):
+    """A plane grid (i, j, 2) at each height (k)."""
+    shape = (*plane.shape[:2], len(heights))
+    x, y = (np.broadcast_to(plane[..., None, axis], shape) for axis in range(2))
+    return np.stack([x, y, np.broadcast_to(heights, shape)], -1)
+
+
+def _solid(
+    mesh: BlockMesh,
+    wear_map: AbstractWearMap,
+    distance: Float[np.ndarray, " points"],
+    walls: tuple[float, ...],
+    placed: Callable,
+) -> Solid:
+    """A solid whose first wall wears and whose others stay, told by their distance from the axis
+    or centre."""
+    on = [np.flatnonzero(np.abs(distance - wall) < 1e-9 * walls[0]) for wall in walls]
+    points = mesh.points[on[0]]
+    outward, position = placed(points, wear_map)
+    # Away from the gap: a bearing's material lies outside its wall, a journal's inside.
+    into = outward if np.min(distance) >= walls[0] * (1 - 1e-9) else -outward
+    return Solid(deformation(mesh, np.concatenate(on).astype(int)), into, position)
+
+
+def _around_and_along(points, wear_map):
+    x, y, z = points.T
+    around, along = wear_map.cells
+    outward = jnp.stack([x, y, jnp.zeros_like(z)], -1) / jnp.hypot(x, y)[:, None]
+    column = direction_angle(x, y) * (around / (2 * jnp.pi)) - 0.5
+    return outward, jnp.stack([column, (z / wear_map.length + 0.5) * along - 0.5], -1)
+
+
+def _azimuth_and_elevation(points, wear_map):
+    x, y, z = points.T
+    around, along = wear_map.cells
+    outward = points / jnp.linalg.norm(points, axis=1, keepdims=True)
+    column = direction_angle(x, y) * (around / (2 * jnp.pi)) - 0.5
+    elevation = direction_angle(safe_sqrt(x * x + y * y), z)
+    return outward, jnp.stack([column, (elevation / jnp.pi + 0.5) * along - 0.5], -1)
