@@ -50,6 +50,19 @@ def test_antenna_study_writes_figures_and_tables(tmp_path, capsys, keep_settings
     assert str(tmp_path) in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_wear_life_study_writes_figures_and_goes_on(tmp_path, capsys, keep_settings):
+    asked = ["wear-life", "--out", str(tmp_path), "--cycles", "1e4", "--quiet"]
+    main(asked)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"settled.csv", "life.csv", "life.png", "groove.png", "store"}
+    first = capsys.readouterr().out
+    main(asked)
+    # All but the time it took is the same, from the store.
+    assert capsys.readouterr().out.rpartition(",")[0] == first.rpartition(",")[0]
+    assert "1e+04 cycles of machine life" in first
+
+
 def test_parameters_are_listed_with_units(capsys, keep_settings):
     main(["parameters"])
     printed = capsys.readouterr().out
@@ -69,6 +82,7 @@ MISTAKES = {
     "a file": (["guide", "--out", __file__], "is a file; it must be a folder"),
     "within a file": (["guide", "--out", f"{__file__}/x"], "is a file; it must be a folder"),
     "no folder": (["guide", "--out", ""], "it must be a folder"),
+    "no life": (["wear-life", "--cycles", "0"], "a number of at least 1"),
     "argument": (["four-bar", "--sampels", "20"], 'Did you mean "--samples"'),
     "another study's": (["guide", "--samples", "20"], 'no argument "--samples"; there are'),
     "a word": (["parameters", "all"], 'no argument "all"'),

@@ -1,5 +1,5 @@
-"""Answers the command line: `jaxclear four-bar`, `antenna`, `guide` and `flap` run studies,
-`jaxclear parameters` lists a scene's numbers with units.
+"""Answers the command line: `jaxclear four-bar`, `antenna`, `guide`, `flap` and `wear-life` run
+studies, `jaxclear parameters` lists a scene's numbers with units.
 
 What may be asked stands in `jaxclear_command`, which answers mistakes before this package is
 loaded. A new study is a module with a function `run`, a line here and an entry there.
@@ -12,11 +12,17 @@ from pathlib import Path
 import jax
 
 import jaxclear as jc
-from jaxclear.commands import antenna, flap, four_bar, guide
+from jaxclear.commands import antenna, flap, four_bar, guide, wear_life
 
 __all__ = ["answer"]
 
-STUDIES = {"four-bar": four_bar, "antenna": antenna, "guide": guide, "flap": flap}
+STUDIES = {
+    "four-bar": four_bar,
+    "antenna": antenna,
+    "guide": guide,
+    "flap": flap,
+    "wear-life": wear_life,
+}
 # Programs that compile faster than this are not kept [s].
 WORTH_KEEPING = 0.5
 

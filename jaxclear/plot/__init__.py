@@ -3,6 +3,7 @@ neither shows nor saves it.
 """
 
 from jaxclear.ground.answering import nothing_else
+from jaxclear.plot.life import wear_life
 from jaxclear.plot.modes import modes
 from jaxclear.plot.motion import angular_velocity, displacement, end_centres, journal_ends
 from jaxclear.plot.pointing import pointing_budget
@@ -18,6 +19,7 @@ __all__ = [
     "monte_carlo",
     "pointing_budget",
     "sensitivity",
+    "wear_life",
     "wear_surface",
     "wear_unrolled",
     "work_precision",

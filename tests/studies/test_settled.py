@@ -7,7 +7,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.scenes.slider_crank import slider_crank
 from jaxclear.studies.life.settling import correlation_factor, standard_error
-from tests.rigs.wearing_ring import TURN, ClosedForm, problem, wearing_ring
+from tests.rigs.wearing_ring import SAVES, TURN, ClosedForm, problem, wearing_ring
 
 PERIOD = 2 * np.pi / 50
 
@@ -37,6 +37,18 @@ def test_a_run_goes_on_from_the_settled_cycle(ring):
     assert again.cycles == 1
     assert float(again.run.time[0]) == pytest.approx(ring.cycles * TURN)
     np.testing.assert_allclose(again.wear["B"]["bearing"], ring.wear["B"]["bearing"], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_cycle_is_the_run_that_simulate_makes(ring):
+    own = {"save": SAVES, "integrator": ring.problem.integrator}
+    state = None
+    for one in ring.settling.cycles:
+        run = jc.simulate(ring.problem.mechanism, TURN, state=state, **own)
+        np.testing.assert_allclose(
+            run.worn["B"]["bearing"], one.wore["B"]["bearing"], rtol=1e-6, atol=1e-19
+        )
+        state = jc.State(motion=run.state().motion)
 
 
 def test_table_tells_every_cycle(ring):

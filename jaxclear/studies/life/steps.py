@@ -33,8 +33,8 @@ HOPELESS = 2.0
 NEGLIGIBLE = 0.01
 # Noise that an estimate consists of within two standard errors is no error.
 CONFIDENCE = 2.0
-# So often a step is shortened after a cycle has failed.
-MOST_FAILURES = 3
+# So many cycles of a life may fail, each shortening its step, before it ends.
+MOST_FAILURES = 6
 
 
 class CycleFailed(RuntimeError):
@@ -134,7 +134,6 @@ def live(
             rejected += 1
         else:
             nodes.append(after)
-            failures = 0
             hear(length / cycles)
         length *= factor
     return Stepped(tuple(nodes), rejected, "")

@@ -57,6 +57,15 @@ def _flap(parser: Parser) -> None:
     add_quiet(parser)
 
 
+def _wear_life(parser: Parser) -> None:
+    add_out(parser, "wear_life_study")
+    cycles = "cycles of the machine's life (default 1e6)"
+    parser.flag("--cycles", cycles, type=number(1.0, ""), default=1e6)
+    tolerance = "error of the depth asked for, as a share of it (default 0.01)"
+    parser.flag("--tolerance", tolerance, type=number(0.0, "", above=True), default=0.01)
+    add_quiet(parser)
+
+
 STUDIES = {
     "four-bar": Study(
         "four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives",
@@ -72,6 +81,10 @@ STUDIES = {
     ),
     "flap": Study(
         "flap actuation with four clearance joints: modes, impacts, forces, lever ratio", _flap
+    ),
+    "wear-life": Study(
+        "wear of a bearing over a life: settled cycle, depth and forces over cycles, groove",
+        _wear_life,
     ),
     "parameters": Study("all numbers of the four-bar with unit and meaning", lambda parser: None),
 }
