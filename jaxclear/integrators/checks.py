@@ -80,6 +80,17 @@ class Check(enum.IntEnum):
         "{figure:.2g} of themselves (limit {limit:g}), so forces, and maybe the motion, are off: "
         "take shorter steps",
     )
+    HALVED_MOTION = (
+        11,
+        "halved steps: motion",
+        "1",
+        0.02,
+        "motion",
+        WHOLE,
+        "with steps of half the length bodies would end elsewhere by about {figure:.2g} of their "
+        "way, if the run differed everywhere as where it was looked at (limit {limit:g}), so the "
+        "motion is off: take shorter steps",
+    )
     HALVED_FORCES = (
         4,
         "halved steps: force",

@@ -17,11 +17,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.model import Model
-from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.given import speed_scales
+from jaxclear.multibody.reach import narrowest_gap, reaches, turning
 from jaxclear.multibody.system import longest_arm
 
 # Share of a run's steps that windows take; in a window steps are taken 1 + 2 times.
@@ -37,6 +38,8 @@ GOLDEN = 0.5 * (5**0.5 - 1)
 TURNS = 4
 # Size, beside the largest, below which a coordinate's changes do not matter.
 LEAST = 0.1
+# A turn moves bodies by no more than so many arms; less than so many clearances is no way.
+ACROSS, GAPS = 2.0, 100.0
 
 
 class Turns(NamedTuple):
@@ -146,7 +149,8 @@ def figures(
     usual = _usual_rates(plan, states)
     met = usual * jnp.sum(_durations(plan, 0))
     found = {
-        Check.HALVED_MEAN_FORCES: _difference(coarse - begin, fine - begin, met, speeds, scales)
+        Check.HALVED_MEAN_FORCES: _difference(coarse - begin, fine - begin, met, speeds, scales),
+        Check.HALVED_MOTION: _motion(model, plan, states, coarse - fine, scales)[None],
     }
     if not layout.impulses:
         found[Check.HALVED_FORCES] = _difference(
@@ -164,6 +168,39 @@ def figures(
     return found
 
 
+def _motion(
+    model: Model, plan: Plan, states: Array, off: Array, scales: Array
+) -> Float[Array, ""]:
+    """By how much bodies would be elsewhere at the end of the run, beside their way, if all of it
+    were `off` by what the windows end with (windows, states).
+
+    Beside the longest way of a coordinate, no more than that of a turn there and back, or `GAPS`
+    clearances; speeds beside the usual ones, where no contact vibrates.
+    """
+    system, layout = model.system, model.layout
+    count, reach = layout.coordinates, reaches(system, longest_arm(system))
+    share = safe_divide(_length(plan, states), jnp.sum(_durations(plan, 0)))
+    total = share * jnp.sum(abs(off), axis=0)
+    way = jnp.max(abs(states[:, :count] - states[0, :count]), axis=0)
+    turned = jnp.where(turning(system), jnp.minimum(way, ACROSS), way)
+    longest = jnp.max(turned * reach, initial=0.0)
+    if system.bearings:
+        longest = jnp.maximum(longest, GAPS * narrowest_gap(system))
+    places = safe_divide(jnp.max(total[:count] * reach, initial=0.0), longest)
+    if system.bearings:
+        return places
+    speeds = slice(count, layout.memory_start)
+    squares = jnp.ones(len(states)) @ states[:, speeds] ** 2 / len(states)
+    usual = jnp.max(safe_sqrt(squares) * scales, initial=0.0)
+    faster = safe_divide(jnp.max(total[speeds] * scales, initial=0.0), usual)
+    return jnp.maximum(places, faster)
+
+
+def _length(plan: Plan, states: Array) -> Scalar:
+    """Length of the run [s]."""
+    return plan.turns.stop[len(states) - 2] - plan.turns.start[0]
+
+
 def _durations(plan: Plan, turn: int) -> Float[Array, "windows 1"]:
     """How long one of its four turns takes in each window [s]."""
     rows = plan.parts.first[plan.shadows[:, turn]]
@@ -175,7 +212,7 @@ def _usual_rates(plan: Plan, states: Array) -> Float[Array, " states"]:
     [1/s]: a window that is quiet beside that tells nothing of the run."""
     # XLA sums along a long first axis many times slower than it multiplies by it.
     way = jnp.ones(len(states) - 1) @ abs(states[1:] - states[:-1])
-    return safe_divide(way, plan.turns.stop[len(states) - 2] - plan.turns.start[0])
+    return safe_divide(way, _length(plan, states))
 
 
 def _difference(

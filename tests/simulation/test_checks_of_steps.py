@@ -53,6 +53,29 @@ def test_forces_that_are_wrong_in_a_right_motion_are_said():
     assert beyond(exact) == set()
 
 
+def test_phases_that_drift_over_many_turns_are_said():
+    """Eighty turns of a mass on a spring, beside the cosine: every step is nearly right, and so are
+    forces over a window; what is off adds up."""
+    omega, length = 1000.0, 0.1
+    rig = jc.Mechanism(
+        {"mass": jc.Body(1.0, 1e-3)},
+        {"guide": jc.Connection(jc.joint.Prismatic(), "ground", "mass")},
+        {"spring": jc.load.JointSpring("guide", omega**2)},
+        start={"guide": length},
+    )
+
+    def off(step):
+        integrator = jc.integrator.ImplicitStep(step)
+        run = jc.simulate(rig, 0.5, save=201, integrator=integrator)
+        exact = length * np.cos(omega * np.asarray(run.time))
+        return np.abs(run.coordinate("guide").ravel() - exact).max() / length, beyond(run)
+
+    worst, said = off(1e-4)
+    assert worst > 0.1 and said == {Check.HALVED_MOTION}
+    worst, said = off(1e-5)
+    assert worst < 0.01 and said == set()
+
+
 def test_windows_of_long_adaptive_steps_have_a_finer_pass():
     """Neither tolerance asks for shorter steps than the window: the second pass was the first one,
     and the run saw nothing."""

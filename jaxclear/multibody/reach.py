@@ -1,0 +1,37 @@
+"""What a difference in a coordinate means in metres, and how much room the joints with clearance
+leave: by both an error is judged as one of place.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import REST
+from jaxclear.ground.quantity import Scalar
+from jaxclear.multibody.contact_point import depths
+from jaxclear.multibody.system import System
+
+
+def turning(system: System) -> Bool[np.ndarray, " coordinates"]:
+    """Of each coordinate of the tree whether it turns: it is no length."""
+    links = zip(system.topology.branches, system.links, strict=True)
+    units = [u for branch, link in links if branch.coordinate_count for u in link.joint.units]
+    return np.array([unit != "m" for unit in units], bool)
+
+
+def reaches(system: System, arm: Any) -> Float[Array, " coordinates"]:
+    """How far bodies move for a unit of each coordinate of the tree [m]: 1 for a length, the length
+    `arm` [m] for what turns."""
+    return jnp.where(turning(system), arm, 1.0)
+
+
+def narrowest_gap(system: System) -> Scalar:
+    """Smallest room on one side [m] that a joint leaves where its parts stand as drawn, unworn;
+    infinite without clearance."""
+    rooms = [
+        abs(depth) for own in system.bearings.values() for depth in depths(own.joint, REST, {})
+    ]
+    return jnp.min(sp.stack(rooms)) if rooms else jnp.asarray(jnp.inf)
