@@ -168,9 +168,7 @@ def figures(
     return found
 
 
-def _motion(
-    model: Model, plan: Plan, states: Array, off: Array, scales: Array
-) -> Float[Array, ""]:
+def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) -> Float[Array, ""]:
     """By how much bodies would be elsewhere at the end of the run, beside their way, if all of it
     were `off` by what the windows end with (windows, states).
 
