@@ -17,8 +17,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.integrators.outcome import Outcome
 
-# What a figure is told for: every joint that closes a loop, every speed of the tree, every possible
-# contact, every worn surface of it, or the mechanism as a whole.
+# What a figure is told for: joints that close loops, speeds of the tree, possible contacts, worn
+# surfaces, or the mechanism.
 LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
 
 
@@ -88,8 +88,7 @@ class Check(enum.IntEnum):
         "motion",
         WHOLE,
         "with steps of half the length bodies would end elsewhere by about {figure:.2g} of their "
-        "way, if the run differed everywhere as where it was looked at (limit {limit:g}), so the "
-        "motion is off: take shorter steps",
+        "way (limit {limit:g}), so the motion is off: take shorter steps",
     )
     HALVED_FORCES = (
         4,
@@ -126,8 +125,7 @@ class Check(enum.IntEnum):
         "contact, and friction loss and wear of impacts may be off, though motion may be right: "
         "take shorter steps",
     )
-    # The same of explicit steps: beyond a third, where a body is after a few impacts is the steps'
-    # doing (benchmarks/attack.py).
+    # The same of explicit steps; after a few impacts a body is where they put it.
     IMPACT_STEP = (
         2,
         "impact step",
@@ -204,8 +202,7 @@ class Check(enum.IntEnum):
 
 
 class Figure(eqx.Module):
-    """The worst of a figure at each of its `places`, and the end [s] of the saving interval in
-    which it was met."""
+    """The worst of a figure at each of its `places`, and the end [s] of its saving interval."""
 
     worst: Float[Array, "*batch places"]
     time: Float[Array, "*batch places"]
@@ -298,5 +295,5 @@ class Checks(eqx.Module):
 
 
 def _sentence(check: Check, worst: float, place: str) -> str:
-    text = check.sentence.format(figure=worst, place=place, limit=check.limit)
-    return f"{text[0].upper()}{text[1:]}."
+    said = check.sentence.format(figure=worst, place=place, limit=check.limit)
+    return f"{said[0].upper()}{said[1:]}."
