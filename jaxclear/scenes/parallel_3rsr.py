@@ -98,6 +98,19 @@ def foot(body: str, leg: int) -> Marker:
     return Marker(body, (CIRCLE * cos(turn), CIRCLE * sin(turn), 0.0), quaternion=(c, c, s, s))
 
 
+def _connections(balls: dict[str, Any], drives: Sequence[AbstractDrive]) -> dict[str, Connection]:
+    found = {}
+    for leg, drive in zip(LEGS, drives, strict=True):
+        revolute = Revolute(drive=drive)
+        found[f"A{leg}"] = Connection(revolute, foot("ground", leg), Marker(f"drive {leg}"))
+    for leg, (name, ball) in zip(LEGS, balls.items(), strict=True):
+        ends = Marker(f"drive {leg}", (ROD, 0.0, 0.0)), Marker(f"rod {leg}", (ROD, 0.0, 0.0))
+        found[name] = Connection(ball, *ends)
+    for leg in LEGS:
+        found[f"B{leg}"] = Connection(Revolute(), foot("platform", leg), Marker(f"rod {leg}"))
+    return found
+
+
 @answering
 def parallel_3rsr(
     kind: str | Sequence[str] = "one",
@@ -131,15 +144,9 @@ def parallel_3rsr(
     if len(drives) != len(LEGS):
         raise ValueError(f"drives of parallel_3rsr are {len(drives)}; they must be three.")
     loose = socket(clearance, friction=friction, wear=wear, cells=cells)
-    connections = {
-        f"A{leg}": Connection(Revolute(drive=drive), foot("ground", leg), Marker(f"drive {leg}"))
-        for leg, drive in zip(LEGS, drives, strict=True)
-    }
-    for leg, name in zip(LEGS, BALLS, strict=True):
-        ends = Marker(f"drive {leg}", (ROD, 0.0, 0.0)), Marker(f"rod {leg}", (ROD, 0.0, 0.0))
-        connections[name] = Connection(loose if name in slack else Spherical(), *ends)
-    for leg in LEGS:
-        connections[f"B{leg}"] = Connection(Revolute(), foot("platform", leg), Marker(f"rod {leg}"))
+    connections = _connections(
+        {name: loose if name in slack else Spherical() for name in BALLS}, drives
+    )
     # The legs bend outwards. Told of joints that carry coordinates, so that assembly is short.
     guess: dict[str, Any] = {f"B{leg}": -LOWEST for leg in LEGS}
     first = next((name for name in BALLS if name not in slack), None)
