@@ -27,7 +27,7 @@ def closed(model: Model, time: Any, state: State) -> State:
         for subtree in system.topology.subtrees
     )
     masses = [tree.mass_matrix(*subtree) for subtree in subtrees]
-    _, constrain = dynamics.constrained_inverse(masses, rows)
+    _, constrain = dynamics.constrained_inverse(masses, rows, constraints.dependence(system, found))
 
     def change(residuals):
         return constrain([0] * len(v), [sp.neg(x) for x in residuals])[0]

@@ -23,7 +23,7 @@ from jaxclear.formulations.contact_rows import free_motion, split
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.multibody import contact_point, kinematics
-from jaxclear.multibody.assembly import Start, assemble
+from jaxclear.multibody.assembly import Start, ready
 from jaxclear.multibody.closure_coordinates import angles_at_start
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.mechanism import Mechanism
@@ -68,7 +68,7 @@ def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[st
     # A drive takes its link to where the others, which stay at their start, cannot follow.
     times = jnp.zeros(1) if mechanism.driven else jnp.linspace(0.0, duration, INSTANTS)
     bearings, found = prepare(mechanism).bearings, {}
-    for name, at_times in _pressed(mechanism, assemble(mechanism), times).items():
+    for name, at_times in _pressed(*ready(mechanism), times).items():
         loads = np.asarray(at_times.acceleration / jnp.maximum(at_times.lightness, LEAST_LIGHTNESS))
         worst = int(np.argmax(np.max(loads, axis=1)))
         pressed = _Pressed(*(np.asarray(part)[worst] for part in at_times))

@@ -18,6 +18,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody import constraints, contact_point, dynamics, kinematics
+from jaxclear.multibody.constraints import ClosureEquations
 from jaxclear.multibody.contact_point import GapFunction
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.kinematics import JacobianRow
@@ -57,14 +58,13 @@ class ContactPoint(NamedTuple):
 
 class FreeMotion(NamedTuple):
     """Equations of motion at an instant with the contacts set apart: everything else that acts,
-    mass matrix per subtree and generalised forces, closure rows with the accelerations they ask
-    for, poses of the journals, and the contacts."""
+    mass matrix per subtree and generalised forces, equations of the closures, poses of the
+    journals, and the contacts."""
 
     forces: Forces
     masses: list
     right: tuple
-    closure_rows: list[ContactJacobianRow]
-    wanted: list
+    closures: ClosureEquations
     poses: dict[str, Pose]
     contacts: tuple[ContactPoint, ...]
 
@@ -130,13 +130,11 @@ def free_motion(model: Model, time: Any, q: tuple, v: tuple, angles: dict[str, A
     poses, contacts = contact_points(model, motions)
     forces = applied_forces(system, motions, {}, q, v, time, angles)
     masses, by_subtree = dynamics.equations_of_motion(system, forces)
-    rows, wanted = (
-        constraints.acceleration_equations(system, motions, model.stabilisation)
-        if system.closures
-        else ([], [])
-    )
+    closures = ClosureEquations([], [], None)
+    if system.closures:
+        closures = constraints.acceleration_equations(system, motions, model.stabilisation)
     right = tuple(force for subtree in by_subtree for force in subtree)
-    return FreeMotion(forces, masses, right, rows, wanted, poses, contacts)
+    return FreeMotion(forces, masses, right, closures, poses, contacts)
 
 
 def indentations(model: Model, time: Any, q: tuple, v: tuple) -> list:

@@ -96,8 +96,10 @@ def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -
     """How the mechanism of an instant moves without contact, and how it answers forces along the
     rows.
     """
-    respond, constrain = constrained_inverse(free_motion.masses, free_motion.closure_rows)
-    free, multipliers = constrain(respond(list(free_motion.right)), free_motion.wanted)
+    closures = free_motion.closures
+    inverse = constrained_inverse(free_motion.masses, closures.rows, closures.dependence)
+    respond, constrain = inverse
+    free, multipliers = constrain(respond(list(free_motion.right)), closures.wanted)
     size, still = len(free_motion.right), [0] * len(multipliers)
     responses = [constrain(respond([row.get(j, 0) for j in range(size)]), still) for row in rows]
     return DelassusOperator(rows, free, multipliers, responses)
@@ -112,7 +114,7 @@ def implicit_contact(free_motion: FreeMotion) -> ImplicitContact:
     """
     rows = [row for contact in free_motion.contacts for row in contact.rows[: contact.active]]
     size = len(free_motion.right)
-    if rows and not free_motion.closure_rows and len(rows) >= size:
+    if rows and not free_motion.closures.rows and len(rows) >= size:
         operator = delassus_operator(free_motion, [])
         mass = _whole(free_motion.masses)
         way = _in_speeds if size <= factorisation.LARGEST_WRITTEN_OUT else _in_many_speeds

@@ -94,6 +94,7 @@ class PermanentContact(AbstractFormulation):
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:
         """What the first step is handed: no accelerations."""
+        _check_unique(model.system)
         return jnp.zeros(model.layout.speeds + 1)
 
     def step(
@@ -163,6 +164,19 @@ def _powers(model: Model, forces: Forces, found: Answer, friction: Any, speeds: 
     place = model.layout.energies.index("friction_loss")
     rates[place] = -sp.total(joint.arm * friction[k] * speeds[k] for k, joint in enumerate(joints))
     return rates
+
+
+def _check_unique(system: System) -> None:
+    """Raises `ValueError` where friction would hang on a reaction that is not unique."""
+    redundancy = system.topology.redundancy
+    for held in touching(system):
+        rubs = held.joint.friction is not None
+        if redundancy is not None and rubs and held.name in redundancy.joints:
+            raise ValueError(
+                f'friction in joint "{held.name}" follows its reaction, which is not unique: the '
+                f"loops are {redundancy} Leave its friction out, give another joint of this loop "
+                "more freedom, or take a compliant integrator such as ImplicitStep."
+            )
 
 
 def _ends(joint: AbstractPermanentJoint, means: list) -> tuple[CarryingEnd, ...]:

@@ -55,3 +55,31 @@ def least_change(
     start = (jnp.zeros_like(scaled), jnp.zeros_like(targets))
     (basis, parts), new = jax.lax.scan(add, start, (scaled, targets, jnp.arange(m)))
     return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), new)
+
+
+def of_rank(
+    rows: Float[Array, "rows n"],
+    targets: Float[Array, " rows"],
+    scales: Float[Array, " n"],
+    rank: int,
+) -> tuple[Float[Array, "rank n"], Float[Array, " rank"]]:
+    """Equations, so many, that say the same as `rows @ x = targets` where only that many of them
+    are independent: the rows that stand out most, one after the other; the rest is not looked at. A
+    row is zero where fewer are independent."""
+    scaled = rows * scales
+    largest = jnp.max(jnp.sum(scaled * scaled, axis=1), initial=0.0)
+    chosen, parts = [], []
+    for _ in range(rank):
+        squares = jnp.sum(scaled * scaled, axis=1)
+        here = jnp.argmax(squares)
+        new = squares[here] > DEPENDENT**2 * largest
+        inverse = safe_divide(1.0, safe_sqrt(jnp.where(new, squares[here], 0.0)))
+        direction, part = scaled[here] * inverse, targets[here] * inverse
+        along = scaled @ direction
+        scaled = scaled - along[:, None] * direction
+        targets = targets - along * part
+        chosen.append(direction / scales)
+        parts.append(part)
+    if not chosen:
+        return rows[:0], targets[:0]
+    return jnp.stack(chosen), jnp.stack(parts)

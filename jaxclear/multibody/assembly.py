@@ -6,6 +6,7 @@ equations of `start_equations`, metres measured by the longest arm. What cannot 
 name (`start_check`).
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -16,11 +17,10 @@ from jaxtyping import Array, Bool
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, expect
-from jaxclear.ground.least_change import least_change
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
-from jaxclear.multibody import contact_point, kinematics, start_check
-from jaxclear.multibody.mechanism import Mechanism, ungiven
+from jaxclear.multibody import contact_point, kinematics, redundancy, start_check
+from jaxclear.multibody.mechanism import Mechanism, ungiven, with_redundancy
 from jaxclear.multibody.side_of_guess import warn_of_nearer_assembly
 from jaxclear.multibody.start_equations import (
     GIVEN,
@@ -32,12 +32,13 @@ from jaxclear.multibody.start_equations import (
     ask,
     guess,
     is_solved,
+    least,
     motions_at,
     nearer,
     outside_tree,
     position_blocks,
+    settled,
     speed_blocks,
-    speed_scales,
     stacked,
 )
 
@@ -45,15 +46,18 @@ __all__ = [
     "Start",
     "assemble",
     "assemble_arrays",
-    "assemble_from",
     "assembled",
     "carried_on",
     "determined",
     "guess",
     "is_sound",
+    "ready",
+    "ready_from",
 ]
 
 ITERATIONS = 30
+# The same where rows are redundant and steps are damped.
+SETTLING = 200
 # A part may start this deep in another, as a share of the smaller radius in contact [1]: as deep as
 # hard steel is ever pressed, less than a place that was mistaken.
 DEEPEST = 2e-3
@@ -84,12 +88,25 @@ def assemble_arrays(
         # What is told of other joints than those of the tree first, so that the search for closed
         # loops begins where it was told.
         q, _ = jax.lax.scan(approach, q, length=ITERATIONS)
+    if asked.system.topology.redundancy is not None:
+        # Far from closed, redundant rows contradict each other.
+        q = closest(asked, q, time)
     q, _ = jax.lax.scan(improve, q, length=ITERATIONS)
-    scales = speed_scales(asked)
     # The second time for rounding only: rates are linear in the speeds.
     for _ in range(2):
-        v = v - least_change(*stacked(asked, speed_blocks(asked, q, v, time)), scales).change
+        v = v - least(asked, speed_blocks(asked, q, v, time)).change
     return _started(asked, q, v, time)
+
+
+def closest(asked: Ask, q: Array, time: Any) -> Array:
+    """Coordinates that miss closed loops, and what is given, by least: also where no coordinates
+    close the loops, or where some of their rows are redundant."""
+
+    def settle(q, _):
+        held = [b for b in position_blocks(asked, q, time) if b.kind in (LOOP, GIVEN)]
+        return settled(asked, q, held), None
+
+    return jax.lax.scan(settle, q, length=SETTLING)[0]
 
 
 def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any) -> Start:
@@ -146,6 +163,13 @@ def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
     return jnp.all(jnp.stack(fine)) if fine else jnp.array(True)
 
 
+@eqx.filter_jit
+def _closest(mechanism: Mechanism, time: Any) -> Start:
+    asked = ask(mechanism, False)
+    q, v = guess(mechanism)
+    return _started(asked, closest(asked, q, time), v, time)
+
+
 assembled = eqx.filter_jit(assemble_arrays)
 
 
@@ -164,7 +188,7 @@ def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Array]:
 @answering
 def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     """Consistent start of a mechanism with numbers; refuses, by name, what cannot be: loops that do
-    not close or say nothing new, more given than they leave free, parts deep in each other.
+    not close, more given than they leave free, parts deep in each other.
 
     `concentric=False` leaves clearance joints where the guess puts them and closes ideal loops
     only. Raises `ValueError`; warns where the guess has led to a way to assemble that is not the
@@ -173,27 +197,62 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     check_double_precision()
     expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")
     check_flags("assemble", concentric=concentric)
-    start, sound = _judged(mechanism, concentric)
+    return ready(mechanism, concentric)[1]
+
+
+def ready(mechanism: Mechanism, concentric: bool = True) -> tuple[Mechanism, Start]:
+    """A mechanism that knows which rows of its loops are redundant, and its start, both as
+    `assemble` wants them. What is being traced is taken as it comes."""
+    bare = with_redundancy(mechanism, None)
+    start, sound = _judged(bare, concentric)
     if is_traced(start):
-        return start
+        return mechanism, _judged(mechanism, concentric)[0]
+    known, start, sound = _known(bare, start, sound, 0.0, lambda m: _judged(m, concentric))
     if not sound:
-        start_check.refuse(mechanism, start)
-    start_check.check_rank(mechanism, start)
-    warn_of_nearer_assembly(mechanism, start, lambda other: _judged(other, concentric))
-    return start
+        start_check.refuse(known, start)
+    warn_of_nearer_assembly(known, start, lambda other: _judged(other, concentric))
+    return known, start
 
 
-def assemble_from(mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any) -> Start:
-    """`carried_on`, for a mechanism with numbers. Raises `ValueError` where loops do not close."""
-    start, sound = _carried_on(mechanism, coordinates, speeds, time)
-    if not is_traced(start) and not sound:
-        start_check.refuse(mechanism, start)
-    return start
+def ready_from(
+    mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any
+) -> tuple[Mechanism, Start]:
+    """`ready`, from coordinates and speeds of a run (`carried_on`)."""
+    bare = with_redundancy(mechanism, None)
+    begin = lambda m: _carried_on(m, coordinates, speeds, time)
+    start, sound = begin(bare)
+    if is_traced(start):
+        return mechanism, begin(mechanism)[0]
+    known, start, sound = _known(bare, start, sound, time, begin)
+    if not sound:
+        start_check.refuse(known, start)
+    return known, start
 
 
-def determined(mechanism: Mechanism, concentric: bool = True) -> tuple[str, ...]:
+def _known(
+    bare: Mechanism, start: Start, sound: Any, time: Any, assembled: Callable
+) -> tuple[Mechanism, Start, Any]:
+    """The mechanism with its redundancy, the start, and whether it is sound, assembled anew where
+    rows are redundant: closed by as many as are independent."""
+    if not bare.topology.loops:
+        return bare, start, sound
+    place = start
+    if not sound:
+        place = _closest(bare, time)
+    elif not redundancy.is_suspect(bare, start):
+        return bare, start, sound
+    known = with_redundancy(bare, redundancy.redundancy(bare, place, time))
+    if known is not bare:
+        return known, *assembled(known)
+    # Rows that nearly depend on each other lead a search astray: what is missed is told from where
+    # it is least.
+    return bare, min(start, place, key=start_check.open_by), sound
+
+
+def determined(mechanism: Mechanism, concentric: bool = True) -> tuple[tuple[str, ...], Mechanism]:
     """Names of coordinates that `start` gives although loops, drives, concentric journals and what
-    is given before determine them. Raises `ValueError` for a start that is refused."""
-    start = assemble(mechanism, concentric)
-    known = mechanism.start and not is_traced(start)
-    return start_check.determined(mechanism, start) if known else ()
+    is given before determine them, and the mechanism that knows its redundant rows. Raises
+    `ValueError` for a start that is refused."""
+    known, start = ready(mechanism, concentric)
+    told = mechanism.start and not is_traced(start)
+    return start_check.determined(known, start) if told else (), known

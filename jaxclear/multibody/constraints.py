@@ -8,7 +8,7 @@ Baumgarte's (Nikravesh 1988, Computer-Aided Analysis of Mechanical Systems, sect
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose, Twist
@@ -28,6 +28,36 @@ class ConstraintRows(NamedTuple):
     rates: tuple
     jacobian: list[JacobianRow]
     fixed: tuple
+
+
+class Dependence(NamedTuple):
+    """Of the rows of all closures only `rank` are independent. `measures`: for each row what makes
+    its residual a length [1, m], by which forces and torques are compared."""
+
+    rank: int
+    measures: tuple
+
+
+class ClosureEquations(NamedTuple):
+    """Jacobian rows of all closures (by speed index), what each must give for the free
+    accelerations, and how the rows depend on each other; None: not at all."""
+
+    rows: list[JacobianRow]
+    wanted: list
+    dependence: Dependence | None
+
+
+def dependence(system: System, found: list[ConstraintRows]) -> Dependence | None:
+    """How the rows of all closures depend on each other."""
+    redundancy = system.topology.redundancy
+    names = [
+        closure.rows[i]
+        for closure, own in zip(system.closures, found, strict=True)
+        for i in own.kept
+    ]
+    if redundancy is None or redundancy.rank == len(names):
+        return None
+    return Dependence(redundancy.rank, tuple(1 if len(n) == 1 else system.arm for n in names))
 
 
 def constraint_rows(
@@ -55,17 +85,14 @@ def constraint_rows(
 
 def acceleration_equations(
     system: System, motions: tuple[Motion, ...], stabilisation: Baumgarte | None
-) -> tuple[list[JacobianRow], list]:
-    """Jacobian rows of all closures (by speed index), and the right side gamma that each must give
-    for the free accelerations.
-    """
+) -> ClosureEquations:
+    """The equations of all closures; what they want is the right side gamma."""
     accelerations = kinematics.link_accelerations(system, motions, None)
     # A marker on the ground shares the fictitious acceleration that stands for gravity.
     ground = Twist(kinematics.upward(system), sp.ZERO)
-    rows: list[JacobianRow] = []
+    every = [constraint_rows(system, motions, closure) for closure in system.closures]
     gamma = []
-    for closure in system.closures:
-        found = constraint_rows(system, motions, closure)
+    for closure, found in zip(system.closures, every, strict=True):
         view, pose, _ = kinematics.relative_motion(closure, motions)
         ends = [
             tree.transform_twist(marker, ground if link is None else accelerations[link])
@@ -81,8 +108,8 @@ def acceleration_equations(
                 target = sp.sub(target, sp.mul(2.0 * stabilisation.alpha, rate))
                 target = sp.sub(target, sp.mul(stabilisation.beta * stabilisation.beta, residual))
             gamma.append(target)
-        rows.extend(found.jacobian)
-    return rows, gamma
+    rows = [row for found in every for row in found.jacobian]
+    return ClosureEquations(rows, gamma, dependence(system, every))
 
 
 def constraint_wrenches(
@@ -94,15 +121,23 @@ def constraint_wrenches(
     position = 0
     for closure in system.closures:
         _, pose, _ = kinematics.relative_motion(closure, motions)
-        force, torque = sp.ZERO, sp.ZERO
-        columns = sp.transpose(pose.rotation)
-        for i in constraint_rows(system, motions, closure).kept:
-            row, multiplier = closure.rows[i], multipliers[position]
-            axis = sp.IDENTITY[loops.AXIS[row[0]]]
-            if len(row) == 1:
-                force = sp.plus(force, sp.scale(multiplier, axis))
-            else:
-                turned = sp.cross(columns[loops.AXIS[row[2]]], axis)
-                torque = sp.plus(torque, sp.scale(multiplier, turned))
-            position += 1
-        yield closure, force, torque, pose
+        kept = constraint_rows(system, motions, closure).kept
+        own = dict(zip(kept, multipliers[position : position + len(kept)], strict=True))
+        position += len(kept)
+        yield closure, *wrench_of_rows(closure, pose, own), pose
+
+
+def wrench_of_rows(closure: Closure, pose: Pose, own: dict[int, Any]) -> tuple[sp.Vec, sp.Vec]:
+    """Force [N] and torque [N m] on a closure's child about its marker, in the parent marker's
+    axes, from the multipliers of its rows by their places."""
+    force, torque = sp.ZERO, sp.ZERO
+    columns = sp.transpose(pose.rotation)
+    for i, multiplier in own.items():
+        row = closure.rows[i]
+        axis = sp.IDENTITY[loops.AXIS[row[0]]]
+        if len(row) == 1:
+            force = sp.plus(force, sp.scale(multiplier, axis))
+        else:
+            turned = sp.cross(columns[loops.AXIS[row[2]]], axis)
+            torque = sp.plus(torque, sp.scale(multiplier, turned))
+    return force, torque

@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import jax
 
-from jaxclear.ground import factorisation
+from jaxclear.ground import factorisation, semidefinite
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
 from jaxclear.multibody import constraints, kinematics, tree
+from jaxclear.multibody.constraints import ClosureEquations, Dependence
 from jaxclear.multibody.forces import Forces, add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.loops import Baumgarte
@@ -56,13 +57,12 @@ def equations_of_motion(system: System, forces: Forces) -> tuple[list, list]:
 def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | None) -> Solution:
     """Free accelerations under the forces, with the loops closed."""
     masses, right = equations_of_motion(system, forces)
-    rows: list[Any] = []
-    gamma: list[Any] = []
+    loops = ClosureEquations([], [], None)
     if system.closures:
         with jax.named_scope("constraints"):
-            rows, gamma = constraints.acceleration_equations(system, forces.motions, stabilisation)
-    respond, constrain = constrained_inverse(masses, rows)
-    accelerations, multipliers = constrain(respond([x for own in right for x in own]), gamma)
+            loops = constraints.acceleration_equations(system, forces.motions, stabilisation)
+    respond, constrain = constrained_inverse(masses, loops.rows, loops.dependence)
+    accelerations, multipliers = constrain(respond([x for own in right for x in own]), loops.wanted)
     return Solution(
         tuple(tuple(accelerations[branch.speeds]) for branch in system.topology.branches),
         multipliers,
@@ -70,11 +70,12 @@ def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | 
 
 
 def constrained_inverse(
-    masses: list, rows: list[JacobianRow]
+    masses: list, rows: list[JacobianRow], dependence: Dependence | None
 ) -> tuple[Callable[[list], list], Callable[[list, list], tuple[list, tuple]]]:
     """Two functions: M^-1 by subtrees, from generalised forces to accelerations, structurally zero
     where no force acts; and the correction of accelerations to what constraint rows want, with its
-    multipliers."""
+    multipliers; where rows depend on each other the least of them, torques measured by the longest
+    arm."""
     factors = [factorisation.factor(mass) if mass else None for mass in masses]
     size = sum(len(mass) for mass in masses)
 
@@ -87,21 +88,36 @@ def constrained_inverse(
 
     columns = [respond([row.get(j, 0) for j in range(size)]) for row in rows]
     schur = [[along(row, column) for column in columns] for row in rows]
-    factored = factorisation.factor(schur) if rows else None
+    closed = _solver(schur, dependence) if rows else None
 
     def constrain(accelerations, wanted):
-        if not rows:
+        if closed is None:
             return accelerations, ()
         lacking = []
         for target, row in zip(wanted, rows, strict=True):
             lacking.append(sp.sub(target, along(row, accelerations)))
-        multipliers = factorisation.solve(factored, tuple(lacking))
+        multipliers = closed(tuple(lacking))
         changed = []
         for acceleration, entries in zip(accelerations, zip(*columns, strict=True), strict=True):
             changed.append(sp.add(acceleration, sp.dot(multipliers, entries)))
         return changed, multipliers
 
     return respond, constrain
+
+
+def _solver(schur: list[list], dependence: Dependence | None) -> Callable[[tuple], tuple]:
+    """From what the rows lack to multipliers."""
+    if dependence is None:
+        factors = factorisation.factor(schur)
+        return lambda lacking: factorisation.solve(factors, lacking)
+    measured = dependence.measures
+
+    def scaled(values):
+        return tuple(sp.mul(x, w) for x, w in zip(values, measured, strict=True))
+
+    alike = [scaled(sp.mul(x, w) for x in row) for row, w in zip(schur, measured, strict=True)]
+    known = semidefinite.factor_of_rank(alike, dependence.rank)
+    return lambda lacking: scaled(semidefinite.solve_least(known, scaled(lacking)))
 
 
 def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[Wrench, ...]:

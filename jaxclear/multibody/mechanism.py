@@ -4,6 +4,8 @@ The numbers are leaves of a pytree; names, joint types and what is absent are it
 that are being traced are not checked: they were when the mechanism was built with numbers.
 """
 
+import copy
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,7 +22,7 @@ from jaxclear.multibody.in_words import in_words
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.magnitudes import warn_of_magnitudes
 from jaxclear.multibody.plane import check_plane
-from jaxclear.multibody.topology import Topology, grow
+from jaxclear.multibody.topology import Redundancy, Topology, grow
 
 
 def _guess(what: str, value: Any) -> tuple:
@@ -152,6 +154,16 @@ class Mechanism(AbstractQuantified):
 def ungiven(mechanism: Mechanism) -> Mechanism:
     """The mechanism with nothing given for its start."""
     return eqx.tree_at(lambda m: (m.start, m.speeds, m.guess), mechanism, ({}, {}, {}))
+
+
+def with_redundancy(mechanism: Mechanism, redundancy: Redundancy | None) -> Mechanism:
+    """The mechanism with what is known of redundant rows in its loops."""
+    if mechanism.topology.redundancy == redundancy:
+        return mechanism
+    known = copy.copy(mechanism)
+    topology = dataclasses.replace(mechanism.topology, redundancy=redundancy)
+    object.__setattr__(known, "topology", topology)
+    return known
 
 
 def loosened(mechanism: Mechanism, names: tuple[str, ...]) -> Mechanism:

@@ -7,17 +7,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
-    LOOP,
     Start,
     ask,
     independent,
-    position_blocks,
     retract,
-    stacked,
 )
 from jaxclear.multibody.system import System
 from jaxclear.multibody.topology import coordinate_joint
@@ -27,6 +23,8 @@ CLOSED = 1e-8
 # By how much a given number may be missed [rad, longest arms]: numbers written with six digits
 # close a loop that leaves them no freedom.
 HELD = 1e-6
+# Beside the longest arm: a loop that is open by less may be one whose lengths ought to fit.
+NEARLY = 0.05
 
 
 def check_flat_bodies(mechanism: Mechanism, system: System, motions: tuple) -> None:
@@ -66,6 +64,12 @@ def verdicts(mechanism: Mechanism, start: Start) -> Iterator[tuple[Any, str, Any
         yield _deep, name, depth <= allowed
 
 
+def open_by(start: Start) -> float:
+    """By how much loops are open [m, 1]; 0 where they count as closed."""
+    most = max((float(_most(left)) for left in start.residuals.values()), default=0.0)
+    return most if not most <= CLOSED else 0.0
+
+
 def refuse(mechanism: Mechanism, start: Start) -> None:
     """Raises `ValueError` for a start, of a mechanism with numbers, that is not what was asked
     for."""
@@ -79,10 +83,17 @@ def _most(values: Any) -> Any:
 
 
 def _open_loop(mechanism: Mechanism, start: Start, name: str) -> str:
+    missed = _most(start.residuals[name])
+    exactly = (
+        " Loops that hold each other (parallel cranks, a ring of skew hinges) close only where "
+        f"lengths and axes fit exactly, to {CLOSED:.0e} m."
+        if missed <= NEARLY * float(ask(mechanism, False).arm)
+        else ""
+    )
     return (
-        f'the loop through joint "{name}" cannot be closed: {_most(start.residuals[name]):.3g} m '
+        f'the loop through joint "{name}" cannot be closed: {missed:.3g} m '
         "(or rad) remain from the given start. Check the lengths around this loop, or give a "
-        "better start={...} or guess={...} for the joints in it."
+        f"better start={{...}} or guess={{...}} for the joints in it.{exactly}"
     )
 
 
@@ -152,48 +163,6 @@ def _in_words(values: tuple) -> str:
 
 def _measure(mechanism: Mechanism, joint: Any) -> float:
     return float(ask(mechanism, False).arm) if joint.units[0] == "m" else 1.0
-
-
-def check_rank(mechanism: Mechanism, start: Start) -> None:
-    """Raises `ValueError` for a loop one of whose rows says nothing new."""
-    fitted = any(
-        isinstance(connection.joint, AbstractPermanentJoint)
-        for connection in mechanism.connections.values()
-    )
-    kept = np.zeros((0, len(start.speeds)))
-    for name in mechanism.topology.loops:
-        rows = np.asarray(start.jacobians[name])
-        # A row that no motion changes; where joints always touch, those of the tree carry what it
-        # would.
-        superfluous = len(start.residuals[name]) > len(rows) and not fitted
-        kept = np.vstack([kept, rows])
-        dependent = np.linalg.matrix_rank(kept, tol=1e-9 * np.abs(kept).max(initial=1.0)) < len(
-            kept
-        )
-        if superfluous or (dependent and not _singular_only_here(mechanism, start)):
-            raise ValueError(
-                f'the loop closed by joint "{name}" is overconstrained: one of its rows follows '
-                "from the others, so its "
-                "reaction is undetermined. For a planar mechanism give planar places (2 numbers) "
-                "throughout; otherwise "
-                "replace a revolute joint in this loop by a spherical, cylindrical or universal "
-                "one."
-            )
-        if dependent:
-            return
-
-
-def _singular_only_here(mechanism: Mechanism, start: Start) -> bool:
-    """True where the rows are independent at nearby coordinates: a singular position, not a
-    superfluous joint.
-    """
-    asked = ask(mechanism, False)
-    q = retract(asked.system, start.coordinates, jnp.asarray(_jolt(start)))
-    loops = [b for b in position_blocks(asked, q, 0.0) if b.kind == LOOP]
-    jacobian = np.asarray(stacked(asked, loops)[0])
-    return np.linalg.matrix_rank(jacobian, tol=1e-9 * np.abs(jacobian).max(initial=0.0)) == len(
-        jacobian
-    )
 
 
 def determined(mechanism: Mechanism, start: Start) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.least_change import least_change
+from jaxclear.ground.least_change import Change, least_change, of_rank
 from jaxclear.multibody import constraints, given, kinematics
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
@@ -23,6 +23,10 @@ LOOP, GIVEN, JOURNAL, GUESS = "loop", "given", "journal", "guess"
 # Largest change of a coordinate in one step [rad, longest arms]: keeps the search on the branch of
 # the guess.
 LONGEST_STEP = 0.3
+# Of the square of what is left: little, so that steps lead to what is nearest.
+DAMPING = 1e-2
+# Beside the squares of rows that move a coordinate by as much as they count: far above rounding.
+LEAST_DAMPING = 1e-12
 
 
 class Start(NamedTuple):
@@ -98,10 +102,41 @@ def retract(system: System, q: Array, step: Array) -> Array:
 def nearer(asked: Ask, q: Array, blocks: list[Block]) -> Array:
     """Coordinates after one Gauss-Newton step that changes what is left of the blocks' equations to
     0: the least, and `LONGEST_STEP` at most."""
+    return _moved(asked, q, -least(asked, blocks).change)
+
+
+def settled(asked: Ask, q: Array, blocks: list[Block]) -> Array:
+    """Coordinates after one step that lessens what is left of equations some of which may follow
+    from others, or contradict them: Levenberg's, damped by the square of what is left, which closes
+    in quadratically also where the rank falls (Yamashita & Fukushima 2001, Computing Suppl. 15,
+    239, doi:10.1007/978-3-7091-6217-0_18)."""
     scales = speed_scales(asked)
-    step = -least_change(*stacked(asked, blocks), scales).change
-    longest = jnp.maximum(jnp.max(jnp.abs(step / scales)), LONGEST_STEP)
+    rows, left = stacked(asked, blocks)
+    measure = jnp.concatenate([block.measure for block in blocks])
+    rows, left = rows * scales / measure[:, None], left / measure
+    damping = DAMPING * jnp.sum(left * left) + LEAST_DAMPING
+    damped = rows @ rows.T + damping * jnp.eye(len(left))
+    factors = factorisation.factor([list(row) for row in damped])
+    shares = sp.stack(factorisation.solve(factors, tuple(left)))
+    return _moved(asked, q, -scales * (rows.T @ shares))
+
+
+def _moved(asked: Ask, q: Array, step: Array) -> Array:
+    """Coordinates after a step, shortened to `LONGEST_STEP`."""
+    longest = jnp.maximum(jnp.max(jnp.abs(step / speed_scales(asked))), LONGEST_STEP)
     return retract(asked.system, q, step * (LONGEST_STEP / longest))
+
+
+def least(asked: Ask, blocks: list[Block]) -> Change:
+    """The least change of the free speeds that meets the equations of the blocks, loops first."""
+    scales, redundancy = speed_scales(asked), asked.system.topology.redundancy
+    loops = [block for block in blocks if block.kind == LOOP]
+    rest = [block for block in blocks if block.kind != LOOP]
+    first = stacked(asked, loops)
+    if redundancy is not None and len(first[0]) > redundancy.rank:
+        first = of_rank(*first, scales, redundancy.rank)
+    rows, left = zip(first, stacked(asked, rest), strict=True)
+    return least_change(jnp.concatenate(rows), jnp.concatenate(left), scales)
 
 
 def motions_at(asked: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple, tuple]:
@@ -153,13 +188,13 @@ def independent(asked: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
     """By name whether what `start` gives is left free by the loops, journals that are to be
     concentric, and what is given before."""
     blocks = position_blocks(asked, q, 0.0)
-    blocks = [b for kinds in ((LOOP, JOURNAL), (GIVEN,)) for b in blocks if b.kind in kinds]
-    met = least_change(*stacked(asked, blocks), speed_scales(asked)).met
-    ends = np.cumsum([len(block.left) for block in blocks])
+    given_last = [b for kinds in ((LOOP,), (JOURNAL,), (GIVEN,)) for b in blocks if b.kind in kinds]
+    told = [block for block in blocks if block.kind == GIVEN]
+    met = least(asked, given_last).met
+    ends = len(met) - sum(len(b.left) for b in told) + np.cumsum([len(b.left) for b in told])
     return {
         block.name: jnp.all(met[end - len(block.left) : end])
-        for block, end in zip(blocks, ends, strict=True)
-        if block.kind == GIVEN
+        for block, end in zip(told, ends, strict=True)
     }
 
 
@@ -199,13 +234,13 @@ def _closure_block(
     asked: Ask, motions: tuple[Motion, ...], name: str, closure: Closure, kind: str, rates: bool
 ) -> Block:
     found = constraints.constraint_rows(asked.system, motions, closure)
-    left = sp.stack(found.rates if rates else found.residuals)
+    measure = [asked.arm if len(closure.rows[i]) == 1 else 1.0 for i in found.kept]
     return Block(
         kind,
         name,
-        left,
+        sp.stack(found.rates if rates else found.residuals),
         _dense(asked, found.jacobian),
-        jnp.ones_like(left),
+        sp.stack(measure),
         sp.stack(() if rates else found.fixed),
     )
 

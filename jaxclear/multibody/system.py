@@ -5,6 +5,7 @@ Everything here is computed once before the loop starts, from the same leaves, s
 through.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -49,7 +50,8 @@ class ClosureCoordinate(eqx.Module):
 
 class System(eqx.Module):
     """Links in the topology's order, loop closures and the joints that make them, clearance joints
-    and loads; `measured`: joints outside the tree on whose coordinate loads act.
+    and loads; `measured`: joints outside the tree on whose coordinate loads act. `arm` [m]: the
+    longest, where loops have redundant rows; None elsewhere.
     """
 
     links: tuple[Link, ...]
@@ -60,6 +62,7 @@ class System(eqx.Module):
     measured: dict[str, ClosureCoordinate]
     load_markers: dict[str, tuple[tuple[int | None, Pose], ...]]
     gravity: sp.Vec
+    arm: Any
     topology: Topology = eqx.field(static=True)
 
 
@@ -108,9 +111,11 @@ def prepare(mechanism: Mechanism) -> System:
     places = dict(zip(topology.loops, closures, strict=True))
     places |= {name: bearing.closure for name, bearing in bearings.items()}
     measured = _measured(mechanism, places)
-    return System(
-        tuple(links), closures, closing, bearings, loads, measured, markers, gravity, topology
-    )
+    loaded = (loads, measured, markers, gravity)
+    system = System(tuple(links), closures, closing, bearings, *loaded, None, topology)
+    if topology.redundancy is None:
+        return system
+    return dataclasses.replace(system, arm=longest_arm(system))
 
 
 def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, ClosureCoordinate]:

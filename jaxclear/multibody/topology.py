@@ -13,6 +13,7 @@ from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
 from jaxclear.components.joint import AbstractJoint, Free, Planar
 from jaxclear.components.joint.base import drive_of
+from jaxclear.ground.wording import listed
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,40 @@ class Branch:
 
 
 @dataclass(frozen=True)
+class Redundancy:
+    """What is too much in the loops of a mechanism that moves all the same: of the rows that motion
+    changes only `rank` are independent; `rows` (joint, row) follow from the others, and the
+    reactions of `joints` are not unique.
+    """
+
+    rank: int
+    rows: tuple[tuple[str, str], ...]
+    joints: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """The same as a sentence."""
+        rows = listed_rows(self.rows)
+        return (
+            f"overconstrained: of the rows that close loops {rows} follow{'s' * (len(self.rows) < 2)} "
+            "from the others. The motion is unique; of the reactions in joints "
+            f"{listed(self.joints)} the least are taken that close the loops."
+        )
+
+
+def listed_rows(rows: tuple[tuple[str, str], ...]) -> str:
+    """Rows by joint, in words."""
+    joints = dict.fromkeys(joint for joint, _ in rows)
+    return "; ".join(
+        f'{", ".join(own for name, own in rows if name == joint)} of joint "{joint}"'
+        for joint in joints
+    )
+
+
+@dataclass(frozen=True)
 class Topology:
     """Static structure of a mechanism. `subtrees`: what hangs together without the ground, as
-    tuples of indices of branches.
+    tuples of indices of branches. `redundancy` is known once the mechanism has been assembled
+    (`redundancy.py`); None where no row is redundant.
     """
 
     branches: tuple[Branch, ...]
@@ -54,6 +86,7 @@ class Topology:
     clearances: tuple[str, ...]
     coordinate_count: int
     speed_count: int
+    redundancy: Redundancy | None = None
 
     def branch_of(self, connection: str) -> Branch | None:
         """The branch held by a connection, or None where it closes a loop or has clearance."""

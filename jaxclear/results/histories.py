@@ -3,6 +3,8 @@
 Everything is computed from the saved states when asked for, so a run pays for none of it.
 """
 
+import dataclasses
+import warnings
 from typing import Any
 
 import equinox as eqx
@@ -79,11 +81,14 @@ class ContactHistory(eqx.Module):
 
 class ReactionHistory(eqx.Module):
     """`force` [N] and `torque` [N m] that the child receives from the parent at the child's marker,
-    in ground axes; those of loads on the joint's own coordinate included.
+    in ground axes; those of loads on the joint's own coordinate included. `unique`: False where
+    overconstrained loops leave open how they share what they carry; these reactions then belong to
+    the least multipliers of the joints that close loops, torques measured by the longest arm.
     """
 
     force: Float[Array, "time 3"]
     torque: Float[Array, "time 3"]
+    unique: bool = eqx.field(static=True, default=True)
 
 
 class EnergyHistory(eqx.Module):
@@ -161,7 +166,15 @@ def _contact_names(history, name, count):
 def reaction(history: StateHistory, name: str) -> ReactionHistory:
     """Force and torque in a connection."""
     check_known(name, history.mechanism.connections, "joint")
-    return _reaction(history, name)
+    redundancy = history.mechanism.topology.redundancy
+    unique = redundancy is None or name not in redundancy.joints
+    if not unique:
+        warnings.warn(
+            f'the reaction of joint "{name}" is not unique: the loops are {redundancy} A body that '
+            "gives, or a joint with clearance in place of one of them, would tell which.",
+            stacklevel=4,
+        )
+    return dataclasses.replace(_reaction(history, name), unique=unique)
 
 
 @eqx.filter_jit

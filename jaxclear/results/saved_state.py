@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.multibody.topology import Redundancy
 
 __all__ = ["SavedMotion", "State"]
 
@@ -17,6 +18,7 @@ class SavedMotion(eqx.Module):
     """How a mechanism stands and moves at a `time` [s]: `coordinates` and `speeds` of its tree [m,
     rad, 1, m/s, rad/s], and what is `remembered` beside them (impact speeds [m/s], deflections of
     bristles [m], angles with their turns [rad]); `names` and `remembered_names` name their entries.
+    `redundancy`: of the loops' rows, as the run knew it.
     """
 
     time: Float[Array, ""]
@@ -25,6 +27,7 @@ class SavedMotion(eqx.Module):
     remembered: Float[Array, " m"]
     names: tuple[str, ...] = eqx.field(static=True)
     remembered_names: tuple[str, ...] = eqx.field(static=True)
+    redundancy: Redundancy | None = eqx.field(static=True, default=None)
 
     @property
     def moving(self) -> tuple[Array, Array, Array]:

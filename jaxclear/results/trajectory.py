@@ -115,7 +115,9 @@ class Trajectory(eqx.Module):
         if np.ndim(self.outcome) or is_traced(self.outcome):
             return repr(self)
         steps = f"{int(self.accepted_steps)} steps, {len(self.time)} saved instants"
-        return f"{self.result}\n{float(self.ended):.6g} s in {steps}.\n{self.checks}"
+        lines = [self.result, f"{float(self.ended):.6g} s in {steps}.", str(self.checks)]
+        redundancy = self.mechanism.topology.redundancy
+        return "\n".join(lines if redundancy is None else [*lines, f"The loops are {redundancy}"])
 
     def state_names(self) -> list[str]:
         """Names of the columns of `states`."""
@@ -144,7 +146,8 @@ class Trajectory(eqx.Module):
         layout, names, row = self.history.layout(), self.state_names(), self.states[index]
         first, middle, beside = layout.coordinates, layout.memory_start, layout.remembered
         parts = row[:first], row[first:middle], row[beside]
-        motion = SavedMotion(self.time[index], *parts, tuple(names[:middle]), tuple(names[beside]))
+        known = tuple(names[:middle]), tuple(names[beside]), self.mechanism.topology.redundancy
+        motion = SavedMotion(self.time[index], *parts, *known)
         return State(self.worn or None, motion=motion)
 
     def body(self, name: str) -> BodyHistory:
@@ -194,7 +197,8 @@ class Trajectory(eqx.Module):
 
     def reaction(self, name: str) -> ReactionHistory:
         """Force and torque in a connection, ideal or with clearance; friction that is no function
-        of the state enters as its mean over the saving interval, as in `contact`."""
+        of the state enters as its mean over the saving interval, as in `contact`. Where loops are
+        overconstrained and leave a reaction open it is the least one, and a warning says so."""
         return histories.reaction(self.history, name)
 
     def coordinate(self, name: str) -> Float[Array, "time q"]:

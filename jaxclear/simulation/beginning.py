@@ -10,7 +10,7 @@ from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import listed
-from jaxclear.multibody.assembly import Start, assemble, assemble_from
+from jaxclear.multibody.assembly import Start, ready, ready_from
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import names
 from jaxclear.results.saved_state import State
@@ -27,13 +27,14 @@ class Past(eqx.Module):
 
 def beginning(
     mechanism: Mechanism, formulation: AbstractFormulation, state: State
-) -> tuple[Start, Any, Past]:
-    """The consistent start of a mechanism with numbers, its time [s], and what is taken over.
+) -> tuple[Mechanism, Start, Any, Past]:
+    """A mechanism with numbers that knows its redundant rows, its consistent start, its time [s],
+    and what is taken over.
     Raises `ValueError` with a sentence for what cannot be."""
     past = past_of(mechanism, formulation, state)
     if state.motion is None:
-        return assemble(mechanism, state.concentric), 0.0, past
-    return assemble_from(mechanism, *state.motion.moving), state.motion.time, past
+        return *ready(mechanism, state.concentric), 0.0, past
+    return *ready_from(mechanism, *state.motion.moving), state.motion.time, past
 
 
 def past_of(mechanism: Mechanism, formulation: AbstractFormulation, begun: State) -> Past:

@@ -135,7 +135,7 @@ def simulate(
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     state = State() if state is None else state
-    start, begins, past = beginning(mechanism, integrator.formulation, state)
+    mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state)
     with stoppable(), progress.bar(progress_bar, "simulating"):
         ready = mechanism, start.coordinates, start.speeds, begins + times, integrator
         trajectory = _run(*ready, balance, progress_bar, past)

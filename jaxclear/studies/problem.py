@@ -26,7 +26,8 @@ from jaxclear.multibody.assembly import (
     determined,
     is_sound,
 )
-from jaxclear.multibody.mechanism import Mechanism, loosened
+from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
+from jaxclear.multibody.topology import Redundancy
 from jaxclear.results.response import unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
@@ -107,6 +108,8 @@ class Problem(AbstractQuantified):
     # Coordinates given for the start that the loops determine: they move with what varies.
     determined: tuple[str, ...] = eqx.field(static=True)
     why_integrator: str = eqx.field(static=True)
+    # Redundant rows of loops, which all samples share.
+    redundancy: Redundancy | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -134,8 +137,10 @@ class Problem(AbstractQuantified):
         seen = self.integrator.formulation.seen(mechanism)
         self.state = State() if state is None else state
         self.past = past_of(seen, self.integrator.formulation, self.state)
-        own = self.state.motion is None
-        self.determined = determined(seen, self.state.concentric) if own else ()
+        self.determined, motion = (), self.state.motion
+        if motion is None:
+            self.determined, seen = determined(seen, self.state.concentric)
+        self.redundancy = seen.topology.redundancy if motion is None else motion.redundancy
         for name, wanted in self.response.items():
             if not callable(wanted) or isinstance(wanted, type):
                 hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
@@ -181,7 +186,8 @@ class Problem(AbstractQuantified):
 
     def started(self, values: Float[Array, " variables"]) -> tuple[Mechanism, Start, Trajectory]:
         """The mechanism of one set of values as it is simulated, its start, and its run; pure."""
-        mechanism = self.integrator.formulation.seen(self.with_values(values))
+        seen = self.integrator.formulation.seen(self.with_values(values))
+        mechanism = with_redundancy(seen, self.redundancy)
         times, motion = self.shares * self.duration, self.state.motion
         if motion is None:
             start = assemble_arrays(mechanism, self.state.concentric)

@@ -7,6 +7,7 @@ import pytest
 
 from jaxclear.formulations import delassus
 from jaxclear.formulations.contact_rows import ContactPoint, FreeMotion
+from jaxclear.multibody.constraints import ClosureEquations
 
 LIMBS = (2, 3)
 
@@ -27,8 +28,7 @@ def equations(rows, closures, seed=1):
         None,
         [list(map(list, m)) for m in masses],
         tuple(right),
-        as_rows(held),
-        list(wanted),
+        ClosureEquations(as_rows(held), list(wanted), None),
         {},
         contacts,
     )

@@ -1,0 +1,63 @@
+"""Least squares with semidefinite matrices of known rank, against NumPy's pseudo-inverse."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxclear.ground.semidefinite import factor_of_rank, solve_least
+
+# The condition of the matrices drawn here is below 1e4.
+ROUNDING = 1e-9
+
+
+@partial(jax.jit, static_argnums=2)
+def solved(matrix, right, rank):
+    factors = factor_of_rank([list(row) for row in jnp.asarray(matrix)], rank)
+    return jnp.stack(solve_least(factors, tuple(jnp.asarray(right))))
+
+
+def drawn(size, rank, seed=0):
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(size, rank))
+    return root @ root.T, root @ random.normal(size=rank)
+
+
+@pytest.mark.parametrize(("size", "rank"), [(4, 3), (5, 2), (5, 0), (3, 3), (20, 2)])
+def test_solution_is_the_least_of_all(size, rank):
+    matrix, right = drawn(size, rank)
+    wanted = np.linalg.pinv(matrix, rcond=1e-10) @ right
+    found = solved(matrix, right, rank)
+    np.testing.assert_allclose(found, wanted, atol=ROUNDING * (1 + np.abs(wanted).max()))
+
+
+def test_rows_that_contradict_each_other_are_met_in_the_mean():
+    """Of A a = b with two equal rows that want 1 and 3 each gets 2."""
+    row = np.array([[1.0, 2.0]])
+    jacobian = np.concatenate([row, row])
+    multipliers = solved(jacobian @ jacobian.T, jnp.array([1.0, 3.0]), 1)
+    np.testing.assert_allclose(jacobian @ (jacobian.T @ multipliers), [2.0, 2.0], rtol=1e-12)
+
+
+def test_lost_rank_gives_finite_numbers():
+    """Where the matrix says less than its rank, it is solved in what it says."""
+    found = solved(np.diag([1.0, 0.0, 0.0]), jnp.array([2.0, 0.0, 0.0]), 2)
+    np.testing.assert_allclose(found, [2.0, 0.0, 0.0], atol=1e-12)
+
+
+def test_derivative_is_that_of_the_pseudo_inverse():
+    """Along changes that keep the rank: S(t) = A(t) A(t)^T."""
+    random = np.random.default_rng(1)
+    root, change = random.normal(size=(2, 5, 3))
+    load = random.normal(size=3)
+
+    def at(t):
+        moved = jnp.asarray(root) + t * jnp.asarray(change)
+        return solved(moved @ moved.T, moved @ load, 3)
+
+    step = 1e-6
+    wanted = (at(step) - at(-step)) / (2 * step)
+    found = jax.jacfwd(at)(0.0)
+    np.testing.assert_allclose(found, wanted, atol=1e-6 * np.abs(wanted).max())
