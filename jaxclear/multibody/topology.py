@@ -56,11 +56,11 @@ class Redundancy:
 
     def __str__(self) -> str:
         """The same as a sentence."""
-        rows = listed_rows(self.rows)
+        rows, verb = listed_rows(self.rows), "follow" if len(self.rows) > 1 else "follows"
         return (
-            f"overconstrained: of the rows that close loops {rows} follow{'s' * (len(self.rows) < 2)} "
-            "from the others. The motion is unique; of the reactions in joints "
-            f"{listed(self.joints)} the least are taken that close the loops."
+            f"overconstrained: of the rows that close loops {rows} {verb} from the others. The "
+            f"motion is unique; of the reactions in joints {listed(self.joints)} the least are taken "
+            "that close the loops."
         )
 
 
