@@ -59,8 +59,8 @@ class Redundancy:
         rows, verb = listed_rows(self.rows), "follow" if len(self.rows) > 1 else "follows"
         return (
             f"overconstrained: of the rows that close loops {rows} {verb} from the others. The "
-            f"motion is unique; of the reactions in joints {listed(self.joints)} the least are taken "
-            "that close the loops."
+            f"motion is unique; of the reactions in joints {listed(self.joints)} the least are "
+            "taken that close the loops."
         )
 
 

@@ -184,10 +184,14 @@ class Problem(AbstractQuantified):
             mechanism = eqx.tree_at(_leaves_of(variable), mechanism, new)
         return loosened(mechanism, self.determined)
 
+    def seen(self, values: Float[Array, " variables"]) -> Mechanism:
+        """The mechanism of one set of values as it is simulated."""
+        seen = self.integrator.formulation.seen(self.with_values(values))
+        return with_redundancy(seen, self.redundancy)
+
     def started(self, values: Float[Array, " variables"]) -> tuple[Mechanism, Start, Trajectory]:
         """The mechanism of one set of values as it is simulated, its start, and its run; pure."""
-        seen = self.integrator.formulation.seen(self.with_values(values))
-        mechanism = with_redundancy(seen, self.redundancy)
+        mechanism = self.seen(values)
         times, motion = self.shares * self.duration, self.state.motion
         if motion is None:
             start = assemble_arrays(mechanism, self.state.concentric)

@@ -75,7 +75,7 @@ def compiled_cycle(
     problem: Problem, values: Float[Array, " variables"], begin: SavedMotion, worn: Worn
 ) -> tuple[Cycle, Trajectory]:
     """A cycle and its run."""
-    mechanism = problem.integrator.formulation.seen(problem.with_values(values))
+    mechanism = problem.seen(values)
     times = begin.time + problem.shares * problem.duration
     past = Past(worn, begin.remembered)
     found = run(mechanism, begin.coordinates, begin.speeds, times, problem.integrator, past=past)
@@ -88,6 +88,7 @@ def compiled_cycle(
         state[found.history.layout().remembered].reshape(beside.shape),
         begin.names,
         begin.remembered_names,
+        begin.redundancy,
     )
     kept = Cycle(
         end,
@@ -131,7 +132,7 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     a start that cannot be."""
     formulation = problem.integrator.formulation
     mechanism = formulation.seen(problem.with_values(values))
-    start, time, past = beginning(mechanism, formulation, problem.state)
+    mechanism, start, time, past = beginning(mechanism, formulation, problem.state)
     model = model_of(mechanism, formulation)
     layout = model.layout
     rest = jnp.zeros(layout.size - layout.memory_start)
@@ -142,7 +143,8 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     named = names(model.system, layout)
     first, beside = layout.memory_start, layout.remembered
     parts = start.coordinates, start.speeds, remembered
-    motion = SavedMotion(time, *parts, tuple(named[:first]), tuple(named[beside]))
+    known = tuple(named[:first]), tuple(named[beside]), mechanism.topology.redundancy
+    motion = SavedMotion(time, *parts, *known)
     return motion, unworn(model.system) if past.worn is None else past.worn
 
 

@@ -61,4 +61,5 @@ def predicted(places: Sequence[Place], depth: np.ndarray, units: tuple[str, ...]
         last.remembered,
         last.names,
         last.remembered_names,
+        last.redundancy,
     )
