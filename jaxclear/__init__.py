@@ -46,6 +46,7 @@ from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution
 from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
+from jaxclear.studies.life.derivative import wear_life_derivatives
 from jaxclear.studies.life.settled import settled
 from jaxclear.studies.life.wear_life import wear_life
 from jaxclear.studies.monte_carlo import monte_carlo
@@ -104,5 +105,6 @@ __all__ = [
     "vector",
     "wear",
     "wear_life",
+    "wear_life_derivatives",
 ]
 __getattr__ = nothing_else("jaxclear", __all__)

@@ -73,6 +73,15 @@ def wearing_ring(slope=SLOPE, hyperbolic=False, breaks=1.0):
     )
 
 
+# One program serves all problems whose variables are these.
+VARIABLES = {
+    "hardness": jc.Variable(
+        lambda rig: rig.connections["B"].joint.bearing_wear.law.hardness, tolerance=2e8
+    ),
+    "load": jc.Variable(lambda rig: rig.loads["press"].first, tolerance=5.0),
+}
+
+
 def problem(rig, **kwargs):
     """The responses of one turn, by steps that resolve the contact."""
     responses = {
@@ -81,7 +90,7 @@ def problem(rig, **kwargs):
     }
     integrator = jc.integrator.FixedStep(5e-5)
     return jc.Problem(
-        rig, responses, {}, duration=TURN, save=SAVES, integrator=integrator, **kwargs
+        rig, responses, VARIABLES, duration=TURN, save=SAVES, integrator=integrator, **kwargs
     )
 
 

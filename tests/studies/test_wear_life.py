@@ -202,6 +202,24 @@ def test_table_figure_and_dataset_tell_the_life(lived):
     assert again.responses["force"][0] == pytest.approx(life.over_life("force")[-1], rel=1e-3)
 
 
+def test_derivatives_of_a_life_are_those_of_the_closed_form():
+    """Life is in proportion to hardness; by the load it is so but for the contact's compliance."""
+    law, limit = ClosedForm(), 4e-6
+    asked = problem(wearing_ring())
+    life = jc.wear_life(asked, 1.2 * law.turns(limit))
+    found = jc.wear_life_derivatives(life, "depth", limit)
+    stiff = 1 / (1 + FORCE * SLOPE / STIFFNESS)
+    wanted = {"hardness": law.turns(limit) / 2e9, "load": -law.turns(limit) / FORCE * stiff}
+    for name, exact in wanted.items():
+        assert abs(found[name].value - exact) < found[name].error < 0.1 * abs(exact), name
+        assert f"of {name}" in found[name].sentence
+    assert found["load"].unit == "(cycles)/(N)"
+    with pytest.raises(ValueError, match="Ask for a longer life"):
+        jc.wear_life_derivatives(life, "depth", 1.0)
+    with pytest.raises(ValueError, match='no variable "loads"'):
+        jc.wear_life_derivatives(life, variables=("loads",))
+
+
 @pytest.mark.parametrize(
     ("asked", "sentence"),
     [

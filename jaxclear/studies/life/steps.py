@@ -139,6 +139,31 @@ def live(
     return Stepped(tuple(nodes), rejected, "")
 
 
+def live_along(
+    evaluate: Evaluate,
+    start: Node,
+    cells: Cells,
+    lengths: np.ndarray,
+    hear: Hear = lambda share: None,
+) -> Stepped:
+    """Steps of these lengths, whatever their errors: those of another life."""
+    nodes, cycles = [start], float(np.sum(lengths))
+    for length in map(float, lengths):
+        now = nodes[-1]
+        try:
+            after = (
+                _one_by_one(evaluate, now, length)
+                if length <= 1.0
+                else _stepped(evaluate, now, cells, length, np.inf)[0]
+            )
+        except CycleFailed as reason:
+            return Stepped(tuple(nodes), 0, str(reason))
+        assert after is not None
+        nodes.append(after)
+        hear(length / cycles)
+    return Stepped(tuple(nodes), 0, "")
+
+
 def live_by_jumps(
     evaluate: Evaluate,
     start: Node,

@@ -20,7 +20,7 @@ from jaxclear.studies.life.living import Living
 from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
 from jaxclear.studies.life.settled import check_period
 from jaxclear.studies.life.settling import Patience
-from jaxclear.studies.life.steps import CycleFailed, Node, Stepped, live, live_by_jumps
+from jaxclear.studies.life.steps import CycleFailed, Node, Stepped, live, live_along, live_by_jumps
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store import Store
 
@@ -74,9 +74,19 @@ def wear_life(
     return result
 
 
-def lived(living: Living, cycles: float, tolerance: float, jump: float | None) -> WearLife:
-    """The life, and what is kept of it."""
-    found = _stepped(living, cycles, tolerance, jump)
+def lived(
+    living: Living,
+    cycles: float,
+    tolerance: float,
+    jump: float | None,
+    lengths: np.ndarray | None = None,
+) -> WearLife:
+    """The life, and what is kept of it; by steps of these `lengths` [cycles] if they are given."""
+    start = _start(living)
+    if lengths is not None:
+        found = live_along(living.evaluate, start, living.cells, lengths)
+    else:
+        found = _stepped(living, start, cycles, tolerance, jump)
     return WearLife(
         living.problem,
         tuple(Stage(node, node.rate.told) for node in found.nodes),
@@ -84,22 +94,29 @@ def lived(living: Living, cycles: float, tolerance: float, jump: float | None) -
         living.worn,
         living.checks(),
         cycles,
-        tolerance,
+        tolerance if jump is None else np.inf,
         found.ended,
         living.simulated,
         found.rejected,
     )
 
 
-def _stepped(living: Living, cycles: float, tolerance: float, jump: float | None) -> Stepped:
-    """The nodes of the life."""
-    row, cells = living.first_row, living.cells
+def _start(living: Living) -> Node:
+    """The first node of a life. Raises `SimulationError` where its cycles fail."""
+    row = living.first_row
     try:
         rate = living.evaluate(row, set_down=living.problem.state.motion is None)
     except CycleFailed as reason:
         raise SimulationError(f"The life has no first cycle: {reason}", living.last_run) from None
     check_period("wear_life", living.problem, rate.told.last)
-    start = Node(0.0, row, rate, np.zeros(len(cells.surfaces)), np.zeros_like(row))
+    return Node(0.0, row, rate, np.zeros(len(living.cells.surfaces)), np.zeros_like(row))
+
+
+def _stepped(
+    living: Living, start: Node, cycles: float, tolerance: float, jump: float | None
+) -> Stepped:
+    """The nodes of the life."""
+    cells, rate = living.cells, start.rate
 
     hear = progress.advance
     if jump is not None:

@@ -1,0 +1,175 @@
+"""What a wear life costs at which error: on loads that fall with wear, whose depth has a closed
+form, beside the fixed factor of the papers; a life of a million cycles of the four-bar, judged by
+one with a tighter tolerance; and whether the error told of chaotic motion is that by which lives
+from other starts differ.
+
+Cycles are all that were simulated, those in which the machine settles included. CPU seconds of a
+warm program.
+"""
+
+import json
+import math
+import time
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import jaxclear as jc
+from benchmarks.measure import about, arguments, report
+from tests.rigs.wearing_ring import ClosedForm, problem, wearing_ring
+
+# Depth [m] at which the force has fallen to about a half, by law.
+LAWS = {"exponential": (False, 5e-6), "square root": (True, 1e-5)}
+TOLERANCES = (1e-1, 1e-2, 3e-3, 1e-3, 3e-4)
+JUMPS = (4, 16, 64, 256)
+# Errors at which costs are compared.
+AT = (1e-2, 1e-3)
+FOUR_BAR_TOLERANCES, TIGHT = (5e-2, 2e-2, 1e-2), 2e-3
+WEAR_COEFFICIENT, MILLION, STARTS = 2e-5, 1e6, 12
+
+
+def timed(*args: Any, **kwargs: Any) -> tuple[Any, float]:
+    """A life, and its CPU seconds after it has been compiled."""
+    begun = time.process_time()
+    life = jc.wear_life(*args, **kwargs)
+    return life, time.process_time() - begun
+
+
+def closed_form_rows(laws: dict) -> list[dict[str, Any]]:
+    """A row for each scheme and each of its settings."""
+    rows = []
+    for name, (hyperbolic, depth) in laws.items():
+        asked = problem(wearing_ring(hyperbolic=hyperbolic))
+        turns = ClosedForm(hyperbolic=hyperbolic).turns(depth)
+        jc.wear_life(asked, 1)
+        schemes = [("3(2) pair", f"tolerance {x:g}", {"tolerance": x}) for x in TOLERANCES]
+        schemes += [("fixed factor", f"{n} jumps", {"jump": turns / n}) for n in JUMPS]
+        for scheme, setting, given in schemes:
+            life, spent = timed(asked, turns, **given)
+            true = abs(float(life.over_life("depth")[-1]) / depth - 1)
+            rows.append(
+                {
+                    "law": name,
+                    "scheme": scheme,
+                    "setting": setting,
+                    "cycles": life.simulated,
+                    "error [%]": 100 * true,
+                    "error told [%]": 100 * life.error,
+                    "told / true": life.error / true,
+                    "CPU [s]": spent,
+                }
+            )
+    return rows
+
+
+def cost_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Cycles that each scheme needs for an error: of the pair the cheapest setting that keeps it,
+    of the fixed factor (first order) between its settings."""
+    found = []
+    for law in dict.fromkeys(row["law"] for row in rows):
+        for error in AT:
+            own = {"law": law, "error [%]": 100 * error}
+            mine = [row for row in rows if row["law"] == law]
+            pair = [r for r in mine if r["scheme"] == "3(2) pair" and r["error [%]"] <= 100 * error]
+            own["3(2) pair"] = min(row["cycles"] for row in pair)
+            fixed = [r for r in mine if r["scheme"] == "fixed factor"]
+            errors = np.log([row["error [%]"] for row in fixed])[::-1]
+            cycles = np.log([row["cycles"] for row in fixed])[::-1]
+            between = math.exp(float(np.interp(math.log(100 * error), errors, cycles)))
+            own["fixed factor"] = round(between)
+            found.append(own | {"ratio": between / own["3(2) pair"]})
+    return found
+
+
+def four_bar() -> jc.Problem:
+    """A turn of the planar four-bar, its bearing of lubricated steel."""
+    rig = eqx.tree_at(
+        lambda rig: rig.connections["B"].joint.bearing_wear.law.wear_coefficient,
+        jc.scenes.four_bar("planar"),
+        jnp.asarray(WEAR_COEFFICIENT),
+    )
+    responses = {"mean force": jc.response.MeanContactForce("B")}
+    integrator = jc.integrator.FixedStep(8e-6)
+    return jc.Problem(rig, responses, {}, duration=2 * math.pi / 10, integrator=integrator)
+
+
+def million_rows() -> list[dict[str, Any]]:
+    """Lives of a million cycles by tolerance, beside the tight one: all cells of the map."""
+    asked = four_bar()
+    tight, spent = timed(asked, MILLION, tolerance=TIGHT)
+    exact = np.asarray(tight.worn()["B"]["bearing"])
+    once = MILLION * np.asarray(tight.stages[0].settled.wear["B"]["bearing"])
+    rows = [_million("carried on from one cycle", 2, once, np.nan, exact, 0.0)]
+    for tolerance in FOUR_BAR_TOLERANCES:
+        life, took = timed(asked, MILLION, tolerance=tolerance)
+        depth = np.asarray(life.worn()["B"]["bearing"])
+        rows.append(
+            _million(f"tolerance {tolerance:g}", life.simulated, depth, life.error, exact, took)
+        )
+    last = _million(f"tolerance {TIGHT:g}", tight.simulated, exact, tight.error, exact, spent)
+    return [*rows, last | {"off [%]": 0.0}]
+
+
+def _million(
+    name: str, cycles: int, depth: np.ndarray, told: float, exact: np.ndarray, spent: float
+) -> dict[str, Any]:
+    off = np.sqrt(np.mean((depth - exact) ** 2) / np.mean(exact**2))
+    return {
+        "life": name,
+        "cycles": cycles,
+        "largest depth [um]": 1e6 * float(depth.max()),
+        "off [%]": 100 * float(off),
+        "error told [%]": 100 * told,
+        "CPU [s]": spent,
+    }
+
+
+def chaotic_rows() -> list[dict[str, Any]]:
+    """Lives of a slider-crank that rattles, from starts that lie some cycles apart: by how much
+    their volumes scatter, and what each tells."""
+    rig, period = jc.scenes.slider_crank(wear=True), 2 * math.pi / 50
+    state, volumes, told = None, [], []
+    for _ in range(STARTS):
+        settled = jc.settled(rig, period, cycles=5, state=state)
+        state = settled.state
+        life = jc.wear_life(
+            jc.Problem(
+                rig, {"force": jc.response.MeanContactForce("B")}, {}, duration=period, state=state
+            ),
+            MILLION,
+            tolerance=2e-2,
+        )
+        volumes.append(float(life.over_life("volume")[-1]))
+        told.append(float(life.errors_of_volume[-1]))
+    scatter = np.std(volumes, ddof=1) / np.mean(volumes)
+    return [
+        {
+            "lives": STARTS,
+            "cycles each": life.simulated,
+            "scatter of volume, 1.96 sigma [%]": 196 * float(scatter),
+            "error told, mean [%]": 100 * float(np.mean(told)),
+            "within what they tell": sum(
+                abs(v / np.mean(volumes) - 1) <= t for v, t in zip(volumes, told, strict=True)
+            ),
+        }
+    ]
+
+
+def main() -> None:
+    options = arguments(__doc__)
+    rows = closed_form_rows({"exponential": LAWS["exponential"]} if options.quick else LAWS)
+    report("A load that falls with wear: error and cost", rows, options)
+    report("Cycles for an error", cost_rows(rows), options)
+    if not options.quick:
+        report("A million cycles of the planar four-bar", million_rows(), options)
+        report("Lives of a slider-crank that rattles", chaotic_rows(), options)
+    if options.json is not None:
+        told = {"about": about("benchmarks.claims.wear_life", options.json)}
+        known = json.loads(options.json.read_text())
+        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""Derivatives of a life: `jaxclear.wear_life_derivatives`.
+
+Whole lives with one variable moved up and down, at two widths, all by the steps of the life itself,
+so that no choice of steps is taken for a change. The two widths tell how far curvature and cycles
+that settle otherwise spoil a difference; noise of chaotic motion is added, and what the steps are
+off, four times as large for a derivative: their error goes with the fourth power of the rate.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
+from jaxclear.simulation import progress
+from jaxclear.simulation.simulate import SimulationError
+from jaxclear.studies.life.living import Living
+from jaxclear.studies.life.result import CONFIDENCE, VOLUME, WearLife
+from jaxclear.studies.life.settling import Patience
+from jaxclear.studies.life.wear_life import SETTLED, lived
+
+# Moves of a variable, in widths.
+MOVES = (-1.0, -0.5, 0.5, 1.0)
+# An error below this share of a derivative is said without more words.
+AGREED = 0.1
+# Power of the rate with which the error of a step goes.
+POWER = 4
+
+
+class LifeDerivative(NamedTuple):
+    """Derivative of a life with respect to a variable, in `unit`: its `value`, half the width of a
+    95 % interval (nan where there is none), and a sentence."""
+
+    value: float
+    error: float
+    unit: str
+    sentence: str
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+@answering
+def wear_life_derivatives(
+    life: WearLife,
+    quantity: str = "depth",
+    limit: float | None = None,
+    *,
+    variables: Sequence[str] | None = None,
+    width: float | None = None,
+    most: int = 12,
+    progress_bar: bool = False,
+) -> dict[str, LifeDerivative]:
+    """Derivatives of a `quantity` at the end of a life with respect to the variables of its problem
+    (clearance, hardness, a load ...), by name; with a `limit`, those of the cycles until the
+    quantity reaches it. Four more lives for each variable.
+
+    `variables`: some of their names. `width`: how far one is moved [its unit], by default a
+    standard deviation of its distribution. `most`: cycles a rate at the most, as in
+    `wear_life`. Raises `ValueError` with a sentence for what the life does not tell of or does not
+    reach.
+    """
+    expect(life, WearLife, "the life", "what jaxclear.wear_life returns")
+    check_known("quantity", quantity, life.quantities, " in this life")
+    check_flags("wear_life_derivatives", progress_bar=progress_bar)
+    problem = life.problem
+    names = problem.names if variables is None else tuple(variables)
+    for name in names:
+        check_known("variable", name, problem.names, " in this problem")
+    if not names:
+        raise ValueError("the problem of this life has no variables; give it some.")
+    if width is not None:
+        check_number("width of wear_life_derivatives", width, above=0)
+    if limit is not None and not np.isfinite(life.until(quantity, limit).cycles):
+        raise ValueError(f"{life.until(quantity, limit).sentence} Ask for a longer life.")
+    found = {}
+    with progress.bar(progress_bar, "lives"):
+        for name in names:
+            deviation = problem.variables[name].distribution.deviation()
+            own = float(deviation) if width is None else float(width)
+            found[name] = _of_variable(life, quantity, limit, name, own, most)
+            progress.advance(1 / len(names))
+    return found
+
+
+def _of_variable(
+    life: WearLife, quantity: str, limit: float | None, name: str, width: float, most: int
+) -> LifeDerivative:
+    """By one variable."""
+    problem = life.problem
+    place = problem.names.index(name)
+    unit = "cycles" if limit is not None else life.quantities[quantity]
+    unit = f"({unit})/({problem.variable_units[place]})"
+    what = quantity if limit is None else f"life until {quantity} {limit:.4g}"
+    values, noises, warned = [], [], 0
+    for move in MOVES:
+        moved = problem.nominal() + move * width * jnp.eye(len(problem.names))[place]
+        try:
+            other = _along(life, moved, most)
+        except (SimulationError, ValueError) as reason:
+            return _none(unit, f"The {what} has no derivative by {name} here: {reason}")
+        told = _told(other, quantity, limit)
+        if other.ended or not np.isfinite(told[0]):
+            why = other.ended or f"moved by {move * width:.3g} it is not reached."
+            return _none(unit, f"The {what} has no derivative by {name} here: {why}")
+        values.append(told[0])
+        noises.append(told[1])
+        warned += bool(other.warnings)
+    far, near = (values[3] - values[0]) / (2 * width), (values[2] - values[1]) / width
+    noise = CONFIDENCE * np.hypot(noises[1], noises[2]) / width
+    steps = POWER * float(life.errors.max()) * near
+    error = float(np.sqrt((near - far) ** 2 + noise**2 + steps**2))
+    sentence = f"The {what} changes by {near:.4g} ± {error:.2g} {unit} of {name}"
+    sentence += "." if error <= AGREED * abs(near) else ", which is known no better."
+    if error > abs(near):
+        sentence += " Not distinguishable from zero."
+    if warned:
+        sentence += f" {warned} of {len(MOVES)} lives warn."
+    return LifeDerivative(float(near), error, unit, sentence)
+
+
+def _none(unit: str, why: str) -> LifeDerivative:
+    return LifeDerivative(np.nan, np.nan, unit, why)
+
+
+def _along(life: WearLife, values: Any, most: int) -> WearLife:
+    """The life with other numbers, by the same steps."""
+    accurate = life.tolerance if np.isfinite(life.tolerance) else 1.0
+    living = Living(life.problem, values, Patience(SETTLED, accurate, most), None)
+    return lived(living, life.asked, life.tolerance, None, np.diff(life.cycles))
+
+
+def _told(life: WearLife, quantity: str, limit: float | None) -> tuple[float, float]:
+    """(what is differentiated, what noise leaves of it as a standard deviation)."""
+    at = float(life.cycles[-1])
+    value = float(life.over_life(quantity)[-1])
+    if quantity in life.problem.response_names:
+        noise = life.stages[-1].settled.responses()[quantity][1]
+    else:
+        node, count = life.stages[-1].node, len(life.surfaces)
+        which = slice(count, None) if quantity.startswith(VOLUME) else slice(0, count)
+        left = life.cells.sizes(np.sqrt(node.variance))[which]
+        whole = life.cells.sizes(node.depth - life.stages[0].node.depth)[which]
+        noise = abs(value) * float(np.max(left / np.maximum(whole, np.finfo(float).tiny)))
+    if limit is None:
+        return value, noise
+    at = life.until(quantity, limit).cycles
+    return at, noise / max(abs(value), np.finfo(float).tiny) * at
