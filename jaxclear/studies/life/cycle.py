@@ -16,9 +16,9 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.base import model_of
 from jaxclear.ground.arguments import check_number, expect
-from jaxclear.integrators import Checks, Outcome
+from jaxclear.integrators import AbstractIntegrator, Checks, Outcome
 from jaxclear.multibody import closure_coordinates
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, ungiven
 from jaxclear.multibody.state import names
 from jaxclear.native import stoppable
 from jaxclear.results import response
@@ -70,15 +70,28 @@ class Cycle(eqx.Module):
         return ""
 
 
+class Asked(eqx.Module):
+    """What a cycle needs of its problem: neither its variables nor its own start, so that one
+    program serves all of these. `times` [s] count from its beginning."""
+
+    mechanism: Mechanism
+    integrator: AbstractIntegrator
+    response: dict[str, Callable]
+    times: Float[Array, " saves"]
+
+
+def asked_of(problem: Problem, values: Any) -> Asked:
+    """What a cycle needs, with the problem's variables at these values."""
+    times = problem.shares * problem.duration
+    return Asked(ungiven(problem.seen(values)), problem.integrator, problem.response, times)
+
+
 @eqx.filter_jit
-def compiled_cycle(
-    problem: Problem, values: Float[Array, " variables"], begin: SavedMotion, worn: Worn
-) -> tuple[Cycle, Trajectory]:
+def compiled_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
     """A cycle and its run."""
-    mechanism = problem.seen(values)
-    times = begin.time + problem.shares * problem.duration
-    past = Past(worn, begin.remembered)
-    found = run(mechanism, begin.coordinates, begin.speeds, times, problem.integrator, past=past)
+    times, past = begin.time + asked.times, Past(worn, begin.remembered)
+    motion = begin.coordinates, begin.speeds
+    found = run(asked.mechanism, *motion, times, asked.integrator, past=past)
     state = found.states[-1]
     first, middle, beside = found.history.layout().coordinates, len(begin.names), begin.remembered
     end = SavedMotion(
@@ -94,7 +107,7 @@ def compiled_cycle(
         end,
         jax.tree.map(lambda after, before: after - before, found.worn, worn),
         volumes(found),
-        {name: jnp.asarray(own(found), float) for name, own in problem.response.items()},
+        {name: jnp.asarray(own(found), float) for name, own in asked.response.items()},
         apart(found.history),
         found.outcome,
         found.ended,
@@ -103,20 +116,18 @@ def compiled_cycle(
     return kept, found
 
 
-def cycle(
-    problem: Problem, values: Any, begin: SavedMotion, worn: Worn
-) -> tuple[Cycle, Trajectory]:
+def cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
     """A cycle simulated, and its run."""
     with stoppable():
-        kept, found = jax.block_until_ready(compiled_cycle(problem, values, begin, worn))
+        kept, found = jax.block_until_ready(compiled_cycle(asked, begin, worn))
         found = diagnosed(found)
     kept = dataclasses.replace(kept, outcome=found.outcome)
     return jax.tree.map(np.asarray, kept), found
 
 
-def kind_of_cycle(problem: Problem, values: Any, begin: SavedMotion, worn: Worn) -> Cycle:
-    """A cycle of the problem with shapes in place of numbers; nothing is simulated."""
-    return eqx.filter_eval_shape(compiled_cycle, problem, values, begin, worn)[0]
+def kind_of_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> Cycle:
+    """A cycle with shapes in place of numbers; nothing is simulated."""
+    return eqx.filter_eval_shape(compiled_cycle, asked, begin, worn)[0]
 
 
 def volumes(found: Trajectory) -> Worn:

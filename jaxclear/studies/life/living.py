@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxclear.integrators import Checks
 from jaxclear.simulation.wear import Worn
-from jaxclear.studies.life.cycle import Cycle, cycle, first_state, kind_of_cycle
+from jaxclear.studies.life.cycle import Cycle, asked_of, cycle, first_state, kind_of_cycle
 from jaxclear.studies.life.prediction import Place, predicted, units_of_coordinates
 from jaxclear.studies.life.settling import Patience, Settling, settle
 from jaxclear.studies.life.steps import Cells, CycleFailed, Rate
@@ -26,7 +26,8 @@ class Living:
     """A life on its way: its problem, the cycles simulated so far, where the motion settled."""
 
     def __init__(self, problem: Problem, values: Any, patience: Patience, store: Store | None):
-        self.problem, self.values, self.patience, self.store = problem, values, patience, store
+        self.problem, self.patience, self.store = problem, patience, store
+        self.asked = asked_of(problem, values)
         self.motion, self.worn = first_state(problem, values)
         depth, self.unflat = flattened(self.worn)
         self.areas = _areas(problem, self.worn)
@@ -41,7 +42,7 @@ class Living:
         self.last_run: Any = None
         self.kind: Any = None
         if store is not None:
-            self.kind = kind_of_cycle(problem, values, self.motion, self.worn)
+            self.kind = kind_of_cycle(self.asked, self.motion, self.worn)
 
     def evaluate(self, row: np.ndarray, set_down: bool = False) -> Rate:
         """What a cycle wears on surfaces of these depths; not the one in which the machine is
@@ -78,7 +79,7 @@ class Living:
         begun = flattened((motion, worn))[0]
         known = None if self.store is None else self.store.taken(begun, self.kind)
         if known is None:
-            known, self.last_run = cycle(self.problem, self.values, motion, worn)
+            known, self.last_run = cycle(self.asked, motion, worn)
             if self.store is not None:
                 self.store.add(begun, known)
         self.simulated += 1

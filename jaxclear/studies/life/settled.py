@@ -18,7 +18,14 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.simulation.wear import Worn
-from jaxclear.studies.life.cycle import Cycle, as_problem, as_state, cycle, first_state
+from jaxclear.studies.life.cycle import (
+    Cycle,
+    as_problem,
+    as_state,
+    asked_of,
+    cycle,
+    first_state,
+)
 from jaxclear.studies.life.settling import Patience, Settling, correlation_factor, settle, total
 from jaxclear.studies.problem import Problem
 
@@ -148,10 +155,11 @@ def settled(
     check_flags("settled", progress_bar=progress_bar, throw=throw)
     values = problem.nominal()
     begin, worn = first_state(problem, values)
+    needed = asked_of(problem, values)
     runs: list[Trajectory] = []
 
     def one(motion, surfaces):
-        kept, run = cycle(problem, values, motion, surfaces)
+        kept, run = cycle(needed, motion, surfaces)
         runs[:] = [run]
         progress.advance(1 / cycles)
         return kept
@@ -160,7 +168,8 @@ def settled(
         found = settle(
             one, begin, worn, Patience(tolerance, 1.0, cycles), lambda c: not restless(problem, c)
         )
-    result = Settled(problem, found, runs[0], worn, tolerance)
+    run = eqx.tree_at(lambda r: r.history.mechanism, runs[0], problem.seen(values))
+    result = Settled(problem, found, run, worn, tolerance)
     if found.last.fault:
         if throw:
             raise SimulationError(result.sentence(), runs[0])
