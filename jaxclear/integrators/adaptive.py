@@ -16,6 +16,7 @@ from jaxclear.integrators.base import (
     AbstractIntegrator,
     Advance,
 )
+from jaxclear.integrators.checks import Check
 from jaxclear.integrators.impacts import TakingImpactSpeeds
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
@@ -158,7 +159,7 @@ class Adaptive(AbstractIntegrator):
             state,
             args=arrays,
             stepsize_controller=self._controller(model, interval, usual),
-            saveat=diffrax.SaveAt(t1=True),
+            saveat=diffrax.SaveAt(t1=True, solver_state=formulation.remembers(rest)),
             max_steps=self.most_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,
@@ -177,4 +178,7 @@ class Adaptive(AbstractIntegrator):
         )
         typical = (jnp.where(reached, stop, time) - start) / jnp.maximum(accepted, 1)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
-        return Advance(solution.ys[-1], accepted, rejected, typical, outcome)
+        figures = {}
+        if formulation.remembers(rest):
+            figures[Check.INDENTATION] = solution.solver_state[2]
+        return Advance(solution.ys[-1], accepted, rejected, typical, outcome, figures)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import diffrax
+import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.impact_speed import turns_beyond
@@ -21,7 +22,9 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
     parted.
 
     `contacts(time, state, args)`: their motion. `remember(state, before, after, length, args)`: the
-    state with its impact speeds set. `unseen` [m]: how deep a touch may go between two steps.
+    state with its impact speeds set. `unseen` [m]: how deep a touch may go between two steps. Its
+    state between steps ends with the largest indentation of every contact so far [m]: the motion of
+    the contacts is known at both ends of a step, so that peaks of a run cost it nothing.
     """
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
@@ -54,16 +57,23 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
         return self.solver.error_order(terms)
 
     def init(self, terms, t0, t1, y0, args):
-        return self.solver.init(terms, t0, t1, y0, args), self.contacts(t0, y0, args)
+        contacts = self.contacts(t0, y0, args)
+        return self.solver.init(terms, t0, t1, y0, args), contacts, _deeper(contacts, 0.0)
 
     def func(self, terms, t0, y0, args):
         return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        own, before = solver_state
+        own, before, deepest = solver_state
         y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
         after: Any = self.contacts(t1, y1, args)
         length = t1 - t0
         missed = jnp.any(turns_beyond(before, after, length, self.unseen))
         y1 = self.remember(y1, before, after, length, args)
-        return y1, jnp.where(missed, jnp.inf, error), dense, (own, after), result
+        error = jnp.where(missed, jnp.inf, error)
+        return y1, error, dense, (own, after, _deeper(after, deepest)), result
+
+
+def _deeper(contacts: Any, deepest: Any) -> Any:
+    """The largest indentations, those of the contacts included; nothing of it is differentiated."""
+    return jnp.maximum(jax.lax.stop_gradient(contacts.depths), deepest)
