@@ -51,6 +51,16 @@ def test_antenna_study_writes_figures_and_tables(tmp_path, capsys, keep_settings
 
 
 @pytest.mark.slow
+def test_3rsr_study_writes_figures_and_tables(tmp_path, capsys, keep_settings):
+    main(["3rsr", "--out", str(tmp_path), "--cycles", "4", "--quiet"])
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"deviations.csv", "clearance.csv", "volume.csv"} <= names
+    assert sum(name.endswith(".png") for name in names) == 5
+    assert len(pandas.read_csv(tmp_path / "deviations.csv")) == 6
+    assert str(tmp_path) in capsys.readouterr().out
+
+
+@pytest.mark.slow
 def test_wear_life_study_writes_figures_and_goes_on(tmp_path, capsys, keep_settings):
     asked = ["wear-life", "--out", str(tmp_path), "--cycles", "1e4", "--quiet"]
     main(asked)

@@ -1,5 +1,5 @@
-"""Answers the command line: `jaxclear four-bar`, `antenna`, `guide`, `flap` and `wear-life` run
-studies, `jaxclear parameters` lists a scene's numbers with units.
+"""Answers the command line: `jaxclear four-bar`, `antenna`, `guide`, `flap`, `3rsr` and `wear-life`
+run studies, `jaxclear parameters` lists a scene's numbers with units.
 
 What may be asked stands in `jaxclear_command`, which answers mistakes before this package is
 loaded. A new study is a module with a function `run`, a line here and an entry there.
@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 
 import jaxclear as jc
-from jaxclear.commands import antenna, flap, four_bar, guide, wear_life
+from jaxclear.commands import antenna, flap, four_bar, guide, parallel_3rsr, wear_life
 
 __all__ = ["answer"]
 
@@ -21,6 +21,7 @@ STUDIES = {
     "antenna": antenna,
     "guide": guide,
     "flap": flap,
+    "3rsr": parallel_3rsr,
     "wear-life": wear_life,
 }
 # Programs that compile faster than this are not kept [s].

@@ -1,45 +1,90 @@
 """Figures of a worn surface: rolled out flat, and in space with its depth exaggerated."""
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxclear.components.wear_map import CylinderMap
 from jaxclear.plot.canvas import MICRO, MILLI, canvas, check_run, setting, warned
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["wear_surface", "wear_unrolled"]
 
+# A hollow of a sphere is looked at from somewhat above it, and rather from the side [deg].
+ABOVE, STEEPEST = 12.0, 40.0
 
-def _wear(run: Trajectory, joint: str, surface: str) -> tuple[CylinderMap, np.ndarray]:
+
+class Wall(NamedTuple):
+    """How a worn wall is drawn: boundaries of the cells along it and what they are called; `places`
+    gives x, y and z of the corners of its cells [mm] from their distances to the axis, or to the
+    middle of a sphere [mm]; `rise`: angle [deg] under which a row is looked at; `height` of the
+    picture beside its width.
+    """
+
+    edges: np.ndarray
+    along: str
+    round_about: str
+    places: Callable[[np.ndarray], tuple]
+    rise: Callable[[float], float]
+    height: float
+
+
+def _cylinder(wear_map: Any) -> Wall:
+    around, along = wear_map.cells
+    edges = MILLI * np.linspace(-0.5, 0.5, along + 1) * float(wear_map.length)
+    angles = np.linspace(0, 2 * np.pi, around + 1)[:, None]
+
+    def places(reach):
+        return reach * np.cos(angles), reach * np.sin(angles), edges * np.ones_like(reach)
+
+    across = "direction from the {}'s x axis [deg]"
+    return Wall(edges, "position along the axis [mm]", across, places, lambda _: 22.0, 1.2)
+
+
+def _sphere(wear_map: Any) -> Wall:
+    around, along = wear_map.cells
+    edges = np.linspace(-90, 90, along + 1)
+    azimuth, elevation = np.linspace(0, 2 * np.pi, around + 1)[:, None], np.radians(edges)
+
+    def places(reach):
+        flat = reach * np.cos(elevation)
+        return flat * np.cos(azimuth), flat * np.sin(azimuth), reach * np.sin(elevation)
+
+    across = "azimuth from the {}'s x axis [deg]"
+    rise = lambda row: min(max(row + ABOVE, -STEEPEST), STEEPEST)
+    return Wall(edges, "elevation [deg]", across, places, rise, 1.0)
+
+
+# The shape of a wall, by the surface's name.
+SHAPES = {"socket": _sphere}
+
+
+def _wear(run: Trajectory, joint: str, surface: str) -> tuple[Any, Wall, np.ndarray]:
     check_run(run)
     depth = np.asarray(run.worn_depth(joint, surface))
-    return run.mechanism.connections[joint].joint.maps()[surface][0], depth
+    wear_map = run.mechanism.connections[joint].joint.maps()[surface][0]
+    return wear_map, SHAPES.get(surface, _cylinder)(wear_map), depth
 
 
 def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing") -> Figure:
     """Worn depth over direction and position along the axis, the wall rolled out flat; beside it
     the deepest cell of each row.
     """
-    wear_map, depth = _wear(run, joint, surface)
+    _, wall, depth = _wear(run, joint, surface)
     figure, axes = canvas(1, 2, (9.5, 4.2), width_ratios=(3.2, 1.0), sharey=True)
     around = np.linspace(0, 360, depth.shape[0] + 1)
-    along = MILLI * np.linspace(-0.5, 0.5, depth.shape[1] + 1) * float(wear_map.length)
     mesh = axes[0].pcolormesh(
-        around, along, MICRO * depth.T, cmap="inferno", norm=_stretched(MICRO * depth)
+        around, wall.edges, MICRO * depth.T, cmap="inferno", norm=_stretched(MICRO * depth)
     )
     figure.colorbar(mesh, ax=axes[0], label="worn depth [µm] (colour ~ square root)")
-    axes[0].set_xlabel("direction from the bearing's x axis [deg]")
-    axes[0].set_ylabel("position along the axis [mm]")
+    axes[0].set_xlabel(wall.round_about.format(surface))
+    axes[0].set_ylabel(wall.along)
     axes[0].set_title(f"Worn depth of the {surface} of {joint}, unrolled{setting(run, joint)}")
     axes[0].set_xticks(range(0, 361, 60))
-    heights = MILLI * np.asarray(wear_map.heights())
-    axes[1].barh(
-        heights,
-        MICRO * depth.max(axis=0),
-        height=heights[1] - heights[0] if len(heights) > 1 else 1.0,
-        color="C1",
-    )
+    middles, widths = 0.5 * (wall.edges[1:] + wall.edges[:-1]), np.diff(wall.edges)
+    axes[1].barh(middles, MICRO * depth.max(axis=0), height=widths, color="C1")
     axes[1].set_xlabel("deepest in row [µm]")
     return warned(figure, {"": run})
 
@@ -54,21 +99,17 @@ def wear_surface(
     """The worn wall in space, depth exaggerated so that the deepest place shows as a fifth of the
     radius.
     """
-    wear_map, depth = _wear(run, joint, surface)
+    wear_map, wall, depth = _wear(run, joint, surface)
     radius = float(wear_map.radius)
     factor = 0.2 * radius / max(depth.max(), 1e-15) if exaggeration is None else exaggeration
     ringed = np.vstack([depth[-1:], depth, depth[:1]])
     padded = np.pad(ringed, ((0, 0), (1, 1)), mode="edge")
     corners = 0.25 * (padded[:-1, :-1] + padded[1:, :-1] + padded[:-1, 1:] + padded[1:, 1:])
-    angles = np.linspace(0, 2 * np.pi, depth.shape[0] + 1)[:, None]
-    reach = MILLI * (radius + factor * corners)
-    rows = np.linspace(-0.5, 0.5, depth.shape[1] + 1)
-    heights = MILLI * float(wear_map.length) * rows * np.ones_like(reach)
+    across, upward, heights = wall.places(MILLI * (radius + factor * corners))
     figure = Figure(figsize=(7.5, 6.0), layout="constrained")
     axis = figure.add_subplot(projection="3d", computed_zorder=False)
     norm = _stretched(MICRO * depth)
     colours = matplotlib.colormaps["YlOrRd"](norm(MICRO * depth))
-    across, upward = reach * np.cos(angles), reach * np.sin(angles)
     grid = {"edgecolor": (0, 0, 0, 0.06), "linewidth": 0.2, "rstride": 1, "cstride": 1}
     axis.plot_surface(across, upward, heights, facecolors=colours, shade=False, **grid)
     scale = matplotlib.cm.ScalarMappable(norm, "YlOrRd")
@@ -80,7 +121,9 @@ def wear_surface(
     axis.set_zlabel("z [mm]")
     title = f"Worn {surface} of {joint} seen from outside, depth × {factor:.0f}"
     axis.set_title(title + setting(run, joint), fontsize=10)
-    axis.set_box_aspect((1, 1, 1.2))
-    deepest = np.degrees(float(wear_map.angles()[int(depth.max(axis=1).argmax())]))
-    axis.view_init(elev=22.0, azim=deepest + 25.0)
+    axis.set_box_aspect((1, 1, wall.height))
+    column, row = np.unravel_index(depth.argmax(), depth.shape)
+    deepest = np.degrees(float(wear_map.angles()[column]))
+    rise = wall.rise(0.5 * (wall.edges[row] + wall.edges[row + 1]))
+    axis.view_init(elev=rise, azim=deepest + 25.0)
     return warned(figure, {"": run})

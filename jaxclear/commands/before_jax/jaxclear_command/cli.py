@@ -1,5 +1,5 @@
-"""Reads the command line: `jaxclear four-bar`, `antenna`, `guide` and `flap` run studies, `jaxclear
-parameters` lists a scene's numbers with units.
+"""Reads the command line: `jaxclear four-bar`, `antenna`, `guide`, `flap`, `3rsr` and `wear-life`
+run studies, `jaxclear parameters` lists a scene's numbers with units.
 
 A study is an entry in STUDIES, which declares its arguments, and a module of `jaxclear.commands`
 with a function `run`, which answers them.
@@ -57,6 +57,13 @@ def _flap(parser: Parser) -> None:
     add_quiet(parser)
 
 
+def _parallel_3rsr(parser: Parser) -> None:
+    add_out(parser, "3rsr_study")
+    cycles = "cycles over which the socket is worn (default 40)"
+    parser.flag("--cycles", cycles, type=whole(1), default=40)
+    add_quiet(parser)
+
+
 def _wear_life(parser: Parser) -> None:
     add_out(parser, "wear_life_study")
     cycles = "cycles of the machine's life (default 1e6)"
@@ -81,6 +88,10 @@ STUDIES = {
     ),
     "flap": Study(
         "flap actuation with four clearance joints: modes, impacts, forces, lever ratio", _flap
+    ),
+    "3rsr": Study(
+        "3RSR parallel mechanism: a ball's force in three regimes, its limit, its worn socket",
+        _parallel_3rsr,
     ),
     "wear-life": Study(
         "wear of a bearing over a life: settled cycle, depth and forces over cycles, groove",
