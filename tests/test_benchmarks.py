@@ -19,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 BOOK, RESULTS = ROOT / "notebooks", ROOT / "benchmarks" / "results"
 
 
+@pytest.mark.slow
 def test_programs_stay_within_their_budget():
     """Sizes are exact. Compile times are measured beside a reference, but a busy machine can spoil
     one: three in a row count.

@@ -21,6 +21,7 @@ def fences(language):
     return re.findall(rf"^```{language}\n(.*?)^```", TEXT, flags=re.M | re.S)
 
 
+@pytest.mark.slow
 def test_the_first_command_writes_what_readme_says(tmp_path, monkeypatch, keep_settings):
     words = shlex.split(fences("bash")[0].split("&&")[-1])
     program, out = Path(words[0]).name, words.index("--out")

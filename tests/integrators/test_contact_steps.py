@@ -33,6 +33,7 @@ def simulate(integrator):
     )
 
 
+@pytest.mark.slow
 def test_as_accurate_as_short_steps_throughout_at_a_fraction_of_the_steps():
     exact = simulate(jc.integrator.Adaptive(rtol=1e-10, atol=1e-12))
     fine = simulate(jc.integrator.FixedStep(SHORT))

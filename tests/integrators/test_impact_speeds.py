@@ -86,7 +86,7 @@ def falls():
 
 @pytest.mark.parametrize(
     "method",
-    [pytest.param(m, marks=pytest.mark.slow) if m == "munthe_kaas4" else m for m in ORDERS],
+    [m if m in ("rk4", "implicit") else pytest.param(m, marks=pytest.mark.slow) for m in ORDERS],
 )
 def test_steps_converge_through_an_impact_at_their_order(method, falls):
     """Root of the mean square over the starts, because where in a step a touch falls is chance."""
@@ -261,6 +261,7 @@ def test_a_grazing_touch_is_not_stepped_over():
 
 
 @pytest.mark.parametrize("friction", [None, jc.friction.LuGre()], ids=["smooth", "bristles"])
+@pytest.mark.slow
 def test_flights_through_the_centre_reach_their_end_at_the_tightest_tolerance(friction):
     """The normal turns by pi in no time there, and forces are nothing: no step may shrink to that.
     Exactly through it, past it by 1e-7 m, and on to the wall, with one saving time long after."""

@@ -209,6 +209,7 @@ def falling(clearance, integrator):
     return run(rig, q, v, jnp.linspace(0.0, 0.02, 3), integrator).states[-1, 1]
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_discrete_run():
     """Forward through the loop, reverse through the scan, and central differences of the run
     itself.

@@ -32,7 +32,7 @@ def reference():
             marks=pytest.mark.slow,
         ),
         jc.integrator.FixedStep(2e-6),
-        jc.integrator.FixedStep(2e-7, "heun"),
+        pytest.param(jc.integrator.FixedStep(2e-7, "heun"), marks=pytest.mark.slow),
         jc.integrator.FixedStep(steps_per_save=1000),
     ],
     ids=["Tsit5", "Kvaerno5", "rk4", "heun", "steps per save"],

@@ -56,6 +56,7 @@ def test_without_it_the_loop_drifts():
     assert max(float(part.max()) for part in found.drift().values()) > 1e-11
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_projected_run():
     """With respect to the crank's speed, on which every angle hangs: forward, reverse, and central
     differences.

@@ -211,6 +211,7 @@ def test_a_surplus_that_closes_the_loop_is_accepted():
 
 
 @pytest.mark.parametrize("joint", JOINTS)
+@pytest.mark.slow
 def test_a_surplus_moves_with_the_lengths_that_vary(joint):
     """The slider of a driven crank stands where the rod puts it, in a sample of a study and in a
     run of the same numbers."""

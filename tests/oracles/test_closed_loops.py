@@ -174,6 +174,7 @@ def tip_error(count, times, integrator, place=None):
     return np.abs(trajectory.marker("wall 0", (1.0, 0.0))[1:, :2] - place).max(), drift
 
 
+@pytest.mark.slow
 def test_windows_pass_their_singular_position():
     """All rods in one line every half turn, where the loops could fold the other way; 1e-6 m over
     10 s at N = 2.

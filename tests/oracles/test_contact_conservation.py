@@ -66,6 +66,7 @@ INERTIA = {
 }
 
 
+@pytest.mark.slow
 def test_floating_pair_keeps_its_momentum_through_collisions(collision):
     """Linear and angular momentum about the ground's origin, to rounding: contact forces come in
     pairs.

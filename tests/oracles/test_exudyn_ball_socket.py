@@ -60,7 +60,10 @@ def thrown(contact, friction):
     )
 
 
-@pytest.mark.parametrize("case", LAWS)
+@pytest.mark.parametrize(
+    "case",
+    [c if c == "hunt_crossley" else pytest.param(c, marks=pytest.mark.slow) for c in LAWS],
+)
 def test_thrown_rod_bounces_as_in_exudyn(case):
     reference = REFERENCE["cases"][case]
     mu = jnp.asarray(reference["friction"])

@@ -37,6 +37,7 @@ def observed_order(errors):
     return np.polyfit(np.log(CLEARANCES), np.log(errors), 1)[0]
 
 
+@pytest.mark.slow
 def test_slider_crank_with_clearance_tends_to_the_ideal_one():
     law = jc.contact.MarhefkaOrin(**CONTACT)
     ideal = history(jc.scenes.slider_crank(jc.joint.Revolute()), 0.25, "slider")

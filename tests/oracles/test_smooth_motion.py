@@ -7,6 +7,7 @@ Tolerances are a few times the integrator's rtol of 1e-11 over the run.
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
@@ -117,6 +118,7 @@ def test_derivative_of_a_pendulum_s_tip_by_its_length():
     np.testing.assert_allclose(found, along + length * by_length * across, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_reverse_derivative_through_fixed_steps_is_the_forward_one():
     """A fixed number of steps lets reverse mode pass."""
 

@@ -97,6 +97,7 @@ def test_wear_concentrates_near_the_edges_and_its_two_ends_differ(runs):
     assert max(by_row[0], by_row[-1]) > 1.5 * min(by_row[0], by_row[-1])
 
 
+@pytest.mark.slow
 def test_without_the_follower_beside_the_coupler_both_ends_wear_alike():
     run = jc.simulate(
         four_bar("spatial", follower_offset=0.0), 0.2, save=101, integrator=INTEGRATOR
@@ -112,6 +113,7 @@ def test_worn_volume_is_in_the_map(runs):
     np.testing.assert_allclose(volume, float(run.worn_volume("B", "bearing")[-1]), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_fixed_and_adaptive_steps_agree_on_what_wears(runs):
     adaptive = jc.simulate(four_bar("spatial"), DURATION, save=SAVES)
     fixed = runs[CLEARANCES[-1]]

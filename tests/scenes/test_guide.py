@@ -97,6 +97,7 @@ def test_reactions_agree_with_the_regularised_model_away_from_switchings(driven,
         assert error[far].max() < 5e-3 * np.linalg.norm(expected[joint], axis=0).max()
 
 
+@pytest.mark.slow
 def test_reactions_agree_with_a_compliant_run_away_from_switchings_and_impacts(
     driven, compliant, instants
 ):

@@ -68,7 +68,9 @@ def test_friction_that_explicit_steps_resolve_is_not_said():
     assert off(rig, long) > WRONG and said(long)
 
 
-@pytest.mark.parametrize("method", ["semi_implicit", "munthe_kaas4"])
+@pytest.mark.parametrize(
+    "method", ["semi_implicit", pytest.param("munthe_kaas4", marks=pytest.mark.slow)]
+)
 def test_every_explicit_method_says_so(method):
     run = run_of(
         loaded_bearing(500.0, jc.friction.Stribeck()), jc.integrator.FixedStep(method=method)
@@ -84,7 +86,9 @@ def test_short_steps_in_contact_are_judged_by_their_own_length():
     assert np.isclose(figure(contact_steps=20), figure(step=1e-6), rtol=0.2)
 
 
-@pytest.mark.parametrize("scene", ["slider_crank", "four_bar"])
+@pytest.mark.parametrize(
+    "scene", ["slider_crank", pytest.param("four_bar", marks=pytest.mark.slow)]
+)
 def test_scenes_in_the_steps_of_studies_say_nothing_of_friction(scene):
     run = run_of(getattr(jc.scenes, scene)(), jc.integrator.FixedStep(), 0.2, 201)
     assert float(run.checks.figures[Check.FRICTION_STEP].worst.max()) < Check.FRICTION_STEP.limit

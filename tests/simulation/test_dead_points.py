@@ -46,7 +46,13 @@ def four_bar(crank):
 
 
 @pytest.mark.parametrize("rung", RUNGS)
-@pytest.mark.parametrize("make", [lambda: driven_slider(0.03), lambda: four_bar(0.28)])
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(lambda: driven_slider(0.03), id="slider"),
+        pytest.param(lambda: four_bar(0.28), id="four-bar", marks=pytest.mark.slow),
+    ],
+)
 def test_a_drive_beyond_a_dead_point_ends_the_run_and_says_so(make, rung):
     run = jc.simulate(make(), 0.3, save=61, integrator=RUNGS[rung], throw=False)
     assert "A drive leads a closed loop beyond a dead point" in run.result

@@ -86,6 +86,7 @@ def test_a_worn_gap_is_deeper():
     assert float(gaps[0] - gaps[1]) == pytest.approx(depth, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_state_closes_the_loops_of_other_lengths():
     """The nearest place that does; the drive goes on from the time of the state."""
     rig = slider_crank("ideal")

@@ -59,18 +59,15 @@ def test_single_precision_is_refused_at_every_entry_that_computes(entry):
     ids=lambda i: type(i).__name__,
 )
 def test_steps_longer_than_the_saving_interval_are_said(integrator):
-    def run(save):
-        return jc.simulate(RIG, 1e-3, save=save, integrator=integrator)
-
     with pytest.warns(UserWarning, match=r"step=0.0001\) asks .* 5e-05 s: .* 2 times as many"):
-        often = run(21)
+        often = jc.simulate(RIG, 1e-3, save=21, integrator=integrator)
     assert often.accepted_steps >= 20
     with pytest.warns(UserWarning, match="longer steps than the shortest saving interval"):
         problem(duration=1e-3, save=21, integrator=integrator)
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
-        run(11)
-        run(4)
+        for save in (11, 4):
+            problem(duration=1e-3, save=save, integrator=integrator)
 
 
 def test_steps_that_nobody_asked_for_are_not_said():

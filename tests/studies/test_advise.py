@@ -159,6 +159,7 @@ def test_steps_too_long_warn_and_are_too_inaccurate(advice):
     assert remark == "too inaccurate"
 
 
+@pytest.mark.slow
 def test_an_unstable_rung_is_reported():
     """A damper that stops the rod within a microsecond: steps of a hundred are refused by the
     numbers themselves.
@@ -251,6 +252,7 @@ def test_a_pilot_is_the_start_of_the_problem():
     np.testing.assert_array_equal(piece.problem.response["stray"].reference, path[:11])
 
 
+@pytest.mark.slow
 def test_what_holds_for_the_pilot_alone_is_found_out():
     """The pilot ends before the first touch: any step is right in it."""
     place = {"place": jc.response.FinalCoordinate("journal", 1, unit="m")}

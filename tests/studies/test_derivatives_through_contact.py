@@ -127,7 +127,8 @@ def test_where_nothing_opens_derivatives_pass(integrator):
     np.testing.assert_allclose(slope, 1e-3 * np.sin(omega) * omega / 2, rtol=1e-3)
 
 
-@pytest.mark.parametrize("name", ["explicit", pytest.param("implicit", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["explicit", "implicit"])
 def test_pathwise_knows_that_a_longer_fall_strikes_faster(name):
     """-1.212 by differences of tight runs. Impact speeds are taken at the touch, so the tangent of
     the discrete run follows them (-1.268 when they relaxed to the approach speed); alone it is

@@ -49,7 +49,7 @@ def assert_loses_what_a_tight_run_loses(rig):
 
 
 @pytest.mark.parametrize("load", [20.0, 500.0, 5000.0])
-@pytest.mark.parametrize("law", ["Stribeck", "Dahl"])
+@pytest.mark.parametrize("law", ["Stribeck", pytest.param("Dahl", marks=pytest.mark.slow)])
 def test_loaded_bearing_loses_what_a_tight_run_loses(law, load):
     """Friction loss, worn volume and depth of a journal that creeps; explicit steps of 2e-5 s were
     off by up to 4000 times."""
