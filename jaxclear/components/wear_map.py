@@ -1,20 +1,41 @@
 """Where material is lost: worn depth on a cylinder (theta x z) or a sphere (azimuth x elevation).
 
-A volume is spread with quadratic B-splines around the contact's direction and, on a cylinder, over
-the length on which the tilted journal overlaps the wall, so depth is a smooth function of where and
-how much; weights add up to one, so volume is conserved to rounding. The same splines read the depth
-back when the worn surface enters the gap.
+Every cell loses what its own pressure takes, which follows from its own gap on the worn surface
+(`contact_patch`): on a cylinder also along the tilted journal. Volume is conserved to rounding, and
+depth is a smooth function of where and how much. What is lost between two saving times is spread
+over the arc that the contact has gone through. Quadratic B-splines read the depth back when the
+worn surface enters the gap.
 """
 
+import math
 from abc import abstractmethod
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.ground.numerics import TINY_SQUARE, safe_sqrt
+from jaxclear.components.contact_patch import (
+    SHARPEST,
+    Patch,
+    arc,
+    depth_lost,
+    least_depth,
+    line_contact,
+    line_sunk,
+    point_contact,
+    point_sunk,
+)
+from jaxclear.ground.numerics import TINY_SQUARE, positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.laws.wear import AbstractWearLaw
+
+# Mean square of an angle [rad2] below which a direction has stood still: rounding is below.
+STILL = 1e-13
+
+
+# Angle [rad] to either side of a contact that is looked at first.
+REACH = 0.6
 
 
 class Wearing(AbstractQuantified):
@@ -58,8 +79,8 @@ class AbstractWearMap(AbstractQuantified):
 
     @abstractmethod
     def deposit(self, depth, volume, features):
-        """Depth after losing `volume` (events,) [m3] at `features` (events, n), each event's
-        location.
+        """Depth after losing `volume` (events,) [m3] at `features` (events, n): means of each
+        event's location, weighted by what was lost there.
         """
 
 
@@ -87,12 +108,14 @@ class CylinderMap(AbstractWearMap):
     """Wall of a bearing or journal: theta from x towards y in [0, 2 pi), z from -length/2 to
     length/2.
 
-    Location features: direction (x, y), overlap length [m] and the end it starts from (-1 or 1).
+    Location features: direction (x, y), by how much the overlap falls towards the other end [m],
+    depth of the overlap [m] and the end that carries (-1 or 1; 0: the whole length).
     """
 
     cells: tuple[int, int] = eqx.field(static=True)
     radius: Scalar = quantity(unit="m", meaning="radius of the wall", above=0)
     length: Scalar = quantity(unit="m", meaning="length of the wall", above=0)
+    clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)
 
     def areas(self) -> Float[Array, "around along"]:
         around, along = self.cells
@@ -109,27 +132,92 @@ class CylinderMap(AbstractWearMap):
         return self.length * ((jnp.arange(self.cells[1]) + 0.5) / self.cells[1] - 0.5)
 
     def deposit(self, depth, volume, features):
+        around = self.cells[0]
+        reach = math.ceil(REACH * around / (2 * math.pi))
+        whole = jax.vmap(self._lost, (None, None, 0, 0))
+        if 2 * reach + 1 >= around:
+            return depth + jnp.sum(whole(jnp.arange(around), depth, volume, features)[0], axis=0)
+        towards = direction_angle(features[:, 0], features[:, 1]) * (around / (2 * jnp.pi))
+        first = (jnp.floor(towards).astype(int) - reach) % around
+        width = 2 * reach + 1
+        twice = jnp.concatenate([depth, depth[:width]])
+        near = jax.vmap(lambda start: jax.lax.dynamic_slice_in_dim(twice, start, width))(first)
+        columns = first[:, None] + jnp.arange(width)
+        lost, fits = jax.vmap(self._lost)(columns, near, volume, features)
+
+        def narrow():
+            # Slices: to scatter costs XLA several times as much as the losses themselves.
+            gained = jnp.zeros_like(twice)
+            for start, own in zip(first, lost, strict=True):
+                there = jax.lax.dynamic_slice_in_dim(gained, start, width)
+                gained = jax.lax.dynamic_update_slice_in_dim(gained, there + own, start, 0)
+            return depth + gained[:around].at[:width].add(gained[around:])
+
+        def wide():
+            return depth + jnp.sum(whole(jnp.arange(around), depth, volume, features)[0], axis=0)
+
+        return jax.lax.cond(jnp.all(fits), narrow, wide)
+
+    def _lost(self, columns, depth, volume, features):
+        """(what each cell of these columns loses in an event [m], whether no other column is
+        reached)."""
+        x, y, fall, flattening, end = features
         around, along = self.cells
-        x, y, overlap, end = jnp.moveaxis(features, -1, 0)
-        nearest, weights = spline_weights(direction_angle(x, y) * (around / (2 * jnp.pi)) - 0.5)
-        columns = (nearest[:, None] + jnp.arange(-1, 2)) % around
-        edges = jnp.arange(along + 1) * (self.length / along)
-        # A triangular pressure over the overlap, largest at the end: share beyond distance s is (1
-        # - s/overlap)^2.
-        remaining = (
-            jnp.clip(1.0 - edges / jnp.maximum(overlap, 1e-9 * self.length)[:, None], 0.0, 1.0) ** 2
+        clearance, ends = self.clearance, jnp.abs(end)
+        length = safe_sqrt(x * x + y * y)
+        half_arc = arc(length)
+        towards = (safe_divide(x, length), safe_divide(y, length))
+        cosine, sine = self._from_arc(columns, *towards, half_arc)
+        overlap = flattening + least_depth(2 * jnp.pi / around, clearance)
+        # Up to where a tilted journal overlaps. Its two ends have shares, as the line between them
+        # tells, that add up to one.
+        touching = safe_divide(overlap * self.length, 2.5 * jnp.abs(fall) * ends + overlap)
+        load = line_contact(overlap, self.radius, clearance, touching, half_arc)
+        load = load._replace(root=load.root * (1.0 - 0.5 * ends * touching / self.length))
+        wanted = volume + load.overlap
+        sunk = line_sunk(wanted, self.radius, clearance, self.length, jnp.abs(fall) * ends)
+        away = 0.5 * ends - end * self.heights() / self.length
+        nearest = jnp.argmax(cosine)
+        edge = jnp.where(end > 0, depth[nearest, -1], depth[nearest, 0])
+        patch = Patch(
+            cosine[:, None],
+            clearance + depth + fall * away * cosine[:, None],
+            (
+                (jnp.pi / around) * clearance * sine
+                + (0.5 / along) * jnp.abs(fall * cosine)
+                + SHARPEST * clearance
+            )[:, None],
+            self.areas()[0],
+            1.0 - away,
+            clearance + edge + sunk,
+            load,
         )
-        remaining = remaining.at[:, -1].set(0.0)
-        rows = remaining[:, :-1] - remaining[:, 1:]
-        rows = jnp.where(end[:, None] < 0, rows, rows[:, ::-1])
-        lost = volume[:, None, None] * weights[:, :, None] * rows[:, None, :]
-        return depth.at[columns].add(lost / self.areas()[0, 0])
+        lost, level = depth_lost(volume, patch)
+        deepest = level + positive_part(-fall)
+        beyond = jnp.cos(positive_part(REACH - half_arc))
+        return lost, (deepest * beyond < clearance) | (volume == 0)
+
+    def _from_arc(self, columns, x, y, half_arc):
+        """(cosine, size of the sine) of the angle between the direction of each column and the arc
+        about (x, y); without a direction all are in it."""
+        angles = (columns + 0.5) * (2 * jnp.pi / self.cells[0])
+        cosine = jnp.cos(angles) * x + jnp.sin(angles) * y
+        sine = jnp.abs(jnp.cos(angles) * y - jnp.sin(angles) * x)
+        c, s = jnp.cos(half_arc), jnp.sin(half_arc)
+        inside = cosine >= c
+        return (
+            jnp.where(inside, 1.0, cosine * c + sine * s),
+            jnp.where(inside, 0.0, sine * c - cosine * s),
+        )
 
     def reading(self, depth):
         """For the lower and upper end: coefficients (around, 3) of the spline 1, f, f^2 around each
         cell, contiguous so that one lookup costs one small slice."""
         rows = []
-        for edge in (depth[:, 0], depth[:, -1]):
+        inner = min(1, self.cells[1] - 1)
+        for edge, inside in ((depth[:, 0], depth[:, inner]), (depth[:, -1], depth[:, -1 - inner])):
+            # From the middle of the last cell to its edge.
+            edge = edge + 0.5 * positive_part(edge - inside)
             left, right = jnp.roll(edge, 1), jnp.roll(edge, -1)
             rows.append(
                 jnp.stack(
@@ -158,12 +246,13 @@ class CylinderMap(AbstractWearMap):
 class SphereMap(AbstractWearMap):
     """Wall of a socket: azimuth from x towards y in [0, 2 pi), elevation from -pi/2 to pi/2.
 
-    Location features: direction (x, y, z). At a pole the azimuth is undefined and the smallest
-    cells share the loss.
+    Location features: direction (x, y, z), its products (xx, xy, xz, yy, yz), which tell the arc
+    that it has gone through, and depth of the overlap [m].
     """
 
     cells: tuple[int, int] = eqx.field(static=True)
     radius: Scalar = quantity(unit="m", meaning="radius of the socket", above=0)
+    clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)
 
     def areas(self) -> Float[Array, "around along"]:
         around, along = self.cells
@@ -191,9 +280,49 @@ class SphereMap(AbstractWearMap):
         )
 
     def deposit(self, depth, volume, features):
-        columns, rows, weights = self._stencil(*jnp.moveaxis(features, -1, 0))
-        lost = volume[:, None, None] * weights
-        return depth.at[columns, rows].add(lost / self.areas()[columns, rows])
+        lost = jax.vmap(self._lost, (None, 0, 0))(depth, volume, features)
+        return depth + jnp.sum(lost, axis=0)
+
+    def _lost(self, depth, volume, features):
+        """What each cell loses in an event [m]."""
+        around, along = self.cells
+        mean, products, flattening = features[:3], features[3:8], features[8]
+        length = safe_sqrt(jnp.sum(mean * mean))
+        normal = safe_divide(mean, length)
+        travel, share = _travel(normal, products)
+        half_arc = arc(length) * safe_sqrt(share)
+        places = self.directions()
+        ahead, sideways = places @ normal, jnp.abs(places @ travel)
+        c, s = jnp.cos(half_arc), jnp.sin(half_arc)
+        inside = sideways * c < ahead * s
+        beside = safe_sqrt(ahead * ahead + sideways * sideways)
+        cosine = jnp.where(inside, beside, ahead * c + sideways * s)
+        # Without a direction all are as near.
+        cosine = jnp.where(length > 0, cosine, 1.0)
+        cell = 0.5 * (2 * jnp.pi / around + jnp.pi / along)
+        overlap = flattening + least_depth(cell, self.clearance)
+        sine = safe_sqrt(1.0 - cosine * cosine)
+        load = point_contact(overlap, self.radius, self.clearance, half_arc)
+        sunk = point_sunk(volume + load.overlap, self.radius, self.clearance)
+        patch = Patch(
+            cosine,
+            self.clearance + depth,
+            self.clearance * (0.5 * cell * sine + SHARPEST),
+            self.areas()[0],
+            1.0,
+            self.clearance + depth.ravel()[jnp.argmax(cosine)] + sunk,
+            load,
+        )
+        return depth_lost(volume, patch)[0]
+
+    def directions(self) -> Float[Array, "around along 3"]:
+        """Direction of the centre of each cell."""
+        along = self.cells[1]
+        azimuth = self.angles()[:, None]
+        elevation = ((jnp.arange(along) + 0.5) / along - 0.5) * jnp.pi
+        level = jnp.cos(elevation)
+        parts = (jnp.cos(azimuth) * level, jnp.sin(azimuth) * level, jnp.sin(elevation))
+        return jnp.stack([*parts[:2], jnp.broadcast_to(parts[2], self.cells)], axis=-1)
 
     def reading(self, depth):
         return depth
@@ -204,3 +333,19 @@ class SphereMap(AbstractWearMap):
         """Worn depth in the direction (x, y, z) [m]."""
         columns, rows, weights = self._stencil(x, y, z)
         return jnp.sum(weights * depth[columns, rows], axis=(-2, -1))
+
+
+def _travel(normal: Float[Array, "3"], products: Float[Array, "5"]) -> tuple[Array, Scalar]:
+    """(direction across the mean `normal` in which directions spread most, how much more there than
+    across it relative to both) from the mean products of their components."""
+    xx, xy, xz, yy, yz = products
+    spread = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, 1.0 - xx - yy]])
+    across = jnp.eye(3) - jnp.outer(normal, normal)
+    spread = across @ spread @ across
+    both = jnp.trace(spread)
+    more = safe_sqrt(2.0 * jnp.sum(spread * spread) - both * both)
+    largest = spread - 0.5 * (both - more) * across
+    column = largest[jnp.argmax(jnp.diagonal(largest))]
+    there = both > STILL
+    travel = safe_divide(column, safe_sqrt(jnp.sum(column * column)))
+    return jnp.where(there, travel, 0.0), jnp.where(there, safe_divide(more, both), 0.0)

@@ -69,9 +69,8 @@ def _depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:
 
 def deposit(system: System, layout: Layout, worn: Worn, before: Array, after: Array) -> Worn:
     """Depth maps after what was lost between two states."""
-    worn = {name: dict(surfaces) for name, surfaces in worn.items()}
+    lost: dict[tuple[str, str], list] = {}
     for slot in layout.wear:
-        wear_map = system.bearings[slot.bearing].joint.maps()[slot.surface][0]
         entries = slice(slot.start, slot.start + 1 + len(slot.averaged))
         change = after[entries] - before[entries]
         features: list[Any] = [0.0] * slot.feature_count
@@ -79,8 +78,12 @@ def deposit(system: System, layout: Layout, worn: Worn, before: Array, after: Ar
             features[i] = safe_divide(change[1 + place], change[0])
         for i, value in slot.constants:
             features[i] = value
-        old = worn[slot.bearing][slot.surface]
-        worn[slot.bearing][slot.surface] = wear_map.deposit(
-            old, change[:1], sp.stack(features)[None]
-        )
+        of_surface = lost.setdefault((slot.bearing, slot.surface), [])
+        of_surface.append((change[0], sp.stack(features)))
+    worn = {name: dict(surfaces) for name, surfaces in worn.items()}
+    for (bearing, surface), events in lost.items():
+        wear_map = system.bearings[bearing].joint.maps()[surface][0]
+        volumes, places = (jnp.stack(parts) for parts in zip(*events, strict=True))
+        # All events of a surface see it as it was: none comes before the others.
+        worn[bearing][surface] = wear_map.deposit(worn[bearing][surface], volumes, places)
     return worn

@@ -10,6 +10,7 @@ from jaxclear.components.clearance.base import (
     ContactLaws,
     check_clearance,
     direction,
+    flattening,
 )
 from jaxclear.components.joint import Spherical
 from jaxclear.components.wear_map import SphereMap, Wearing
@@ -57,10 +58,13 @@ class BallSocket(AbstractClearance):
     def maps(self):
         if self.socket_wear is None:
             return {}
-        return {"socket": (SphereMap(self.socket_wear.cells, self.socket_radius), self.socket_wear)}
+        sphere = SphereMap(self.socket_wear.cells, self.socket_radius, self.clearance)
+        return {"socket": (sphere, self.socket_wear)}
 
     def features(self, surface, offset, axes, indentations, index):
-        return direction(offset, 3)
+        x, y, z = direction(offset, 3)
+        pairs = ((x, x), (x, y), (x, z), (y, y), (y, z))
+        return (x, y, z, *(sp.mul(*pair) for pair in pairs), flattening(indentations[0]))
 
     def permanent_form(self):
         if self.friction is not None:

@@ -14,11 +14,12 @@ from jaxclear.components.clearance.base import (
     ContactLaws,
     check_clearance,
     direction,
+    flattening,
 )
 from jaxclear.components.clearance.journal_base import AbstractJournalBearing
 from jaxclear.components.wear_map import CylinderMap, Wearing
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.friction import AbstractFrictionLaw
@@ -73,11 +74,11 @@ class PlanarJournalBearing(AbstractJournalBearing):
             return {}
         # The whole length carries alike: one row of cells, whatever the number along.
         cells = (self.bearing_wear.cells[0], 1)
-        cylinder = CylinderMap(cells, self.bearing_radius, self.length)
+        cylinder = CylinderMap(cells, self.bearing_radius, self.length, self.clearance)
         return {"bearing": (cylinder, self.bearing_wear)}
 
     def features(self, surface, offset, axes, indentations, index):
-        return (*direction(offset, 2), 1.0, -1.0)
+        return (*direction(offset, 2), 0.0, flattening(indentations[0]), 0.0)
 
     def end_forces(self, force, torque):
         return (((force[0], force[1], 0), 0),)
@@ -221,24 +222,20 @@ class JournalBearing(AbstractJournalBearing):
     def maps(self):
         surfaces = {}
         if self.bearing_wear is not None:
-            cylinder = CylinderMap(self.bearing_wear.cells, self.bearing_radius, self.length)
-            surfaces["bearing"] = (cylinder, self.bearing_wear)
+            size = (self.bearing_radius, self.length, self.clearance)
+            surfaces["bearing"] = (CylinderMap(self.bearing_wear.cells, *size), self.bearing_wear)
         if self.journal_wear is not None:
-            cylinder = CylinderMap(self.journal_wear.cells, self.journal_radius, self.length)
-            surfaces["journal"] = (cylinder, self.journal_wear)
+            size = (self.journal_radius, self.length, self.clearance)
+            surfaces["journal"] = (CylinderMap(self.journal_wear.cells, *size), self.journal_wear)
         return surfaces
 
     def features(self, surface, offset, axes, indentations, index):
         centres = self.end_centres(offset, axes)
-        x, y = direction(centres[index], 2)
-        # Overlap of the other end on this side of the wall: the line through both tells over what
-        # length they touch.
-        other = centres[1 - index]
-        opposite = sp.add(sp.mul(other[0], x), sp.mul(other[1], y)) - self.clearance
-        here = indentations[index]
-        share = safe_divide(here, here + positive_part(-opposite))
+        here, other = centres[index], centres[1 - index]
+        x, y = direction(here, 2)
+        fall = sp.add(sp.mul(here[0] - other[0], x), sp.mul(here[1] - other[1], y))
         place = (x, y) if surface == "bearing" else _seen_by(axes[1], x, y)
-        return (*place, self.length * share, float(2 * index - 1))
+        return (*place, fall, flattening(indentations[index]), float(2 * index - 1))
 
     def end_forces(self, force, torque):
         # About y a torque pairs forces along x, about x the opposite ones along y.

@@ -1,0 +1,221 @@
+"""Worn walls against closed forms: the area between two circles, Hertz's contact area, the slope of
+a tilted journal, even wear of what turns; and depths that do not go with the cells."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+import jaxclear as jc
+from jaxclear.components.wear_map import CylinderMap, SphereMap
+
+RADIUS, LENGTH, CLEARANCE = 10e-3, 20e-3, 0.1e-3
+ALONG_X = (1.0, 0.0)
+
+
+def cylinder(around, along=1):
+    return CylinderMap((around, along), RADIUS, LENGTH, CLEARANCE)
+
+
+def worn_by(wear_map, volume, place, saves=40):
+    """Depth after the volume [m3] has been lost at one place, bit by bit."""
+    share = jnp.full((saves, 1), volume / saves)
+    return np.asarray(_worn(wear_map, share, jnp.tile(jnp.asarray(place), (saves, 1, 1))))
+
+
+def _worn(wear_map, volumes, places):
+    one = lambda depth, event: (wear_map.deposit(depth, *event), None)
+    run = jax.jit(lambda v, p: jax.lax.scan(one, jnp.zeros(wear_map.cells), (v, p))[0])
+    return run(volumes, places)
+
+
+def pressed(angle=0.0, overlap=0.0):
+    """Features of a parallel journal that always leans to one side."""
+    return (math.cos(angle), math.sin(angle), 0.0, overlap, 0.0)
+
+
+def crescent(depth):
+    """Volume between the bearing's circle and that of the journal which has sunk so deep [m3]: the
+    wall lies at R_B, the journal's surface at (c + depth) cos(angle) - c beyond it."""
+    reach = CLEARANCE + depth
+    half = math.acos(CLEARANCE / reach)
+    return 2 * RADIUS * LENGTH * (reach * math.sin(half) - CLEARANCE * half)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.31])
+@pytest.mark.parametrize("depth", [2e-6, 30e-6, 3e-4])
+def test_a_pin_pressed_one_way_wears_the_area_between_two_circles(depth, angle):
+    volume = crescent(depth)
+    found = worn_by(cylinder(240), volume, pressed(angle))
+    # a cell is the mean over its width, here a hundredth of a radian squared
+    np.testing.assert_allclose(found.max(), depth, rtol=0.08 if depth < 1e-5 else 0.02)
+    wide = 2 * np.pi / 240 * np.count_nonzero(found > 0.01 * depth)
+    assert abs(wide - 2 * math.acos(CLEARANCE / (CLEARANCE + depth))) < 4 * np.pi / 240
+    np.testing.assert_allclose(found.sum() * cylinder(240).areas()[0, 0], volume, rtol=1e-12)
+
+
+def test_depth_converges_with_the_cells():
+    """With an elastic contact, whose width the cells resolve, the order is 2; a volume that went
+    into the cells about the contact would be twice as deep on twice as many."""
+    depths = [
+        worn_by(cylinder(around), crescent(5e-6), pressed(0.31, 1e-6)).max()
+        for around in (48, 96, 192, 384)
+    ]
+    changes = np.abs(np.diff(depths))
+    assert np.all(changes[1:] < changes[:-1] / 2.0)
+    np.testing.assert_allclose(depths[-1], depths[-2], rtol=0.02)
+
+
+@pytest.mark.parametrize("overlap", [0.3e-6, 1e-6])
+def test_the_first_wear_is_as_wide_as_hertz_contact(overlap):
+    """b = sqrt(2 R d) of the effective radius R = R_B^2/c, and a semi-ellipse of pressure."""
+    around = 1440
+    found = worn_by(cylinder(around), 1e-18, pressed(0.0, overlap), saves=1)[:, 0]
+    place = (np.arange(around) + 0.5) * 2 * np.pi / around
+    place = RADIUS * np.where(place > np.pi, place - 2 * np.pi, place)
+    half_width = math.sqrt(2 * RADIUS**2 / CLEARANCE * overlap)
+    hertz = np.sqrt(np.clip(1 - (place / half_width) ** 2, 0, None))
+    expected = 1e-18 / LENGTH / (np.pi / 2 * half_width) * hertz
+    # the contact's edge lies within a cell; the overlap is a hundredth of the clearance
+    np.testing.assert_allclose(found, expected, atol=0.1 * expected.max())
+    np.testing.assert_allclose(found[:5], expected[:5], rtol=6e-3)
+
+
+def still(direction, overlap=0.0):
+    """Features of a ball that always leans to one side."""
+    x, y, z = np.asarray(direction) / np.linalg.norm(direction)
+    return (x, y, z, x * x, x * y, x * z, y * y, y * z, overlap)
+
+
+@pytest.mark.parametrize("towards", [(1.0, 0.2, 0.1), (0.0, 0.0, 1.0), (0.1, 0.0, 1.0)])
+def test_a_ball_first_wears_a_circle_as_hertz_has_it(towards):
+    """Also at a pole of the map, where the cells are smallest."""
+    overlap, wear_map = 2e-6, SphereMap((240, 120), RADIUS, CLEARANCE)
+    found = worn_by(wear_map, 1e-18, still(towards, overlap), saves=1)
+    towards = np.asarray(towards) / np.linalg.norm(towards)
+    angle = np.arccos(np.clip(np.asarray(wear_map.directions()) @ towards, -1, 1))
+    half = math.sqrt(2 * overlap / CLEARANCE)
+    hertz = np.sqrt(np.clip(1 - (angle / half) ** 2, 0, None))
+    expected = 1e-18 / (2 / 3 * np.pi * (RADIUS * half) ** 2) * hertz
+    # cells are an eighth of the half-width; the edge lies within one
+    np.testing.assert_allclose(found.max(), expected.max(), rtol=0.03)
+    np.testing.assert_allclose(found, expected, atol=0.3 * expected.max())
+    np.testing.assert_allclose(np.sum(found * wear_map.areas()), 1e-18, rtol=1e-12)
+
+
+def test_a_tilted_journal_wears_its_own_slope_into_the_edge():
+    fall, around, along = 0.03e-3, 240, 80
+    wear_map = cylinder(around, along)
+    found = worn_by(wear_map, 2e-11, (*ALONG_X, fall, 0.0, 1.0))
+    ridge = found.max(axis=0)
+    touched = np.flatnonzero(ridge > 0.05 * ridge.max())
+    assert touched[-1] == along - 1 and len(touched) > 6
+    slopes = np.diff(ridge[touched[2:]]) / (LENGTH / along)
+    np.testing.assert_allclose(slopes, fall / LENGTH, rtol=0.05)
+    # across, each row is the journal's circle: as wide as its own depth asks
+    for row in touched[4:]:
+        half = math.acos(CLEARANCE / (CLEARANCE + ridge[row]))
+        wide = np.count_nonzero(found[:, row] > 0.02 * ridge[row]) * 2 * np.pi / around
+        assert abs(wide - 2 * half) < 6 * np.pi / around
+
+
+def test_both_ends_of_a_parallel_journal_wear_its_whole_length_evenly():
+    wear_map = cylinder(72, 12)
+    places = [[(*ALONG_X, 0.0, 1e-6, end) for end in (-1.0, 1.0)]] * 10
+    found = np.asarray(_worn(wear_map, jnp.full((10, 2), 1e-13), jnp.asarray(places)))
+    np.testing.assert_allclose(found, found[:, :1] * np.ones((1, 12)), atol=1e-3 * found.max())
+    np.testing.assert_allclose(found.sum() * wear_map.areas()[0, 0], 2e-12, rtol=1e-12)
+
+
+@pytest.mark.parametrize("saves", [1, 24, 100])
+@pytest.mark.parametrize("around", [12, 72, 200])
+def test_a_contact_that_turns_wears_evenly_at_any_resolution(around, saves):
+    """Mean directions of a contact that has gone through an arc between two saving times are
+    shorter than one: by that the arc is known, and filled."""
+    wear_map, turns = cylinder(around), 3
+    middle = (np.arange(saves * turns) + 0.5) * 2 * np.pi / saves
+    length = np.sinc(1 / saves)
+    places = [(length * np.cos(a), length * np.sin(a), 0.0, 1e-6, 0.0) for a in middle]
+    volume = 1e-11
+    shares = jnp.full((len(places), 1), volume / len(places))
+    found = np.asarray(_worn(wear_map, shares, jnp.asarray(places)[:, None]))
+    expected = volume / (2 * np.pi * RADIUS * LENGTH)
+    # arcs overlap at their ends by a contact's width
+    np.testing.assert_allclose(found, expected, rtol=0.03 if saves == 100 else 0.25)
+    np.testing.assert_allclose(found.sum() * wear_map.areas()[0, 0], volume, rtol=1e-12)
+
+
+def test_a_ball_in_full_turn_wears_a_groove_that_is_its_own_circle():
+    wear_map, saves, turns = SphereMap((96, 121), RADIUS, CLEARANCE), 60, 4
+    depth = 20e-6
+    profile = lambda e, d: max((CLEARANCE + d) * math.cos(e) - CLEARANCE, 0.0)
+    groove = lambda d: (
+        4
+        * math.pi
+        * RADIUS**2
+        * quad(lambda e: profile(e, d) * math.cos(e), 0, math.acos(CLEARANCE / (CLEARANCE + d)))[0]
+    )
+    volume = groove(depth)
+    assert brentq(lambda d: groove(d) - volume, 1e-6, 1e-4) == pytest.approx(depth)
+    angles = (np.arange(saves * turns * 40) + 0.5) * 2 * np.pi / saves / 40
+    x, y = (f(angles).reshape(-1, 40) for f in (np.cos, np.sin))
+    none = np.zeros(len(x))
+    means = [p.mean(axis=1) for p in (x, y)] + [none]
+    means += [p.mean(axis=1) for p in (x * x, x * y)] + [none, (y * y).mean(axis=1), none, none]
+    places = jnp.asarray(np.stack(means, axis=-1))[:, None]
+    found = np.asarray(_worn(wear_map, jnp.full((len(x), 1), volume / len(x)), places))
+    # the first turn cuts where no neighbour has yet cut
+    np.testing.assert_allclose(found.max(axis=1), depth, rtol=0.12)
+    elevation = (np.arange(121) + 0.5) / 121 * np.pi - np.pi / 2
+    expected = [profile(e, depth) for e in elevation]
+    np.testing.assert_allclose(found.mean(axis=0), expected, atol=0.05 * depth)
+
+
+@pytest.mark.parametrize("around", [72, 288])
+@pytest.mark.parametrize("volume", [2e-13, 2e-11, 2e-10])
+def test_no_loss_however_large_digs_waves(around, volume):
+    """A direction that wanders, and losses up to far beyond what the contact overlaps: the wall has
+    no more ups and downs than the two places at which the direction turns back leave."""
+    swing = 0.4 * np.sin(2 * np.pi * np.arange(300) / 173.0)
+    places = jnp.asarray([pressed(a, 1e-8) for a in swing])[:, None]
+    found = np.asarray(_worn(cylinder(around), jnp.full((300, 1), volume / 300), places))[:, 0]
+    assert np.all(np.isfinite(found))
+    ups_and_downs = np.abs(np.diff(np.roll(found, around // 2))).sum() / found.max()
+    assert ups_and_downs < 4.0
+
+
+def turning_ring(cells, clearance=CLEARANCE, acceleration=1.0):
+    """A journal pressed down in a ring that turns about it, once in 0.1 s."""
+    joint = jc.clearance.PlanarJournalBearing(
+        jc.contact.HuntCrossley(stiffness=1e9, restitution=0.1),
+        bearing_radius=RADIUS,
+        clearance=clearance,
+        length=LENGTH,
+        bearing_wear=jc.Wearing(jc.wear.Archard(), cells=cells, acceleration=acceleration),
+    )
+    turn = jc.joint.Revolute(drive=jc.drive.ConstantSpeed(20 * math.pi))
+    return jc.Mechanism(
+        {"ring": jc.Body(1.0, 1e-3), "journal": jc.Body(0.1, 1e-5)},
+        {
+            "pivot": jc.Connection(turn, "ground", "ring"),
+            "B": jc.Connection(joint, "ring", "journal"),
+        },
+        {"load": jc.load.Force(jc.Marker("journal"), (0.0, -100.0, 0.0))},
+    )
+
+
+def test_a_ring_that_turns_about_a_loaded_journal_wears_evenly_and_by_archard():
+    run = jc.simulate(
+        turning_ring((72, 1)), 0.3, save=151, integrator=jc.integrator.ImplicitStep(1e-4)
+    )
+    depth = run.worn_depth("B", "bearing")
+    volume = float(run.worn_volume("B", "bearing")[-1])
+    law = jc.wear.Archard()
+    # k F s / H: three turns of the wall below the journal, which touches from the start on
+    expected = float(law.wear_coefficient / law.hardness) * 100.0 * 3 * 2 * math.pi * RADIUS
+    np.testing.assert_allclose(volume, expected, rtol=0.05)
+    np.testing.assert_allclose(depth, volume / (2 * math.pi * RADIUS * LENGTH), rtol=0.1)
