@@ -5,7 +5,7 @@ Where the rigid outlines of the parts, worn as they are, would overlap by u, the
 depth of the overlap is half the indentation, which gives Hertz's contact area for points, and for
 lines to about a quarter of its width. On a worn surface the pressure spreads as the wall conforms.
 Source: Hertz 1882, doi:10.1515/crll.1882.92.156; virtual interpenetration for other shapes as in
-Piotrowski & Kik 2008, Vehicle Syst. Dyn. 46, 27, doi:10.1080/00423110701586444.
+Piotrowski & Kik 2008, Vehicle Syst. Dyn. 46, 27.
 
 The pressure is that after the loss, so a loss brings the wall at most to the shape of the part that
 has cut it: no loss, however large, digs waves. Where a contact is narrower than a cell, the loss is
@@ -119,7 +119,7 @@ def line_sunk(
     """How deep [m] a journal sinks into an unworn bearing that overlaps it by a volume [m3], or a
     little less; `fall` of the overlap over the length [m]."""
     parallel = volume / (4 / 3 * radius * length * safe_sqrt(2.0 / clearance))
-    return jnp.maximum(jnp.cbrt(parallel) ** 2, power(2.5 * fall * parallel, 0.4))
+    return jnp.maximum(jnp.cbrt(parallel) ** 2, power(2.5 * fall * parallel, jnp.asarray(0.4)))
 
 
 def point_sunk(volume: Scalar, radius: Scalar, clearance: Scalar) -> Scalar:

@@ -23,16 +23,10 @@ from jaxclear.components.contact_patch import (
     least_depth,
     line_contact,
     line_sunk,
-    point_contact,
-    point_sunk,
 )
 from jaxclear.ground.numerics import TINY_SQUARE, positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.laws.wear import AbstractWearLaw
-
-# Mean square of an angle [rad2] below which a direction has stood still: rounding is below.
-STILL = 1e-13
-
 
 # Angle [rad] to either side of a contact that is looked at first.
 REACH = 0.6
@@ -241,111 +235,3 @@ class CylinderMap(AbstractWearMap):
         f = position - nearest
         constant, slope, curvature = reading[0 if end < 0 else 1][nearest.astype(int) % around]
         return constant + f * (slope + f * curvature)
-
-
-class SphereMap(AbstractWearMap):
-    """Wall of a socket: azimuth from x towards y in [0, 2 pi), elevation from -pi/2 to pi/2.
-
-    Location features: direction (x, y, z), its products (xx, xy, xz, yy, yz), which tell the arc
-    that it has gone through, and depth of the overlap [m].
-    """
-
-    cells: tuple[int, int] = eqx.field(static=True)
-    radius: Scalar = quantity(unit="m", meaning="radius of the socket", above=0)
-    clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)
-
-    def areas(self) -> Float[Array, "around along"]:
-        around, along = self.cells
-        bands = jnp.diff(jnp.sin(jnp.linspace(-jnp.pi / 2, jnp.pi / 2, along + 1)))
-        return jnp.ones((around, 1)) * bands * (2 * jnp.pi / around) * self.radius**2
-
-    def angles(self) -> Float[Array, " around"]:
-        """Azimuth of the centre of each cell [rad]."""
-        return (jnp.arange(self.cells[0]) + 0.5) * (2 * jnp.pi / self.cells[0])
-
-    def _stencil(self, x, y, z):
-        around, along = self.cells
-        azimuth = direction_angle(x, y)
-        elevation = direction_angle(safe_sqrt(x * x + y * y), z)
-        column, across = spline_weights(azimuth * (around / (2 * jnp.pi)) - 0.5)
-        row, upwards = spline_weights((elevation / jnp.pi + 0.5) * along - 0.5)
-        offsets = jnp.arange(-1, 2)
-        columns = (column[..., None] + offsets) % around
-        # What falls beyond a pole is kept in the last band, so that no volume is lost.
-        rows = jnp.clip(row[..., None] + offsets, 0, along - 1)
-        return (
-            columns[..., :, None],
-            rows[..., None, :],
-            across[..., :, None] * upwards[..., None, :],
-        )
-
-    def deposit(self, depth, volume, features):
-        lost = jax.vmap(self._lost, (None, 0, 0))(depth, volume, features)
-        return depth + jnp.sum(lost, axis=0)
-
-    def _lost(self, depth, volume, features):
-        """What each cell loses in an event [m]."""
-        around, along = self.cells
-        mean, products, flattening = features[:3], features[3:8], features[8]
-        length = safe_sqrt(jnp.sum(mean * mean))
-        normal = safe_divide(mean, length)
-        travel, share = _travel(normal, products)
-        half_arc = arc(length) * safe_sqrt(share)
-        places = self.directions()
-        ahead, sideways = places @ normal, jnp.abs(places @ travel)
-        c, s = jnp.cos(half_arc), jnp.sin(half_arc)
-        inside = sideways * c < ahead * s
-        beside = safe_sqrt(ahead * ahead + sideways * sideways)
-        cosine = jnp.where(inside, beside, ahead * c + sideways * s)
-        # Without a direction all are as near.
-        cosine = jnp.where(length > 0, cosine, 1.0)
-        cell = 0.5 * (2 * jnp.pi / around + jnp.pi / along)
-        overlap = flattening + least_depth(cell, self.clearance)
-        sine = safe_sqrt(1.0 - cosine * cosine)
-        load = point_contact(overlap, self.radius, self.clearance, half_arc)
-        sunk = point_sunk(volume + load.overlap, self.radius, self.clearance)
-        patch = Patch(
-            cosine,
-            self.clearance + depth,
-            self.clearance * (0.5 * cell * sine + SHARPEST),
-            self.areas()[0],
-            1.0,
-            self.clearance + depth.ravel()[jnp.argmax(cosine)] + sunk,
-            load,
-        )
-        return depth_lost(volume, patch)[0]
-
-    def directions(self) -> Float[Array, "around along 3"]:
-        """Direction of the centre of each cell."""
-        along = self.cells[1]
-        azimuth = self.angles()[:, None]
-        elevation = ((jnp.arange(along) + 0.5) / along - 0.5) * jnp.pi
-        level = jnp.cos(elevation)
-        parts = (jnp.cos(azimuth) * level, jnp.sin(azimuth) * level, jnp.sin(elevation))
-        return jnp.stack([*parts[:2], jnp.broadcast_to(parts[2], self.cells)], axis=-1)
-
-    def reading(self, depth):
-        return depth
-
-    def depth_towards(
-        self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar
-    ) -> Scalar:
-        """Worn depth in the direction (x, y, z) [m]."""
-        columns, rows, weights = self._stencil(x, y, z)
-        return jnp.sum(weights * depth[columns, rows], axis=(-2, -1))
-
-
-def _travel(normal: Float[Array, "3"], products: Float[Array, "5"]) -> tuple[Array, Scalar]:
-    """(direction across the mean `normal` in which directions spread most, how much more there than
-    across it relative to both) from the mean products of their components."""
-    xx, xy, xz, yy, yz = products
-    spread = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, 1.0 - xx - yy]])
-    across = jnp.eye(3) - jnp.outer(normal, normal)
-    spread = across @ spread @ across
-    both = jnp.trace(spread)
-    more = safe_sqrt(2.0 * jnp.sum(spread * spread) - both * both)
-    largest = spread - 0.5 * (both - more) * across
-    column = largest[jnp.argmax(jnp.diagonal(largest))]
-    there = both > STILL
-    travel = safe_divide(column, safe_sqrt(jnp.sum(column * column)))
-    return jnp.where(there, travel, 0.0), jnp.where(there, safe_divide(more, both), 0.0)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from jaxclear.components.wear_map import CylinderMap, SphereMap, direction_angle
+from jaxclear.components.sphere_map import SphereMap
+from jaxclear.components.wear_map import CylinderMap, direction_angle
 
 CLEARANCE = 0.1e-3
 CYLINDER = CylinderMap((12, 5), 10e-3, 20e-3, CLEARANCE)

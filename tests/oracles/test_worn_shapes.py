@@ -11,7 +11,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import jaxclear as jc
-from jaxclear.components.wear_map import CylinderMap, SphereMap
+from jaxclear.components.sphere_map import SphereMap
+from jaxclear.components.wear_map import CylinderMap
 
 RADIUS, LENGTH, CLEARANCE = 10e-3, 20e-3, 0.1e-3
 ALONG_X = (1.0, 0.0)

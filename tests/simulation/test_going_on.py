@@ -46,7 +46,8 @@ def test_two_halves_are_the_whole(integrator, within):
     np.testing.assert_allclose(found, wanted, rtol=within, atol=within * 1e-3)
     depths = [run.worn_depth("B", "bearing") for run in (two, whole)]
     assert depths[0].sum() > one.worn_depth("B", "bearing").sum() > 0
-    np.testing.assert_allclose(*depths, rtol=1e-12 + 10 * within, atol=0)
+    # An arc is the root of what a mean direction lacks of length one: of rounding too.
+    np.testing.assert_allclose(*depths, rtol=1e-9 + 10 * within, atol=0)
     volumes = [run.worn_volume("B", "bearing") for run in (one, two, whole)]
     np.testing.assert_allclose(volumes[0][-1] + volumes[1][-1], volumes[2][-1], rtol=1e-12 + within)
 

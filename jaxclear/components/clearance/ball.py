@@ -13,7 +13,8 @@ from jaxclear.components.clearance.base import (
     flattening,
 )
 from jaxclear.components.joint import Spherical
-from jaxclear.components.wear_map import SphereMap, Wearing
+from jaxclear.components.sphere_map import SphereMap
+from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact import AbstractNormalLaw
