@@ -46,9 +46,9 @@ class Patch(NamedTuple):
     the solution and at or above it.
     """
 
-    cosine: Float[Array, "around #along"]
+    cosine: Float[Array, "..."]
     room: Float[Array, "around along"]
-    rounding: Float[Array, "around #along"]
+    rounding: Float[Array, "..."]
     area: Float[Array, " along"]
     share: Float[Array, " along"] | Scalar
     start: Scalar
