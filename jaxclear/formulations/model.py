@@ -25,7 +25,8 @@ class Model(eqx.Module):
     """Equations of motion without the time and the state: the prepared mechanism, worn surfaces as
     the gaps read them, the stabilisation of its loops, and where everything sits in the state.
 
-    `projects`: loops are closed anew after every step.
+    `projects`: loops are closed anew after every step. `events`: how many touches and releases of
+    each contact are kept between two saving times.
     """
 
     system: System
@@ -33,6 +34,7 @@ class Model(eqx.Module):
     stabilisation: Baumgarte | None
     layout: Layout = eqx.field(static=True)
     projects: bool = eqx.field(static=True, default=False)
+    events: int = eqx.field(static=True, default=0)
 
     def entries(self, state: State) -> list:
         """The numbers of a state, one by one."""

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.compliant import CompliantContact
+from jaxclear.formulations.model import Model
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.integrators.base import (
     AbstractIntegrator,
@@ -76,6 +77,10 @@ class Adaptive(AbstractIntegrator):
         return 0.0
 
     @property
+    def notes_events(self):
+        return True
+
+    @property
     def formulation(self):
         return CompliantContact()
 
@@ -128,7 +133,7 @@ class Adaptive(AbstractIntegrator):
     def _solver(self, rest):
         """The solver, which takes impact speeds where a law asks for them."""
         formulation = self.formulation
-        if not formulation.remembers(rest):
+        if not _looks_at_contacts(formulation, rest):
             return self.solver
 
         def contacts(time, y, arrays):
@@ -137,7 +142,7 @@ class Adaptive(AbstractIntegrator):
         def remember(y, before, after, length, arrays):
             return formulation.remember(eqx.combine(arrays, rest), y, before, after, length)
 
-        return TakingImpactSpeeds(self.solver, contacts, remember, self.atol)
+        return TakingImpactSpeeds(self.solver, contacts, remember, self.atol, rest.events)
 
     def _solve(self, rest, arrays, interval, state, step) -> Advance:
         formulation, (start, stop) = self.formulation, interval[:2]
@@ -159,7 +164,7 @@ class Adaptive(AbstractIntegrator):
             state,
             args=arrays,
             stepsize_controller=self._controller(model, interval, usual),
-            saveat=diffrax.SaveAt(t1=True, solver_state=formulation.remembers(rest)),
+            saveat=diffrax.SaveAt(t1=True, solver_state=_looks_at_contacts(formulation, rest)),
             max_steps=self.most_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,
@@ -178,7 +183,12 @@ class Adaptive(AbstractIntegrator):
         )
         typical = (jnp.where(reached, stop, time) - start) / jnp.maximum(accepted, 1)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
-        figures = {}
-        if formulation.remembers(rest):
-            figures[Check.INDENTATION] = solution.solver_state[2]
-        return Advance(solution.ys[-1], accepted, rejected, typical, outcome, figures)
+        figures, events = {}, None
+        if _looks_at_contacts(formulation, rest):
+            _, _, figures[Check.INDENTATION], events = solution.solver_state
+        return Advance(solution.ys[-1], accepted, rejected, typical, outcome, figures, events)
+
+
+def _looks_at_contacts(formulation: CompliantContact, model: Model) -> bool:
+    """Whether every step looks at the contacts: for speeds of impacts, or for their instants."""
+    return formulation.remembers(model) or bool(model.events and model.system.bearings)

@@ -16,6 +16,7 @@ from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.events import Events
 
 
 class Interval(NamedTuple):
@@ -37,7 +38,8 @@ class Interval(NamedTuple):
 class Advance(NamedTuple):
     """Outcome of one interval: state at its end, steps accepted and rejected, what helps the next
     interval to start, `Outcome`; and the worst of the `figures` that it has kept, for each place of
-    a `Check` (each possible contact, say; None: it keeps none)."""
+    a `Check` (each possible contact, say; None: it keeps none). `events`: touches and releases,
+    where the model asks for them."""
 
     state: State
     accepted: Int[Array, ""]
@@ -45,6 +47,7 @@ class Advance(NamedTuple):
     warm_start: Any
     outcome: Int[Array, ""]
     figures: dict[Check, Float[Array, " places"]] | None = None
+    events: Events | None = None
 
 
 class AbstractIntegrator(AbstractQuantified):
@@ -79,6 +82,11 @@ class AbstractIntegrator(AbstractQuantified):
     def shortest_step(self) -> Scalar | None:
         """The shortest step [s] that these numbers lead to, saving times aside."""
         return self.asked_step()
+
+    @property
+    def notes_events(self) -> bool:
+        """Whether it notes touches and releases of contacts."""
+        return False
 
     @property
     def steps_between_saves(self) -> int | None:

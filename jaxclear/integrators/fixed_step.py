@@ -21,6 +21,7 @@ from jaxclear.ground.wording import unknown
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.state_group import state_group
 from jaxclear.integrators.stepping import SLIVER, arrived, contacts_met, divide
 from jaxclear.native import while_loop
@@ -93,6 +94,10 @@ class FixedStep(AbstractIntegrator):
         return self.steps_per_save
 
     @property
+    def notes_events(self):
+        return True
+
+    @property
     def usual_step(self):
         return self.asked_step()
 
@@ -114,19 +119,23 @@ class FixedStep(AbstractIntegrator):
             return self._steps_that_meet_contacts(model, interval, h, state, warm_start)
 
         def turn(carry):
-            index, y, last, met = carry
+            index, y, last, met, watch = carry
             time = interval.start + index * h
             _, y, now = self._step(model, time, lambda *_: h, h, y, last)
-            return index + 1, closed(model, time + h, y), now, _met(met, last, now)
+            y = closed(model, time + h, y)
+            watch = watched(watch, model, time, h, y)
+            return index + 1, y, now, _met(met, last, now), watch
 
-        first = (jnp.zeros((), int), state, warm_start, _nothing_met(warm_start))
+        watch = watch_from(model, interval.start, state)
+        first = (jnp.zeros((), int), state, warm_start, _nothing_met(warm_start), watch)
         if self.steps_per_save is None:
-            _, end, last, met = while_loop(lambda carry: carry[0] < steps, turn, first)
+            _, end, last, met, watch = while_loop(lambda carry: carry[0] < steps, turn, first)
         else:
             turns = jnp.arange(self.steps_per_save)
             scanned = lambda carry, index: (turn((index, *carry))[1:], None)
-            end, last, met = jax.lax.scan(scanned, first[1:], turns)[0]
-        return arrived(end, steps, last, met, {Check.FRICTION_STEP: h}, Check.IMPACT_STEP)
+            end, last, met, watch = jax.lax.scan(scanned, first[1:], turns)[0]
+        judged = {Check.FRICTION_STEP: h}
+        return arrived(end, steps, last, met, judged, Check.IMPACT_STEP, watch)
 
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
@@ -141,17 +150,20 @@ class FixedStep(AbstractIntegrator):
             return length
 
         def one(carry):
-            time, steps, y, last, met = carry
+            time, steps, y, last, met, watch = carry
             h, y, now = self._step(model, time, choose(stop - time), longest, y, last)
             # The step that was cut to what was left ends exactly at the end.
-            time = jnp.where(h == stop - time, stop, time + h)
-            return time, steps + 1, closed(model, time, y), now, _met(met, last, now)
+            begin, time = time, jnp.where(h == stop - time, stop, time + h)
+            y = closed(model, time, y)
+            watch = watched(watch, model, begin, h, y)
+            return time, steps + 1, y, now, _met(met, last, now), watch
 
         met = _nothing_met(warm_start)
-        first = (interval.start, jnp.zeros((), int), state, warm_start, met)
-        _, steps, end, last, met = while_loop(lambda carry: carry[0] < stop, one, first)
+        watch = watch_from(model, interval.start, state)
+        first = (interval.start, jnp.zeros((), int), state, warm_start, met, watch)
+        _, steps, end, last, met, watch = while_loop(lambda carry: carry[0] < stop, one, first)
         rubbed = {Check.FRICTION_STEP: longest / self.contact_steps}
-        return arrived(end, steps, last, met, rubbed, Check.IMPACT_STEP)
+        return arrived(end, steps, last, met, rubbed, Check.IMPACT_STEP, watch)
 
     def _step(self, model, time, length, h, y, last):
         """The length and the end of a step, and what it leaves to the next. `length(contacts,

@@ -10,11 +10,13 @@ from collections.abc import Callable
 from typing import Any
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.impact_speed import turns_beyond
 from jaxclear.ground.quantity import Scalar
+from jaxclear.integrators.events import noted, nothing
 
 
 class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
@@ -24,13 +26,15 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
     `contacts(time, state, args)`: their motion. `remember(state, before, after, length, args)`: the
     state with its impact speeds set. `unseen` [m]: how deep a touch may go between two steps. Its
     state between steps ends with the largest indentation of every contact so far [m]: the motion of
-    the contacts is known at both ends of a step, so that peaks of a run cost it nothing.
+    the contacts is known at both ends of a step, so that peaks of a run cost it nothing; and with
+    `events`, so many, of a saving interval (`integrators.events`).
     """
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
     contacts: Callable
     remember: Callable
     unseen: Scalar
+    events: int = eqx.field(static=True, default=0)
 
     @property
     def term_structure(self):
@@ -58,20 +62,24 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
 
     def init(self, terms, t0, t1, y0, args):
         contacts = self.contacts(t0, y0, args)
-        return self.solver.init(terms, t0, t1, y0, args), contacts, _deeper(contacts, 0.0)
+        events = nothing(contacts, self.events) if self.events else None
+        own = self.solver.init(terms, t0, t1, y0, args)
+        return own, contacts, _deeper(contacts, 0.0), events
 
     def func(self, terms, t0, y0, args):
         return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        own, before, deepest = solver_state
+        own, before, deepest, events = solver_state
         y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
         after: Any = self.contacts(t1, y1, args)
         length = t1 - t0
         missed = jnp.any(turns_beyond(before, after, length, self.unseen))
         y1 = self.remember(y1, before, after, length, args)
         error = jnp.where(missed, jnp.inf, error)
-        return y1, error, dense, (own, after, _deeper(after, deepest)), result
+        if events is not None:
+            events = noted(events, t0, length, *jax.lax.stop_gradient((before, after)))
+        return y1, error, dense, (own, after, _deeper(after, deepest), events), result
 
 
 def _deeper(contacts: Any, deepest: Any) -> Any:

@@ -12,6 +12,7 @@ from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.stepping import arrived, contacts_met, divide, march
 
 # A journal that creeps is moved by the vibration of its contact too, which bias damps at every
@@ -79,6 +80,10 @@ class ImplicitStep(AbstractIntegrator):
         return self.step if self.steps_per_save is None else None
 
     @property
+    def notes_events(self):
+        return True
+
+    @property
     def steps_between_saves(self):
         return self.steps_per_save
 
@@ -94,29 +99,30 @@ class ImplicitStep(AbstractIntegrator):
         depths = slice(2 * model.layout.speeds, 2 * model.layout.speeds + contacts)
 
         def one(index, state, carried):
-            last, met = carried
+            last, met, watch = carried
             time_step = TimeStep(interval.start + index * h, h)
             end, now = self.formulation.implicit_step(
                 model, time_step, state, last, bias, self.newton_iterations
             )
             if met is not None:
                 met = contacts_met(met, *jax.lax.stop_gradient((last[depths], now[depths])))
-            return closed(model, interval.start + (index + 1) * h, end), (now, met)
+            end = closed(model, interval.start + (index + 1) * h, end)
+            return end, (now, met, watched(watch, model, time_step.start, h, end))
 
         met = None
         if contacts:
             begun = positive_part(jax.lax.stop_gradient(warm_start[depths]))
             met = jnp.zeros_like(begun), begun
-        carried = (warm_start, met)
+        carried = (warm_start, met, watch_from(model, interval.start, state))
         if self.steps_per_save is None:
-            end, (warm_start, met) = march(one, steps, state, carried)
+            end, (warm_start, met, watch) = march(one, steps, state, carried)
         else:
             turns = jnp.arange(self.steps_per_save)
             # Reverse mode then keeps the states alone and goes through each step again: a third of
             # the time to compile.
             turn = jax.checkpoint(lambda carry, index: (one(index, *carry), None))
-            end, (warm_start, met) = jax.lax.scan(turn, (state, carried), turns)[0]
+            end, (warm_start, met, watch) = jax.lax.scan(turn, (state, carried), turns)[0]
         judged = {Check.CREEP_STEP: h * (1 + DAMPED * bias)}
         if contacts:
             judged[Check.REBOUND_STEP] = jnp.stack([h, jnp.asarray(self.rebound, float)])
-        return arrived(end, steps, warm_start, met, judged)
+        return arrived(end, steps, warm_start, met, judged, watch=watch)

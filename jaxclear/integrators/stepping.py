@@ -12,6 +12,7 @@ from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.model import Model
 from jaxclear.integrators.base import Advance, Interval
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.events import Watch
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.native import while_loop
 
@@ -60,15 +61,17 @@ def arrived(
     met: tuple | None = None,
     judged: dict | None = None,
     rises: Check = Check.CONTACT_STEP,
+    watch: Watch | None = None,
 ) -> Advance:
     """The answer of steps that are never rejected, and that have `met` so deep contacts; `judged`:
     what checks judge steps by, the length [s] of those in contact for friction's; `rises`: the
-    check that judges by how much indentations rise in a step."""
+    check that judges by how much indentations rise in a step; `watch`: events on the way."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
     figures = {} if judged is None else dict(judged)
     if met is not None:
         figures |= dict(zip((rises, Check.INDENTATION), met, strict=True))
-    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, figures)
+    events = None if watch is None else watch.events
+    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, figures, events)
 
 
 def searching_steps(

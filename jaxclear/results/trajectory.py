@@ -17,11 +17,12 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.checks import Checks
+from jaxclear.integrators.events import Events
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import explain
-from jaxclear.results import carrying, dataset, histories, modes
+from jaxclear.results import carrying, dataset, events, histories, modes
 from jaxclear.results.histories import (
     BodyHistory,
     ContactHistory,
@@ -50,7 +51,8 @@ class RunStats(eqx.Module):
 class Trajectory(eqx.Module):
     """A simulated run. `history` holds the states; `worn` are depth maps [m] by joint and surface
     at the end, `outcome` tells how the run ended (an `Outcome`), `ended` when [s], `stats` what it
-    cost, `checks` what it found out about its own numbers.
+    cost, `checks` what it found out about its own numbers; `noted`: touches and releases, where
+    they were asked for.
     """
 
     history: StateHistory
@@ -59,6 +61,7 @@ class Trajectory(eqx.Module):
     ended: Float[Array, ""]
     stats: RunStats
     checks: Checks = eqx.field(default_factory=Checks)
+    noted: Events | None = None
 
     @property
     def mechanism(self) -> Mechanism:
@@ -176,6 +179,13 @@ class Trajectory(eqx.Module):
         parts impact from contact stands in `results.modes`; save a few times a contact. Forces that
         are means over saving intervals (MoreauJean) tell them to an interval."""
         return modes.table(self.history, name)
+
+    def events(self, *names: str) -> Any:
+        """Touches and releases of joints (all with clearance by default) in their order, as a
+        pandas table (time [s], joint, contact, event, speed [m/s]): instants of the run, located
+        within its steps, whatever the saving times. Needs `simulate(..., events=...)`; warns where
+        there were more than that many of a contact between two saving times."""
+        return events.table(self.history, self.noted, names)
 
     def combined_modes(self, *names: str) -> Any:
         """The modes of several joints (all with clearance by default) side by side, as a pandas

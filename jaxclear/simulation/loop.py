@@ -20,6 +20,7 @@ from jaxclear.formulations.base import model_of
 from jaxclear.formulations.model import Model, State
 from jaxclear.integrators.base import AbstractIntegrator, Interval
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.events import Events
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism
@@ -40,6 +41,16 @@ from jaxclear.simulation.wear import Worn, deposit, unworn
 MEMORY_WEIGHT = 1e-2
 
 
+class Extras(NamedTuple):
+    """What a run does beside its motion: the energies of its `balance`, a `report` of its progress,
+    and how many `events` (touches and releases) of each contact it keeps between two saving
+    times."""
+
+    balance: bool = False
+    report: bool = False
+    events: int = 0
+
+
 class Carry(NamedTuple):
     """What a run hands from turn to turn; `ended` [s] is the last saving time that it reached,
     `steps` those accepted and rejected so far."""
@@ -58,14 +69,14 @@ def run(
     speeds: Array,
     times: Float[Array, " saves"],
     integrator: AbstractIntegrator,
-    balance: bool = False,
-    report: bool = False,
+    extras: Extras = Extras(),
     past: Past = Past(),
 ) -> Trajectory:
     """The pure core of `simulate`: from consistent coordinates and speeds, and what is left of a
     past, to a trajectory."""
     formulation = integrator.formulation
-    model = model_of(mechanism, formulation, balance)
+    model = model_of(mechanism, formulation, extras.balance)
+    model = dataclasses.replace(model, events=extras.events)
     layout = model.layout
     state = jnp.concatenate([coordinates, speeds, jnp.zeros(layout.size - layout.memory_start)])
     state = closure_coordinates.started(mechanism, model.system, layout, times[0], state)
@@ -76,15 +87,17 @@ def run(
     warm_start = integrator.first_warm_start(model_of_worn(model, worn), times[0], state)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     first = Carry(state, worn, warm_start, reached, times[0], (none, none))
-    turn, unpack = _turns(model, integrator, report)
+    turn, unpack = _turns(model, integrator, extras.report)
     last, (states, read, packed), ends = _through(plan, turn, first)
-    figures = jax.vmap(unpack)(packed)
+    figures, noted = jax.vmap(unpack)(packed)
     states = jnp.concatenate([state[None], states])
     read = jax.tree.map(lambda depths: jnp.concatenate([depths[:1], depths]), read)
-    history = StateHistory(mechanism, formulation, times, states, read, balance)
+    history = StateHistory(mechanism, formulation, times, states, read, extras.balance)
     stats = RunStats(*last.steps, verdict(last.outcome))
-    trajectory = Trajectory(history, last.worn, last.outcome, last.ended, stats)
     begun = times[:-1] <= last.ended
+    if noted is not None:
+        noted = noted._replace(counts=jnp.where(begun[:, None], noted.counts, 0.0))
+    trajectory = Trajectory(history, last.worn, last.outcome, last.ended, stats, noted=noted)
     kept = {check: jnp.where(begun, each.T, 0.0).T for check, each in figures.items()}
     return refereed(trajectory, kept, spot_checks.figures(model, plan, states, ends))
 
@@ -97,9 +110,9 @@ def _turns(model: Model, integrator: AbstractIntegrator, report: bool) -> tuple[
 
     @jax.jit
     def one(arrays, now, turn):
-        now, (*left, figures) = _turn(*eqx.combine(arrays, rest), now, turn)
+        now, (*left, found) = _turn(*eqx.combine(arrays, rest), now, turn)
         # A loop of XLA pays for every array that its turns leave.
-        packed, unpacked = ravel_pytree(figures)
+        packed, unpacked = ravel_pytree(found)
         unpack.append(unpacked)
         return now, (*left, packed)
 
@@ -142,9 +155,9 @@ def _through(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Any, Arra
 
 def _turn(
     model: Model, integrator: AbstractIntegrator, now: Carry, turn: Turns
-) -> tuple[Carry, tuple[State, Worn, dict[Check, Array]]]:
+) -> tuple[Carry, tuple[State, Worn, tuple[dict[Check, Array], Events | None]]]:
     """One turn of the loop: what it hands on, and what it leaves: the state at its end, the worn
-    surfaces as its gaps saw them, and its figures."""
+    surfaces as its gaps saw them, and its figures with its events."""
     running = now.outcome == Outcome.REACHED
     worn_model = model_of_worn(model, now.worn)
     ahead = Interval(turn.start, turn.stop, _error_weights(model.layout), running, turn.share)
@@ -165,7 +178,7 @@ def _turn(
         (result.accepted, result.rejected),
     )
     after = Carry(state, worn, result.warm_start, outcome, ended, taken)
-    return after, (state, worn_model.worn, result.figures or {})
+    return after, (state, worn_model.worn, (result.figures or {}, result.events))
 
 
 def _choose(condition: Any, these: Any, those: Any) -> Any:
