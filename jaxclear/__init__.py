@@ -42,6 +42,7 @@ from jaxclear.results import response
 from jaxclear.results.pointing_error import pointing_error
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution
 from jaxclear.studies.advice.choice import advise
@@ -70,6 +71,7 @@ __all__ = [
     "PilotSettings",
     "Problem",
     "Projection",
+    "Saving",
     "Scalar",
     "SimulationError",
     "State",

@@ -19,8 +19,8 @@ def table(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -
 
     if noted is None:
         raise ValueError(
-            "this run kept no touches and releases; simulate(..., events=10) keeps up to 10 of "
-            "each contact between two saving times."
+            "this run kept no touches and releases; simulate(..., save=Saving(events=10)) keeps 10 "
+            "of each contact between two saving times."
         )
     for name in names:
         check_contact_joint(history, name)
@@ -41,7 +41,7 @@ def table(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -
     if lost:
         warnings.warn(
             f"{lost} touches and releases were not kept: more than {times.shape[2]} of a contact "
-            "fell between two saving times. Give simulate more events, or save more often.",
+            "fell between two saving times. Give Saving more events, or save more often.",
             stacklevel=4,
         )
     return pandas.DataFrame(sorted(rows), columns=COLUMNS)

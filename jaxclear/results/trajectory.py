@@ -183,7 +183,7 @@ class Trajectory(eqx.Module):
     def events(self, *names: str) -> Any:
         """Touches and releases of joints (all with clearance by default) in their order, as a
         pandas table (time [s], joint, contact, event, speed [m/s]): instants of the run, located
-        within its steps, whatever the saving times. Needs `simulate(..., events=...)`; warns where
+        within its steps, whatever the saving times. Needs `save=Saving(events=...)`; warns where
         there were more than that many of a contact between two saving times."""
         return events.table(self.history, self.noted, names)
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
+from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
@@ -26,6 +26,7 @@ from jaxclear.simulation.bristles import told_of_bristles
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.loop import Extras, run
+from jaxclear.simulation.saving import checked_saving
 from jaxclear.simulation.step_lengths import check_steps
 
 
@@ -102,16 +103,6 @@ def _check_compiling() -> None:
         )
 
 
-def _check_events(events: Any, integrator: AbstractIntegrator) -> None:
-    check_count("events", events, at_least=0)
-    if events and not integrator.notes_events:
-        raise ValueError(
-            f"integrator.{type(integrator).__name__} notes no touches and releases: its contacts "
-            "close and open within steps. Leave events out, or take a compliant integrator such as "
-            "Adaptive."
-        )
-
-
 @answering
 def simulate(
     mechanism: Mechanism,
@@ -121,18 +112,15 @@ def simulate(
     save: Any = 501,
     state: State | None = None,
     balance: bool = False,
-    events: int = 0,
     progress_bar: bool = False,
     throw: bool = True,
 ) -> Trajectory:
     """Simulate a mechanism for `duration` [s] from its own start.
 
-    `save`: number of equally spaced saving times, or the times [s]; worn surfaces are updated at
-    these times. `integrator`: `jaxclear.integrator.Adaptive()` by default. `state`: where the run
-    begins instead, such as `run.state()` of another one; saving times, worn volumes and energies
+    `save`: number of equally spaced saving times, or the times [s], or a `Saving`, which keeps
+    touches and releases too; worn surfaces are updated at these times. `integrator`:
+    `jaxclear.integrator.Adaptive()` by default. `state`: where the run begins instead, such as `run.state()` of another one; saving times, worn volumes and energies
     count from there. `balance`: also integrate the energies that `Trajectory.energy_balance` needs.
-    `events`: how many touches and releases of each contact `Trajectory.events` is to keep between
-    two saving times; compliant contact only.
     Changing numbers, duration or tolerances does not compile again; changing the number of saving
     times does. Raises `ValueError` for a mechanism that cannot start and for a derivative through
     contacts that open and close (see `jaxclear.sensitivity`), and, unless `throw=False`,
@@ -142,17 +130,17 @@ def simulate(
     check_duration(duration)
     check_flags("simulate", balance=balance, progress_bar=progress_bar, throw=throw)
     _check_compiling()
-    times = saving_times(duration, save)
     integrator = Adaptive() if integrator is None else integrator
     check_run(mechanism, integrator)
-    _check_events(events, integrator)
+    saving = checked_saving(save, integrator)
+    times = saving_times(duration, saving.at)
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     state = State() if state is None else state
     mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state)
     with stoppable(), progress.bar(progress_bar, "simulating"):
         ready = mechanism, start.coordinates, start.speeds, begins + times, integrator
-        trajectory = _run(*ready, Extras(balance, progress_bar, events), past)
+        trajectory = _run(*ready, Extras(balance, progress_bar, saving.events), past)
         trajectory = diagnosed(guarded(jax.block_until_ready(trajectory), integrator))
     if throw and isinstance(trajectory.outcome, jax.core.Tracer):
         raise ValueError(

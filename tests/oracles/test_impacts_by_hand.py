@@ -140,7 +140,7 @@ def test_fixed_steps_agree_with_the_events_by_hand(rig, hand, integrator):
 def test_touches_are_noted_when_and_as_they_happen(rig, hand):
     """At two saving times alone. Within 1 us, at speeds near 1 m/s the micrometre of the paths."""
     precise = jc.integrator.Adaptive(rtol=1e-9, atol=1e-11)
-    table = jc.simulate(rig, TIMES[-1], save=2, integrator=precise, events=40).events()
+    table = jc.simulate(rig, TIMES[-1], save=jc.Saving(2, 40), integrator=precise).events()
     touches = table[table["event"] == "touch"]
     np.testing.assert_allclose(touches["time [s]"], hand[2], atol=1e-6)
     np.testing.assert_allclose(touches["speed [m/s]"], hand[1], atol=1e-3)

@@ -27,7 +27,8 @@ def bouncing(contact=None):
 
 
 def run_of(integrator, save=3, events=20, **kwargs):
-    return jc.simulate(bouncing(**kwargs), 0.1, save=save, integrator=integrator, events=events)
+    saving = jc.Saving(save, events)
+    return jc.simulate(bouncing(**kwargs), 0.1, save=saving, integrator=integrator)
 
 
 @pytest.mark.parametrize(
@@ -65,6 +66,6 @@ def test_events_that_were_not_asked_for_are_refused():
     with pytest.raises(ValueError, match="this run kept no touches"):
         jc.simulate(bouncing(), 0.01, save=3).events()
     with pytest.raises(ValueError, match="MoreauJean notes no touches"):
-        jc.simulate(bouncing(), 0.01, integrator=jc.integrator.MoreauJean(), events=3)
-    with pytest.raises(ValueError, match="events is -1"):
-        jc.simulate(bouncing(), 0.01, events=-1)
+        jc.simulate(bouncing(), 0.01, integrator=jc.integrator.MoreauJean(), save=jc.Saving(3, 3))
+    with pytest.raises(ValueError, match="events of Saving is -1"):
+        jc.Saving(3, -1)

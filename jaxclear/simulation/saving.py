@@ -1,0 +1,34 @@
+"""What a run keeps: states at saving times, and touches and releases of contacts in between."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from jaxclear.ground.arguments import check_count
+from jaxclear.integrators.base import AbstractIntegrator
+
+__all__ = ["Saving", "checked_saving"]
+
+
+@dataclass(frozen=True)
+class Saving:
+    """What a run keeps: `at` is a number of equally spaced saving times, or the times [s];
+    `events`: how many touches and releases of each contact are kept between two of them, for
+    `run.events()`."""
+
+    at: Any = 501
+    events: int = 0
+
+    def __post_init__(self) -> None:
+        check_count("events of Saving", self.events, at_least=0)
+
+
+def checked_saving(save: Any, integrator: AbstractIntegrator) -> Saving:
+    """What `save` asks for. Raises `ValueError` for events of an integrator that notes none."""
+    saving = save if isinstance(save, Saving) else Saving(save)
+    if saving.events and not integrator.notes_events:
+        raise ValueError(
+            f"integrator.{type(integrator).__name__} notes no touches and releases: its contacts "
+            "close and open within steps. Leave events out, or take a compliant integrator such as "
+            "Adaptive."
+        )
+    return saving
