@@ -119,12 +119,13 @@ def simulate(
 
     `save`: number of equally spaced saving times, or the times [s], or a `Saving`, which keeps
     touches and releases too; worn surfaces are updated at these times. `integrator`:
-    `jaxclear.integrator.Adaptive()` by default. `state`: where the run begins instead, such as `run.state()` of another one; saving times, worn volumes and energies
-    count from there. `balance`: also integrate the energies that `Trajectory.energy_balance` needs.
-    Changing numbers, duration or tolerances does not compile again; changing the number of saving
-    times does. Raises `ValueError` for a mechanism that cannot start and for a derivative through
-    contacts that open and close (see `jaxclear.sensitivity`), and, unless `throw=False`,
-    `SimulationError` with a sentence for a run that ends early.
+    `jaxclear.integrator.Adaptive()` by default. `state`: where the run begins instead, such as
+    `run.state()` of another one; saving times, worn volumes and energies count from there.
+    `balance`: also integrate the energies that `Trajectory.energy_balance` needs. Changing numbers,
+    duration or tolerances does not compile again; changing the number of saving times does. Raises
+    `ValueError` for a mechanism that cannot start and for a derivative through contacts that open
+    and close (see `jaxclear.sensitivity`), and, unless `throw=False`, `SimulationError` with a
+    sentence for a run that ends early.
     """
     check_double_precision()
     check_duration(duration)
