@@ -48,6 +48,7 @@ from jaxclear.studies import distribution
 from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
 from jaxclear.studies.life.derivative import wear_life_derivatives
+from jaxclear.studies.life.lives import wear_lives
 from jaxclear.studies.life.settled import settled
 from jaxclear.studies.life.wear_life import wear_life
 from jaxclear.studies.monte_carlo import monte_carlo
@@ -108,5 +109,6 @@ __all__ = [
     "wear",
     "wear_life",
     "wear_life_derivatives",
+    "wear_lives",
 ]
 __getattr__ = nothing_else("jaxclear", __all__)

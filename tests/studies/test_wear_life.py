@@ -50,7 +50,7 @@ def lived(request):
     return Lived(law, turns, problem(wearing_ring(hyperbolic=request.param)))
 
 
-@pytest.mark.parametrize(("tolerance", "within", "cycles"), [(0.1, 1e-2, 10), (1e-2, 1e-3, 15)])
+@pytest.mark.parametrize(("tolerance", "within", "cycles"), [(0.2, 1e-2, 10), (1e-2, 1e-3, 15)])
 def test_a_load_that_falls_with_wear_follows_its_closed_form(lived, tolerance, within, cycles):
     """Within the tolerance, from few cycles, all of them counted; the estimated error is the true
     one up to a factor of five."""
@@ -63,7 +63,7 @@ def test_a_load_that_falls_with_wear_follows_its_closed_form(lived, tolerance, w
     forces = life.over_life("force")
     wanted = [lived.law.force_at(float(h)) for h in life.over_life("depth")]
     # Cycles that count as settled end within 1e-3 of a clearance of where they began.
-    np.testing.assert_allclose(forces, wanted, rtol=max(5e-4, 0.05 * tolerance))
+    np.testing.assert_allclose(forces, wanted, rtol=max(5e-4, 0.02 * tolerance))
     assert life.cycles[-1] == pytest.approx(lived.turns)
 
 
@@ -221,6 +221,30 @@ def test_derivatives_of_a_life_are_those_of_the_closed_form():
         jc.wear_life_derivatives(life, variables=("loads",))
 
 
+def test_lives_of_a_sample_are_those_of_the_closed_form(tmp_path):
+    """Each with its own hardness and load; asked again, the study takes them from its store."""
+    law, limit = ClosedForm(), 4e-6
+    asked, turns = problem(wearing_ring()), 1.3 * law.turns(limit)
+    found = jc.wear_lives(asked, 4, turns, store=tmp_path / "lives")
+    assert not found.ended and not found.warned and "4 lives, 0 ended early" in str(found)
+    hardness, load = found.values.T
+
+    def compliance(force):
+        return 1 / (force * SLOPE) + 1 / STIFFNESS
+
+    wanted = law.turns(limit) * hardness / 2e9 * compliance(load) / compliance(FORCE)
+    assert np.ptp(wanted) > 0.05 * law.turns(limit)
+    for life, cycles, exact in zip(found.lives, found.until("depth", limit), wanted, strict=True):
+        assert abs(cycles - exact) < life.until("depth", limit).error
+    assert np.isinf(found.until("depth", 1.0)).all()
+    table = found.table()
+    assert len(table) == 4 and {"hardness", "load", "cycles", "depth [m]", "ended"} <= set(table)
+    again = jc.wear_lives(asked, 4, turns, store=tmp_path / "lives")
+    np.testing.assert_array_equal(again.until("depth", limit), found.until("depth", limit))
+    with pytest.raises(ValueError, match="another problem: values of its variables"):
+        jc.wear_lives(asked, 4, turns, seed=1, store=tmp_path / "lives")
+
+
 @pytest.mark.parametrize(
     ("asked", "sentence"),
     [
@@ -284,6 +308,26 @@ def test_noise_takes_no_steps_back_and_belongs_to_the_error():
         told = last.error[0] + 1.96 * np.sqrt(last.variance[0])
         covered.append(abs(last.depth[0] - (np.sqrt(3.0) - 1)) < told)
     assert np.mean(covered) > 0.9
+
+
+def test_scatter_that_no_step_mends_is_told_not_fought():
+    """Rates that scatter by 2 % about a smooth law without saying so, as cycles do that settle now
+    here, now there: few steps are taken back. Scatter of a single cell is known from four steps, so
+    what is told covers the true error in three lives of four, not in 95 of 100."""
+    covered, counts = [], []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+
+        def scattered(depth, rng=rng):
+            return 1e-6 / (1 + depth) * (1 + 0.02 * rng.normal())
+
+        found = stepped(scattered, 1e6, 1e-3)
+        last = found.nodes[-1]
+        counts.append(len(found.nodes) + found.rejected)
+        told = last.error[0] + 1.96 * np.sqrt(last.variance[0])
+        covered.append(abs(last.depth[0] - (np.sqrt(3.0) - 1)) < told)
+    assert max(counts) < 40 and np.median(counts) < 15
+    assert np.mean(covered) > 0.7
 
 
 def test_a_stiff_scar_is_followed_one_by_one():

@@ -163,7 +163,7 @@ class WearLife(eqx.Module):
         which = slice(count, None) if kind == VOLUME else slice(0, count)
         wear = self.cells.sizes(rows.derivative()(at))[which]
         lost = self.cells.sizes(rows(at) - rows(0.0))[which]
-        moved = float(np.interp(at, self.cycles, errors)) * lost
+        moved = _around(at, self.cycles, errors) * lost
         shift = float(np.max(np.divide(moved, wear, out=np.zeros_like(wear), where=wear > 0)))
         if name not in self.problem.response_names:
             return shift
@@ -172,7 +172,7 @@ class WearLife(eqx.Module):
         slope = abs(function(high) - function(low)) / (high - low)
         means, noise = np.array([stage.settled.responses()[name] for stage in self.stages]).T
         curved = abs(function(at) - float(np.interp(at, self.cycles, means)))
-        own = CONFIDENCE * float(np.interp(at, self.cycles, noise)) + curved
+        own = CONFIDENCE * _around(at, self.cycles, noise) + curved
         return float(np.hypot(shift, own / slope)) if slope > 0 else np.inf
 
     def _function(self, name: str) -> Callable[[float], float]:
@@ -267,3 +267,9 @@ class WearLife(eqx.Module):
         columns["error of volume"] = ("cycles", self.errors_of_volume, {"units": "1"})
         told = {"result": self.sentence(), "warnings": " ".join(self.warnings)}
         return xarray.Dataset(columns, {"cycles": self.cycles}, told | self.checks.attributes())
+
+
+def _around(at: float, cycles: np.ndarray, errors: np.ndarray) -> float:
+    """The larger of the errors at the two stages around so many cycles."""
+    after = min(int(np.searchsorted(cycles, at)), len(cycles) - 1)
+    return float(max(errors[after], errors[max(after - 1, 0)]))

@@ -2,11 +2,13 @@
 control.
 
 The embedded pair of Bogacki and Shampine, carried on with its third-order answer. Its own estimate
-is the error of its second-order answer, far too large for that; multiplied by three times the
-relative change of the rate over the step it is the error of the third-order answer, 1.5 times too
-large where wear dies away exponentially. An error is a root mean square over the cells of a
-surface, as a share of what it wears in the step, of the worst surface: so the shares asked for are
-those of a whole life.
+is the error of its second-order answer, far too large for that; multiplied by 3.5 times the
+relative change of the rate over the step it is the error of the third-order answer, 1.75 times too
+large where wear dies away exponentially. What is too large for rates that change smoothly (cycles
+that settle now here, now there) counts as noise; where shorter steps do not help they are taken.
+
+An error is a root mean square over the cells of a surface, as a share of what it wears in the step,
+of the worst surface: so the shares asked for are those of a whole life.
 
 Source: Bogacki & Shampine 1989, Appl. Math. Lett. 2, 321, doi:10.1016/0893-9659(89)90079-7.
 """
@@ -20,11 +22,19 @@ import numpy as np
 TABLEAU = diffrax.Bosh3.tableau
 WEIGHTS, ERRORS = np.asarray(TABLEAU.b_sol), np.asarray(TABLEAU.b_error)
 STAGES = tuple(np.asarray(row) for row in TABLEAU.a_lower)
-# Of y' = -y the errors of third and second order are as 2 z to 1, z the change of the rate.
-OF_THIRD_ORDER = 3.0
+# Of y' = -y the errors of third and second order are as 2 z to 1, z the change of the rate; the
+# rest is a margin for steps in which z is not small.
+OF_THIRD_ORDER = 3.5
 # Error of a step, as a share of what it wears, beside the cube of the change of the rate: the same
 # equation.
 OF_CUBE = OF_THIRD_ORDER / 48.0
+# Estimates of smooth rates are at most this share of what a step wears, times the square of the
+# change of the rate (that of a law of square roots). What is more comes of rates that scatter
+# about a smooth one; it is so many times smaller in the estimate than in the answer.
+SMOOTH = 1 / 16
+OF_SCATTER = float(np.linalg.norm(WEIGHTS) / np.linalg.norm(ERRORS))
+# Once steps were found not to help, errors up to so many times the one found are told, not fought.
+TOLD = 2.0
 # A step aims at this share of the error allowed, and is at most so many times the one before.
 SAFETY, GROWTH, LEAST = 0.9, 3.0, 0.1
 # A step that is this many times too long is given up after its second rate.
@@ -71,9 +81,9 @@ class Cells(NamedTuple):
         whole = np.maximum(whole, NEGLIGIBLE * whole.max(initial=0.0))
         return np.divide(self.sizes(errors), whole, out=np.zeros(len(whole)), where=whole > 0)
 
-    def share(self, errors: np.ndarray, of: np.ndarray) -> float:
-        """Of the worst surface."""
-        return float(self.shares(errors, of).max(initial=0.0))
+    def each(self, values: np.ndarray) -> np.ndarray:
+        """For each cell the value of its surface."""
+        return np.repeat(values, [own.stop - own.start for own in self.surfaces])
 
 
 class Node(NamedTuple):
@@ -114,6 +124,8 @@ def live(
     the `first` is so many cycles long. Steps that would be no longer than what their rates cost
     give way to cycles one by one."""
     nodes, rejected, failures, length = [start], 0, 0, first
+    refused: tuple[float, float] | None = None
+    scatter = 0.0
     while cycles - nodes[-1].cycles > 1e-9 * cycles:
         now, left = nodes[-1], cycles - nodes[-1].cycles
         length = left / np.ceil(left / length - 1e-9)
@@ -123,19 +135,26 @@ def live(
                 length = max(length, 1.0) * GROWTH
                 hear(min(1.0, left) / cycles)
                 continue
-            after, factor = _stepped(evaluate, now, cells, length, tolerance)
+            after, error = _stepped(evaluate, now, cells, length, tolerance)
         except CycleFailed as reason:
             failures, rejected = failures + 1, rejected + 1
             if failures > MOST_FAILURES or length <= 1.0:
                 return Stepped(tuple(nodes), rejected, str(reason))
             length *= LEAST
             continue
-        if after is None:
-            rejected += 1
+        factor = GROWTH if error == 0 else SAFETY * (tolerance / error) ** (1 / 3)
+        # Errors of steps fall with their length; one that does not is none, and is only told.
+        helps = refused is None or error < refused[1] * length / refused[0]
+        if after is None or (error > max(tolerance, scatter) and helps):
+            rejected, refused = rejected + 1, (length, error)
         else:
             nodes.append(after)
             hear(length / cycles)
-        length *= factor
+            if error > tolerance:
+                scatter = max(scatter, TOLD * error)
+                factor = max(1.0, refused[0] / length if refused else 1.0)
+            refused = None
+        length *= float(np.clip(factor, LEAST, GROWTH))
     return Stepped(tuple(nodes), rejected, "")
 
 
@@ -200,8 +219,8 @@ def _one_by_one(evaluate: Evaluate, now: Node, length: float) -> Node:
 def _stepped(
     evaluate: Evaluate, now: Node, cells: Cells, length: float, tolerance: float
 ) -> tuple[Node | None, float]:
-    """(the node after a step of `length` cycles, None where it is taken back; the factor by which
-    the next one is longer)."""
+    """(the node after a step of `length` cycles, None where it is hopeless; its error as a share of
+    what it wears)."""
     rates = [now.rate]
     for row in STAGES:
         depth = now.depth + length * sum(a * own.wear for a, own in zip(row, rates, strict=True))
@@ -210,22 +229,22 @@ def _stepped(
             change = _change(cells, rates[0], rates[1]) / row[0]
             far = change * (OF_CUBE / tolerance) ** (1 / 3)
             if far > HOPELESS:
-                return None, max(SAFETY / far, LEAST)
+                return None, tolerance * far**3
     # The last stage is the answer of third order: `depth` is where the step ends.
     grown = depth - now.depth
     estimate = length * sum(w * own.wear for w, own in zip(ERRORS, rates, strict=True))
     noise = length * np.sqrt(sum((w * r.noise) ** 2 for w, r in zip(ERRORS, rates, strict=True)))
     shares = _beyond(cells.shares(estimate, grown), cells.shares(noise, grown))
-    shares = shares * OF_THIRD_ORDER * _change(cells, rates[0], rates[-1])
-    error = float(shares.max(initial=0.0))
-    factor = GROWTH if error == 0 else SAFETY * (tolerance / error) ** (1 / 3)
-    factor = float(np.clip(factor, LEAST, GROWTH))
-    if error > tolerance:
-        return None, factor
+    change = _change(cells, rates[0], rates[-1])
+    smooth = np.minimum(shares, SMOOTH * change**2)
+    scattered = shares - smooth
+    error = smooth * OF_THIRD_ORDER * change
     left = sum((w * r.noise) ** 2 for w, r in zip(WEIGHTS, rates, strict=True))
-    whole = now.error + shares * cells.sizes(grown)
-    variance = now.variance + length**2 * left
-    return Node(now.cycles + length, depth, rates[-1], whole, variance), factor
+    part = np.divide(scattered, shares, out=np.zeros_like(shares), where=shares > 0)
+    variance = now.variance + length**2 * left + (OF_SCATTER * estimate * cells.each(part)) ** 2
+    whole = now.error + error * cells.sizes(grown)
+    told = float((error + OF_SCATTER * scattered).max(initial=0.0))
+    return Node(now.cycles + length, depth, rates[-1], whole, variance), told
 
 
 def _change(cells: Cells, one: Rate, other: Rate) -> float:

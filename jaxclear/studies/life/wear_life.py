@@ -63,8 +63,7 @@ def wear_life(
         check_number("jump of wear_life", jump, at_least=1)
     check_count("most of wear_life", most)
     check_flags("wear_life", progress_bar=progress_bar)
-    _check_wears(problem)
-    _check_names(problem)
+    check_asked(problem)
     kept = None if store is None else Store.opened(store, "a wear life", in_texts(problem))
     living = Living(problem, problem.nominal(), Patience(SETTLED, tolerance, most), kept)
     with progress.bar(progress_bar, "wear life"):
@@ -132,6 +131,12 @@ def _smallest_clearance(mechanism: Mechanism) -> float:
     joints = (mechanism.connections[name].joint for name in mechanism.topology.clearances)
     known = (getattr(joint, "clearance", None) for joint in joints if joint.maps())
     return min((float(size) for size in known if size is not None), default=np.inf)
+
+
+def check_asked(problem: Problem) -> None:
+    """Raises `ValueError` with a sentence for a problem without a life."""
+    _check_wears(problem)
+    _check_names(problem)
 
 
 def _check_names(problem: Problem) -> None:
