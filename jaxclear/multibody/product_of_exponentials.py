@@ -51,17 +51,23 @@ class ChainConfiguration(eqx.Module):
         return ChainConfiguration(self.motions, (None,) * len(self.motions))
 
 
+# A deviation's parts: across the joint's axis, along it, and its tilt.
+PLAYS = {"across": (1, 1, 0, 0, 0, 0), "along": (0, 0, 1, 0, 0, 0), "tilt": (0, 0, 0, 1, 1, 1)}
+
+
 class TipError(eqx.Module):
     """Departure of the tip from its nominal pose, twists [m, rad] linear then angular in the axes
     of the nominal tip.
 
     `exact`: logarithm of the displacement; `deviations` and `motions`: what the deviation and the
-    motion of each joint give to first order, `None` where they cannot differ; `pointing_angle`
-    [rad] between the tips' z axes; `position_error` [m] between their origins.
+    motion of each joint give to first order, `None` where they cannot differ; `plays`: the
+    deviations taken apart, by name; `pointing_angle` [rad] between the tips' z axes;
+    `position_error` [m] between their origins.
     """
 
     exact: TwistVector
     deviations: tuple[TwistVector | None, ...]
+    plays: dict[str, tuple[TwistVector | None, ...]]
     motions: tuple[TwistVector | None, ...]
     pointing_angle: Float[Array, ""]
     position_error: Float[Array, ""]
@@ -184,9 +190,15 @@ def tip_error(
     )
     x, y, z = displacement[:3, 2]
     away = displacement[:3, 3]
+    parents = [parent for parent, _ in tips]
+    plays = {
+        play: [None if change is None else jnp.array(part, float) * change for change in changes]
+        for play, part in PLAYS.items()
+    }
     return TipError(
         logarithms([displacement])[0],
-        _carried(start_chain, [parent for parent, _ in tips], changes),
+        _carried(start_chain, parents, changes),
+        {play: _carried(start_chain, parents, twists) for play, twists in plays.items()},
         _carried(start_chain, [child for _, child in tips], turns),
         jnp.arctan2(safe_sqrt(x * x + y * y), z),
         safe_sqrt(jnp.sum(away * away)),

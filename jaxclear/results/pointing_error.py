@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import expect
+from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.multibody.chain import Chain
 from jaxclear.multibody.product_of_exponentials import TipError
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
@@ -32,7 +32,8 @@ class PointingError(eqx.Module):
     `deviations` in the bearings' axes.
 
     `exact` is the logarithm of the displacement from the nominal to the actual tip, `model` its
-    first order, the sum of `contributions` by joint (and "motion" against another run).
+    first order, the sum of `contributions` by joint (and "motion" against another run); `plays` are
+    these taken apart.
     `pointing_angle` [rad] lies between the z axes of the two tips, `position_error` [m] between
     their origins; `warnings` are those of the run. `budget()` shares the error out among the
     joints, `sentence()` says it in words, `jaxclear.plot.pointing_budget` draws it.
@@ -42,6 +43,7 @@ class PointingError(eqx.Module):
     exact: np.ndarray
     model: np.ndarray
     contributions: dict[str, np.ndarray]
+    plays: dict[str, np.ndarray]
     deviations: dict[str, np.ndarray]
     pointing_angle: np.ndarray
     position_error: np.ndarray
@@ -50,9 +52,10 @@ class PointingError(eqx.Module):
     base: str = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def budget(self) -> Any:
+    def budget(self, by_play: bool = False) -> Any:
         """What each joint contributes, as a pandas table with the model's and the exact error as
-        its last rows.
+        its last rows. `by_play`: what its displacement across its axis, along it, and its tilt
+        contribute, each for itself.
 
         A share is the mean over time of the joint's contribution times the model's error, divided
         by the mean square of the latter: shares add up to 1, and one below zero marks a joint that
@@ -60,14 +63,19 @@ class PointingError(eqx.Module):
         """
         import pandas
 
-        rows = {name: self._row(twist) | self._shares(twist) for name, twist in self._parts()}
+        check_flags("budget", by_play=by_play)
+        parts = self._parts(by_play)
+        rows = {name: self._row(twist) | self._shares(twist) for name, twist in parts}
         rows["model"] = self._row(self.model) | self._shares(self.model)
         unshared = dict.fromkeys(self._shares(self.model), np.nan)
         rows["exact"] = _sizes(self.pointing_angle, self.position_error) | unshared
         return pandas.DataFrame.from_dict(rows, orient="index").rename_axis("joint")
 
-    def _parts(self):
-        return [(name, self.contributions[name]) for name in self.names]
+    def _parts(self, by_play):
+        if not by_play:
+            return [(name, self.contributions[name]) for name in self.names]
+        motion = {name: self.contributions[name] for name in self.names if name == MOTION}
+        return list((self.plays | motion).items())
 
     def _row(self, twist):
         return _sizes(turn(twist), shift(twist))
@@ -181,6 +189,7 @@ def pointing_error(
         np.asarray(errors.exact),
         sum(contributions.values(), np.zeros_like(np.asarray(errors.exact))),
         contributions,
+        _plays(links, errors),
         {name: np.asarray(twist) for name, twist in deviations if twist is not None},
         np.asarray(errors.pointing_angle),
         np.asarray(errors.position_error),
@@ -200,6 +209,16 @@ def _check(trajectory: Trajectory, nominal: Trajectory | None) -> None:
             f'joint "{MOTION}" bears the name of the contribution of differing coordinates; '
             "rename it."
         )
+
+
+def _plays(links: Chain, errors: TipError) -> dict[str, np.ndarray]:
+    """Twists of the tip by joint and play, as "J1 across"."""
+    return {
+        f"{joint.name} {play}": np.asarray(twists[k])
+        for k, joint in enumerate(links.joints)
+        if not joint.ideal
+        for play, twists in errors.plays.items()
+    }
 
 
 def _contributions(links: Chain, errors: TipError, with_motion: bool) -> dict[str, np.ndarray]:

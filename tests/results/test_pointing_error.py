@@ -298,6 +298,15 @@ def test_error_over_a_run_recovers_deviations_and_adds_up(wobbling):
         and '"J1"' in str(error)
         and "% of the mean square" in str(error)
     )
+    plays = error.budget(by_play=True)
+    assert list(plays.index[:3]) == ["J1 across", "J1 along", "J1 tilt"]
+    for name, whole in error.contributions.items():
+        parts = [twist for play, twist in error.plays.items() if play.startswith(f"{name} ")]
+        assert len(parts) == 3
+        np.testing.assert_allclose(sum(parts), whole, rtol=0, atol=1e-18)
+    # Along the axis of J1, which is that of the ground: as far as the journal went.
+    far = np.linalg.norm(error.plays["J1 along"], axis=1)
+    np.testing.assert_allclose(far, np.abs(deviations[:, 0, 2]), atol=1e-16)
     single = jc.pointing_error(run, TIP, "arm")
     assert list(single.contributions) == ["J2"]
     np.testing.assert_allclose(single.model, error.contributions["J2"], atol=1e-16)
