@@ -6,6 +6,7 @@ equations of `start_equations`, metres measured by the longest arm. What cannot 
 name (`start_check`).
 """
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -244,6 +245,13 @@ def _known(
     known = with_redundancy(bare, redundancy.redundancy(bare, place, time))
     if known is not bare:
         return known, *assembled(known)
+    if sound:
+        warnings.warn(
+            "the mechanism stands at a position in which the rows of its loops depend on each "
+            "other (links in one line, say): it can leave it in more than one way, and a run from "
+            "there fails. Start it beside this position.",
+            stacklevel=4,
+        )
     # Rows that nearly depend on each other lead a search astray: what is missed is told from where
     # it is least.
     return bare, min(start, place, key=start_check.open_by), sound

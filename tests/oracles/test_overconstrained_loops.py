@@ -202,6 +202,25 @@ def test_every_integrator_moves_redundant_loops(name, held):
     assert off(run) < 1e-5
 
 
+def worn_in(friction):
+    rig = cranks()
+    law = jc.contact.Flores(stiffness=1e8, restitution=0.9)
+    bearing = jc.clearance.PlanarJournalBearing(law, friction, clearance=1e-4)
+    held = rig.connections["top 2"]
+    loose = {"top 2": jc.Connection(bearing, held.parent, held.child)}
+    joints = {name: own for name, own in rig.connections.items() if name != "top 2"}
+    given = {"start": {"foot 0": ANGLE}, "guess": NEARBY}
+    return jc.Mechanism(rig.bodies, joints | loose, rig.loads, **given)
+
+
+@pytest.mark.slow
+def test_friction_that_would_follow_an_open_reaction_is_refused():
+    rung = jc.integrator.NonColliding(1e-4)
+    assert off(jc.simulate(worn_in(None), 0.1, save=3, integrator=rung)) < 1e-5
+    with pytest.raises(ValueError, match='friction in joint "top 2" follows its reaction'):
+        jc.simulate(worn_in(jc.friction.Coulomb(mu_kinetic=0.1)), 0.1, integrator=rung)
+
+
 @pytest.mark.slow
 def test_parallel_hinges_in_space_move_as_pins_in_the_plane():
     """Four hinges whose axes are parallel, all places with three coordinates."""
