@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear import plot
 from jaxclear.scenes.parallel_3rsr import (
     CIRCLE,
     GRAVITY,
@@ -211,7 +212,7 @@ def test_wear_is_irregular_and_its_volume_is_that_of_the_map():
     assert (depth * np.asarray(wear_map.areas())).sum() == pytest.approx(volume, rel=1e-9)
     assert (depth > 0.01 * depth.max()).mean() < 0.25
     flat, space = (
-        draw(run, "S1", "socket") for draw in (jc.plot.wear_unrolled, jc.plot.wear_surface)
+        draw(run, "S1", "socket") for draw in (plot.wear_unrolled, plot.wear_surface)
     )
     assert flat.axes[0].get_ylabel() == "elevation [deg]"
     assert max(map(abs, space.axes[0].get_zlim())) < 1.5e3 * SOCKET_RADIUS
