@@ -211,9 +211,7 @@ def test_wear_is_irregular_and_its_volume_is_that_of_the_map():
     volume = float(run.worn_volume("S1", "socket")[-1])
     assert (depth * np.asarray(wear_map.areas())).sum() == pytest.approx(volume, rel=1e-9)
     assert (depth > 0.01 * depth.max()).mean() < 0.25
-    flat, space = (
-        draw(run, "S1", "socket") for draw in (plot.wear_unrolled, plot.wear_surface)
-    )
+    flat, space = (draw(run, "S1", "socket") for draw in (plot.wear_unrolled, plot.wear_surface))
     assert flat.axes[0].get_ylabel() == "elevation [deg]"
     assert max(map(abs, space.axes[0].get_zlim())) < 1.5e3 * SOCKET_RADIUS
 
