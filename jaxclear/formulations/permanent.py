@@ -32,6 +32,7 @@ from jaxclear.formulations.permanent_reactions import (
     touching,
     with_friction,
 )
+from jaxclear.formulations.permanent_wear import wear_rates
 from jaxclear.formulations.rigid import check_friction
 from jaxclear.formulations.state_rate import link_accelerations
 from jaxclear.ground import sparse as sp
@@ -137,6 +138,11 @@ class PermanentContact(AbstractFormulation):
             for k, reaction in enumerate(found.reactions)
             for x in (*reaction.force, *reaction.torque, friction[k])
         ]
+        if layout.wear:
+            worn = wear_rates(model, motions, motion[0], found, friction, slips, mean)
+            # Behind the angles, before the impulses.
+            place = len(layout.angles)
+            gained[place:place] = [h * rate for rate in worn]
         if layout.energies:
             rates = _powers(model, forces, found, friction, [slip.at(mean) for slip in slips])
             gained += [h * rate for rate in rates]

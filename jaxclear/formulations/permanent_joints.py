@@ -2,7 +2,7 @@
 contact."""
 
 from jaxclear.components.body import Connection
-from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.multibody.mechanism import Mechanism
 
@@ -35,12 +35,14 @@ def permanent_joint(name: str, joint: AbstractClearance) -> AbstractJoint:
     """The joint as which the clearance joint `name` moves while it always touches. Raises
     `ValueError` where none is known.
     """
-    if joint.maps():
-        raise ValueError(
-            f'joint "{name}" wears, which integrator.NonColliding does not follow; leave its wear '
-            "out, or take a compliant integrator such as ImplicitStep."
-        )
     try:
-        return joint.permanent_form()
+        form = joint.permanent_form()
     except ValueError as error:
         raise ValueError(f'joint "{name}" {error}') from None
+    if joint.maps() and not isinstance(form, AbstractPermanentJoint):
+        raise ValueError(
+            f'joint "{name}" is a {type(joint).__name__} that wears, which integrator.NonColliding '
+            "follows in journals only; leave its wear out, or take a compliant integrator such as "
+            "ImplicitStep."
+        )
+    return form

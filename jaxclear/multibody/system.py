@@ -12,7 +12,11 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.components.body import GROUND
-from jaxclear.components.clearance import AbstractClearance, ContactLaws
+from jaxclear.components.clearance import (
+    AbstractClearance,
+    AbstractPermanentJoint,
+    ContactLaws,
+)
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
 from jaxclear.ground import sparse as sp
@@ -175,13 +179,31 @@ def body_loads(system: System) -> list[tuple[str, AbstractBodyLoad]]:
     ]
 
 
+def permanent_joints(system: System) -> dict[str, AbstractPermanentJoint]:
+    """Joints that always touch: those of the tree in its order, then those that close loops."""
+    joints = {
+        branch.name: link.joint
+        for branch, link in zip(system.topology.branches, system.links, strict=True)
+    }
+    joints |= dict(zip(system.topology.loops, system.closing, strict=True))
+    return {
+        name: joint for name, joint in joints.items() if isinstance(joint, AbstractPermanentJoint)
+    }
+
+
+def wear_maps(system: System) -> dict[str, dict]:
+    """Wear map and law of each surface that wears, by joint and surface: of joints that may open,
+    then of those that always touch."""
+    joints: dict[str, Any] = {name: bearing.joint for name, bearing in system.bearings.items()}
+    joints |= permanent_joints(system)
+    return {name: joint.maps() for name, joint in joints.items() if joint.maps()}
+
+
 def readings(system: System, worn: dict) -> dict:
     """Worn surfaces in the form in which the gaps read them."""
+    maps = wear_maps(system)
     return {
-        name: {
-            s: system.bearings[name].joint.maps()[s][0].reading(depth)
-            for s, depth in surfaces.items()
-        }
+        name: {s: maps[name][s][0].reading(depth) for s, depth in surfaces.items()}
         for name, surfaces in worn.items()
     }
 

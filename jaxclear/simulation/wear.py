@@ -5,13 +5,14 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
-from jaxclear.multibody.system import System
+from jaxclear.multibody.system import System, wear_maps
 
 Worn = dict[str, dict[str, Array]]
 
@@ -19,12 +20,8 @@ Worn = dict[str, dict[str, Array]]
 def unworn(system: System) -> Worn:
     """Depth maps of new surfaces, by joint and surface."""
     return {
-        name: {
-            surface: jnp.zeros(wear_map.cells)
-            for surface, (wear_map, _) in bearing.joint.maps().items()
-        }
-        for name, bearing in system.bearings.items()
-        if bearing.joint.maps()
+        name: {surface: jnp.zeros(wear_map.cells) for surface, (wear_map, _) in surfaces.items()}
+        for name, surfaces in wear_maps(system).items()
     }
 
 
@@ -33,7 +30,12 @@ def worn_as_given(mechanism: Mechanism, given: Worn | None) -> Worn | None:
     nothing is given; None for None. Raises `ValueError` with a sentence for what is no such map."""
     if given is None:
         return None
-    joints = {name: mechanism.connections[name].joint for name in mechanism.topology.clearances}
+    joints = {
+        name: connection.joint
+        for name, connection in mechanism.connections.items()
+        if name in mechanism.topology.clearances
+        or isinstance(connection.joint, AbstractPermanentJoint)
+    }
     cells = {
         name: {surface: wear_map.cells for surface, (wear_map, _) in joint.maps().items()}
         for name, joint in joints.items()
@@ -80,9 +82,9 @@ def deposit(system: System, layout: Layout, worn: Worn, before: Array, after: Ar
             features[i] = value
         of_surface = lost.setdefault((slot.bearing, slot.surface), [])
         of_surface.append((change[0], sp.stack(features)))
-    worn = {name: dict(surfaces) for name, surfaces in worn.items()}
+    worn, maps = {name: dict(surfaces) for name, surfaces in worn.items()}, wear_maps(system)
     for (bearing, surface), events in lost.items():
-        wear_map = system.bearings[bearing].joint.maps()[surface][0]
+        wear_map = maps[bearing][surface][0]
         volumes, places = (jnp.stack(parts) for parts in zip(*events, strict=True))
         # All events of a surface see it as it was: none comes before the others.
         worn[bearing][surface] = wear_map.deposit(worn[bearing][surface], volumes, places)

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.multibody.state import lay_out
-from jaxclear.multibody.system import prepare
+from jaxclear.multibody.system import prepare, wear_maps
 from jaxclear.native import calls_lapack, stop, stoppable
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.dead_point import diagnosed
@@ -71,9 +71,7 @@ def chunk_size(problem: Problem, samples: int, chunk: int | None = None) -> int:
         return min(chunk, samples)
     system = prepare(problem.mechanism)
     layout = lay_out(system)
-    cells = sum(
-        np.prod(m.cells) for b in system.bearings.values() for m, _ in b.joint.maps().values()
-    )
+    cells = sum(np.prod(m.cells) for own in wear_maps(system).values() for m, _ in own.values())
     each = 8 * (len(problem.shares) * (HISTORY_FACTOR * layout.size) + 8 * cells)
     largest = LARGEST_CHUNK.get(jax.default_backend(), LARGEST_ELSEWHERE)
     return int(max(1, min(largest, CHUNK_MEMORY // each, -(-samples // threads_of()))))

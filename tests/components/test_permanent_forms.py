@@ -45,8 +45,8 @@ class Wall(jc.clearance.AbstractClearance):
 WEARING = jc.Wearing(jc.wear.Archard())
 REFUSED = {
     "wears": (
-        jc.clearance.PlanarJournalBearing(RIGID, bearing_wear=WEARING),
-        'joint "B" wears, which integrator.NonColliding does not follow',
+        jc.clearance.BallSocket(RIGID, socket_wear=WEARING),
+        'joint "B" is a BallSocket that wears, which integrator.NonColliding follows in journals',
     ),
     "ball with friction": (
         jc.clearance.BallSocket(RIGID, COULOMB),

@@ -62,6 +62,11 @@ class PermanentRevolute(AbstractPermanentJoint):
         return self.gap.friction
 
     @property
+    def clearance(self) -> Scalar:
+        """Radial clearance of the gap [m]."""
+        return self.gap.clearance
+
+    @property
     def arm(self):
         return self.gap.bearing_radius
 

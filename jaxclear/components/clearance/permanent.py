@@ -95,6 +95,10 @@ class AbstractPermanentJoint(AbstractVectorJoint):
         friction.
         """
 
+    def maps(self) -> dict:
+        """Wear map and law of each surface that wears, as of the joint with clearance."""
+        return self.gap.maps()
+
     def motion(self, q):
         return self.ideal.motion(q)
 

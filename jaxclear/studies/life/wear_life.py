@@ -152,7 +152,8 @@ def _check_names(problem: Problem) -> None:
 
 def _check_wears(problem: Problem) -> None:
     """Raises `ValueError` where nothing wears, or wear is carried on already."""
-    mechanism = problem.integrator.formulation.seen(problem.mechanism)
+    mechanism = problem.mechanism
+    problem.integrator.formulation.seen(mechanism)
     surfaces = {
         f'{surface} of joint "{name}"': wearing
         for name in mechanism.topology.clearances

@@ -1,0 +1,85 @@
+"""What joints that always touch wear away: by the reaction, where it is carried in the gap.
+
+The motion is that of the ideal joint, which wear does not change.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxclear.components.clearance import CarryingEnd, carried_load
+from jaxclear.formulations.model import Model
+from jaxclear.formulations.permanent_reactions import Answer, PermanentJoint, Slip, touching
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.multibody import kinematics
+from jaxclear.multibody.system import System
+
+
+def wear_rates(
+    model: Model,
+    motions: tuple,
+    q: tuple,
+    found: Answer,
+    friction: Any,
+    slips: list[Slip],
+    mean: list,
+) -> list:
+    """Rates of the worn volumes and of their volume-weighted locations, in the layout's order, at
+    coordinates `q`; the joints slide as at the `mean` speeds."""
+    system, rates = model.system, []
+    at = {held.name: k for k, held in enumerate(touching(system))}
+    carried = {}
+    for held, k in zip(touching(system), at.values(), strict=True):
+        if held.joint.maps():
+            rubbing = friction[k]
+            ends = _ends(held, found.reactions[k], rubbing)
+            carried[held.name] = (*_pose_in_gap(system, motions, q, held, ends), ends)
+    for slot in model.layout.wear:
+        k = at[slot.bearing]
+        joint = touching(system)[k].joint
+        offset, axes, ends = carried[slot.bearing]
+        (contact,) = (c for end in ends for c in end.contacts if c.number == slot.contact)
+        _, wearing = joint.maps()[slot.surface]
+        speed = jnp.abs(joint.arm * slips[k].at(mean))
+        volume = wearing.acceleration * wearing.law.volume_rate(
+            contact.normal_force, speed, jnp.abs(contact.friction)
+        )
+        # What carries overlaps by nothing that this formulation knows of.
+        depths = (jnp.zeros_like(volume),) * len(joint.gap.contact_laws())
+        place = joint.gap.features(slot.surface, offset, axes, depths, slot.contact)
+        rates += [volume, *(sp.mul(volume, place[i]) for i in slot.averaged)]
+    return rates
+
+
+def _ends(held: PermanentJoint, reaction: Any, friction: Any) -> tuple[CarryingEnd, ...]:
+    """Where a reaction and friction are carried; a journal's load does not depend on friction's
+    share of it."""
+    load = carried_load(held.joint.carrying_ends(*reaction, 0.0 * friction))
+    return held.joint.carrying_ends(*reaction, safe_divide(friction, load))
+
+
+def _pose_in_gap(
+    system: System, motions: tuple, q: tuple, held: PermanentJoint, ends: tuple[CarryingEnd, ...]
+) -> tuple[sp.Vec, tuple]:
+    """(offset [m] of the journal's centre in the gap, its axes on which the gap depends)."""
+    share = 1 / len(ends)
+    offset = sp.scale(share, sp.plus(sp.ZERO, *(end.offset for end in ends)))
+    lean: sp.Vec = sp.ZERO
+    if len(ends) == 2:
+        between = sp.minus(ends[1].offset, ends[0].offset)
+        lean = sp.scale(1 / (ends[1].height - ends[0].height), between)
+    # Turns of the journal are large, leans of the order of clearance over length.
+    found = {2: (lean[0], lean[1], 1)}
+    if 0 in held.joint.gap.axes:
+        found[0] = _journal_x(system, motions, q, held)
+    return offset, tuple(found[axis] for axis in held.joint.gap.axes)
+
+
+def _journal_x(system: System, motions: tuple, q: tuple, held: PermanentJoint) -> sp.Vec:
+    """The x axis of the journal's marker in the bearing's axes."""
+    if held.loop is not None:
+        pose = kinematics.relative_motion(system.closures[held.loop], motions)[1]
+        return sp.transpose(pose.rotation)[0]
+    (turned,) = q[held.link]
+    return (jnp.cos(turned), jnp.sin(turned), 0)

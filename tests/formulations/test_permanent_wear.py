@@ -1,0 +1,78 @@
+"""Wear of joints that always touch: Archard's volume by the reaction, and its place in the gap."""
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+
+LOAD, SPEED, RADIUS, CLEARANCE, LENGTH = 200.0, 12.0, 10e-3, 0.05e-3, 20e-3
+LAW = jc.wear.Archard()
+RATE = float(LAW.wear_coefficient / LAW.hardness)
+DURATION, SAVES = 0.5, 51
+TURNED = SPEED * DURATION
+
+
+def turning(kind, **wearing):
+    """A journal that turns, pressed down by a constant load."""
+    joint = kind(
+        jc.contact.HuntCrossley(stiffness=1e9, restitution=0.1),
+        bearing_radius=RADIUS,
+        clearance=CLEARANCE,
+        length=LENGTH,
+        **{surface: jc.Wearing(LAW, cells=(48, 4)) for surface in wearing},
+    )
+    planar = kind is jc.clearance.PlanarJournalBearing
+    return jc.Mechanism(
+        {"rotor": jc.Body(1.0, 1e-3 if planar else (1e-3,) * 3)},
+        {"B": jc.Connection(joint, "ground", "rotor")},
+        {"load": jc.load.Force(jc.Marker("rotor"), (0.0, -LOAD, 0.0))},
+        speeds={"rotor": (0.0, 0.0, SPEED) if planar else (0.0, 0.0, 0.0, 0.0, 0.0, SPEED)},
+    )
+
+
+def run(rig, integrator):
+    return jc.simulate(rig, DURATION, save=SAVES, integrator=integrator)
+
+
+@pytest.fixture(scope="module")
+def planar():
+    return run(
+        turning(jc.clearance.PlanarJournalBearing, bearing_wear=True),
+        jc.integrator.NonColliding(1e-3),
+    )
+
+
+def test_a_loaded_bearing_that_always_touches_wears_by_archard(planar):
+    """V = k F s / H, to rounding, all of it below the load."""
+    volume = planar.worn_volume("B", "bearing")
+    np.testing.assert_allclose(volume[-1], RATE * LOAD * RADIUS * TURNED, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(volume), volume[-1] / (SAVES - 1), rtol=1e-6)
+    depth = planar.worn_depth("B", "bearing")[:, 0]
+    place = (np.arange(48) + 0.5) * 2 * np.pi / 48
+    assert np.all(np.cos(place + 0.5 * np.pi)[depth > 0] > 0)
+    area = 2 * np.pi * RADIUS * LENGTH / 48
+    np.testing.assert_allclose(depth.sum() * area, volume[-1], rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_quiet_compliant_bearing_wears_as_much(planar):
+    rig = turning(jc.clearance.PlanarJournalBearing, bearing_wear=True)
+    compliant = run(rig, jc.integrator.ImplicitStep(1e-5))
+    found, wanted = (one.worn_volume("B", "bearing") for one in (planar, compliant))
+    # once the fall through the play is over
+    np.testing.assert_allclose(found[-1] - found[20], wanted[-1] - wanted[20], rtol=2e-3)
+
+
+def test_a_journal_that_turns_under_a_constant_load_wears_evenly():
+    rig = turning(jc.clearance.JournalBearing, journal_wear=True, bearing_wear=True)
+    found = run(rig, jc.integrator.NonColliding(1e-3))
+    volume = float(found.worn_volume("B", "journal")[-1])
+    np.testing.assert_allclose(volume, RATE * LOAD * RADIUS * TURNED, rtol=1e-9)
+    depth = found.worn_depth("B", "journal")
+    turned = (np.arange(48) + 0.5) * 2 * np.pi / 48
+    # it has not turned a whole turn: below the load at first, then 6 rad further round
+    even = volume / (TURNED * (RADIUS - CLEARANCE) * LENGTH)
+    backwards = np.mod(-0.5 * np.pi - turned, 2 * np.pi)
+    middle = (backwards > 0.6) & (backwards < TURNED - 0.6)
+    # a saving interval goes through an arc of nearly one cell
+    np.testing.assert_allclose(depth[middle], even, rtol=0.08)
