@@ -132,17 +132,13 @@ class PermanentContact(AbstractFormulation):
         found = response.at(friction)
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
-        gained = [h * rate for rate in angle_rates(system, layout, motions)]
+        worn = wear_rates(model, motions, motion[0], found, friction, slips, mean)
+        gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
         gained += [
             h * x
             for k, reaction in enumerate(found.reactions)
             for x in (*reaction.force, *reaction.torque, friction[k])
         ]
-        if layout.wear:
-            worn = wear_rates(model, motions, motion[0], found, friction, slips, mean)
-            # Behind the angles, before the impulses.
-            place = len(layout.angles)
-            gained[place:place] = [h * rate for rate in worn]
         if layout.energies:
             rates = _powers(model, forces, found, friction, [slip.at(mean) for slip in slips])
             gained += [h * rate for rate in rates]

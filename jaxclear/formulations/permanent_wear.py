@@ -26,7 +26,7 @@ def wear_rates(
     mean: list,
 ) -> list:
     """Rates of the worn volumes and of their volume-weighted locations, in the layout's order, at
-    coordinates `q`; the joints slide as at the `mean` speeds."""
+    coordinates `q`; the joints slide as at the `mean` speeds. Nothing where nothing wears."""
     system, rates = model.system, []
     at = {held.name: k for k, held in enumerate(touching(system))}
     carried = {}
