@@ -47,7 +47,7 @@ REASONS: dict[Check, str] = {
     ),
     Check.CREEP_STEP: (
         "a journal that creeps is moved by what little the force falls short of holding it: from "
-        "there on its loss is off by a few hundredths, where steps damp by up to a tenth, as beside "
-        "runs of Adaptive"
+        "there on its loss is off by a few hundredths (where steps damp, by up to a tenth), as "
+        "beside runs of Adaptive"
     ),
 }
