@@ -110,6 +110,15 @@ def test_every_scene_has_a_kernel(name):
             assert found.stats.loops == KERNELS
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("rung", ["fixed", "implicit", "adaptive", "Moreau-Jean", "non-colliding"])
+def test_loops_that_leave_nothing_free_have_a_kernel(rung):
+    """Two spatial loops, every drive prescribed: the closures' matrix is square, and singular for
+    most numbers."""
+    rig = jc.scenes.parallel_3rsr("ideal", period=1.0)
+    assert jc.simulate(rig, 1e-3, save=3, integrator=RUNGS[rung]).stats.loops == KERNELS
+
+
 def allowed():
     """The lowest jax that this package allows, and the newest there is (None)."""
     (bound,) = (r for r in metadata.requires("jaxclear") or [] if re.match(r"jax\b[^l]", r))
