@@ -60,8 +60,8 @@ def test_a_pin_pressed_one_way_wears_the_area_between_two_circles(depth, angle):
 
 
 def test_depth_converges_with_the_cells():
-    """With an elastic contact, whose width the cells resolve, the order is above 1; a volume that went
-    into the cells about the contact would be twice as deep on twice as many."""
+    """With an elastic contact, whose width the cells resolve, the order is above 1; a volume that
+    went into the cells about the contact would be twice as deep on twice as many."""
     depths = [
         worn_by(cylinder(around), crescent(5e-6), pressed(0.31, 1e-6)).max()
         for around in (48, 96, 192, 384)
