@@ -38,6 +38,7 @@ def wear_life(life: WearLife) -> Figure:
         last = max(i for i in range(len(panels)) if i % columns == column)
         axes.flat[last].set_xlabel("cycles")
         axes.flat[last].tick_params(labelbottom=True)
+        axes.flat[last].ticklabel_format(axis="x", scilimits=(0, 0))
     short = f"{life.cycles[-1]:.4g} cycles of machine life from {life.simulated} simulated ones"
     figure.suptitle(short, fontsize=10)
     said = [f"Ended early: {life.ended}"] if life.ended else []
