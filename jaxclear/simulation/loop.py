@@ -18,7 +18,6 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.base import model_of
 from jaxclear.formulations.model import Model, State
-from jaxclear.ground.quantity import constant
 from jaxclear.integrators.base import AbstractIntegrator, Interval
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import Events
@@ -33,7 +32,7 @@ from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation import progress, spot_checks
 from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.referee import refereed
-from jaxclear.simulation.spot_checks import TURNS, Turns
+from jaxclear.simulation.spot_checks import TURNS, Plan, Turns
 from jaxclear.simulation.wear import Worn, deposit, unworn
 
 # Weight of the laws' memories in the error control: they need not be exact, but a step longer than
@@ -88,19 +87,14 @@ def run(
     warm_start = integrator.first_warm_start(model_of_worn(model, worn), times[0], state)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     first = Carry(state, worn, warm_start, reached, times[0], (none, none))
-    turn, unpack = _turns(model, integrator, extras.report, len(plan.windows) > 0)
-    last, (states, read, packed) = jax.lax.scan(turn, first, plan.turns)
-    (figures, noted), warm_starts = jax.vmap(unpack)(packed)
-    begun = times[:-1] <= last.ended
+    turn, unpack = _turns(model, integrator, extras.report)
+    last, (states, read, packed), ends = _through(plan, turn, first)
+    figures, noted = jax.vmap(unpack)(packed)
     states = jnp.concatenate([state[None], states])
-    ends = None
-    if len(plan.windows):
-        left = (begun, states[:-1], read, warm_starts)
-        begins = jax.tree.map(lambda each: each[plan.windows], left)
-        ends = _shadowed(model, integrator, plan.shadows, begins)
     read = jax.tree.map(lambda depths: jnp.concatenate([depths[:1], depths]), read)
     history = StateHistory(mechanism, formulation, times, states, read, extras.balance)
     stats = RunStats(*last.steps, verdict(last.outcome))
+    begun = times[:-1] <= last.ended
     if noted is not None:
         noted = noted._replace(counts=jnp.where(begun[:, None], noted.counts, 0.0))
     trajectory = Trajectory(history, last.worn, last.outcome, last.ended, stats, noted=noted)
@@ -108,20 +102,17 @@ def run(
     return refereed(trajectory, kept, spot_checks.figures(model, plan, states, ends))
 
 
-def _turns(
-    model: Model, integrator: AbstractIntegrator, report: bool, shadowed: bool
-) -> tuple[Callable, Callable]:
-    """(a turn as it stands in the loop, traced once; how what it leaves is unpacked, known once it
-    has been traced: its figures and, for a run that is `shadowed`, the warm start that it had)."""
+def _turns(model: Model, integrator: AbstractIntegrator, report: bool) -> tuple[Callable, Callable]:
+    """(a turn as it stands in the loop, traced once however often it stands there; how the figures
+    that it leaves are unpacked, known once it has been traced)."""
     arrays, rest = eqx.partition((model, integrator), eqx.is_array)
     unpack: list[Callable] = []
 
     @jax.jit
     def one(arrays, now, turn):
-        begun = now.warm_start if shadowed else None
         now, (*left, found) = _turn(*eqx.combine(arrays, rest), now, turn)
         # A loop of XLA pays for every array that its turns leave.
-        packed, unpacked = ravel_pytree((found, begun))
+        packed, unpacked = ravel_pytree(found)
         unpack.append(unpacked)
         return now, (*left, packed)
 
@@ -133,36 +124,33 @@ def _turns(
     return turn, lambda packed: unpack[0](packed)
 
 
-def _shadowed(
-    model: Model, integrator: AbstractIntegrator, shadows: Turns, begins: tuple
-) -> Float[Array, "windows 4 n"]:
-    """States at the ends of a run's shadows, from what it has left where each window `begins`:
-    whether it was running, its state, the surfaces as its gaps read them, and its warm start. nan
-    where a shadow is lost. No derivatives."""
-    model, integrator, begins = constant((model, integrator, begins))
-    goes_on = np.arange(TURNS) % 2 == 1
+def _through(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Any, Array | None]:
+    """(what the last turn hands on, what every saving interval has left, the states at the ends of
+    all parts). What shadows are apart from the run is seen to between parts, so that the run's own
+    turns pay nothing for them."""
+    if not len(plan.windows):
+        return *jax.lax.scan(turn, first, plan.turns), None
+    count = len(plan.turns.start) - TURNS * len(plan.windows)
+    left = jax.eval_shape(turn, first, jax.tree.map(lambda each: each[0], plan.turns))[1]
+    rows = jax.tree.map(lambda each: jnp.zeros((count, *each.shape), each.dtype), left)
 
-    def window(_, rows):
-        turns, (running, state, worn, warm_start) = rows
-        worn_model = dataclasses.replace(model, worn=worn)
-        begin = state, warm_start
+    def one(index, carry):
+        now, rows = carry
+        now, row = turn(now, jax.tree.map(lambda each: each[index], plan.turns))
+        # A shadow's go to the last row, which is the run's own in the end.
+        put = lambda each, values: jax.lax.dynamic_update_index_in_dim(each, values, index, 0)
+        return now, jax.tree.map(put, rows, row)
 
-        def through(carry, rows):
-            turn, goes_on = rows
-            state, warm_start = _choose(goes_on, carry, begin)
-            ahead = Interval(turn.start, turn.stop, _error_weights(model.layout), running)
-            ahead = ahead._replace(share=turn.share)
-            result = integrator.advance(worn_model, ahead, state, warm_start)
-            reached = closure_coordinates.anchored(
-                model.system, model.layout, turn.stop, result.state
-            )
-            sound = jnp.all(jnp.isfinite(result.state))
-            end = jnp.where(running & sound, reached, state)
-            return (end, result.warm_start), jnp.where(sound | ~running, end, jnp.nan)
+    def through(carry, part):
+        now, shadow, rows = carry
+        begin = _choose(part.goes_on, shadow, now)
+        end, rows = jax.lax.fori_loop(part.first, part.stop, one, (begin, rows))
+        state = jnp.where(end.outcome == Outcome.NOT_FINITE, jnp.nan, end.state)
+        shadow = now._replace(state=end.state, warm_start=end.warm_start)
+        return (_choose(part.own, end, now), shadow, rows), state
 
-        return None, jax.lax.scan(through, begin, (turns, goes_on))[1]
-
-    return jax.lax.scan(window, None, (shadows, begins))[1]
+    (last, _, rows), ends = jax.lax.scan(through, (first, first, rows), plan.parts)
+    return last, rows, ends
 
 
 def _turn(

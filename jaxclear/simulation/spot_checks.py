@@ -2,9 +2,9 @@
 steps of half their length, and what both end with compared.
 
 They see whatever is too stiff for the steps, in any load, law or joint, on every rung. Windows
-begin at saving times, are spread over the run and take a fixed share of it. They are gone through
-when the run has ended, by its *shadows*: from the states, surfaces and warm starts that it has left
-there, so that its own turns pay nothing for them.
+begin at saving times, are spread over the run and take a fixed share of it. They are turns of the
+run's own loop, *shadows*, between parts of it: nothing of them enters the run, and its own turns do
+not look for them.
 
 A window is four turns: through it with the run's own steps, and on over an instant, from which the
 accelerations (so the forces) at its end follow; then the same with finer steps.
@@ -43,23 +43,41 @@ ACROSS, GAPS = 2.0, 100.0
 
 
 class Turns(NamedTuple):
-    """Turns of a loop: from `start` to `stop` [s], with steps of this `share` of the usual length;
-    `progress`: by which share of the whole the run gets on.
+    """Turns of a run's loop: from `start` to `stop` [s], with steps of this `share` of the usual
+    length; `progress`: by which share of the whole the run gets on.
     """
 
-    start: Float[Array, "*turns"]
-    stop: Float[Array, "*turns"]
-    share: Float[Array, "*turns"]
-    progress: Float[Array, "*turns"]
+    start: Float[Array, " turns"]
+    stop: Float[Array, " turns"]
+    share: Float[Array, " turns"]
+    progress: Float[Array, " turns"]
+
+
+class Parts(NamedTuple):
+    """Parts of a run's loop in the order in which they are gone through: each the turns from
+    `first` up to `stop`; whether they are the run's `own` or a shadow, and whether that `goes_on`
+    from where the shadow before has ended.
+    """
+
+    first: np.ndarray
+    stop: np.ndarray
+    own: np.ndarray
+    goes_on: np.ndarray
 
 
 class Plan(NamedTuple):
-    """A run's `turns`, one for each saving interval; the saving intervals at whose start
-    `windows` begin, and the `shadows` that go through these (windows, 4)."""
+    """A run's `turns`, one for each saving interval and behind them those of the windows; the
+    `parts` in which they are gone through, and the saving intervals at whose start a window
+    begins."""
 
     turns: Turns
+    parts: Parts
     windows: np.ndarray
-    shadows: Turns
+
+    @property
+    def shadows(self) -> np.ndarray:
+        """Where among the parts those of each window are (windows, 4)."""
+        return np.flatnonzero(~self.parts.own).reshape(-1, TURNS)
 
 
 def plan(times: Float[Array, " saves"], step: Scalar | None) -> Plan:
@@ -69,19 +87,16 @@ def plan(times: Float[Array, " saves"], step: Scalar | None) -> Plan:
     windows = np.array([] if step is None else window_starts(count), int)
     times = jnp.asarray(times)
     starts, stops = times[:-1], times[1:]
-    own = Turns(starts, stops, jnp.ones(count), (stops - starts) / (times[-1] - times[0]))
-    begin, end = starts[windows], stops[windows]
+    share, progress = jnp.ones(count), (stops - starts) / (times[-1] - times[0])
     if step is not None and len(windows):
-        begin, end = _windows(begin, end, count, step)
-    instant = end + INSTANT * (end - begin)
-    shape = (len(windows), TURNS)
-    shadows = Turns(
-        jnp.stack([begin, end, begin, end], axis=1),
-        jnp.stack([end, instant, end, instant], axis=1),
-        jnp.broadcast_to(jnp.array([1.0, 1.0, FINER, 1.0]), shape),
-        jnp.zeros(shape),
-    )
-    return Plan(own, windows, shadows)
+        begin, end = _windows(starts[windows], stops[windows], count, step)
+        instant = end + INSTANT * (end - begin)
+        starts = jnp.concatenate([starts, _in_turn(begin, end, begin, end)])
+        stops = jnp.concatenate([stops, _in_turn(end, instant, end, instant)])
+        shares = np.tile([1.0, 1.0, FINER, 1.0], len(windows))
+        share = jnp.concatenate([share, shares])
+        progress = jnp.concatenate([progress, jnp.zeros(len(shares))])
+    return Plan(Turns(starts, stops, share, progress), _parts(count, windows), windows)
 
 
 def _windows(starts: Array, stops: Array, count: int, step: Scalar) -> tuple[Array, Array]:
@@ -90,6 +105,24 @@ def _windows(starts: Array, stops: Array, count: int, step: Scalar) -> tuple[Arr
     asked = starts + jnp.maximum(length * (stops - starts), step)
     # A window that fills its interval ends with it, to the last bit.
     return starts, jnp.where(asked > stops - SLIVER * (stops - starts), stops, asked)
+
+
+def _in_turn(*turns: Float[Array, " windows"]) -> Float[Array, " turns"]:
+    return jnp.stack(turns, axis=1).ravel()
+
+
+def _parts(count: int, windows: np.ndarray) -> Parts:
+    """Where each window begins the run is left for four turns, which stand behind its own."""
+    rows: list[tuple[int, int, bool, bool]] = []
+    done, shadow = 0, count
+    for start in windows:
+        rows += [(done, start, True, False)] if start > done else []
+        for turn in range(TURNS):
+            rows.append((shadow, shadow + 1, False, turn % 2 == 1))
+            shadow += 1
+        done = start
+    rows.append((done, count, True, False))
+    return Parts(*map(np.array, zip(*rows, strict=True)))
 
 
 def window_starts(count: int) -> list[int]:
@@ -101,15 +134,14 @@ def window_starts(count: int) -> list[int]:
 def figures(
     model: Model, plan: Plan, states: Array, ends: Array | None
 ) -> dict[Check, Float[Array, " places"]]:
-    """What the windows tell, from the states at the saving times and at the ends of the shadows
-    (windows, 4, states) (None: no windows): by how much changes of the speeds (so mean forces),
-    accelerations at their ends (so forces), worn volumes, places and speeds differ between the two
-    passes, beside their sizes."""
+    """What the windows tell, from the states at the saving times and at the end of every part
+    (None: no windows): by how much changes of the speeds (so mean forces), accelerations at their
+    ends (so forces) and worn volumes differ between the two passes, beside their sizes."""
     if ends is None:
         return {}
     layout = model.layout
     begin = states[plan.windows]
-    coarse, coarse_on, fine, fine_on = (ends[:, k] for k in range(TURNS))
+    coarse, coarse_on, fine, fine_on = (ends[plan.shadows[:, k]] for k in range(TURNS))
     speeds = slice(layout.coordinates, layout.memory_start)
     # What makes each speed one in m/s: the longest arm for those of turning.
     arm = longest_arm(model.system)
@@ -145,7 +177,7 @@ def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) 
     """
     system, layout = model.system, model.layout
     count, reach = layout.coordinates, reaches(system, longest_arm(system))
-    share = safe_divide(_length(plan), jnp.sum(_durations(plan, 0)))
+    share = safe_divide(_length(plan, states), jnp.sum(_durations(plan, 0)))
     total = share * jnp.sum(abs(off), axis=0)
     way = jnp.max(abs(states[:, :count] - states[0, :count]), axis=0)
     turned = jnp.where(turning(system), jnp.minimum(way, ACROSS), way)
@@ -162,14 +194,15 @@ def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) 
     return jnp.maximum(places, faster)
 
 
-def _length(plan: Plan) -> Scalar:
+def _length(plan: Plan, states: Array) -> Scalar:
     """Length of the run [s]."""
-    return plan.turns.stop[-1] - plan.turns.start[0]
+    return plan.turns.stop[len(states) - 2] - plan.turns.start[0]
 
 
 def _durations(plan: Plan, turn: int) -> Float[Array, "windows 1"]:
     """How long one of its four turns takes in each window [s]."""
-    return (plan.shadows.stop - plan.shadows.start)[:, turn, None]
+    rows = plan.parts.first[plan.shadows[:, turn]]
+    return (plan.turns.stop[rows] - plan.turns.start[rows])[:, None]
 
 
 def _usual_rates(plan: Plan, states: Array) -> Float[Array, " states"]:
@@ -177,7 +210,7 @@ def _usual_rates(plan: Plan, states: Array) -> Float[Array, " states"]:
     [1/s]: a window that is quiet beside that tells nothing of the run."""
     # XLA sums along a long first axis many times slower than it multiplies by it.
     way = jnp.ones(len(states) - 1) @ abs(states[1:] - states[:-1])
-    return safe_divide(way, _length(plan))
+    return safe_divide(way, _length(plan, states))
 
 
 def _difference(
