@@ -34,6 +34,7 @@ def test_programs_stay_within_their_budget():
     assert not stubborn, over
 
 
+@pytest.mark.slow
 def test_an_absent_feature_leaves_no_equation():
     for row in equations.absence_rows():
         assert row["never given"] == row["taken out"] < row["with it"], row

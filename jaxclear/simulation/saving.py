@@ -1,6 +1,6 @@
 """What a run keeps: states at saving times, and touches and releases of contacts in between."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from jaxclear.ground.arguments import check_count
@@ -16,7 +16,7 @@ class Saving:
     `run.events()`."""
 
     at: Any = 501
-    events: int = 0
+    events: int = field(default=0, metadata={"at_least": 0})
 
     def __post_init__(self) -> None:
         check_count("events of Saving", self.events, at_least=0)

@@ -155,6 +155,7 @@ def test_friction_is_the_same_in_a_joint_of_the_tree_and_in_one_that_closes_a_lo
     assert losses[0] == pytest.approx(losses[1], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_friction_in_loops_agrees_with_rigid_contact():
     """Whose journals cross a gap and strike now and then: to some per cent."""
     rig = rubbing("OABG", 0.1)
@@ -169,6 +170,7 @@ def test_friction_in_loops_agrees_with_rigid_contact():
     assert losses[0] == pytest.approx(losses[1], rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_four_bar_runs_though_its_ball_holds_what_a_journal_holds_too():
     """Along its axes: no motion changes this, and the journal carries it. Without friction its
     reaction is the ideal joint's.

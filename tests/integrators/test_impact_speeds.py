@@ -150,6 +150,7 @@ def test_restitution_is_the_law_s_within_a_thousandth(rung):
     np.testing.assert_allclose(found, wanted, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_saving_times_within_the_impact_change_nothing():
     """Each saving time ends a step, and begins another with what the last one has left."""
     law = jc.contact.Gonthier(stiffness=STIFFNESS, restitution=0.5)

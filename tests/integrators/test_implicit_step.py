@@ -10,7 +10,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.multibody.assembly import guess
-from jaxclear.simulation.simulate import run
+from jaxclear.simulation.loop import Extras, run
 from tests.rigs.falling_journal import touching_journal
 from tests.rigs.full_loop import full_loop
 
@@ -133,7 +133,12 @@ def test_energy_never_grows(kind, laws):
         )
         q, v = guess(rig)
         end = run(
-            rig, q, speed * v, jnp.linspace(0.0, 0.05, 21), jc.integrator.ImplicitStep(STEP), True
+            rig,
+            q,
+            speed * v,
+            jnp.linspace(0.0, 0.05, 21),
+            jc.integrator.ImplicitStep(STEP),
+            Extras(balance=True),
         )
         return end.energy_balance().kinetic, end.outcome
 
@@ -274,6 +279,7 @@ def test_settings_that_cannot_be_say_so(make, sentence):
         make()
 
 
+@pytest.mark.slow
 def test_a_bearing_without_friction_wears_as_on_a_tight_run():
     """Archard's wear asks for sliding, not for friction."""
     bearing = jc.clearance.PlanarJournalBearing(

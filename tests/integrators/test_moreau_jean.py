@@ -326,6 +326,7 @@ def test_a_light_link_holds_a_heavy_one(ratio):
     assert float(np.abs(energy.error).max()) < 5e-3 * ratio * GRAVITY * 0.1
 
 
+@pytest.mark.slow
 def test_projection_puts_no_work_into_a_driven_mechanism():
     """The guide, driven: the balance closes with it as without, and friction is the same."""
     losses = []

@@ -288,6 +288,7 @@ def test_quaternion_stays_unit_over_1e5_steps():
     )
 
 
+@pytest.mark.slow
 def test_impacts_on_the_group_agree_with_ordinary_steps():
     """A floating body in the plane is a group too; a touch is found inside a step, on the group."""
     bearing = jc.clearance.PlanarJournalBearing(

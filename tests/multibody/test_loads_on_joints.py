@@ -54,6 +54,7 @@ def motion(run):
     return np.concatenate([run.body("slider").com[:, 0] / 0.1, run.body("crank").rotation[:, 0, 0]])
 
 
+@pytest.mark.slow
 def test_loads_on_a_joint_do_not_depend_on_which_joint_closes_the_loop():
     carried, cut = (ran(slider_crank(closes, *wound("A"))) for closes in "BA")
     assert (carried.mechanism.topology.loops, cut.mechanism.topology.loops) == (("B",), ("A",))

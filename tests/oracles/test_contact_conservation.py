@@ -86,6 +86,7 @@ def test_floating_pair_keeps_its_momentum_through_collisions(collision):
     np.testing.assert_allclose(angular, np.broadcast_to(angular[0], angular.shape), atol=1e-14)
 
 
+@pytest.mark.slow
 def test_energy_lost_in_collisions_is_the_losses_energy(collision):
     """Kinetic energy = start - contact loss - friction loss - stored, to 1e-9 of the start's."""
     energy = collision.energy_balance()

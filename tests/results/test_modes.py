@@ -67,6 +67,7 @@ def test_an_impact_without_rebound_ends_when_the_journal_stands():
     assert impact["to [s]"] - impact["from [s]"] == pytest.approx(np.log(20) / 2e4, rel=0.5)
 
 
+@pytest.mark.slow
 def test_modes_side_by_side_change_where_one_does():
     rig = jc.scenes.flap()
     run = jc.simulate(rig, 0.02, save=2001, integrator=jc.integrator.ImplicitStep(2e-6))

@@ -130,6 +130,7 @@ def test_amplitude_falls_from_ideal_over_planar_to_spatial(periodic):
     assert spatial > 10 * planar
 
 
+@pytest.mark.slow
 def test_momentum_of_the_floating_system_is_conserved(periodic, stepped):
     linear, angular, scale = zip(
         *map(momentum, (stepped, run("spatial", "step", STEP / 2))), strict=True

@@ -59,6 +59,7 @@ def test_steps_that_resolve_friction_say_nothing_of_it(load):
         assert FRICTION & set(run.checks.figures)
 
 
+@pytest.mark.slow
 def test_friction_that_explicit_steps_resolve_is_not_said():
     """A step stops an eighth of the slip, all the time: rk4 is right, and was said to be off."""
     rig = loaded_bearing(20.0, jc.friction.CoulombTanh(transition_speed=1e-3))
@@ -78,6 +79,7 @@ def test_every_explicit_method_says_so(method):
     assert run.checks.beyond()[Check.FRICTION_STEP]
 
 
+@pytest.mark.slow
 def test_short_steps_in_contact_are_judged_by_their_own_length():
     rig = loaded_bearing(100.0, jc.friction.Stribeck())
     figure = lambda **how: float(

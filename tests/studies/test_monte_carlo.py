@@ -240,6 +240,7 @@ def test_samples_outside_a_fields_range_are_failures():
     assert all("outside its range" in sentence for sentence in study.failures().values())
 
 
+@pytest.mark.slow
 def test_saving_times_of_a_problem_may_be_given():
     question = jc.Problem(
         pendulum(),

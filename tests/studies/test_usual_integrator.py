@@ -144,6 +144,7 @@ def test_explicit_steps_through_bristles_say_that_it_is_they(law):
     assert 0 < step < 2e-5
 
 
+@pytest.mark.slow
 def test_a_sample_says_why_its_steps_are_implicit():
     sample = jc.monte_carlo(problem(loaded_bearing(500.0, jc.friction.Stribeck())), 2)
     assert sample.sentence().endswith(sample.problem.why_integrator)
