@@ -111,7 +111,7 @@ def number_table(kind: type) -> list[str]:
     for field in found:
         words = range_in_words(field.metadata)
         meaning = field.metadata["meaning"] + (f" ({words})" if words else "")
-        cells = (f"`{field.name}`", default_text(field), field.metadata["unit"], meaning)
+        cells = (f"`{field.name}`", default_text(field), field.metadata.get("unit", "1"), meaning)
         lines.append("| " + " | ".join(text.replace("|", "\\|") for text in cells) + " |")
     return [*lines, ""]
 

@@ -59,8 +59,13 @@ def test_the_quiet_compliant_bearing_wears_as_much(planar):
     rig = turning(jc.clearance.PlanarJournalBearing, bearing_wear=True)
     compliant = run(rig, jc.integrator.ImplicitStep(1e-5))
     found, wanted = (one.worn_volume("B", "bearing") for one in (planar, compliant))
+    # An ideal joint slides at the bearing's radius; a journal that gives way at its own, less half
+    # of what it gives way.
+    depth = float(compliant.contact("B").indentation[-1, 0])
+    slower = (RADIUS - CLEARANCE - 0.5 * depth) / RADIUS
     # once the fall through the play is over
-    np.testing.assert_allclose(found[-1] - found[20], wanted[-1] - wanted[20], rtol=2e-3)
+    lost = slower * (found[-1] - found[20])
+    np.testing.assert_allclose(lost, wanted[-1] - wanted[20], rtol=1e-4)
 
 
 def test_a_journal_that_turns_under_a_constant_load_wears_evenly():
