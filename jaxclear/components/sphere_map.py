@@ -15,7 +15,7 @@ from jaxclear.components.contact_patch import (
     point_contact,
     point_sunk,
 )
-from jaxclear.components.wear_map import AbstractWearMap, direction_angle, spline_weights
+from jaxclear.components.wear_map import AbstractWearMap, direction_angle, stencil
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 
@@ -43,21 +43,12 @@ class SphereMap(AbstractWearMap):
         """Azimuth of the centre of each cell [rad]."""
         return (jnp.arange(self.cells[0]) + 0.5) * (2 * jnp.pi / self.cells[0])
 
-    def _stencil(self, x, y, z):
+    def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
         around, along = self.cells
         azimuth = direction_angle(x, y)
         elevation = direction_angle(safe_sqrt(x * x + y * y), z)
-        column, across = spline_weights(azimuth * (around / (2 * jnp.pi)) - 0.5)
-        row, upwards = spline_weights((elevation / jnp.pi + 0.5) * along - 0.5)
-        offsets = jnp.arange(-1, 2)
-        columns = (column[..., None] + offsets) % around
-        # What falls beyond a pole is kept in the last band, so that no volume is lost.
-        rows = jnp.clip(row[..., None] + offsets, 0, along - 1)
-        return (
-            columns[..., :, None],
-            rows[..., None, :],
-            across[..., :, None] * upwards[..., None, :],
-        )
+        return azimuth * (around / (2 * jnp.pi)) - 0.5, (elevation / jnp.pi + 0.5) * along - 0.5
 
     def deposit(self, depth, volume, features):
         lost = jax.vmap(self._lost, (None, 0, 0))(depth, volume, features)
@@ -111,7 +102,7 @@ class SphereMap(AbstractWearMap):
         self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar
     ) -> Scalar:
         """Worn depth in the direction (x, y, z) [m]."""
-        columns, rows, weights = self._stencil(x, y, z)
+        columns, rows, weights = stencil(*self.position(x, y, z), self.cells)
         return jnp.sum(weights * depth[columns, rows], axis=(-2, -1))
 
 

@@ -90,6 +90,21 @@ def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "
     return nearest.astype(int), weights
 
 
+def stencil(
+    column: Float[Array, "..."], row: Float[Array, "..."], cells: tuple[int, ...]
+) -> tuple[Array, Array, Float[Array, "... 3 3"]]:
+    """(columns, rows, weights) of the nine cells about a position in units of cells. What falls
+    beyond an end is kept in the last row, so that nothing is lost.
+    """
+    nearest, across = spline_weights(column)
+    level, upwards = spline_weights(row)
+    offsets = jnp.arange(-1, 2)
+    columns = (nearest[..., None] + offsets) % cells[0]
+    rows = jnp.clip(level[..., None] + offsets, 0, cells[1] - 1)
+    weights = across[..., :, None] * upwards[..., None, :]
+    return columns[..., :, None], rows[..., None, :], weights
+
+
 def direction_angle(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
     """atan2(y, x), and 0 with zero derivative at the origin, where a direction does not exist."""
     somewhere = x * x + y * y > TINY_SQUARE
@@ -125,12 +140,23 @@ class CylinderMap(AbstractWearMap):
         """z of the centre of each cell [m]."""
         return self.length * ((jnp.arange(self.cells[1]) + 0.5) / self.cells[1] - 0.5)
 
+    def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Where a place of the wall [m] lies, in units of cells: around, along."""
+        return self._column(x, y), (z / self.length + 0.5) * self.cells[1] - 0.5
+
+    def _column(self, x, y):
+        return direction_angle(x, y) * (self.cells[0] / (2 * jnp.pi)) - 0.5
+
     def deposit(self, depth, volume, features):
         around = self.cells[0]
         reach = math.ceil(REACH * around / (2 * math.pi))
-        whole = jax.vmap(self._lost, (None, None, 0, 0))
-        if 2 * reach + 1 >= around:
+
+        def wide():
+            whole = jax.vmap(self._lost, (None, None, 0, 0))
             return depth + jnp.sum(whole(jnp.arange(around), depth, volume, features)[0], axis=0)
+
+        if 2 * reach + 1 >= around:
+            return wide()
         towards = direction_angle(features[:, 0], features[:, 1]) * (around / (2 * jnp.pi))
         first = (jnp.floor(towards).astype(int) - reach) % around
         width = 2 * reach + 1
@@ -146,9 +172,6 @@ class CylinderMap(AbstractWearMap):
                 there = jax.lax.dynamic_slice_in_dim(gained, start, width)
                 gained = jax.lax.dynamic_update_slice_in_dim(gained, there + own, start, 0)
             return depth + gained[:around].at[:width].add(gained[around:])
-
-        def wide():
-            return depth + jnp.sum(whole(jnp.arange(around), depth, volume, features)[0], axis=0)
 
         return jax.lax.cond(jnp.all(fits), narrow, wide)
 
@@ -230,7 +253,7 @@ class CylinderMap(AbstractWearMap):
         metres.
         """
         around = self.cells[0]
-        position = direction_angle(x, y) * (around / (2 * jnp.pi)) - 0.5
+        position = self._column(x, y)
         nearest = jnp.round(position)
         f = position - nearest
         constant, slope, curvature = reading[0 if end < 0 else 1][nearest.astype(int) % around]

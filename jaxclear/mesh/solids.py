@@ -5,7 +5,6 @@ taller from the wall inwards, each by `GROWTH`; half of those through the thickn
 at the wall.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -13,14 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.wear_map import AbstractWearMap, direction_angle, spline_weights
-from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.components.wear_map import stencil
 from jaxclear.mesh.block_mesh import BlockMesh, joined
 from jaxclear.mesh.deformation import BlockDeformation, deformation
 
 GROWTH = 1.3
 # Half the side of a pin's square core, as a share of the radius.
 CORE = 0.4
+# Components of a place in which walls face away from the axis, or from the centre.
+ACROSS, ALL_WAYS = (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)
 
 
 class Solid(eqx.Module):
@@ -32,7 +32,7 @@ class Solid(eqx.Module):
 
     follow: BlockDeformation
     into: Float[Array, "wall 3"]
-    position: Float[Array, "wall 2"]
+    position: tuple[Float[Array, " wall"], Float[Array, " wall"]]
 
     @property
     def new(self) -> BlockMesh:
@@ -41,12 +41,8 @@ class Solid(eqx.Module):
 
     def wall_depth(self, depth: Float[Array, "around along"]) -> Float[Array, " wall"]:
         """Worn depth at the points of the wall [m]: the map's own splines, in both directions."""
-        column, across = spline_weights(self.position[:, 0])
-        row, upward = spline_weights(self.position[:, 1])
-        columns = (column[:, None] + jnp.arange(-1, 2)) % depth.shape[0]
-        rows = jnp.clip(row[:, None] + jnp.arange(-1, 2), 0, depth.shape[1] - 1)
-        weights = across[:, :, None] * upward[:, None, :]
-        return jnp.sum(weights * depth[columns[:, :, None], rows[:, None, :]], axis=(1, 2))
+        columns, rows, weights = stencil(*self.position, depth.shape)
+        return jnp.sum(weights * depth[columns, rows], axis=(-2, -1))
 
     def displacement(self, depth: Float[Array, "around along"]) -> Float[Array, "points 3"]:
         """Displacement of every point of the mesh [m] for a map of worn depth [m]."""
@@ -73,7 +69,7 @@ def bush(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
     ]
     mesh = joined([np.stack(blocks)])
     distance = np.hypot(*np.asarray(mesh.points).T[:2])
-    return _solid(mesh, wear_map, distance, (radius, outward[-1]), _around_and_along)
+    return _solid(mesh, wear_map, distance, (radius, outward[-1]), ACROSS)
 
 
 def pin(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
@@ -99,7 +95,7 @@ def pin(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
             shells += [_upright(layer, heights), _upright(rest, heights)]
     mesh = joined([np.stack(shells), np.stack(core)])
     distance = np.hypot(*np.asarray(mesh.points).T[:2])
-    return _solid(mesh, wear_map, distance, (radius,), _around_and_along)
+    return _solid(mesh, wear_map, distance, (radius,), ACROSS)
 
 
 def socket(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
@@ -121,7 +117,7 @@ def socket(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Soli
     ]
     mesh = joined([np.stack(blocks)])
     distance = np.linalg.norm(np.asarray(mesh.points), axis=1)
-    return _solid(mesh, wear_map, distance, (radius, outward[-1]), _azimuth_and_elevation)
+    return _solid(mesh, wear_map, distance, (radius, outward[-1]), ALL_WAYS)
 
 
 def _heights(count: int) -> Float[np.ndarray, " count+1"]:
@@ -150,33 +146,18 @@ def _upright(plane, heights):
 
 def _solid(
     mesh: BlockMesh,
-    wear_map: AbstractWearMap,
+    wear_map: Any,
     distance: Float[np.ndarray, " points"],
     walls: tuple[float, ...],
-    placed: Callable,
+    facing: tuple[float, float, float],
 ) -> Solid:
     """A solid whose first wall wears and whose others stay, told by their distance from the axis
     or centre."""
     on = [np.flatnonzero(np.abs(distance - wall) < 1e-9 * walls[0]) for wall in walls]
     points = mesh.points[on[0]]
-    outward, position = placed(points, wear_map)
+    outward = points * jnp.array(facing)
+    outward = outward / jnp.linalg.norm(outward, axis=1, keepdims=True)
     # Away from the gap: a bearing's material lies outside its wall, a journal's inside.
     into = outward if np.min(distance) >= walls[0] * (1 - 1e-9) else -outward
-    return Solid(deformation(mesh, np.concatenate(on).astype(int)), into, position)
-
-
-def _around_and_along(points, wear_map):
-    x, y, z = points.T
-    around, along = wear_map.cells
-    outward = jnp.stack([x, y, jnp.zeros_like(z)], -1) / jnp.hypot(x, y)[:, None]
-    column = direction_angle(x, y) * (around / (2 * jnp.pi)) - 0.5
-    return outward, jnp.stack([column, (z / wear_map.length + 0.5) * along - 0.5], -1)
-
-
-def _azimuth_and_elevation(points, wear_map):
-    x, y, z = points.T
-    around, along = wear_map.cells
-    outward = points / jnp.linalg.norm(points, axis=1, keepdims=True)
-    column = direction_angle(x, y) * (around / (2 * jnp.pi)) - 0.5
-    elevation = direction_angle(safe_sqrt(x * x + y * y), z)
-    return outward, jnp.stack([column, (elevation / jnp.pi + 0.5) * along - 0.5], -1)
+    held = np.concatenate(on).astype(int)
+    return Solid(deformation(mesh, held), into, wear_map.position(*points.T))

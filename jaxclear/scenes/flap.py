@@ -31,12 +31,13 @@ from jaxclear.components.clearance import PlanarJournalBearing
 from jaxclear.components.drive import AbstractDrive, Harmonic
 from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.arguments import check_number
 from jaxclear.laws.contact import AdamsImpact
 from jaxclear.laws.friction import AdamsStep
 from jaxclear.laws.material import Material
 from jaxclear.laws.stiffness import HertzStiffness, Shape
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.scenes.slack import slack_joints
 
 JOINTS = ("J1", "J2", "J3", "J4")
 KINDS = {"planar": JOINTS, "ideal": ()}
@@ -113,12 +114,7 @@ def flap(
     `lever_ratio` [1]: distance of J3 from the pivot of lever arm 1, over that of J2. `drive`: of
     the actuator along x [m], your own in place of the paper's.
     """
-    if isinstance(kind, str):
-        check_known("kind of flap (beside a list of joints)", kind, KINDS)
-    slack = KINDS[kind] if isinstance(kind, str) else kind
-    expect(slack, (tuple, list), "kind of flap", '"planar", "ideal", or a list of joints')
-    for name in slack:
-        check_known("joint in kind of flap", name, JOINTS)
+    slack = slack_joints("flap", kind, KINDS, JOINTS)
     check_number("clearance of flap", clearance, "m", above=0)
     check_number("lever_ratio of flap", lever_ratio, above=0)
     if drive is None:

@@ -36,13 +36,14 @@ from jaxclear.components.joint import Revolute, Spherical
 from jaxclear.components.load import Gravity
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
+from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.laws.contact import ModifiedFlores
 from jaxclear.laws.friction import Ambrosio
 from jaxclear.laws.material import Material
 from jaxclear.laws.stiffness import CombinedModulus
 from jaxclear.laws.wear import Archard
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.scenes.slack import slack_joints
 
 LEGS = (1, 2, 3)
 BALLS = ("S1", "S2", "S3")
@@ -130,12 +131,7 @@ def parallel_3rsr(
     elevation. Legs are numbered: drive rods "drive 1" ... stand on the ground at A1 ...,
     transmission rods "rod 1" ... hang from the "platform" at B1 ....
     """
-    if isinstance(kind, str):
-        check_known("kind of parallel_3rsr (beside a list of joints)", kind, KINDS)
-    slack = KINDS[kind] if isinstance(kind, str) else kind
-    expect(slack, (tuple, list), "kind of parallel_3rsr", '"one", "all", "ideal", or a list')
-    for name in slack:
-        check_known("joint in kind of parallel_3rsr", name, BALLS)
+    slack = slack_joints("parallel_3rsr", kind, KINDS, BALLS)
     check_number("clearance of parallel_3rsr", clearance, "m", above=0)
     check_number("period of parallel_3rsr", period, "s", above=0)
     check_flags("parallel_3rsr", friction=friction, wear=wear)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.base import AbstractFormulation
-from jaxclear.formulations.model import Instant
+from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.integrators.checks import (
@@ -29,7 +29,6 @@ from jaxclear.integrators.checks import (
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm
-from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubs
 from jaxclear.simulation.looks import Looks, look
@@ -59,13 +58,13 @@ def refereed(
     if rebound is not None:
         rises = kept[Check.CONTACT_STEP], kept[Check.INDENTATION]
         of_run[Check.REBOUND_STEP] = rebound_steps(model, *rises, rebound)[None]
-    met = _of_contacts(history, kept)
+    met = _of_contacts(model.system, kept)
     parts = [
         (met, ends),
         (seen, ends[looks.intervals]),
         (of_run, ends[-1:]),
     ]
-    places = _places(history)
+    places = _places(model)
     checks = _over_run([(jax.lax.stop_gradient(each), at) for each, at in parts], places)
     sunk = met.get(Check.INDENTATION)
     judged = seen if sunk is None else {Check.INDENTATION: sunk[looks.intervals]} | seen
@@ -116,7 +115,7 @@ def _ending(found: dict[Check, Float[Array, "looks places"]]) -> Float[Array, " 
     return outcome
 
 
-def _of_contacts(history: StateHistory, figures: dict[Check, Array]) -> dict[Check, Array]:
+def _of_contacts(system: System, figures: dict[Check, Array]) -> dict[Check, Array]:
     """The figures with those of contacts, which integrators keep in metres, beside what they are
     measured by: the largest indentation of all, and the radius of each joint."""
     if Check.INDENTATION not in figures:
@@ -128,7 +127,7 @@ def _of_contacts(history: StateHistory, figures: dict[Check, Array]) -> dict[Che
         for check in (Check.CONTACT_STEP, Check.IMPACT_STEP)
         if check in figures
     }
-    return figures | rises | {Check.INDENTATION: depths / _radii(history.model().system)}
+    return figures | rises | {Check.INDENTATION: depths / _radii(system)}
 
 
 def _radii(system: System) -> Float[Array, " contacts"]:
@@ -136,9 +135,8 @@ def _radii(system: System) -> Float[Array, " contacts"]:
     return sp.stack([radius for one in system.bearings.values() for radius in one.radii])
 
 
-def _places(history: StateHistory) -> dict[str, tuple[str, ...]]:
+def _places(model: Model) -> dict[str, tuple[str, ...]]:
     """Names of the places of figures."""
-    model = history.model()
     contacts = tuple(name for name, kinds in model.layout.memories for _ in kinds)
     topology = model.system.topology
     return {

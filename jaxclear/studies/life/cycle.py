@@ -92,17 +92,8 @@ def compiled_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle,
     times, past = begin.time + asked.times, Past(worn, begin.remembered)
     motion = begin.coordinates, begin.speeds
     found = run(asked.mechanism, *motion, times, asked.integrator, past=past)
-    state = found.states[-1]
-    first, middle, beside = found.history.layout().coordinates, len(begin.names), begin.remembered
-    end = SavedMotion(
-        times[-1],
-        state[:first],
-        state[first:middle],
-        state[found.history.layout().remembered].reshape(beside.shape),
-        begin.names,
-        begin.remembered_names,
-        begin.redundancy,
-    )
+    end = found.state().motion
+    assert end is not None
     kept = Cycle(
         end,
         jax.tree.map(lambda after, before: after - before, found.worn, worn),

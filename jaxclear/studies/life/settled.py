@@ -26,7 +26,14 @@ from jaxclear.studies.life.cycle import (
     cycle,
     first_state,
 )
-from jaxclear.studies.life.settling import Patience, Settling, correlation_factor, settle, total
+from jaxclear.studies.life.settling import (
+    Patience,
+    Settling,
+    correlation_factor,
+    settle,
+    standard_error,
+    total,
+)
 from jaxclear.studies.problem import Problem
 
 # A place within this of where it was [rad, m] is the same place; a period is written with so many
@@ -98,7 +105,7 @@ class Settled(eqx.Module):
         lost = np.array([total(one) for one in self.settling.taken])
         if not lost.any():
             return f"{means}."
-        error = correlation_factor(lost) * lost.std() / np.sqrt(max(len(lost) - 1, 1)) / lost.mean()
+        error = correlation_factor(lost) * standard_error(lost) / lost.mean()
         return f"{means}; the volume worn in a cycle is known to {100 * error:.2g} % (one sigma)."
 
     def __str__(self) -> str:

@@ -54,28 +54,27 @@ class Settling(NamedTuple):
     @property
     def wear(self) -> Worn:
         """Depth [m] that a cycle wears, by joint and surface."""
-        return jax.tree.map(lambda *all: np.mean(all, axis=0), *(c.wore for c in self.taken))
+        return _means([c.wore for c in self.taken])
 
     @property
     def noise(self) -> Worn:
         """Standard error of `wear` [m]; 0 where the motion is periodic."""
-        factor = correlation_factor([total(c) for c in self.taken])
-        return jax.tree.map(
-            lambda *all: factor * standard_error(np.stack(all)), *(c.wore for c in self.taken)
-        )
+        return self._errors([c.wore for c in self.taken])
 
     @property
     def lost(self) -> Worn:
         """Volume [m3] that a cycle takes, by joint and surface."""
-        return jax.tree.map(lambda *all: np.mean(all), *(c.lost for c in self.taken))
+        return _means([c.lost for c in self.taken])
 
     @property
     def noise_of_lost(self) -> Worn:
         """Standard error of `lost` [m3]."""
+        return self._errors([c.lost for c in self.taken])
+
+    def _errors(self, of_cycles: list[Worn]) -> Worn:
+        """Standard errors of means over the cycles taken, which are alike as their volumes are."""
         factor = correlation_factor([total(c) for c in self.taken])
-        return jax.tree.map(
-            lambda *all: factor * standard_error(np.stack(all)), *(c.lost for c in self.taken)
-        )
+        return jax.tree.map(lambda *all: factor * standard_error(np.stack(all)), *of_cycles)
 
     @property
     def relative_noise(self) -> float:
@@ -91,6 +90,10 @@ class Settling(NamedTuple):
             error = correlation_factor(own) * float(standard_error(own))
             found[name] = float(own.mean()), error
         return found
+
+
+def _means(of_cycles: list[Worn]) -> Worn:
+    return jax.tree.map(lambda *all: np.mean(all, axis=0), *of_cycles)
 
 
 def total(cycle: Cycle) -> float:

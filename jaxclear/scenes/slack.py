@@ -1,0 +1,25 @@
+"""Which joints of a scene have clearance: a word for several of them, or their names."""
+
+from collections.abc import Mapping, Sequence
+
+from jaxclear.ground.arguments import check_known, expect
+
+__all__ = ["slack_joints"]
+
+
+def slack_joints(
+    scene: str,
+    kind: str | Sequence[str],
+    kinds: Mapping[str, tuple[str, ...]],
+    joints: Sequence[str],
+) -> Sequence[str]:
+    """The joints that have clearance in a scene of this `kind`: one of the words of `kinds`, or
+    names of its `joints`. Raises `ValueError` with a sentence."""
+    if isinstance(kind, str):
+        check_known(f"kind of {scene} (beside a list of joints)", kind, kinds)
+    slack = kinds[kind] if isinstance(kind, str) else kind
+    words = ", ".join(f'"{word}"' for word in kinds)
+    expect(slack, (tuple, list), f"kind of {scene}", f"{words}, or a list of joints")
+    for name in slack:
+        check_known(f"joint in kind of {scene}", name, joints)
+    return slack
