@@ -47,13 +47,16 @@ from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution
 from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.life.derivative import wear_life_derivatives
 from jaxclear.studies.life.lives import wear_lives
 from jaxclear.studies.life.settled import settled
 from jaxclear.studies.life.wear_life import wear_life
 from jaxclear.studies.monte_carlo import monte_carlo
-from jaxclear.studies.problem import Problem, Variable
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
+from jaxclear.studies.variable import Variable
 
 from jaxclear import scenes  # isort: skip
 
@@ -61,11 +64,14 @@ from jaxclear import scenes  # isort: skip
 conformal = contact
 
 __all__ = [
+    "AbstractProblem",
     "AbstractQuantified",
     "AbstractWearMap",
     "Baumgarte",
     "Body",
     "Connection",
+    "Dimension",
+    "FunctionProblem",
     "Marker",
     "Material",
     "Mechanism",

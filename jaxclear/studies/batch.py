@@ -6,7 +6,9 @@ without splitting a device.
 """
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,34 +18,19 @@ from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.multibody.state import lay_out
-from jaxclear.multibody.system import prepare, wear_maps
 from jaxclear.native import calls_lapack, stop, stoppable
-from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.dead_point import diagnosed
-from jaxclear.studies.problem import Problem, SampleResult
+from jaxclear.studies.base import AbstractProblem, SampleResult
 
-# Memory for one chunk [bytes] on machines with a few GiB a core; states are saved for every sample
-# of a chunk.
+# Memory for one chunk [bytes] on machines with a few GiB a core.
 CHUNK_MEMORY = 1 << 30
-# Histories that a response may build from the saved states, in multiples of these.
-HISTORY_FACTOR = 12
-# On a CPU the time per sample falls up to chunks of about this length and rises again beyond
-# (benchmarks/claims/monte_carlo.py). An accelerator wants many samples at once.
-LARGEST_CHUNK = {"cpu": 64}
-LARGEST_ELSEWHERE = 4096
 
 
 @eqx.filter_jit
-def evaluate_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> SampleResult:
+def evaluate_chunk(
+    problem: AbstractProblem, values: Float[Array, "samples variables"]
+) -> SampleResult:
     """Outcomes of a chunk of samples."""
     return jax.vmap(problem.evaluate)(values)
-
-
-@eqx.filter_jit
-def run_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> Trajectory:
-    """Runs of a chunk of samples."""
-    return jax.vmap(lambda own: problem.started(own)[2])(values)
 
 
 @eqx.filter_jit
@@ -63,34 +50,34 @@ def threads_of() -> int:
     return 1 if jax.default_backend() != "cpu" else cores()
 
 
-def chunk_size(problem: Problem, samples: int, chunk: int | None = None) -> int:
+def chunk_size(problem: AbstractProblem, samples: int, chunk: int | None = None) -> int:
     """Samples a chunk: those wanted, or else all threads busy and no chunk above the memory set
     aside for it.
     """
     if chunk is not None:
         return min(chunk, samples)
-    system = prepare(problem.mechanism)
-    layout = lay_out(system)
-    cells = sum(np.prod(m.cells) for own in wear_maps(system).values() for m, _ in own.values())
-    each = 8 * (len(problem.shares) * (HISTORY_FACTOR * layout.size) + 8 * cells)
-    largest = LARGEST_CHUNK.get(jax.default_backend(), LARGEST_ELSEWHERE)
-    return int(max(1, min(largest, CHUNK_MEMORY // each, -(-samples // threads_of()))))
+    fits = CHUNK_MEMORY // max(problem.sample_memory(), 1)
+    return int(max(1, min(problem.most_together(), fits, -(-samples // threads_of()))))
 
 
-def run_of_sample(
-    problem: Problem, values: Float[Array, " variables"], index: int, chunk: int
-) -> Trajectory:
-    """The run of sample `index` of a study in chunks of this size, bit for bit as it ran there: in
-    the same lane of the same kernel, between copies of itself.
+def sample_of_chunk(
+    function: Callable[[Any, Array], Any],
+    problem: AbstractProblem,
+    values: Float[Array, " variables"],
+    index: int,
+    chunk: int,
+) -> Any:
+    """What a compiled function of a chunk gives for sample `index` of a study in chunks of this
+    size, bit for bit as it was there: in the same lane of the same kernel, between copies of
+    itself.
     """
     with stoppable():
-        found = run_chunk(problem, jnp.tile(values, (chunk, 1)))
-        own = jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
-        return diagnosed(own)
+        found = function(problem, jnp.tile(values, (chunk, 1)))
+        return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
 
 
 def evaluate_all(
-    problem: Problem,
+    problem: AbstractProblem,
     values: Float[Array, "samples variables"],
     *,
     chunk: int | None = None,
@@ -115,7 +102,7 @@ def evaluate_all(
         # Compile before the threads start, or each of them would: the same program, on a run of no
         # length.
         if count > 1:
-            idle = eqx.tree_at(lambda p: p.duration, problem, jnp.zeros(()))
+            idle = problem.idle()
             # Chunks that call LAPACK go one by one (a user's response may; see `calls_lapack`).
             threads = 1 if one(pieces[0], idle)[1] else threads
         outcomes = []

@@ -10,10 +10,9 @@ from types import CodeType
 from typing import Any
 
 import equinox as eqx
-import jax
 import numpy as np
 
-from jaxclear.studies.problem import Problem
+from jaxclear.studies.base import AbstractProblem
 
 # Longest description of a thing that differs, in characters.
 LONGEST = 60
@@ -21,20 +20,21 @@ LONGEST = 60
 DIGITS = 16
 
 
-def first_difference(one: Problem, other: Problem) -> str:
+def first_difference(one: AbstractProblem, other: AbstractProblem) -> str:
     """The first thing in which `one` differs from `other`, in words; "" where they are the same."""
     if one.names != other.names:
         return f"its variables are {_listed(one.names)}, not {_listed(other.names)}"
     if one.response_names != other.response_names:
         named = _listed(one.response_names)
         return f"its responses are {named}, not {_listed(other.response_names)}"
-    for what in ("mechanism", "response", "duration", "shares", "integrator", "state"):
-        found = _difference(getattr(one, what), getattr(other, what), what)
+    if type(one) is not type(other):
+        return f"it is a {type(one).__name__}, not a {type(other).__name__}"
+    others_parts = other.parts()
+    for what, part in one.parts().items():
+        found = _difference(part, others_parts[what], what)
         if found:
             return found
     for name in one.names:
-        if _places(one, name) != _places(other, name):
-            return f'variable "{name}" points at another number'
         mine, others = one.variables[name].distribution, other.variables[name].distribution
         found = _difference(mine, others, f'distribution of "{name}"')
         if found:
@@ -44,13 +44,6 @@ def first_difference(one: Problem, other: Problem) -> str:
 
 def _listed(names: tuple[str, ...]) -> str:
     return ", ".join(f'"{name}"' for name in names) or "none"
-
-
-def _places(problem: Problem, name: str) -> list[int]:
-    """Which leaves of the mechanism a variable points at."""
-    known = [id(leaf) for leaf in jax.tree.leaves(problem.mechanism)]
-    wanted = jax.tree.leaves(problem.variables[name].where(problem.mechanism))
-    return [known.index(id(leaf)) for leaf in wanted]
 
 
 def _difference(one: Any, other: Any, path: str) -> str:
@@ -109,14 +102,13 @@ def _short(thing: Any) -> str:
     return type(thing).__name__
 
 
-def in_texts(problem: Problem) -> dict[str, str]:
+def in_texts(problem: AbstractProblem) -> dict[str, str]:
     """A text for each part of a problem, by its path: two problems are one where these are the
     same. Numbers with all their digits, large arrays and functions by a digest."""
     found: dict[str, str] = {}
-    for what in ("mechanism", "response", "duration", "shares", "integrator", "state"):
-        _tell(getattr(problem, what), what, found)
+    for what, part in problem.parts().items():
+        _tell(part, what, found)
     for name in problem.names:
-        found[f'variable "{name}"'] = str(_places(problem, name))
         _tell(problem.variables[name].distribution, f'distribution of "{name}"', found)
     return found
 

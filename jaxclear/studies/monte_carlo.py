@@ -13,9 +13,8 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_known, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import Checks, Outcome
-from jaxclear.results.trajectory import Trajectory
-from jaxclear.studies.batch import chunk_size, evaluate_all, run_of_sample
-from jaxclear.studies.problem import Problem
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
 SAMPLINGS = ("sobol", "random")
@@ -29,7 +28,7 @@ class MonteCarlo(eqx.Module):
     what each run found out about itself.
     """
 
-    problem: Problem
+    problem: AbstractProblem
     values: np.ndarray
     responses: dict[str, np.ndarray]
     outcome: np.ndarray
@@ -69,11 +68,11 @@ class MonteCarlo(eqx.Module):
         """Number of samples."""
         return len(self.values)
 
-    def rerun(self, index: int) -> Trajectory:
-        """The run of one sample, alone: to look at one that failed or warned. Bit for bit the run
-        of the study.
+    def rerun(self, index: int) -> Any:
+        """One sample alone, to look at one that failed or warned: a mechanism's run, bit for bit
+        that of the study; of a function what it gives, by name.
         """
-        return run_of_sample(self.problem, jnp.asarray(self.values[index]), index, self.chunk)
+        return self.problem.rerun(jnp.asarray(self.values[index]), index, self.chunk)
 
     def sentence(self) -> str:
         """How many samples there are, failed and warned, and of what; and why the integrator is
@@ -81,18 +80,16 @@ class MonteCarlo(eqx.Module):
         text = f"{self.count} samples, {len(self.failed)} failed, {len(self.warned)} with warnings"
         counts = counted(self.checks, np.isin(np.arange(self.count), self.warned))
         text = f"{text} ({in_words(counts)})." if counts else f"{text}."
-        return f"{text} {self.problem.why_integrator}".rstrip()
+        return f"{text} {self.problem.remark()}".rstrip()
 
     def _sentence(self, i):
         named = ", ".join(
             f"{n} = {v:.6g}" for n, v in zip(self.problem.names, self.values[i], strict=True)
         )
-        outcome = Outcome(int(self.outcome[i]))
-        if outcome == Outcome.REACHED:
-            return f"With {named} the run reached its end, but a response is not finite."
-        if not outcome.began:
-            return f"With {named} {outcome.sentence[0].lower()}{outcome.sentence[1:]}"
-        return f"With {named} the run ended after {self.ended[i]:.6g} s. {outcome.sentence}"
+        ending = self.problem.ending(int(self.outcome[i]), float(self.ended[i]))
+        if self.outcome[i] == Outcome.REACHED:
+            ending = f"{ending.rstrip('.')}, but a response is not finite."
+        return f"With {named} {ending}"
 
     def table(self) -> Any:
         """All samples as a pandas table: variables, responses, result, warnings and the responses
@@ -104,7 +101,9 @@ class MonteCarlo(eqx.Module):
         }
         columns |= self.responses
         sentences = self.failures()
-        columns["result"] = [sentences.get(i, Outcome.REACHED.sentence) for i in range(self.count)]
+        good = self.problem.ending(Outcome.REACHED, 0.0)
+        good = f"{good[0].upper()}{good[1:]}"
+        columns["result"] = [sentences.get(i, good) for i in range(self.count)]
         warnings = self.warnings()
         columns["warnings"] = [" ".join(warnings.get(i, ())) for i in range(self.count)]
         concerned = {name: set(self.concerned(name)) for name in self.responses}
@@ -155,10 +154,10 @@ def _spread(values: np.ndarray) -> float:
     return float(values.std(ddof=1)) if len(values) > 1 else np.nan
 
 
-def draw(problem: Problem, samples: int, seed: int, sampling: str = "sobol") -> np.ndarray:
+def draw(problem: AbstractProblem, samples: int, seed: int, sampling: str = "sobol") -> np.ndarray:
     """Values (samples, variables) drawn from the variables' distributions."""
     check_double_precision()
-    expect(problem, Problem, "what is sampled", "a jaxclear.Problem")
+    expect(problem, AbstractProblem, "what is sampled", "a jaxclear.Problem or FunctionProblem")
     check_known("sampling", sampling, SAMPLINGS)
     check_count("the number of samples", samples)
     check_count("seed", seed, at_least=0)
@@ -185,7 +184,7 @@ def draw(problem: Problem, samples: int, seed: int, sampling: str = "sobol") -> 
 
 @answering
 def monte_carlo(
-    problem: Problem,
+    problem: AbstractProblem,
     samples: int = 1024,
     *,
     seed: int = 0,

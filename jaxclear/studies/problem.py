@@ -5,20 +5,20 @@ Studies see a `Problem`, never a joint. The whole path from varied numbers to re
 function, `evaluate`, that maps over samples and differentiates.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.arguments import check_number, expect
+from jaxclear.ground.arguments import expect
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import AbstractQuantified, inside, numbers
-from jaxclear.ground.wording import described, meant
-from jaxclear.integrators import AbstractIntegrator, Checks, Outcome
+from jaxclear.ground.quantity import inside, numbers
+from jaxclear.ground.wording import described
+from jaxclear.integrators import AbstractIntegrator, Outcome
 from jaxclear.multibody.assembly import (
     Start,
     assemble_arrays,
@@ -27,61 +27,31 @@ from jaxclear.multibody.assembly import (
     is_sound,
 )
 from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
+from jaxclear.multibody.state import lay_out
+from jaxclear.multibody.system import prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.results.response import unit_of
+from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
-from jaxclear.simulation.dead_point import diagnosed_outcome
-from jaxclear.simulation.derivatives import guarded
+from jaxclear.simulation.dead_point import diagnosed, diagnosed_outcome
+from jaxclear.simulation.derivatives import guarded, refusal
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
-from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
+from jaxclear.studies.base import AbstractProblem, SampleResult, is_one_number, stacked
+from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.usual_integrator import usual_integrator
+from jaxclear.studies.variable import Variable, check_apart, check_variable, leaves_of
+
+# Histories that a response may build from the saved states, in multiples of these.
+HISTORY_FACTOR = 12
+# On a CPU the time per sample falls up to chunks of about this length and rises again beyond
+# (benchmarks/claims/monte_carlo.py). An accelerator wants many samples at once.
+LARGEST_CHUNK = {"cpu": 64}
+LARGEST_ELSEWHERE = 4096
 
 
-class Variable(AbstractQuantified):
-    """A number of the mechanism that varies: `where(mechanism)` returns its leaf, or several leaves
-    that vary together.
-
-    `distribution` is centred on the leaf's own value; `tolerance=t` stands for a normal
-    distribution with three standard deviations in t, cut off at +-t.
-    """
-
-    where: Callable[[Mechanism], Any] = eqx.field(static=True)
-    distribution: AbstractDistribution
-
-    def __init__(
-        self,
-        where: Callable,
-        distribution: AbstractDistribution | None = None,
-        *,
-        tolerance: float | None = None,
-    ):
-        self.where = where
-        if distribution is not None and tolerance is None:
-            self.distribution = distribution
-        elif tolerance is not None and distribution is None:
-            check_number("tolerance of a Variable", tolerance, above=0)
-            self.distribution = TruncatedNormal(tolerance / 3, bound=tolerance)
-        else:
-            raise ValueError(
-                "a Variable takes a distribution or a tolerance; give one of the two, not "
-                "both or neither."
-            )
-
-
-class SampleResult(eqx.Module):
-    """Responses of one sample by name, how its run ended (`integrator.Outcome`), when [s], and its
-    own `checks`, whose figures beyond their limits are warnings."""
-
-    responses: dict[str, Array]
-    outcome: Array
-    ended: Array
-    checks: Checks = eqx.field(default_factory=Checks)
-
-
-class Problem(AbstractQuantified):
+class Problem(AbstractProblem):
     """A mechanism, the numbers in it that vary, how it is run, and the responses wanted of a run.
 
     `response`: a function of a trajectory returning a number, or several by name. `duration` [s].
@@ -154,20 +124,19 @@ class Problem(AbstractQuantified):
                 )
         known = [(leaf, metadata.get("unit", "1")) for _, leaf, metadata in numbers(mechanism)]
         for name, variable in self.variables.items():
-            _check_variable(name, variable, mechanism)
-        _check_apart({name: self._leaves(v) for name, v in self.variables.items()})
+            check_variable(name, variable, mechanism)
+        check_apart({name: self._leaves(v) for name, v in self.variables.items()})
         firsts = [self._leaves(variable)[0] for variable in self.variables.values()]
         self.variable_units = tuple(
             next((u for leaf, u in known if leaf is first), "1") for first in firsts
         )
 
     def _leaves(self, variable):
-        return _leaves_of(variable)(self.mechanism)
+        return leaves_of(variable)(self.mechanism)
 
     def nominal(self) -> Float[Array, " variables"]:
         """Nominal value of each variable."""
-        found = [self._leaves(self.variables[name])[0] for name in self.names]
-        return jnp.stack(found) if found else jnp.zeros(0)
+        return stacked([self._leaves(self.variables[name])[0] for name in self.names])
 
     def units(self) -> dict[str, str]:
         """Unit of each response."""
@@ -181,7 +150,7 @@ class Problem(AbstractQuantified):
             variable = self.variables[name]
             old = self._leaves(variable)
             new = [leaf + (value - old[0]) for leaf in old]
-            mechanism = eqx.tree_at(_leaves_of(variable), mechanism, new)
+            mechanism = eqx.tree_at(leaves_of(variable), mechanism, new)
         return loosened(mechanism, self.determined)
 
     def seen(self, values: Float[Array, " variables"]) -> Mechanism:
@@ -225,6 +194,66 @@ class Problem(AbstractQuantified):
         outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
         return SampleResult(responses, outcome, trajectory.ended, trajectory.checks)
 
+    def sample_memory(self) -> int:
+        """Saved states and worn surfaces [bytes]."""
+        system = prepare(self.mechanism)
+        layout = lay_out(system)
+        cells = sum(
+            math.prod(m.cells) for own in wear_maps(system).values() for m, _ in own.values()
+        )
+        return 8 * (len(self.shares) * (HISTORY_FACTOR * layout.size) + 8 * cells)
+
+    def most_together(self) -> int:
+        return LARGEST_CHUNK.get(jax.default_backend(), LARGEST_ELSEWHERE)
+
+    def idle(self) -> "Problem":
+        """Runs of no length."""
+        return eqx.tree_at(lambda problem: problem.duration, self, jnp.zeros(()))
+
+    def rerun(self, values, index, chunk) -> Trajectory:
+        """The run of one sample, bit for bit as it ran in its chunk."""
+        return diagnosed(sample_of_chunk(_run_chunk, self, values, index, chunk))
+
+    def ending(self, outcome, ended):
+        how = Outcome(outcome)
+        said = how.sentence
+        if how == Outcome.REACHED or not how.began:
+            return f"{said[0].lower()}{said[1:]}"
+        return f"the run ended after {ended:.6g} s. {said}"
+
+    def remark(self):
+        return self.why_integrator
+
+    def concerned(self, response, concerns):
+        return concerned(self.response[response], concerns)
+
+    def pathwise_limits(self):
+        if not self.integrator.pathwise:
+            return (
+                "derivatives of a finished adaptive run are wrong near contact; use a fixed-step "
+                "integrator."
+            ), ""
+        seen = self.integrator.formulation.seen(self.mechanism)
+        return "", refusal(seen, self.integrator)
+
+    def parts(self):
+        leaves = jax.tree_util.tree_leaves_with_path(self.mechanism)
+        known = {id(leaf): jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves}
+        places = {
+            f'what "{name}" points at': ", ".join(
+                known[id(leaf)] for leaf in self._leaves(variable)
+            )
+            for name, variable in self.variables.items()
+        }
+        told = ("mechanism", "response", "duration", "shares", "integrator", "state")
+        return {what: getattr(self, what) for what in told} | places
+
+
+@eqx.filter_jit
+def _run_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> Trajectory:
+    """Runs of a chunk of samples."""
+    return jax.vmap(lambda own: problem.started(own)[2])(values)
+
 
 def _by_name(what: str, given: Any) -> dict[str, Any]:
     """What varies or is wanted, by name; a response alone is called "response"."""
@@ -240,53 +269,10 @@ def _by_name(what: str, given: Any) -> dict[str, Any]:
 
 def _one_number(name: str, value: Any) -> Array:
     """What a response answers, which studies take for one number."""
-    number = isinstance(value, (int, float, np.number, np.ndarray, jax.Array))
-    if not number or jnp.shape(value) != ():
+    if not is_one_number(value):
         hint = " It returns nothing: is a `return` missing?" if value is None else ""
         raise ValueError(
             f'response "{name}" gives {described(value)} for a run; it must be one number, such as '
             f"a mean or the largest.{hint}"
         )
     return jnp.asarray(value, float)
-
-
-def _meant(error: Exception, mechanism: Mechanism) -> str:
-    """A question for the name that was probably meant where a `where` found none."""
-    if isinstance(error, AttributeError) and error.name:
-        return meant(error.name, [n for n in dir(error.obj) if not n.startswith("_")])
-    key = error.args[0] if isinstance(error, KeyError) and error.args else ""
-    return meant(key, [*mechanism.connections, *mechanism.bodies, *mechanism.loads])
-
-
-def _leaves_of(variable: Variable) -> Callable[[Mechanism], list]:
-    return lambda mechanism: jax.tree.leaves(variable.where(mechanism))
-
-
-def _check_apart(leaves: dict[str, list]) -> None:
-    """Each number of the mechanism may vary by one variable only."""
-    taken: dict[int, str] = {}
-    for name, own in leaves.items():
-        for leaf in own:
-            other = taken.setdefault(id(leaf), name)
-            if other != name:
-                raise ValueError(
-                    f'variables "{other}" and "{name}" point at the same number of the mechanism; '
-                    "only one of them can set it."
-                )
-
-
-def _check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:
-    expect(variable, Variable, f'variable "{name}"', "a jaxclear.Variable")
-    try:
-        target = variable.where(mechanism)
-    except (KeyError, AttributeError, TypeError, IndexError) as error:
-        raise ValueError(
-            f'variable "{name}" points at nothing in this mechanism: its `where` fails with '
-            f"{type(error).__name__}: {error}.{_meant(error, mechanism)}"
-        ) from error
-    leaves = target if isinstance(target, (tuple, list)) else [target]
-    if not leaves or not all(eqx.is_array(leaf) and jnp.ndim(leaf) == 0 for leaf in leaves):
-        raise ValueError(
-            f'variable "{name}" must point at numbers of the mechanism; where(mechanism) gives '
-            f"{described(target)}."
-        )

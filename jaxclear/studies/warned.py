@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.integrators import Check, Checks
-from jaxclear.results.response import concerned
-from jaxclear.studies.problem import Problem
+from jaxclear.studies.base import AbstractProblem
 
 
 def any_warning(checks: Checks, runs: int) -> np.ndarray:
@@ -19,10 +18,9 @@ def any_warning(checks: Checks, runs: int) -> np.ndarray:
     return _any(checks, runs, lambda check: True)
 
 
-def warned_of(problem: Problem, response: str, checks: Checks, runs: int) -> np.ndarray:
+def warned_of(problem: AbstractProblem, response: str, checks: Checks, runs: int) -> np.ndarray:
     """Whether each run carries a warning that concerns a response of the problem, (runs,)."""
-    wanted = problem.response[response]
-    return _any(checks, runs, lambda check: concerned(wanted, check.concerns))
+    return _any(checks, runs, lambda check: problem.concerned(response, check.concerns))
 
 
 def _any(checks: Checks, runs: int, counts: Any) -> np.ndarray:
@@ -34,7 +32,7 @@ def _any(checks: Checks, runs: int, counts: Any) -> np.ndarray:
 
 
 def concern(
-    problem: Problem, response: str, checks: Checks, among: np.ndarray
+    problem: AbstractProblem, response: str, checks: Checks, among: np.ndarray
 ) -> tuple[float, str]:
     """Share of the runs `among` (runs,) whose warnings concern a response, and a sentence that
     tells them; "" where there are none."""
@@ -44,7 +42,7 @@ def concern(
     kinds = {
         check: count
         for check, count in counted(checks, warned).items()
-        if concerned(problem.response[response], check.concerns)
+        if problem.concerned(response, check.concerns)
     }
     text = f"{warned.sum()} of {among.sum()} runs warn ({in_words(kinds)})."
     return float(warned.sum() / among.sum()), text

@@ -292,7 +292,7 @@ def test_one_number_under_two_variables_is_refused():
             lambda p: problem(
                 length=jc.Variable(lambda r: r.bodies["rod"].mass, jc.distribution.Normal(0.01))
             ),
-            "another number",
+            "points at",
         ),
         (
             lambda p: eqx.tree_at(lambda p: p.response["swing"], p, lambda run: run.states[-1, 0]),

@@ -19,9 +19,10 @@ from jaxclear.ground.arguments import check_flags, check_number
 from jaxclear.ground.quantity import AbstractQuantified, count
 from jaxclear.integrators import AbstractIntegrator, Adaptive, Outcome
 from jaxclear.simulation.simulate import check_run
+from jaxclear.studies.base import SampleResult
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.monte_carlo import draw
-from jaxclear.studies.problem import Problem, SampleResult
+from jaxclear.studies.problem import Problem
 from jaxclear.studies.warned import concern
 from jaxclear.studies.work_precision import tight_reference
 

@@ -14,6 +14,8 @@ from jaxclear.studies.monte_carlo import MonteCarlo
 # An answer this many times less certain than another is large agrees with anything, and confirms
 # nothing.
 VAGUE = 3.0
+# Of a difference of numbers that are nearly the same, which no scatter of samples shows.
+ROUNDING = 1e-9
 # Methods agree on what is wrong as well, where more than this share of their runs is in doubt.
 FEW_WARNED = 0.05
 
@@ -154,7 +156,8 @@ def _by_certainty(estimates: dict[str, Estimate]) -> list[str]:
 
 
 def _agree(a: Estimate, b: Estimate) -> bool:
-    return bool(abs(a.value - b.value) <= np.hypot(a.error, b.error))
+    rounding = ROUNDING * max(abs(a.value), abs(b.value))
+    return bool(abs(a.value - b.value) <= np.hypot(a.error, b.error) + rounding)
 
 
 def _agreement(best: Estimate, name: str, partners: list[str], order: list[str]) -> str:

@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.integrators import Outcome
-from jaxclear.simulation.derivatives import refusal
+from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.monte_carlo import MonteCarlo
-from jaxclear.studies.problem import Problem, SampleResult
 from jaxclear.studies.sensitivity.derivative import Estimate, refused
 from jaxclear.studies.warned import concern
 
@@ -68,7 +67,12 @@ def regression(sample: MonteCarlo, response: str, variable: int) -> Estimate:
 
 
 def differences(
-    problem: Problem, values: np.ndarray, variable: int, width: float, *, progress_bar: bool = False
+    problem: AbstractProblem,
+    values: np.ndarray,
+    variable: int,
+    width: float,
+    *,
+    progress_bar: bool = False,
 ) -> dict[str, Estimate]:
     """Central differences over common random numbers, `values` (samples, variables), at `width` (in
     the variable's unit) and half of it; their disagreement is the bias.
@@ -105,7 +109,9 @@ def _half_interval(values: np.ndarray) -> float:
 
 
 @eqx.filter_jit
-def _tangents_of_chunk(problem: Problem, packed: Float[Array, "samples pairs"]) -> SampleResult:
+def _tangents_of_chunk(
+    problem: AbstractProblem, packed: Float[Array, "samples pairs"]
+) -> SampleResult:
     """Tangents of the responses along a direction: `packed` (samples, 2 variables) are values and
     directions.
     """
@@ -123,17 +129,14 @@ def _tangents_of_chunk(problem: Problem, packed: Float[Array, "samples pairs"]) 
 
 
 def pathwise(
-    problem: Problem, values: np.ndarray, variable: int, *, progress_bar: bool = False
+    problem: AbstractProblem, values: np.ndarray, variable: int, *, progress_bar: bool = False
 ) -> dict[str, Estimate]:
     """Mean over the sample `values` (samples, variables) of the derivative of each run, with its
     standard error; refused where it has no mean, in doubt where contacts open and close.
     """
-    if not problem.integrator.pathwise:
-        why = (
-            "derivatives of a finished adaptive run are wrong near contact; use a fixed-step "
-            "integrator."
-        )
-        return {name: refused(why) for name in problem.response}
+    why, doubt = problem.pathwise_limits()
+    if why:
+        return {name: refused(why) for name in problem.response_names}
     direction = np.zeros_like(values)
     direction[:, variable] = 1.0
     packed = jnp.asarray(np.concatenate([values, direction], axis=1))
@@ -141,8 +144,6 @@ def pathwise(
         problem, packed, progress_bar=progress_bar, label="tangents", function=_tangents_of_chunk
     )
     good = np.asarray(found.outcome == Outcome.REACHED)
-    seen = problem.integrator.formulation.seen(problem.mechanism)
-    doubt = refusal(seen, problem.integrator)
     estimates = {}
     for name, tangents in found.responses.items():
         share, words = concern(problem, name, found.checks, good)

@@ -10,9 +10,9 @@ from typing import Any
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_known, check_number, expect
 from jaxclear.ground.wording import listed
+from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identity import first_difference
 from jaxclear.studies.monte_carlo import MonteCarlo, draw, monte_carlo
-from jaxclear.studies.problem import Problem
 from jaxclear.studies.sensitivity.derivative import Sensitivity, confirmed
 from jaxclear.studies.sensitivity.methods import differences, pathwise, regression
 
@@ -21,7 +21,7 @@ METHODS = ("regression", "differences", "pathwise")
 
 @answering
 def sensitivity(
-    problem: Problem,
+    problem: AbstractProblem,
     variables: str | Sequence[str] | None = None,
     *,
     sample: MonteCarlo | int = 256,
@@ -43,7 +43,9 @@ def sensitivity(
     Raises `ValueError` with a sentence for a name that there is not, and for a sample of another
     problem.
     """
-    expect(problem, Problem, "what is differentiated", "a jaxclear.Problem")
+    expect(
+        problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem or FunctionProblem"
+    )
     _check(sample, difference_samples, width, methods, seed)
     wanted = _wanted(problem, variables)
     if isinstance(sample, MonteCarlo):
@@ -57,7 +59,7 @@ def sensitivity(
         place = problem.names.index(name)
         answers = {}
         if "regression" in methods:
-            answers["regression"] = {r: regression(drawn, r, place) for r in problem.response}
+            answers["regression"] = {r: regression(drawn, r, place) for r in problem.response_names}
         if "differences" in methods:
             deviation = problem.variables[name].distribution.deviation()
             step = float(deviation) if width is None else width
@@ -72,7 +74,7 @@ def sensitivity(
     return Sensitivity(derivatives, drawn)
 
 
-def _check_sample(problem: Problem, sample: MonteCarlo) -> None:
+def _check_sample(problem: AbstractProblem, sample: MonteCarlo) -> None:
     """Raises `ValueError` for a sample of another problem: its slopes would be another's too."""
     difference = first_difference(sample.problem, problem)
     if difference:
@@ -99,7 +101,7 @@ def _check(sample: Any, difference_samples: Any, width: Any, methods: Any, seed:
         check_number("width of sensitivity", width, above=0)
 
 
-def _wanted(problem: Problem, variables: str | Sequence[str] | None) -> list[str]:
+def _wanted(problem: AbstractProblem, variables: str | Sequence[str] | None) -> list[str]:
     """The names asked for. Raises `ValueError` for one that the problem does not have."""
     if variables is None:
         return list(problem.names)

@@ -1,0 +1,136 @@
+"""What a study sees: numbers that vary, responses wanted, and one pure function from those to
+these.
+
+A study asks an `AbstractProblem` and never what lies behind it: a mechanism that runs in time
+(`Problem`), one that is put together at positions, or any function of dimensions
+(`FunctionProblem`). What differs between these, each says of itself.
+"""
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.integrators import Checks
+from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
+
+__all__ = [
+    "AbstractProblem",
+    "AbstractVariable",
+    "SampleResult",
+    "is_one_number",
+    "one_distribution",
+    "stacked",
+]
+
+
+class SampleResult(eqx.Module):
+    """Responses of one sample by name, how it ended (`integrator.Outcome`), when [s] (0 where there
+    is no time), and its own `checks`, whose figures beyond their limits are warnings."""
+
+    responses: dict[str, Array]
+    outcome: Array
+    ended: Array
+    checks: Checks = eqx.field(default_factory=Checks)
+
+
+class AbstractVariable(AbstractQuantified):
+    """A number that varies about its nominal value, and its distribution about it."""
+
+    distribution: eqx.AbstractVar[AbstractDistribution]
+
+
+def one_distribution(
+    owner: str, distribution: AbstractDistribution | None, tolerance: Any
+) -> AbstractDistribution:
+    """The distribution given, or that of a tolerance t (a number above 0): normal with three
+    standard deviations in t, cut off at +-t. Raises `ValueError` for both or neither."""
+    if distribution is not None and tolerance is None:
+        return distribution
+    if tolerance is not None and distribution is None:
+        return TruncatedNormal(tolerance / 3, bound=tolerance)
+    raise ValueError(
+        f"a {owner} takes a distribution or a tolerance; give one of the two, not both or neither."
+    )
+
+
+class AbstractProblem(AbstractQuantified):
+    """Numbers that vary, in the order of `names`, and the responses wanted of them, in the order of
+    `response_names`."""
+
+    variables: eqx.AbstractVar[dict[str, Any]]
+    names: eqx.AbstractVar[tuple[str, ...]]
+    response_names: eqx.AbstractVar[tuple[str, ...]]
+    variable_units: eqx.AbstractVar[tuple[str, ...]]
+
+    @abstractmethod
+    def nominal(self) -> Float[Array, " variables"]:
+        """Nominal value of each variable."""
+
+    @abstractmethod
+    def units(self) -> dict[str, str]:
+        """Unit of each response."""
+
+    @abstractmethod
+    def evaluate(
+        self, values: Float[Array, " variables"], *, discrete_derivatives: bool = False
+    ) -> SampleResult:
+        """The responses for one set of values; pure. JAX may map, compile and differentiate it.
+
+        A derivative that is not that of the responses raises `ValueError`; `discrete_derivatives`
+        passes on what the steps of a run have for one.
+        """
+
+    @abstractmethod
+    def sample_memory(self) -> int:
+        """Memory [bytes] that one sample takes while it is computed, roughly."""
+
+    @abstractmethod
+    def most_together(self) -> int:
+        """Samples that are best computed together, at the most."""
+
+    def idle(self) -> "AbstractProblem":
+        """The same compiled program on as little work as possible."""
+        return self
+
+    @abstractmethod
+    def rerun(self, values: Float[Array, " variables"], index: int, chunk: int) -> Any:
+        """All there is to be seen of sample `index` of a study in chunks of this size."""
+
+    @abstractmethod
+    def ending(self, outcome: int, ended: float) -> str:
+        """How a sample ended, as the rest of a sentence that begins with its values."""
+
+    def remark(self) -> str:
+        """What a user should know of how the samples were computed; "" for nothing."""
+        return ""
+
+    def concerned(self, response: str, concerns: str) -> bool:
+        """Whether a warning that `concerns` a part of a sample concerns a response."""
+        return True
+
+    def pathwise_limits(self) -> tuple[str, str]:
+        """Why derivatives through a sample are refused, and what is in doubt about them; "" for
+        nothing."""
+        return "", ""
+
+    @abstractmethod
+    def parts(self) -> dict[str, Any]:
+        """All that tells this problem from another of its kind, by name, but for the
+        distributions."""
+
+
+def is_one_number(value: Any) -> bool:
+    """Whether something is a real number, traced or not."""
+    number = isinstance(value, (int, float, np.number, np.ndarray, jax.Array))
+    return bool(number and jnp.shape(value) == () and jnp.isrealobj(value))
+
+
+def stacked(numbers: list[Any]) -> Float[Array, " numbers"]:
+    """Numbers in a row, of which there may be none."""
+    return jnp.stack(numbers) if numbers else jnp.zeros(0)

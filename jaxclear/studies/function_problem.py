@@ -1,0 +1,252 @@
+"""A question about any function of dimensions: a stack of parts, a fit, a model of the user's own.
+
+The function takes the dimensions by name and returns a number, or several by name. It is traced
+once at the nominal values, so that what JAX cannot trace is refused with a sentence before anything
+is sampled.
+"""
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.wording import described, listed
+from jaxclear.integrators import Outcome
+from jaxclear.studies.base import (
+    AbstractProblem,
+    AbstractVariable,
+    SampleResult,
+    is_one_number,
+    one_distribution,
+    stacked,
+)
+from jaxclear.studies.batch import sample_of_chunk
+from jaxclear.studies.distribution import AbstractDistribution
+
+__all__ = ["Dimension", "FunctionProblem"]
+
+ALONE = "response"
+# Functions take few operations a sample; above about this many the numbers of a chunk leave the
+# cache (measured by benchmarks/claims/positions.py).
+LARGEST_CHUNK = 4096
+# What JAX raises where Python, or NumPy, wants the value of what is being traced.
+UNTRACEABLE = (
+    jax.errors.ConcretizationTypeError,
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerBoolConversionError,
+    jax.errors.TracerIntegerConversionError,
+    jax.errors.NonConcreteBooleanIndexError,
+)
+
+
+class Dimension(AbstractVariable):
+    """A number of a drawing: its nominal value in `unit`, and how it varies about it.
+
+    `distribution` is that of the deviation; `tolerance=t` stands for a normal distribution with
+    three standard deviations in t, cut off at +-t.
+    """
+
+    nominal: Scalar = quantity(unit="(its unit)", meaning="nominal value")
+    distribution: AbstractDistribution
+    unit: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        nominal: float,
+        distribution: AbstractDistribution | None = None,
+        *,
+        tolerance: float | None = None,
+        unit: str = "m",
+    ):
+        check_number("nominal of a Dimension", nominal)
+        if tolerance is not None:
+            check_number("tolerance of a Dimension", tolerance, above=0)
+        expect(unit, str, "unit of a Dimension", 'a text, such as "m"')
+        self.nominal = jnp.asarray(nominal, float)
+        self.distribution = one_distribution("Dimension", distribution, tolerance)
+        self.unit = unit
+
+
+class FunctionProblem(AbstractProblem):
+    """A function of named dimensions, and how these vary.
+
+    `function`: takes the variables by name and returns a number, or a dictionary of several by
+    name; a number alone is called "response". It must be made of operations that JAX can trace and
+    differentiate (`jax.numpy` instead of `math` and `numpy`). `variables`: a
+    `jaxclear.Dimension` each. `units`: of what is returned, one text or a dictionary by name, by
+    default that of the variables where they share one, else "1". A sample whose response is not
+    finite has failed. Raises `ValueError` with a sentence for what cannot be asked.
+    """
+
+    function: Callable[..., Any]
+    variables: dict[str, Dimension]
+    names: tuple[str, ...] = eqx.field(static=True)
+    response_names: tuple[str, ...] = eqx.field(static=True)
+    variable_units: tuple[str, ...] = eqx.field(static=True)
+    response_units: tuple[str, ...] = eqx.field(static=True)
+    memory: int = eqx.field(static=True)
+    undifferentiated: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        variables: Mapping[str, Dimension],
+        *,
+        units: str | Mapping[str, str] | None = None,
+    ):
+        check_double_precision()
+        if not callable(function) or isinstance(function, type):
+            raise ValueError(
+                f"function of a FunctionProblem is {described(function)}; it must be a function of "
+                "the variables by name."
+            )
+        expect(variables, Mapping, "variables of a FunctionProblem", "a dictionary from names")
+        for name, variable in variables.items():
+            expect(name, str, "a name in variables of a FunctionProblem", "a text")
+            expect(variable, Dimension, f'variable "{name}"', "a jaxclear.Dimension")
+        self.function, self.variables = function, dict(variables)
+        self.names = tuple(variables)
+        self.variable_units = tuple(variable.unit for variable in variables.values())
+        _check_names(function, self.names)
+        at = {name: variable.nominal for name, variable in variables.items()}
+        found = _traced(function, at)
+        self.response_names = tuple(found)
+        for name in self.response_names:
+            if name in self.variables:
+                raise ValueError(
+                    f'"{name}" names a variable and a response; give them different names.'
+                )
+        self.response_units = _units(units, self.response_names, self.variable_units)
+        self.memory = _memory(function, at)
+        self.undifferentiated = _undifferentiated(function, at)
+
+    def nominal(self):
+        return stacked([self.variables[name].nominal for name in self.names])
+
+    def units(self):
+        return dict(zip(self.response_names, self.response_units, strict=True))
+
+    def evaluate(self, values, *, discrete_derivatives=False):
+        check_double_precision()
+        found = _by_name(self.function(**dict(zip(self.names, values, strict=True))))
+        finite = jnp.all(jnp.isfinite(jnp.stack(list(found.values()))))
+        outcome = jnp.where(finite, Outcome.REACHED, Outcome.NOT_FINITE)
+        return SampleResult(found, outcome, jnp.zeros(()))
+
+    def sample_memory(self):
+        return self.memory
+
+    def most_together(self):
+        return LARGEST_CHUNK
+
+    def rerun(self, values, index, chunk) -> dict[str, Array]:
+        """What the function gives for one sample, by name."""
+        return sample_of_chunk(_chunk, self, values, index, chunk)
+
+    def ending(self, outcome, ended):
+        if outcome == Outcome.REACHED:
+            return "the function gave its numbers."
+        return "a number that the function gives is not finite."
+
+    def pathwise_limits(self):
+        return self.undifferentiated, ""
+
+    def parts(self):
+        variables = {f'"{name}"': (v.nominal, v.unit) for name, v in self.variables.items()}
+        return {"function": self.function, "units": self.response_units} | variables
+
+
+@eqx.filter_jit
+def _chunk(problem: FunctionProblem, values: Array) -> dict[str, Array]:
+    """What the function of a problem gives for a chunk of samples."""
+    return jax.vmap(lambda own: problem.evaluate(own).responses)(values)
+
+
+def _check_names(function: Callable[..., Any], names: tuple[str, ...]) -> None:
+    """Raises `ValueError` where a function does not take the variables by name."""
+    try:
+        signature = inspect.signature(function)
+    except ValueError:
+        return
+    try:
+        signature.bind(**dict.fromkeys(names))
+    except TypeError as error:
+        takes = listed(signature.parameters)
+        raise ValueError(
+            f"the function of a FunctionProblem takes {takes or 'nothing'}, and the variables are "
+            f"{listed(names) or 'none'}; give it each variable by its name."
+        ) from error
+
+
+def _by_name(given: Any) -> dict[str, Array]:
+    """What a function returns, as numbers by name."""
+    found = given if isinstance(given, Mapping) else {ALONE: given}
+    if not found:
+        raise ValueError("the function of a FunctionProblem returns no number; it must return one.")
+    for name, value in found.items():
+        expect(name, str, "a name in what the function of a FunctionProblem returns", "a text")
+        if not is_one_number(value):
+            hint = " It returns nothing: is a `return` missing?" if value is None else ""
+            what = "returns" if name == ALONE else f'returns for "{name}"'
+            raise ValueError(
+                f"the function of a FunctionProblem {what} {described(value)}; it must be one "
+                f"number, or a dictionary of numbers by name.{hint}"
+            )
+    return {name: jnp.asarray(value, float) for name, value in found.items()}
+
+
+def _traced(function: Callable[..., Any], at: dict[str, Any]) -> dict[str, Any]:
+    """The shapes of what a function returns, in its order; a sentence where JAX cannot trace it."""
+    order: list[str] = []
+
+    def in_order(at):
+        found = _by_name(function(**at))
+        order.extend(found)
+        return found
+
+    try:
+        found = jax.eval_shape(in_order, at)
+    except UNTRACEABLE as error:
+        raise ValueError(
+            "JAX cannot trace the function of a FunctionProblem: somewhere Python or NumPy wants "
+            "the value of what is still a variable. Write jax.numpy.sqrt for math.sqrt or "
+            "numpy.sqrt (and so on), jax.numpy.where for `if`, and jax.lax.while_loop for `while`."
+        ) from error
+    return {name: found[name] for name in order}
+
+
+def _units(given: Any, responses: tuple[str, ...], variables: tuple[str, ...]) -> tuple[str, ...]:
+    """Unit of each response."""
+    if given is None:
+        return (variables[0] if len(set(variables)) == 1 else "1",) * len(responses)
+    if isinstance(given, str):
+        return (given,) * len(responses)
+    expect(given, Mapping, "units of a FunctionProblem", "a text, or a dictionary from responses")
+    for name, unit in given.items():
+        check_known("response", name, responses, " in what the function returns")
+        expect(unit, str, f'unit of response "{name}"', 'a text, such as "m"')
+    return tuple(given.get(name, "1") for name in responses)
+
+
+def _memory(function: Callable[..., Any], at: dict[str, Any]) -> int:
+    """All numbers that a function computes on its way [bytes]."""
+    lines = jax.make_jaxpr(lambda at: _by_name(function(**at)))(at).jaxpr.eqns
+    sizes = (math.prod(getattr(v.aval, "shape", ())) for line in lines for v in line.outvars)
+    return 8 * (len(at) + sum(sizes))
+
+
+def _undifferentiated(function: Callable[..., Any], at: dict[str, Any]) -> str:
+    """Why JAX has no derivative of a function; "" where it has one."""
+    try:
+        jax.eval_shape(lambda at: jax.jvp(lambda at: _by_name(function(**at)), (at,), (at,)), at)
+    except (ValueError, TypeError, NotImplementedError) as error:
+        return f"JAX has no derivative of the function ({str(error).splitlines()[0]})"
+    return ""
