@@ -47,7 +47,7 @@ from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution
 from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.life.derivative import wear_life_derivatives
 from jaxclear.studies.life.lives import wear_lives
@@ -66,6 +66,7 @@ conformal = contact
 __all__ = [
     "AbstractProblem",
     "AbstractQuantified",
+    "AbstractVariable",
     "AbstractWearMap",
     "Baumgarte",
     "Body",

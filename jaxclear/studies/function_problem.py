@@ -60,17 +60,16 @@ class Dimension(AbstractVariable):
 
     def __init__(
         self,
-        nominal: float,
+        nominal: Any,
         distribution: AbstractDistribution | None = None,
         *,
         tolerance: float | None = None,
         unit: str = "m",
     ):
-        check_number("nominal of a Dimension", nominal)
         if tolerance is not None:
             check_number("tolerance of a Dimension", tolerance, above=0)
         expect(unit, str, "unit of a Dimension", 'a text, such as "m"')
-        self.nominal = jnp.asarray(nominal, float)
+        self.nominal = nominal
         self.distribution = one_distribution("Dimension", distribution, tolerance)
         self.unit = unit
 

@@ -43,9 +43,7 @@ def sensitivity(
     Raises `ValueError` with a sentence for a name that there is not, and for a sample of another
     problem.
     """
-    expect(
-        problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem or FunctionProblem"
-    )
+    expect(problem, AbstractProblem, "what is differentiated", "a problem, as jaxclear.Problem")
     _check(sample, difference_samples, width, methods, seed)
     wanted = _wanted(problem, variables)
     if isinstance(sample, MonteCarlo):
