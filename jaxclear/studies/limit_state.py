@@ -1,0 +1,189 @@
+"""Where a sample fails: a response beyond a threshold, or several such limits together.
+
+A margin is positive where a limit holds and negative where it is broken. Whatever the limits are
+put together from, a system fails by one of its cut sets: limits that are broken at once.
+"""
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.arguments import check_number, expect
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+from jaxclear.ground.wording import described, unknown
+
+__all__ = ["Above", "AbstractLimitState", "Below", "Parallel", "Series"]
+__getattr__ = nothing_else("jaxclear.limit_state", __all__)
+
+UNIT = "(in the response's unit)"
+# More cut sets than this no search goes through.
+MOST_CUTS = 1000
+
+
+class AbstractLimitState(AbstractQuantified):
+    """Tells samples that fail from those that do not, by their responses."""
+
+    @abstractmethod
+    def limits(self) -> tuple[Any, ...]:
+        """The limits on single responses that this one consists of."""
+
+    @abstractmethod
+    def cut_sets(self) -> tuple[frozenset[int], ...]:
+        """Places among `limits` that fail the system where all of one set are broken."""
+
+    @abstractmethod
+    def words(self) -> str:
+        """What fails, such as "follower error above 0.00019"."""
+
+    def margins(self, responses: dict[str, Array]) -> Float[Array, " limits"]:
+        """Margin of each limit in its response's unit, negative where it is broken."""
+        return jnp.stack([own.margin(responses) for own in self.limits()])
+
+
+class Above(AbstractLimitState):
+    """Fails where a response is above a threshold."""
+
+    response: str = eqx.field(static=True)
+    threshold: Scalar = quantity(unit=UNIT, meaning="largest value that does not fail")
+
+    def __init__(self, response: str, threshold: float):
+        expect(response, str, "response of a limit", "the name of a response")
+        check_number(f'threshold of "{response}"', threshold)
+        self.response, self.threshold = response, jnp.asarray(threshold, float)
+
+    def margin(self, responses):
+        return self.threshold - responses[self.response]
+
+    def limits(self):
+        return (self,)
+
+    def cut_sets(self):
+        return (frozenset({0}),)
+
+    def words(self):
+        return f"{self.response} above {float(self.threshold):.6g}"
+
+
+class Below(AbstractLimitState):
+    """Fails where a response is below a threshold."""
+
+    response: str = eqx.field(static=True)
+    threshold: Scalar = quantity(unit=UNIT, meaning="smallest value that does not fail")
+
+    def __init__(self, response: str, threshold: float):
+        expect(response, str, "response of a limit", "the name of a response")
+        check_number(f'threshold of "{response}"', threshold)
+        self.response, self.threshold = response, jnp.asarray(threshold, float)
+
+    def margin(self, responses):
+        return responses[self.response] - self.threshold
+
+    def limits(self):
+        return (self,)
+
+    def cut_sets(self):
+        return (frozenset({0}),)
+
+    def words(self):
+        return f"{self.response} below {float(self.threshold):.6g}"
+
+
+class Series(AbstractLimitState):
+    """A system that fails where any of its parts fails, like a chain."""
+
+    parts: tuple[AbstractLimitState, ...]
+
+    def __init__(self, *parts: AbstractLimitState):
+        self.parts = _checked("Series", parts)
+
+    def limits(self):
+        return _limits(self.parts)
+
+    def cut_sets(self):
+        return _least([cut for own in _numbered(self.parts) for cut in own])
+
+    def words(self):
+        return " or ".join(_in_brackets(part) for part in self.parts)
+
+
+class Parallel(AbstractLimitState):
+    """A system that fails only where all of its parts fail, like a rope of many strands."""
+
+    parts: tuple[AbstractLimitState, ...]
+
+    def __init__(self, *parts: AbstractLimitState):
+        self.parts = _checked("Parallel", parts)
+
+    def limits(self):
+        return _limits(self.parts)
+
+    def cut_sets(self):
+        found: list[frozenset[int]] = [frozenset()]
+        for own in _numbered(self.parts):
+            found = list(_least([one | cut for one in found for cut in own]))
+            if len(found) > MOST_CUTS:
+                raise ValueError(
+                    f"this system fails in more than {MOST_CUTS} ways; put fewer parts together."
+                )
+        return tuple(found)
+
+    def words(self):
+        return " and ".join(_in_brackets(part) for part in self.parts)
+
+
+def system_margin(margins: np.ndarray, cuts: tuple[frozenset[int], ...]) -> np.ndarray:
+    """Margin (samples,) of a system from those of its limits (samples, limits) in one scale."""
+    return np.min([margins[:, sorted(cut)].max(axis=1) for cut in cuts], axis=0)
+
+
+def check_limit(limit: Any, response_names: tuple[str, ...], owner: str) -> None:
+    """Raises `ValueError` for what is no limit, or for one on a response that there is not."""
+    expect(
+        limit,
+        AbstractLimitState,
+        f"limit of {owner}",
+        'a limit state, such as jaxclear.limit_state.Above("name of a response", threshold)',
+    )
+    for own in limit.limits():
+        if own.response not in response_names:
+            raise ValueError(unknown("response", own.response, response_names, " in this problem"))
+
+
+def _checked(kind: str, parts: tuple[Any, ...]) -> tuple[Any, ...]:
+    if not parts:
+        raise ValueError(f"{kind} has no parts; give it limits, such as Above(...), one or more.")
+    for part in parts:
+        if not isinstance(part, AbstractLimitState):
+            raise ValueError(
+                f"a part of {kind} is {described(part)}; it must be a limit state, such as "
+                'jaxclear.limit_state.Above("name of a response", threshold).'
+            )
+    return parts
+
+
+def _limits(parts: tuple[Any, ...]) -> tuple[Any, ...]:
+    return tuple(limit for part in parts for limit in part.limits())
+
+
+def _numbered(parts: tuple[Any, ...]) -> list[tuple[frozenset[int], ...]]:
+    """The cut sets of each part, in the places that its limits have among those of all."""
+    found, first = [], 0
+    for part in parts:
+        found.append(tuple(frozenset(i + first for i in cut) for cut in part.cut_sets()))
+        first += len(part.limits())
+    return found
+
+
+def _least(cuts: list[frozenset[int]]) -> tuple[frozenset[int], ...]:
+    """The cut sets that hold no other one."""
+    single = list(dict.fromkeys(cuts))
+    return tuple(cut for cut in single if not any(other < cut for other in single))
+
+
+def _in_brackets(part: Any) -> str:
+    return part.words() if len(part.limits()) == 1 else f"({part.words()})"

@@ -1,0 +1,37 @@
+"""Values of a problem's variables from standard normal numbers.
+
+Every study of rare parts works in standard normal numbers: there, how far a part is from the
+middle is how rare it is, whatever the distributions.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+from jaxtyping import Array, Float
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from jaxclear.studies.base import AbstractProblem
+
+# Standard normal numbers further out than this do not occur.
+FURTHEST = 37.0
+
+
+def values_of(
+    problem: AbstractProblem, normal: Float[Array, " variables"]
+) -> Float[Array, " variables"]:
+    """Values of the variables that standard normal numbers stand for; differentiable."""
+    columns = [
+        problem.variables[name].distribution.quantile(ndtr(z))
+        for name, z in zip(problem.names, normal, strict=True)
+    ]
+    return problem.nominal() + jnp.stack(columns)
+
+
+def scrambled_normal(count: int, variables: int, rng: np.random.Generator) -> np.ndarray:
+    """Standard normal numbers (count, variables): scrambled Sobol' points, filled to a power of
+    two and cut."""
+    power = int(np.ceil(np.log2(max(count, 1))))
+    shares = qmc.Sobol(variables, scramble=True, rng=rng).random_base2(power)[:count]
+    tiny = np.finfo(float).eps
+    return np.clip(ndtri(np.clip(shares, tiny, 1 - tiny)), -FURTHEST, FURTHEST)

@@ -1,0 +1,116 @@
+"""A surface through runs that are there."""
+
+from math import comb
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.integrators import Outcome
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.surface.fit import least_squares
+from jaxclear.studies.surface.polynomials import levels, norms_of, orthonormal, powers, products
+from jaxclear.studies.surface.response_surface import ResponseSurface
+
+# Degrees that are tried where none is asked for.
+HIGHEST = 4
+# Terms of a fit for each of its equations, at the most.
+MOST_SHARE = 0.7
+
+
+def fitted(
+    problem: AbstractProblem,
+    values: np.ndarray,
+    found: SampleResult,
+    *,
+    degree: int | None = None,
+    truncation: float = 1.0,
+    gradients: dict[str, np.ndarray] | None = None,
+) -> ResponseSurface:
+    """The surface through runs that are there: `found` are their outcomes at `values` (runs,
+    variables), `gradients` the slopes of each response, (runs, variables). Runs that failed are
+    left out and counted; without a `degree` each response takes that of 1 to 4 which predicts runs
+    best. Raises `ValueError` where too few runs reached their end.
+    """
+    names = problem.response_names
+    values, target, slopes, failed = _good(names, values, found, gradients)
+    equations = len(values) * (1 + (values.shape[1] if gradients is not None else 0))
+    degrees = (degree,) if degree is not None else _degrees(values.shape[1], equations)
+    if len(values) < 2 or not degrees:
+        raise ValueError(
+            f"{len(values)} of {len(values) + failed} runs reached their end, too few for a "
+            f"surface of {values.shape[1]} variables: take more runs (sample=...)."
+        )
+    polynomials = orthonormal(values, degrees[-1])
+    table = powers(levels(polynomials), degrees[-1], truncation)
+    if degree is not None and len(table) > MOST_SHARE * equations:
+        wanted = int(np.ceil(len(table) / MOST_SHARE * len(values) / equations))
+        raise ValueError(
+            f"a surface of degree {degree} in {values.shape[1]} variables has {len(table)} terms, "
+            f"and {len(values)} runs reached their end; take at least {wanted} runs, or a lower "
+            "degree."
+        )
+    sizes = norms_of(table, truncation)
+    design, aims = _equations(polynomials, table, values, target, slopes)
+    kept = [np.flatnonzero(sizes <= d * (1 + 1e-9)) for d in degrees]
+    fits = [least_squares(design[:, :, own], aims) for own in kept]
+    best = np.argmax([fit.quality for fit in fits], axis=0)
+    coefficients = np.zeros((len(table), len(names)))
+    for i, which in enumerate(best):
+        coefficients[kept[which], i] = fits[which].coefficients[:, i]
+    chosen = [fits[which] for which in best]
+    by_name = lambda numbers: dict(zip(names, numbers, strict=True))
+    return ResponseSurface(
+        problem,
+        polynomials,
+        jnp.asarray(table),
+        by_name(jnp.asarray(coefficients.T)),
+        by_name([float(fit.quality[i]) for i, fit in enumerate(chosen)]),
+        by_name([degrees[which] for which in best]),
+        values,
+        by_name(target.T),
+        by_name([fit.predictions[:, i] for i, fit in enumerate(chosen)]),
+        failed,
+    )
+
+
+def _good(
+    names: tuple[str, ...],
+    values: np.ndarray,
+    found: SampleResult,
+    gradients: dict[str, np.ndarray] | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, int]:
+    """Values (runs, variables), responses (runs, responses) and slopes (runs, variables, responses)
+    of the runs that reached their end, and how many did not."""
+    target = np.stack([np.asarray(found.responses[name], float) for name in names], axis=1)
+    good = (np.asarray(found.outcome) == Outcome.REACHED) & np.isfinite(target).all(axis=1)
+    slopes = None
+    if gradients is not None:
+        slopes = np.stack([gradients[name] for name in names], axis=2)
+        good &= np.isfinite(slopes).all(axis=(1, 2))
+        slopes = slopes[good]
+    return np.asarray(values)[good], target[good], slopes, int((~good).sum())
+
+
+def _degrees(variables: int, equations: int) -> tuple[int, ...]:
+    """Degrees that so many equations determine."""
+    return tuple(
+        d for d in range(1, HIGHEST + 1) if comb(variables + d, d) <= MOST_SHARE * equations
+    )
+
+
+def _equations(
+    polynomials: Any, table: np.ndarray, values: np.ndarray, target: np.ndarray, slopes: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Terms (runs, equations, terms) and what they are to give (runs, equations, responses): the
+    value of each run, and its slopes for one deviation of each variable."""
+    terms = lambda own: products(polynomials, jnp.asarray(table), own)
+    design = np.asarray(jax.jit(jax.vmap(terms))(jnp.asarray(values)))[:, None]
+    aims = target[:, None]
+    if slopes is None:
+        return design, aims
+    scale = np.asarray(polynomials.scale)
+    steep = np.asarray(jax.jit(jax.vmap(jax.jacfwd(terms)))(jnp.asarray(values))) * scale
+    design = np.concatenate([design, np.swapaxes(steep, 1, 2)], axis=1)
+    return design, np.concatenate([aims, slopes * scale[:, None]], axis=1)

@@ -1,0 +1,109 @@
+"""Polynomials of several numbers that are orthonormal over a sample, one number at a time.
+
+Built from the sample itself they serve any distribution, ranges and parts of a few kinds alike: a
+number of which the sample holds m values has no polynomial beyond degree m - 1.
+
+Source: Oladyshkin & Nowak 2012, Reliab. Eng. Syst. Saf. 106, 179, doi:10.1016/j.ress.2012.05.002.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+# A polynomial whose values over the sample are this small beside those before it is none.
+NOTHING = 1e-9
+# More products than this no fit in memory serves.
+MOST_TERMS = 20_000
+
+
+class Polynomials(eqx.Module):
+    """Polynomials p_0 ... p_degree of each variable by their recurrence in the scaled variable s,
+
+    $$ n_{k+1} p_{k+1} = (s - m_k) p_k - n_k p_{k-1}, \\quad p_0 = 1. $$
+
+    `centre` and `scale` (variables,) in the variables' units, `middles` m and `norms` n (degree,
+    variables) [1]; a norm of 0 ends a variable's polynomials.
+    """
+
+    centre: Float[Array, " variables"]
+    scale: Float[Array, " variables"]
+    middles: Float[Array, "degree variables"]
+    norms: Float[Array, "degree variables"]
+
+    def __call__(self, values: Float[Array, " variables"]) -> Float[Array, "terms variables"]:
+        """The polynomials' values, (degree + 1, variables) [1]; differentiable."""
+        s = (values - self.centre) / self.scale
+        found = [jnp.ones_like(s)]
+        below, norm = jnp.zeros_like(s), jnp.zeros_like(s)
+        for middle, size in zip(self.middles, self.norms, strict=True):
+            raised = (s - middle) * found[-1] - norm * below
+            below, norm = found[-1], size
+            found.append(jnp.where(size > 0, raised / jnp.where(size > 0, size, 1.0), 0.0))
+        return jnp.stack(found)
+
+
+def orthonormal(values: np.ndarray, degree: int) -> Polynomials:
+    """The polynomials that are orthonormal over each column of `values` (samples, variables)."""
+    centre, scale = values.mean(axis=0), values.std(axis=0)
+    scale = np.where(scale > NOTHING * np.maximum(abs(centre), np.finfo(float).tiny), scale, 0.0)
+    s = (values - centre) / np.where(scale > 0, scale, 1.0)
+    own, below, norm = np.ones_like(s) * (scale >= 0), np.zeros_like(s), np.zeros(s.shape[1])
+    middles, norms = np.zeros((degree, s.shape[1])), np.zeros((degree, s.shape[1]))
+    for k in range(degree):
+        middles[k] = np.mean(s * own * own, axis=0)
+        raised = (s - middles[k]) * own - norm * below
+        size = np.sqrt(np.mean(raised * raised, axis=0))
+        norms[k] = np.where((size > NOTHING) & (scale > 0), size, 0.0)
+        below, norm = own, norms[k]
+        own = np.where(norm > 0, raised / np.where(norm > 0, norm, 1.0), 0.0)
+    scale = np.where(scale > 0, scale, 1.0)
+    return Polynomials(*(jnp.asarray(part) for part in (centre, scale, middles, norms)))
+
+
+def levels(polynomials: Polynomials) -> np.ndarray:
+    """Highest degree that each variable has, (variables,)."""
+    return np.cumprod(np.asarray(polynomials.norms) > 0, axis=0).sum(axis=0)
+
+
+def powers(highest: np.ndarray, degree: int, truncation: float) -> np.ndarray:
+    """Degrees (terms, variables) of the products with $(\\sum_i a_i^q)^{1/q}$ at most `degree`,
+    lowest first; q is `truncation` (1: all of that total degree; less: fewer mixed ones), and no
+    variable is beyond its own `highest` (variables,). Raises `ValueError` where they are too many.
+
+    Source: Blatman & Sudret 2011, J. Comput. Phys. 230, 2345, doi:10.1016/j.jcp.2010.12.021.
+    """
+    allowed = degree**truncation * (1 + 1e-9)
+    found: list[dict[int, int]] = [{}]
+    sums = [0.0]
+    for variable, most in enumerate(highest):
+        for place in range(len(found)):
+            for power in range(1, int(min(most, degree)) + 1):
+                total = sums[place] + power**truncation
+                if total <= allowed:
+                    found.append(found[place] | {variable: power})
+                    sums.append(total)
+        if len(found) > MOST_TERMS:
+            raise ValueError(
+                f"degree {degree} in {len(highest)} variables has more than {MOST_TERMS} terms; "
+                "take a lower degree, or a truncation below 1."
+            )
+    table = np.zeros((len(found), len(highest)), int)
+    for row, term in zip(table, found, strict=True):
+        row[list(term)] = list(term.values())
+    return table[np.argsort(sums, kind="stable")]
+
+
+def norms_of(table: np.ndarray, truncation: float) -> np.ndarray:
+    """$(\\sum_i a_i^q)^{1/q}$ of each row of `table` (terms, variables)."""
+    return (table.astype(float) ** truncation * (table > 0)).sum(axis=1) ** (1.0 / truncation)
+
+
+def products(
+    polynomials: Polynomials,
+    table: Int[Array, "terms variables"],
+    values: Float[Array, " variables"],
+) -> Float[Array, " terms"]:
+    """The products of polynomials at one set of values; differentiable."""
+    found = polynomials(values)
+    return jnp.prod(found[table, jnp.arange(len(values))], axis=1)

@@ -1,0 +1,81 @@
+"""Polynomials that stand for responses, and how far they can be trusted."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxclear.ground.arguments import check_known
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.surface.polynomials import Polynomials, products
+
+# Below this leave-one-out R2 a surface does not stand for runs.
+TRUSTED = 0.9
+
+
+class ResponseSurface(eqx.Module):
+    """Polynomials in the variables that stand for responses: `surface(values)` takes one set of
+    values (variables,) and gives the responses by name; JAX maps and differentiates it.
+
+    `quality` [1] is the leave-one-out R2 of each response, `degrees` its degree. `values` (runs,
+    variables) and `responses` (runs,) are the runs behind it, `predictions` (runs,) what the others
+    say of each; `failed` counts runs that did not reach their end and are not in it.
+    """
+
+    problem: AbstractProblem
+    polynomials: Polynomials
+    powers: Int[Array, "terms variables"]
+    coefficients: dict[str, Float[Array, " terms"]]
+    quality: dict[str, float]
+    degrees: dict[str, int]
+    values: np.ndarray
+    responses: dict[str, np.ndarray]
+    predictions: dict[str, np.ndarray]
+    failed: int
+
+    def __call__(self, values: Float[Array, " variables"]) -> dict[str, Array]:
+        """The responses by name at one set of values; differentiable."""
+        terms = products(self.polynomials, self.powers, jnp.asarray(values))
+        return {name: terms @ self.coefficients[name] for name in self.problem.response_names}
+
+    def trusted(self, response: str) -> bool:
+        """Whether the surface may stand for runs of a response."""
+        check_known("response", response, self.quality, " of this surface")
+        return self.quality[response] >= TRUSTED
+
+    def error(self, response: str) -> float:
+        """Root mean square of the leave-one-out errors, in the response's unit."""
+        check_known("response", response, self.quality, " of this surface")
+        missed = self.responses[response] - self.predictions[response]
+        return float(np.sqrt(np.mean(missed**2)))
+
+    def sentence(self) -> str:
+        """From how many runs, how good for each response, and where to sample instead."""
+        text = f"Surface of {len(self.problem.names)} variables from {len(self.values)} runs"
+        text += f" ({self.failed} more failed and are left out)." if self.failed else "."
+        for name in self.problem.response_names:
+            text += f' "{name}": degree {self.degrees[name]}, leave-one-out R2 '
+            # 0.99996 is not 1.
+            text += f"{np.floor(1e4 * self.quality[name]) / 1e4:.4f}"
+            low = f", below {TRUSTED}: the surface does not stand for runs; sample instead."
+            text += "." if self.trusted(name) else low
+        return text
+
+    def table(self) -> Any:
+        """A pandas table: one row a response."""
+        import pandas
+
+        rows = [
+            {
+                "response": name,
+                "unit": self.problem.units()[name],
+                "degree": self.degrees[name],
+                "leave-one-out R2": self.quality[name],
+                "leave-one-out error": self.error(name),
+                "stands for runs": self.trusted(name),
+            }
+            for name in self.problem.response_names
+        ]
+        return pandas.DataFrame(rows).set_index("response")

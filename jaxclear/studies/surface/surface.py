@@ -1,0 +1,107 @@
+"""A surface through a few runs that stands for a problem's responses: `jaxclear.surface`.
+
+A polynomial in the variables themselves, not in the standard normal numbers behind them, because
+responses are smooth in dimensions whatever the distribution. How far it can be trusted is told by
+runs that it has not seen, one by one (leave-one-out); below R2 = 0.9 it says that it cannot.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.surface.fitting import fitted
+from jaxclear.studies.surface.polynomials import powers
+from jaxclear.studies.surface.region import Region, check_region, drawn
+from jaxclear.studies.surface.response_surface import ResponseSurface
+
+# Runs for each term of a quadratic surface, and in all, where no number is asked for.
+RUNS_PER_TERM, FEWEST = 3, 32
+
+
+@answering
+def surface(
+    problem: AbstractProblem,
+    sample: int | MonteCarlo | None = None,
+    *,
+    degree: int | None = None,
+    truncation: float = 1.0,
+    over: Region = 1.0,
+    slopes: bool = False,
+    seed: int = 0,
+    progress_bar: bool = False,
+) -> ResponseSurface:
+    """A polynomial surface through a few runs of a problem.
+
+    `sample`: how many runs (by default three for each term of a quadratic), or a Monte Carlo study
+    of the problem that is there. `degree`: of the polynomials; by default that of 1 to 4 which
+    predicts runs best, for each response. `truncation` q in (0, 1]: 1 takes all products of that
+    total degree, less fewer mixed ones (hyperbolic). `over`: where it is fitted: a number widens
+    the spread of the variables so many times, for rare parts; {name: (low, high)} fills ranges of
+    these variables evenly, for nominal values that are to be chosen. `slopes`: take the exact
+    slopes of each run as equations too, which a problem has where no contact opens and closes.
+    Raises `ValueError` for what cannot be asked, and where too few runs reach their end.
+    """
+    expect(problem, AbstractProblem, "what a surface is fitted to", "a problem of jaxclear")
+    if not problem.names:
+        raise ValueError("the problem has no variables; a surface would have none: give it some.")
+    if degree is not None:
+        check_count("degree of surface", degree)
+    check_number("truncation of surface", truncation, above=0, at_most=1)
+    check_count("seed of surface", seed, at_least=0)
+    check_flags("surface", slopes=slopes, progress_bar=progress_bar)
+    check_region(problem, over)
+    why = "; ".join(filter(None, problem.pathwise_limits())) if slopes else ""
+    if why:
+        raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
+    if isinstance(sample, MonteCarlo):
+        found = SampleResult(sample.responses, sample.outcome, sample.ended, sample.checks)
+        values, gradients = sample.values, None
+        if slopes:
+            raise ValueError("a Monte Carlo study has no slopes; give a number of runs instead.")
+    else:
+        count = len(powers(np.full(len(problem.names), 2), 2, truncation))
+        runs = max(RUNS_PER_TERM * count, FEWEST) if sample is None else sample
+        check_count("sample of surface (how many runs, or a Monte Carlo study)", runs)
+        values = drawn(problem, runs, over, seed)
+        found, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
+    return fitted(problem, values, found, degree=degree, truncation=truncation, gradients=gradients)
+
+
+@eqx.filter_jit
+def _with_slopes(problem: AbstractProblem, values: Float[Array, "samples variables"]):
+    """Outcomes of a chunk of samples, and the slopes of their responses, (samples, variables)."""
+
+    def one(own):
+        def responses(at):
+            result = problem.evaluate(at)
+            return result.responses, result
+
+        return jax.jacfwd(responses, has_aux=True)(own)
+
+    return jax.vmap(one)(values)
+
+
+def run(
+    problem: AbstractProblem,
+    values: np.ndarray,
+    *,
+    slopes: bool = False,
+    chunk: int | None = None,
+    progress_bar: bool = False,
+) -> tuple[SampleResult, dict[str, np.ndarray] | None]:
+    """Outcomes at `values` (runs, variables), and where asked for the slopes of each response,
+    (runs, variables)."""
+    options: dict[str, Any] = {"chunk": chunk, "progress_bar": progress_bar, "label": "surface"}
+    if not slopes:
+        return evaluate_all(problem, jnp.asarray(values), **options), None
+    gradients, found = evaluate_all(problem, jnp.asarray(values), function=_with_slopes, **options)  # type: ignore[misc]
+    return found, gradients

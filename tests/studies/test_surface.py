@@ -1,0 +1,157 @@
+"""Surfaces through runs, and statistics that runs correct: against polynomials, refits and closed
+forms.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+import jaxclear as jc
+from jaxclear.studies.surface.polynomials import powers
+from jaxclear.studies.surface.region import drawn
+
+Normal, Uniform = jc.distribution.Normal, jc.distribution.Uniform
+
+
+def responses(a, b, c):
+    return {
+        "polynomial": 1 + 2 * a + 3 * a * b + b**2 - c,
+        "rough": jnp.sin(1e4 * a) + 0 * b,
+        "smooth": jnp.sin(3 * a) * b + c,
+    }
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return jc.FunctionProblem(
+        responses,
+        {
+            "a": jc.Dimension(1.0, Normal(0.1)),
+            "b": jc.Dimension(2.0, Uniform(0.3)),
+            "c": jc.Dimension(0.0, tolerance=0.1),
+        },
+    )
+
+
+@pytest.fixture(scope="module")
+def surface(problem):
+    return jc.surface(problem)
+
+
+def test_a_polynomial_is_met_with_its_derivatives(problem, surface):
+    at = jnp.array([1.05, 2.1, 0.02])
+    exact = lambda values: responses(*values)["polynomial"]
+    found = lambda values: surface(values)["polynomial"]
+    np.testing.assert_allclose(found(at), exact(at), rtol=1e-11)
+    np.testing.assert_allclose(jax.grad(found)(at), jax.grad(exact)(at), rtol=1e-10)
+    np.testing.assert_allclose(jax.hessian(found)(at), jax.hessian(exact)(at), atol=1e-8)
+    many = jax.vmap(surface)(jnp.tile(at, (3, 1)))["polynomial"]
+    np.testing.assert_allclose(many, exact(at), rtol=1e-11)
+
+
+def test_what_is_left_out_is_predicted_as_by_a_fit_without_it(problem):
+    """Against 20 fits by numpy, each without one run."""
+    found = jc.surface(problem, 20, degree=2)
+    x, y = found.values, found.responses["smooth"]
+    design = np.array([[x[i, j] * x[i, k] for j in range(3) for k in range(j, 3)] for i in range(20)])
+    design = np.column_stack([np.ones(20), x, design])
+    for i in range(20):
+        rest = np.arange(20) != i
+        coefficients = np.linalg.lstsq(design[rest], y[rest], rcond=None)[0]
+        assert found.predictions["smooth"][i] == pytest.approx(design[i] @ coefficients, rel=1e-8)
+    means = (y.sum() - y) / 19
+    quality = 1 - np.sum((y - found.predictions["smooth"]) ** 2) / np.sum((y - means) ** 2)
+    assert found.quality["smooth"] == pytest.approx(quality, rel=1e-9)
+
+
+def test_leave_one_out_tells_the_error_on_fresh_runs(problem, surface):
+    fresh = drawn(problem, 256, 1.0, seed=9)
+    said = np.asarray(jax.vmap(surface)(jnp.asarray(fresh))["smooth"])
+    true = np.asarray(responses(*fresh.T)["smooth"])
+    error = np.sqrt(np.mean((said - true) ** 2))
+    assert 0.3 < surface.error("smooth") / error < 3
+
+
+def test_a_rough_response_is_not_trusted_and_says_so(surface):
+    assert surface.trusted("smooth") and not surface.trusted("rough")
+    assert '"rough": degree 1' in surface.sentence()
+    assert "does not stand for runs; sample instead" in surface.sentence()
+    assert list(surface.table()["stands for runs"]) == [True, False, True]
+
+
+def test_slopes_are_equations_too(problem):
+    """Ten terms from five runs with slopes: 20 equations."""
+    found = jc.surface(problem, 5, degree=2, slopes=True)
+    at = jnp.array([1.1, 1.9, 0.01])
+    np.testing.assert_allclose(found(at)["polynomial"], responses(*at)["polynomial"], rtol=1e-9)
+    with pytest.raises(ValueError, match="take at least 15 runs, or a lower degree"):
+        jc.surface(problem, 5, degree=2)
+
+
+def test_ranges_are_filled_whatever_the_distribution(problem):
+    found = jc.surface(problem, over={"a": (0.0, 2.0)}, degree=3)
+    assert found.values[:, 0].min() < 0.1 and found.values[:, 0].max() > 1.9
+    assert abs(found.values[:, 1] - 2.0).max() <= 0.3
+
+
+def test_failed_runs_are_left_out_and_counted():
+    broken = jc.FunctionProblem(
+        lambda a: jnp.where(a > 0.5, jnp.nan, a**2), {"a": jc.Dimension(0.0, Normal(1.0))}
+    )
+    found = jc.surface(broken, 64, degree=2)
+    assert 10 < found.failed < 30 and len(found.values) == 64 - found.failed
+    assert f"({found.failed} more failed and are left out)" in found.sentence()
+    assert found(jnp.array([-1.0]))["response"] == pytest.approx(1.0)
+
+
+def test_fewer_mixed_terms_where_truncated():
+    full, few = (powers(np.full(4, 3), 3, q) for q in (1.0, 0.5))
+    assert len(full) == 35  # (4 + 3)! / (4! 3!)
+    assert len(few) == 13 and (np.count_nonzero(few, axis=1) <= 1).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"sample": 3}, "3 of 3 runs reached their end, too few"),
+        ({"over": {"x": (0, 1)}}, 'no variable "x" in this problem'),
+        ({"over": {"a": (1, 0)}}, "two finite numbers, low and high"),
+        ({"degree": 0}, "a whole number, at least 1"),
+        ({"truncation": 1.5}, "truncation of surface is 1.5"),
+    ],
+)
+def test_what_cannot_be_asked_gets_a_sentence(problem, given, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        jc.surface(problem, **given)
+
+
+def test_corrected_intervals_hold_the_closed_form():
+    """Lognormal response: mean, deviation and probability are known. 95 % intervals hold in 30 of
+    40 repetitions at the least (binomial: fewer than 1 in 1000 times at 91 %)."""
+    variance = 0.2**2 + (0.5 * 0.3) ** 2
+    mean = np.exp(2 + variance / 2)
+    probability = 1 - ndtr((np.log(10.0) - 2) / np.sqrt(variance))
+    problem = jc.FunctionProblem(
+        lambda a, b: {"q": jnp.exp(a + 0.5 * b), "rough": jnp.sin(30 * a)},
+        {"a": jc.Dimension(1.0, Normal(0.2)), "b": jc.Dimension(2.0, Normal(0.3))},
+    )
+    surface, held = jc.surface(problem, degree=2), np.zeros(2)
+    limit = {"big": jc.limit_state.Above("q", 10.0)}
+    for seed in range(40):
+        found = jc.corrected(surface, 16, seed=seed, limits=limit)
+        one, rare = found.means["q"], found.probabilities["big"]
+        held += abs(one.value - mean) < one.error, abs(rare.value - probability) < rare.error
+    assert held[0] >= 30 and held[1] >= 30
+    assert one.gain > 10, "the surface must carry what it explains"
+    assert found.means["rough"].gain == 1.0 and "its numbers are sampled" in found.sentence()
+
+
+def test_a_system_fails_by_its_cut_sets():
+    above = [jc.limit_state.Above(name, 0.0) for name in "abcd"]
+    system = jc.limit_state.Series(
+        jc.limit_state.Parallel(above[0], jc.limit_state.Series(above[1], above[2])), above[3]
+    )
+    assert {tuple(sorted(cut)) for cut in system.cut_sets()} == {(0, 1), (0, 2), (3,)}
+    assert system.words() == "(a above 0 and (b above 0 or c above 0)) or d above 0"
