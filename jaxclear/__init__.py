@@ -44,7 +44,7 @@ from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import SimulationError, simulate
-from jaxclear.studies import distribution
+from jaxclear.studies import distribution, limit_state
 from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
@@ -56,6 +56,8 @@ from jaxclear.studies.life.wear_life import wear_life
 from jaxclear.studies.monte_carlo import monte_carlo
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
+from jaxclear.studies.surface.correction import corrected
+from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.variable import Variable
 
 from jaxclear import scenes  # isort: skip
@@ -92,12 +94,14 @@ __all__ = [
     "clearance",
     "complementarity",
     "contact",
+    "corrected",
     "distribution",
     "drive",
     "formulation",
     "friction",
     "integrator",
     "joint",
+    "limit_state",
     "load",
     "material",
     "mesh",
@@ -112,6 +116,7 @@ __all__ = [
     "settled",
     "simulate",
     "stiffness",
+    "surface",
     "vector",
     "wear",
     "wear_life",

@@ -55,7 +55,8 @@ def test_what_is_left_out_is_predicted_as_by_a_fit_without_it(problem):
     """Against 20 fits by numpy, each without one run."""
     found = jc.surface(problem, 20, degree=2)
     x, y = found.values, found.responses["smooth"]
-    design = np.array([[x[i, j] * x[i, k] for j in range(3) for k in range(j, 3)] for i in range(20)])
+    pairs = [(j, k) for j in range(3) for k in range(j, 3)]
+    design = np.column_stack([x[:, j] * x[:, k] for j, k in pairs])
     design = np.column_stack([np.ones(20), x, design])
     for i in range(20):
         rest = np.arange(20) != i

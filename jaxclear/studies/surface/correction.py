@@ -168,7 +168,7 @@ def _of_normal(surface: ResponseSurface, normal: np.ndarray) -> dict[str, np.nda
 
 def _fails(limit: AbstractLimitState, responses: dict[str, np.ndarray]) -> np.ndarray:
     """1 where a sample fails, else 0, (samples,)."""
-    margins = np.asarray(jax.vmap(limit.margins)(responses))
+    margins = np.asarray(jax.vmap(limit.margins)(jax.tree.map(jnp.asarray, responses)))
     return (system_margin(margins, limit.cut_sets()) < 0).astype(float)
 
 
@@ -181,10 +181,11 @@ def _weights(surface: ResponseSurface, name: str) -> tuple[float, float]:
     middle = said.mean()
     pairs = [(runs, said), ((runs - middle) ** 2, (said - middle) ** 2)]
     spreads = [said_.var() for _, said_ in pairs]
-    return tuple(
+    first, second = (
         float(np.mean((a - a.mean()) * (b - b.mean())) / spread) if spread > 0 else 0.0
         for (a, b), spread in zip(pairs, spreads, strict=True)
     )
+    return first, second
 
 
 def _block_means(numbers: np.ndarray, good: np.ndarray, blocks: int) -> np.ndarray:

@@ -63,7 +63,8 @@ def surface(
     if why:
         raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
     if isinstance(sample, MonteCarlo):
-        found = SampleResult(sample.responses, sample.outcome, sample.ended, sample.checks)
+        ends = jnp.asarray(sample.outcome), jnp.asarray(sample.ended)
+        found = SampleResult(jax.tree.map(jnp.asarray, sample.responses), *ends, sample.checks)
         values, gradients = sample.values, None
         if slopes:
             raise ValueError("a Monte Carlo study has no slopes; give a number of runs instead.")
@@ -103,5 +104,5 @@ def run(
     options: dict[str, Any] = {"chunk": chunk, "progress_bar": progress_bar, "label": "surface"}
     if not slopes:
         return evaluate_all(problem, jnp.asarray(values), **options), None
-    gradients, found = evaluate_all(problem, jnp.asarray(values), function=_with_slopes, **options)  # type: ignore[misc]
-    return found, gradients
+    both: Any = evaluate_all(problem, jnp.asarray(values), function=_with_slopes, **options)
+    return both[1], both[0]
