@@ -22,7 +22,7 @@ from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
-from jaxclear.studies.surface.drawing import scrambled_normal, values_of
+from jaxclear.studies.surface.drawing import all_values, scrambled_normal, values_of
 from jaxclear.studies.surface.response_surface import ResponseSurface
 
 # Evaluations of the surface: so many scramblings of so many points, so many at once.
@@ -114,7 +114,7 @@ def corrected(
     for limit in limits.values():
         check_limit(limit, problem.response_names, "corrected")
     normal = _blocks(scramblings, samples, len(problem.names), [seed, 0])
-    values = jax.vmap(lambda z: values_of(problem, z))(jnp.asarray(np.concatenate(normal)))
+    values = jnp.asarray(all_values(problem, np.concatenate(normal)))
     found = evaluate_all(problem, values, chunk=chunk, progress_bar=progress_bar, label="corrected")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
     finite = np.all([np.isfinite(own[name]) for name in own], axis=0)
@@ -168,7 +168,7 @@ def _of_normal(surface: ResponseSurface, normal: np.ndarray) -> dict[str, np.nda
 
 def _fails(limit: AbstractLimitState, responses: dict[str, np.ndarray]) -> np.ndarray:
     """1 where a sample fails, else 0, (samples,)."""
-    margins = np.asarray(jax.vmap(limit.margins)(jax.tree.map(jnp.asarray, responses)))
+    margins = np.stack([np.asarray(own.margin(responses)) for own in limit.limits()], axis=1)
     return (system_margin(margins, limit.cut_sets()) < 0).astype(float)
 
 

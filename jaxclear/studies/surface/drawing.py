@@ -4,6 +4,8 @@ Every study of rare parts works in standard normal numbers: there, how far a par
 middle is how rare it is, whatever the distributions.
 """
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
@@ -26,6 +28,16 @@ def values_of(
         for name, z in zip(problem.names, normal, strict=True)
     ]
     return problem.nominal() + jnp.stack(columns)
+
+
+@eqx.filter_jit
+def _values(problem, normal):
+    return jax.vmap(lambda z: values_of(problem, z))(normal)
+
+
+def all_values(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
+    """Values (samples, variables) that standard normal numbers (samples, variables) stand for."""
+    return np.array(_values(problem, jnp.asarray(normal)))
 
 
 def scrambled_normal(count: int, variables: int, rng: np.random.Generator) -> np.ndarray:

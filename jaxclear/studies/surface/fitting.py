@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.surface.fit import least_squares
+from jaxclear.studies.surface.fit import Fit, least_squares
 from jaxclear.studies.surface.polynomials import levels, norms_of, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
 
@@ -52,27 +52,35 @@ def fitted(
             "degree."
         )
     sizes = norms_of(table, truncation)
-    design, aims = _equations(polynomials, table, values, target, slopes)
     kept = [np.flatnonzero(sizes <= d * (1 + 1e-9)) for d in degrees]
-    fits = [least_squares(design[:, :, own], aims) for own in kept]
-    best = np.argmax([fit.quality for fit in fits], axis=0)
-    coefficients = np.zeros((len(table), len(names)))
-    for i, which in enumerate(best):
-        coefficients[kept[which], i] = fits[which].coefficients[:, i]
-    chosen = [fits[which] for which in best]
+    system = _equations(polynomials, table, values, target, slopes)
+    coefficients, chosen, which = _best(*system, kept)
     by_name = lambda numbers: dict(zip(names, numbers, strict=True))
     return ResponseSurface(
         problem,
         polynomials,
         jnp.asarray(table),
-        by_name(jnp.asarray(coefficients.T)),
+        by_name(jnp.asarray(coefficients)),
         by_name([float(fit.quality[i]) for i, fit in enumerate(chosen)]),
-        by_name([degrees[which] for which in best]),
+        by_name([degrees[best] for best in which]),
         values,
         by_name(target.T),
         by_name([fit.predictions[:, i] for i, fit in enumerate(chosen)]),
         failed,
     )
+
+
+def _best(
+    design: np.ndarray, aims: np.ndarray, kept: list[np.ndarray]
+) -> tuple[np.ndarray, list[Fit], np.ndarray]:
+    """For each response the fit that predicts runs best: coefficients (responses, terms), the fits,
+    and their places in `kept`, which are the terms of each."""
+    fits = [least_squares(design[:, :, own], aims) for own in kept]
+    best = np.argmax([fit.quality for fit in fits], axis=0)
+    coefficients = np.zeros((len(best), design.shape[2]))
+    for i, which in enumerate(best):
+        coefficients[i, kept[which]] = fits[which].coefficients[:, i]
+    return coefficients, [fits[which] for which in best], best
 
 
 def _good(

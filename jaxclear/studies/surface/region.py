@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
+from scipy.special import ndtr
 
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.surface.drawing import scrambled_normal, values_of
+from jaxclear.studies.surface.drawing import all_values, scrambled_normal
 
 # So many times the spread of the variables, or ranges by name.
 Region = float | Mapping[str, tuple[float, float]]
@@ -20,9 +19,9 @@ def drawn(problem: AbstractProblem, runs: int, over: Region, seed: int) -> np.nd
     rng = np.random.default_rng(seed)
     normal = scrambled_normal(runs, len(problem.names), rng)
     wide = normal if isinstance(over, Mapping) else over * normal
-    values = np.array(jax.vmap(lambda z: values_of(problem, z))(jnp.asarray(wide)))
+    values = all_values(problem, wide)
     for name, (low, high) in (over if isinstance(over, Mapping) else {}).items():
-        share = np.asarray(jax.scipy.special.ndtr(normal[:, problem.names.index(name)]))
+        share = ndtr(normal[:, problem.names.index(name)])
         values[:, problem.names.index(name)] = low + (high - low) * share
     return values
 
