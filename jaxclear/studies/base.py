@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.integrators import Checks
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
+from jaxclear.studies.inputs import Inputs, joint
 
 __all__ = [
     "AbstractProblem",
@@ -61,12 +62,21 @@ def one_distribution(
 
 class AbstractProblem(AbstractQuantified):
     """Numbers that vary, in the order of `names`, and the responses wanted of them, in the order of
-    `response_names`."""
+    `response_names`. `correlation` (variables, variables) [1] of the variables' normal scores is
+    None where all are independent."""
 
     variables: eqx.AbstractVar[dict[str, Any]]
     names: eqx.AbstractVar[tuple[str, ...]]
     response_names: eqx.AbstractVar[tuple[str, ...]]
     variable_units: eqx.AbstractVar[tuple[str, ...]]
+    correlation: eqx.AbstractVar[Any]
+
+    @property
+    def inputs(self) -> Inputs:
+        """The joint distribution of the variables: `values(normal)` from independent standard
+        normal numbers, and `normal(values)`."""
+        own = [self.variables[name].distribution for name in self.names]
+        return joint(self.names, own, self.nominal(), self.correlation)
 
     @abstractmethod
     def nominal(self) -> Float[Array, " variables"]:

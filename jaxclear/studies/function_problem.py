@@ -13,7 +13,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.ground.precision import check_double_precision
@@ -30,6 +30,7 @@ from jaxclear.studies.base import (
 )
 from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.distribution import AbstractDistribution
+from jaxclear.studies.inputs import correlation_matrix
 
 __all__ = ["Dimension", "FunctionProblem"]
 
@@ -82,11 +83,13 @@ class FunctionProblem(AbstractProblem):
     differentiate (`jax.numpy` instead of `math` and `numpy`). `variables`: a
     `jaxclear.Dimension` each. `units`: of what is returned, one text or a dictionary by name, by
     default that of the variables where they share one, else "1". A sample whose response is not
-    finite has failed. Raises `ValueError` with a sentence for what cannot be asked.
+    finite has failed. `correlation` [1] of the variables' normal scores: {("first", "second"):
+    0.5}, or a matrix. Raises `ValueError` with a sentence for what cannot be asked.
     """
 
     function: Callable[..., Any]
     variables: dict[str, Dimension]
+    correlation: Float[Array, "variables variables"] | None
     names: tuple[str, ...] = eqx.field(static=True)
     response_names: tuple[str, ...] = eqx.field(static=True)
     variable_units: tuple[str, ...] = eqx.field(static=True)
@@ -100,6 +103,7 @@ class FunctionProblem(AbstractProblem):
         variables: Mapping[str, Dimension],
         *,
         units: str | Mapping[str, str] | None = None,
+        correlation: Any = None,
     ):
         check_double_precision()
         if not callable(function) or isinstance(function, type):
@@ -113,6 +117,7 @@ class FunctionProblem(AbstractProblem):
             expect(variable, Dimension, f'variable "{name}"', "a jaxclear.Dimension")
         self.function, self.variables = function, dict(variables)
         self.names = tuple(variables)
+        self.correlation = correlation_matrix(correlation, self.names)
         self.variable_units = tuple(variable.unit for variable in variables.values())
         _check_names(function, self.names)
         at = {name: variable.nominal for name, variable in variables.items()}

@@ -31,7 +31,7 @@ def first_difference(one: AbstractProblem, other: AbstractProblem) -> str:
         return f"it is a {type(one).__name__}, not a {type(other).__name__}"
     others_parts = other.parts()
     for what, part in one.parts().items():
-        found = _difference(part, others_parts[what], what)
+        found = _difference(part, others_parts.get(what), what)
         if found:
             return found
     for name in one.names:
@@ -39,7 +39,7 @@ def first_difference(one: AbstractProblem, other: AbstractProblem) -> str:
         found = _difference(mine, others, f'distribution of "{name}"')
         if found:
             return found
-    return ""
+    return _difference(one.correlation, other.correlation, "correlation of the variables")
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -110,6 +110,8 @@ def in_texts(problem: AbstractProblem) -> dict[str, str]:
         _tell(part, what, found)
     for name in problem.names:
         _tell(problem.variables[name].distribution, f'distribution of "{name}"', found)
+    if problem.correlation is not None:
+        _tell(problem.correlation, "correlation of the variables", found)
     return found
 
 

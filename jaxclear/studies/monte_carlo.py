@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import ndtri
 from scipy.stats import qmc
 
 from jaxclear.ground.answering import answering
@@ -173,13 +174,7 @@ def draw(problem: AbstractProblem, samples: int, seed: int, sampling: str = "sob
     else:
         shares = np.random.default_rng(seed).random((samples, count))
     shares = np.clip(shares, 1e-12, 1 - 1e-12)
-    nominal = np.asarray(problem.nominal())
-    columns = [
-        nominal[i]
-        + np.asarray(problem.variables[name].distribution.quantile(jnp.asarray(shares[:, i])))
-        for i, name in enumerate(problem.names)
-    ]
-    return np.stack(columns, axis=1)
+    return np.asarray(problem.inputs.values(ndtri(jnp.asarray(shares))))
 
 
 @answering

@@ -40,8 +40,16 @@ from jaxclear.simulation.simulate import check_duration, check_run, run, saving_
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.base import AbstractProblem, SampleResult, is_one_number, stacked
 from jaxclear.studies.batch import sample_of_chunk
+from jaxclear.studies.inputs import correlation_matrix
 from jaxclear.studies.usual_integrator import usual_integrator
-from jaxclear.studies.variable import Variable, check_apart, check_variable, leaves_of
+from jaxclear.studies.variable import (
+    Variable,
+    check_apart,
+    check_derived,
+    check_variable,
+    leaves_of,
+    with_derived,
+)
 
 # Histories that a response may build from the saved states, in multiples of these.
 HISTORY_FACTOR = 12
@@ -59,8 +67,8 @@ class Problem(AbstractProblem):
     batches and derivatives want: `FixedStep()`, or an `ImplicitStep` where friction would answer
     faster than such steps resolve; `why_integrator` says so. `save`: saving times, as in
     `simulate`; `shares` [1] are they, as shares of the duration. `state`: where its runs begin, as
-    in `simulate`. Raises `ValueError` with a
-    sentence for what cannot be asked.
+    in `simulate`. `correlation` [1] of the variables' normal scores: {("first", "second"): 0.5}, or
+    a matrix. Raises `ValueError` with a sentence for what cannot be asked.
     """
 
     mechanism: Mechanism
@@ -71,6 +79,7 @@ class Problem(AbstractProblem):
     integrator: AbstractIntegrator
     state: State
     past: Past
+    correlation: Float[Array, "variables variables"] | None
     # JAX sorts the keys of a dictionary; the order in which things were given is kept here.
     names: tuple[str, ...] = eqx.field(static=True)
     response_names: tuple[str, ...] = eqx.field(static=True)
@@ -91,6 +100,7 @@ class Problem(AbstractProblem):
         integrator: AbstractIntegrator | None = None,
         save: Any = 201,
         state: State | None = None,
+        correlation: Any = None,
     ):
         check_double_precision()
         self.mechanism = mechanism
@@ -102,6 +112,7 @@ class Problem(AbstractProblem):
         self.integrator, self.why_integrator = usual
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
+        self.correlation = correlation_matrix(correlation, self.names)
         check_run(mechanism, self.integrator)
         check_steps(integrator, times)
         seen = self.integrator.formulation.seen(mechanism)
@@ -111,20 +122,11 @@ class Problem(AbstractProblem):
         if motion is None:
             self.determined, seen = determined(seen, self.state.concentric)
         self.redundancy = seen.topology.redundancy if motion is None else motion.redundancy
-        for name, wanted in self.response.items():
-            if not callable(wanted) or isinstance(wanted, type):
-                hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
-                raise ValueError(
-                    f'response "{name}" is {described(wanted)}; it must be a function of a '
-                    f"trajectory, such as one of jaxclear.response{hint}."
-                )
-            if name in self.variables:
-                raise ValueError(
-                    f'"{name}" names a variable and a response; give them different names.'
-                )
+        _check_responses(self.response, self.variables)
         known = [(leaf, metadata.get("unit", "1")) for _, leaf, metadata in numbers(mechanism)]
         for name, variable in self.variables.items():
             check_variable(name, variable, mechanism)
+        check_derived(mechanism, self.variables)
         check_apart({name: self._leaves(v) for name, v in self.variables.items()})
         firsts = [self._leaves(variable)[0] for variable in self.variables.values()]
         self.variable_units = tuple(
@@ -144,14 +146,15 @@ class Problem(AbstractProblem):
 
     def with_values(self, values: Float[Array, " variables"]) -> Mechanism:
         """The mechanism with its variables set. Leaves that vary together move by the same
-        amount. Coordinates of the start that the loops determine become guesses."""
+        amount; derived numbers follow. Coordinates of the start that the loops determine become
+        guesses."""
         mechanism = self.mechanism
         for name, value in zip(self.names, values, strict=True):
             variable = self.variables[name]
             old = self._leaves(variable)
             new = [leaf + (value - old[0]) for leaf in old]
             mechanism = eqx.tree_at(leaves_of(variable), mechanism, new)
-        return loosened(mechanism, self.determined)
+        return loosened(with_derived(mechanism, self.variables), self.determined)
 
     def seen(self, values: Float[Array, " variables"]) -> Mechanism:
         """The mechanism of one set of values as it is simulated."""
@@ -246,7 +249,8 @@ class Problem(AbstractProblem):
             for name, variable in self.variables.items()
         }
         told = ("mechanism", "response", "duration", "shares", "integrator", "state")
-        return {what: getattr(self, what) for what in told} | places
+        derived = {f'what "{n}" derives': v.derived for n, v in self.variables.items() if v.derived}
+        return {what: getattr(self, what) for what in told} | places | derived
 
 
 @eqx.filter_jit
@@ -265,6 +269,21 @@ def _by_name(what: str, given: Any) -> dict[str, Any]:
     for name in given:
         expect(name, str, f"a name in {what} of a Problem", "a text")
     return dict(given)
+
+
+def _check_responses(responses: dict[str, Any], variables: dict[str, Any]) -> None:
+    """What is wanted of a run, by names that no variable has."""
+    for name, wanted in responses.items():
+        if not callable(wanted) or isinstance(wanted, type):
+            hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
+            raise ValueError(
+                f'response "{name}" is {described(wanted)}; it must be a function of a '
+                f"trajectory, such as one of jaxclear.response{hint}."
+            )
+        if name in variables:
+            raise ValueError(
+                f'"{name}" names a variable and a response; give them different names.'
+            )
 
 
 def _one_number(name: str, value: Any) -> Array:

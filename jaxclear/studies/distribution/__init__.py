@@ -1,0 +1,32 @@
+"""How a dimension varies about its nominal value, `jaxclear.distribution`.
+
+A distribution is told by its `quantile`: a share u in (0, 1) gives the deviation from nominal, so
+any sampling of the unit cube serves every distribution. Those of closed form are in `closed_forms`
+and `discrete`; `tabulated` has beta distributions and all of scipy's. A new one is a subclass of
+`AbstractDistribution` with `quantile` and `deviation`.
+"""
+
+from jaxclear.ground.answering import nothing_else
+from jaxclear.studies.distribution.base import AbstractDistribution
+from jaxclear.studies.distribution.closed_forms import (
+    Lognormal,
+    Normal,
+    Triangular,
+    TruncatedNormal,
+    Uniform,
+)
+from jaxclear.studies.distribution.discrete import Discrete
+from jaxclear.studies.distribution.tabulated import Beta, FromScipy
+
+__all__ = [
+    "AbstractDistribution",
+    "Beta",
+    "Discrete",
+    "FromScipy",
+    "Lognormal",
+    "Normal",
+    "Triangular",
+    "TruncatedNormal",
+    "Uniform",
+]
+__getattr__ = nothing_else("jaxclear.distribution", __all__)

@@ -1,0 +1,79 @@
+"""What every distribution answers: deviations from shares, from standard normal scores, and back.
+
+Scores are what studies draw, correlate and search in: `of_score` is the deviation whose share is
+that of a standard normal variable, and keeps its accuracy in both tails.
+"""
+
+from abc import abstractmethod
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+from jaxtyping import Array, Float
+
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.quantity import AbstractQuantified, Scalar
+
+# What a distribution describes tells its unit.
+UNIT = "(in the varied number's unit)"
+# Shares of double precision lie within these scores: ndtr(-8.3) = 5e-17.
+LARGEST_SCORE = 8.3
+# Halvings of the range of scores before one step of Newton: 17 / 2^52 is rounding.
+HALVINGS = 52
+# Where a distribution is asked whether it ends: one part in 1e9 lies beyond.
+END_SCORE = 6.0
+# A density [1/standard deviation] below this at its end moves no mean that a sample could see.
+LEAST_END_DENSITY = 1e-4
+
+
+class AbstractDistribution(AbstractQuantified):
+    """Deviation of a number from its nominal value, in the number's own unit."""
+
+    @abstractmethod
+    def quantile(self, share: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Deviation below which the given share of parts lies."""
+
+    @abstractmethod
+    def deviation(self) -> Scalar:
+        """Standard deviation."""
+
+    def of_score(self, score: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Deviation whose share is that of a standard normal score [1]; JAX differentiates it."""
+        return self.quantile(ndtr(score))
+
+    def score(self, deviation: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Standard normal score [1] of a deviation, the inverse of `of_score`; within +-8.3, and
+        differentiable once."""
+        wanted = jax.lax.stop_gradient(deviation)
+
+        def halved(_, span):
+            low, high = span
+            middle = 0.5 * (low + high)
+            above = self.of_score(middle) > wanted
+            return jnp.where(above, low, middle), jnp.where(above, middle, high)
+
+        edge = jnp.full(jnp.shape(deviation), LARGEST_SCORE)
+        low, high = jax.lax.fori_loop(0, HALVINGS, halved, (-edge, edge))
+        found = jax.lax.stop_gradient(0.5 * (low + high))
+        value, slope = jax.jvp(self.of_score, (found,), (jnp.ones_like(found),))
+        return found + safe_divide(deviation - value, slope)
+
+    def width(self) -> tuple[str, Scalar]:
+        """The number by which its width is told, and that number's name: what becomes twice as
+        large where all deviations do."""
+        return "standard deviation", self.deviation()
+
+    def is_continuous(self) -> bool:
+        """Whether it has a density: every deviation between its ends occurs."""
+        return True
+
+    def end_densities(self) -> tuple[float, float]:
+        """Density [1/unit] at its lower and upper end; 0 where it has no end, or falls to nothing
+        there."""
+        ends = jnp.array([-END_SCORE, END_SCORE])
+        _, slopes = jax.jvp(self.of_score, (ends,), (jnp.ones(2),))
+        with np.errstate(divide="ignore"):
+            found = np.exp(-0.5 * END_SCORE**2) / np.sqrt(2 * np.pi) / np.asarray(slopes)
+        found = np.where(found * float(self.deviation()) > LEAST_END_DENSITY, found, 0.0)
+        return float(found[0]), float(found[1])

@@ -1,0 +1,138 @@
+"""Distributions whose quantile is a formula."""
+
+import jax.numpy as jnp
+from jax.scipy.special import ndtr, ndtri
+
+from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.studies.distribution.base import UNIT, AbstractDistribution
+
+
+class Normal(AbstractDistribution):
+    """Normal distribution about nominal."""
+
+    standard_deviation: Scalar = quantity(unit=UNIT, meaning="standard deviation", above=0)
+
+    def quantile(self, share):
+        return self.standard_deviation * ndtri(share)
+
+    def of_score(self, score):
+        return self.standard_deviation * score
+
+    def score(self, deviation):
+        return deviation / self.standard_deviation
+
+    def deviation(self):
+        return self.standard_deviation
+
+
+class Uniform(AbstractDistribution):
+    """Equally likely within +- half_width of nominal."""
+
+    half_width: Scalar = quantity(unit=UNIT, meaning="largest deviation", above=0)
+
+    def quantile(self, share):
+        return self.half_width * (2.0 * share - 1.0)
+
+    def score(self, deviation):
+        # From the nearer end, where the share has digits left.
+        upper, ratio = deviation > 0, deviation / self.half_width
+        found = ndtri(0.5 * (1.0 + jnp.where(upper, -ratio, ratio)))
+        return jnp.where(upper, -found, found)
+
+    def deviation(self):
+        return self.half_width / 3.0**0.5
+
+    def width(self):
+        return "half width", self.half_width
+
+
+class TruncatedNormal(AbstractDistribution):
+    """Normal distribution of which only what lies within +- bound of nominal is accepted (inspected
+    parts).
+    """
+
+    standard_deviation: Scalar = quantity(
+        unit=UNIT, meaning="standard deviation before inspection", above=0
+    )
+    bound: Scalar = quantity(unit=UNIT, meaning="largest accepted deviation", above=0, kw_only=True)
+
+    def quantile(self, share):
+        low = ndtr(-self.bound / self.standard_deviation)
+        return self.standard_deviation * ndtri(low + share * (1.0 - 2.0 * low))
+
+    def of_score(self, score):
+        # Of the lower half and mirrored: a share near 1 has no digits left for what lies beyond.
+        low = ndtr(-self.bound / self.standard_deviation)
+        upper = score > 0
+        share = low + ndtr(jnp.where(upper, -score, score)) * (1.0 - 2.0 * low)
+        found = self.standard_deviation * ndtri(share)
+        return jnp.where(upper, -found, found)
+
+    def deviation(self):
+        ratio = self.bound / self.standard_deviation
+        density = jnp.exp(-0.5 * ratio * ratio) / jnp.sqrt(2.0 * jnp.pi)
+        inside = 1.0 - 2.0 * ndtr(-ratio)
+        return self.standard_deviation * jnp.sqrt(1.0 - 2.0 * ratio * density / inside)
+
+    def width(self):
+        return "tolerance", self.bound
+
+
+class Lognormal(AbstractDistribution):
+    """A positive number whose logarithm is normal, as surfaces' roughness and wear coefficients
+    are: deviation = median (exp(s z) - 1) with z standard normal.
+
+    With the nominal value for `median` the number itself is nominal times exp(s z).
+    """
+
+    median: Scalar = quantity(
+        unit=UNIT, meaning="median of the number whose logarithm is normal", above=0
+    )
+    spread: Scalar = quantity(
+        unit="1", meaning="s, standard deviation of the logarithm", above=0, kw_only=True
+    )
+
+    def quantile(self, share):
+        return self.of_score(ndtri(share))
+
+    def of_score(self, score):
+        return self.median * jnp.expm1(self.spread * score)
+
+    def score(self, deviation):
+        return jnp.log1p(deviation / self.median) / self.spread
+
+    def deviation(self):
+        square = self.spread * self.spread
+        return self.median * jnp.exp(0.5 * square) * jnp.sqrt(jnp.expm1(square))
+
+
+class Triangular(AbstractDistribution):
+    """Density that rises in a line from `low` to `mode` and falls in one to `high`."""
+
+    low: Scalar = quantity(unit=UNIT, meaning="smallest deviation", kw_only=True)
+    high: Scalar = quantity(unit=UNIT, meaning="largest deviation", kw_only=True)
+    mode: Scalar = quantity(0.0, UNIT, "most likely deviation", kw_only=True)
+
+    def __check_init__(self):
+        if not self.low < self.high or not self.low <= self.mode <= self.high:
+            raise ValueError(
+                f"distribution.Triangular has low = {self.low:g}, mode = {self.mode:g}, high = "
+                f"{self.high:g}; they must be in this order, low below high."
+            )
+
+    def quantile(self, share):
+        return self._of_shares(share, 1.0 - share)
+
+    def of_score(self, score):
+        return self._of_shares(ndtr(score), ndtr(-score))
+
+    def _of_shares(self, below, above):
+        span = self.high - self.low
+        rising = below * span < self.mode - self.low
+        up = self.low + safe_sqrt(below * span * (self.mode - self.low))
+        return jnp.where(rising, up, self.high - safe_sqrt(above * span * (self.high - self.mode)))
+
+    def deviation(self):
+        a, b, c = self.low, self.high, self.mode
+        return jnp.sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18.0)

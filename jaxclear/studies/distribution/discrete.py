@@ -1,0 +1,64 @@
+"""Numbers that come in a few sizes: gauges, shims, classes of a selective fit."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtri
+
+from jaxclear.ground.quantity import vector
+from jaxclear.ground.wording import described
+from jaxclear.studies.distribution.base import UNIT, AbstractDistribution
+
+
+class Discrete(AbstractDistribution):
+    """One of a few deviations, each with its share of the parts.
+
+    `shares` [1] are brought to a sum of 1; by default all are equal. A deviation's score is that of
+    the middle of its share. It has no density and no slope: derivatives by scores are refused.
+    """
+
+    deviations: Any = vector(unit=UNIT, meaning="deviations that occur, rising")
+    shares: Any = vector(None, meaning="how often each occurs, as shares of all parts")
+
+    def __check_init__(self):
+        sizes = np.asarray(self.deviations, float)
+        if len(sizes) < 2 or np.any(np.diff(sizes) <= 0):
+            raise ValueError(
+                f"distribution.Discrete has deviations = {described(sizes.tolist())}; it must be "
+                "two or more numbers that rise."
+            )
+        if self.shares is not None:
+            shares = np.asarray(self.shares, float)
+            if len(shares) != len(sizes) or np.any(shares < 0) or shares.sum() <= 0:
+                raise ValueError(
+                    f"distribution.Discrete has {len(shares)} shares for {len(sizes)} deviations; "
+                    "it needs one for each, none negative and not all zero."
+                )
+
+    def _table(self):
+        sizes = jnp.stack(self.deviations)
+        shares = jnp.ones(len(sizes)) if self.shares is None else jnp.stack(self.shares)
+        return sizes, jnp.cumsum(shares / shares.sum())
+
+    def quantile(self, share):
+        sizes, upper = self._table()
+        return sizes[jnp.searchsorted(upper[:-1], share, side="right")]
+
+    def score(self, deviation):
+        sizes, upper = self._table()
+        lower = jnp.concatenate([jnp.zeros(1), upper[:-1]])
+        place = jnp.argmin(jnp.abs(sizes - jnp.asarray(deviation)[..., None]), axis=-1)
+        return ndtri(0.5 * (lower + upper))[place]
+
+    def deviation(self):
+        sizes, upper = self._table()
+        shares = jnp.diff(upper, prepend=0.0)
+        mean = jnp.sum(shares * sizes)
+        return jnp.sqrt(jnp.sum(shares * (sizes - mean) ** 2))
+
+    def is_continuous(self):
+        return False
+
+    def end_densities(self):
+        return 0.0, 0.0

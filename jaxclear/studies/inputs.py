@@ -1,0 +1,147 @@
+"""The joint distribution of what varies: standard normal numbers become values, and values standard
+normal numbers.
+
+Each variable follows its own distribution; how they depend on each other is a Gaussian copula: the
+variables' normal scores are correlated, and each score gives its variable's deviation.
+Studies draw, search and differentiate in independent standard normal numbers.
+
+Source: Nataf's model: Der Kiureghian & Liu 1986, J. Eng. Mech. 112, 85,
+doi:10.1061/(ASCE)0733-9399(1986)112:1(85).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.wording import described
+from jaxclear.studies.distribution import AbstractDistribution
+
+# Correlation matrices whose smallest eigenvalue is below this make numbers of each other.
+LEAST_EIGENVALUE = 1e-10
+
+
+class Inputs(eqx.Module):
+    """Joint distribution of a problem's variables, in the order of `names`.
+
+    `nominal` (variables,) and `widths` (variables,) [1], factors by which all deviations of a
+    variable are wider than its distribution says (1 as it is), are arrays that JAX may
+    differentiate by. `correlation` (variables, variables) [1] is that of the normal scores, None
+    where all are independent.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    distributions: tuple[AbstractDistribution, ...]
+    nominal: Float[Array, " variables"]
+    widths: Float[Array, " variables"]
+    correlation: Float[Array, "variables variables"] | None
+    # Lower triangular, root root^T = correlation, and its inverse.
+    root: Float[Array, "variables variables"] | None
+    inverse_root: Float[Array, "variables variables"] | None
+
+    @property
+    def independent(self) -> bool:
+        """Whether no two variables are correlated."""
+        return self.correlation is None
+
+    def values(self, normal: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+        """Values of the variables from independent standard normal numbers [1]."""
+        return self.of_scores(self.scores(normal))
+
+    def normal(self, values: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+        """Independent standard normal numbers [1] that give these values; for a discrete variable
+        the middle of what gives its value."""
+        deviations = (values - self.nominal) / self.widths
+        scores = jnp.stack(
+            [d.score(deviations[..., i]) for i, d in enumerate(self.distributions)], axis=-1
+        )
+        return scores if self.inverse_root is None else scores @ self.inverse_root.T
+
+    def scores(self, normal: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+        """Correlated standard normal scores [1] from independent ones."""
+        return normal if self.root is None else normal @ self.root.T
+
+    def of_scores(self, scores: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+        """Values of the variables from their own scores [1]."""
+        deviations = [d.of_score(scores[..., i]) for i, d in enumerate(self.distributions)]
+        return self.nominal + self.widths * jnp.stack(deviations, axis=-1)
+
+    def deviations(self) -> Float[Array, " variables"]:
+        """Standard deviation of each variable [its unit]."""
+        return self.widths * jnp.stack([jnp.asarray(d.deviation()) for d in self.distributions])
+
+
+def joint(
+    names: Sequence[str],
+    distributions: Sequence[AbstractDistribution],
+    nominal: Any,
+    correlation: Float[Array, "variables variables"] | None = None,
+) -> Inputs:
+    """The joint distribution of variables with these names, distributions and nominal values."""
+    root = inverse = None
+    if correlation is not None:
+        library = jnp if is_traced(correlation) else np
+        lower = library.linalg.cholesky(correlation)
+        root, inverse = jnp.asarray(lower), jnp.asarray(library.linalg.inv(lower))
+    return Inputs(
+        tuple(names),
+        tuple(distributions),
+        jnp.asarray(nominal),
+        jnp.ones(len(names)),
+        correlation,
+        root,
+        inverse,
+    )
+
+
+def correlation_matrix(
+    given: Any, names: Sequence[str]
+) -> Float[Array, "variables variables"] | None:
+    """Correlation matrix of the variables' normal scores from what a user gives: None, a matrix in
+    the order of the variables, or {("first", "second"): coefficient}. Raises `ValueError` with a
+    sentence for names that there are not, and for what no variables can have."""
+    if given is None:
+        return None
+    count = len(names)
+    matrix = np.eye(count)
+    if isinstance(given, Mapping):
+        for pair, value in given.items():
+            if not isinstance(pair, tuple) or len(pair) != 2 or pair[0] == pair[1]:
+                raise ValueError(
+                    f"correlation of a Problem has the key {described(pair)}; it must be a pair of "
+                    "two variables' names."
+                )
+            for name in pair:
+                check_known("variable", name, names, " in this problem")
+            label = f'correlation of "{pair[0]}" and "{pair[1]}"'
+            check_number(label, value, above=-1, below=1)
+            i, j = (list(names).index(name) for name in pair)
+            matrix[i, j] = matrix[j, i] = float(value)
+    else:
+        matrix = _square(given, count)
+    if np.linalg.eigvalsh(matrix)[0] < LEAST_EIGENVALUE:
+        raise ValueError(
+            "correlation of a Problem is one that no numbers can have: its matrix is not positive "
+            "definite. Weaken a coefficient, or let one variable set several numbers."
+        )
+    return None if np.array_equal(matrix, np.eye(count)) else jnp.asarray(matrix)
+
+
+def _square(given: Any, count: int) -> np.ndarray:
+    """A matrix as given, if it is one of correlations."""
+    try:
+        matrix = np.asarray(given, float)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    symmetric = matrix.shape == (count, count) and np.allclose(matrix, matrix.T)
+    if not symmetric or not np.allclose(np.diag(matrix), 1.0):
+        raise ValueError(
+            f"correlation of a Problem is {described(given)}; it must be a symmetric matrix with "
+            f"ones on its diagonal, {count} by {count}, or a dictionary from pairs of names."
+        )
+    return matrix
