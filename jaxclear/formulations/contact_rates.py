@@ -10,7 +10,6 @@ damper's is the load itself, because dampers are the harder the slower an impact
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +20,7 @@ from jaxclear.formulations.base import model_of
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import free_motion, split
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.assembly import Start, ready
@@ -37,8 +37,6 @@ REACHES = np.logspace(-8, -1, 71)
 DEPTHS = np.logspace(-10, -2, 161)
 # Lightness [1/kg] of a contact that nothing can move.
 LEAST_LIGHTNESS = 1e-12
-# This runs once: how long it compiles counts, not how fast it is.
-QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}
 
 
 class ContactRates(NamedTuple):
@@ -117,7 +115,7 @@ def _rates(
     )
 
 
-@eqx.filter_jit(compiler_options=QUICK_TO_COMPILE)  # type: ignore[call-overload]
+@compiled_quickly
 def _pressed(mechanism: Mechanism, start: Start, times: Any) -> dict[str, _Pressed]:
     """By clearance joint what presses its contacts at the start, under the loads of each of these
     times."""

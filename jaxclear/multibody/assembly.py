@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -18,6 +17,7 @@ from jaxtyping import Array, Bool
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, expect
+from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody import contact_point, kinematics, redundancy, start_check
@@ -164,23 +164,23 @@ def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
     return jnp.all(jnp.stack(fine)) if fine else jnp.array(True)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _closest(mechanism: Mechanism, time: Any) -> Start:
     asked = ask(mechanism, False)
     q, v = guess(mechanism)
     return _started(asked, closest(asked, q, time), v, time)
 
 
-assembled = eqx.filter_jit(assemble_arrays)
+assembled = compiled_quickly(assemble_arrays)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _judged(mechanism: Mechanism, concentric: bool) -> tuple[Start, Array]:
     start = assemble_arrays(mechanism, concentric)
     return start, is_sound(mechanism, start)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Array]:
     start = carried_on(mechanism, *rest)
     return start, is_sound(mechanism, start)

@@ -10,7 +10,6 @@ themselves that these rows allow.
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.pose import STILL
 from jaxclear.multibody import constraints, kinematics, loops, tree
 from jaxclear.multibody.forces import add_action_and_reaction
@@ -111,7 +111,7 @@ def _most_of_rank(asked: Ask, start: Start, time: Any) -> Place:
     return best
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Array, Array]:
     """Coordinates moved by a step, the loops closed anew, and what is left of these [m, 1]."""
     asked = ask(mechanism, False)
@@ -125,7 +125,7 @@ def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Arra
     return q, jnp.max(jnp.abs(stacked(asked, of_loops(q))[1]), initial=0.0)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _jacobian(mechanism: Mechanism, q: Array, time: Any) -> Float[Array, "rows v"]:
     asked = ask(mechanism, False)
     loops = [block for block in position_blocks(asked, q, time) if block.kind == LOOP]

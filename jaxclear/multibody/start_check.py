@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
     Start,
@@ -174,7 +174,7 @@ def determined(mechanism: Mechanism, start: Start) -> tuple[str, ...]:
     return tuple(name for name in mechanism.given["start"] if not free[name])
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _free(mechanism: Mechanism, concentric: bool, q: Any, jolt: Any) -> dict[str, Any]:
     asked = ask(mechanism, concentric)
     return independent(asked, retract(asked.system, q, jolt))

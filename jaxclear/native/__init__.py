@@ -5,10 +5,11 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is three functions, three that tell of the program, and two for Ctrl-C:
+The boundary is four functions, three that tell of the program, and two for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
-- `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`;
+- `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`, and
+  `one_row(function, *numbers)` in the place of the function itself;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
 - `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence;
 - `calls_lapack(after)`: whether the compiled program does, and cannot run beside another one;
@@ -46,13 +47,14 @@ give it a case in tests/native/test_rules.py.
 """
 
 from jaxclear.native.loop import while_loop, with_fast_loops
-from jaxclear.native.rows import over_rows
+from jaxclear.native.rows import one_row, over_rows
 from jaxclear.native.stopping import stop, stoppable
 from jaxclear.native.verdicts import calls_lapack, explain, verdict
 
 __all__ = [
     "calls_lapack",
     "explain",
+    "one_row",
     "over_rows",
     "stop",
     "stoppable",

@@ -7,6 +7,7 @@ mapped over rows, it makes so much code that a mechanism with two spatial loops 
 one, which costs more to hand over than to compute, is left to XLA.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -27,7 +28,7 @@ def over_rows(function: Callable, *rows: Any) -> Any:
     """As `jax.vmap(function)(*rows)`. Derivatives of long functions are taken row by row."""
     first = jax.tree.map(lambda each: jax.ShapeDtypeStruct(each.shape[1:], each.dtype), rows)
     traced = jax.jit(function)
-    if _operations(jax.make_jaxpr(traced)(*first).jaxpr) <= SHORT:
+    if _is_short(traced, first):
         return jax.vmap(traced)(*rows)
     one = jax.vmap(lambda row: once(traced, *row))
     count = len(jax.tree.leaves(rows)[0])
@@ -38,6 +39,17 @@ def over_rows(function: Callable, *rows: Any) -> Any:
     portion = np.arange(-(-count // times) * times).clip(max=count - 1).reshape(times, -1)
     found = jax.lax.map(one, jax.tree.map(lambda each: each[portion], rows))
     return jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:])[:count], found)
+
+
+def one_row(function: Callable, *numbers: Any) -> Any:
+    """As `function(*numbers)`, a kernel where that is long: XLA takes a millisecond and more to
+    compile each of its operations."""
+    traced = jax.jit(function)
+    return (traced if _is_short(traced, numbers) else functools.partial(once, traced))(*numbers)
+
+
+def _is_short(function: Callable, numbers: Any) -> bool:
+    return _operations(jax.make_jaxpr(function)(*numbers).jaxpr) <= SHORT
 
 
 def _operations(program: Jaxpr) -> int:

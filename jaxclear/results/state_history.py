@@ -71,12 +71,14 @@ def check_known(name: str, names: Any, kind: str) -> None:
         raise ValueError(unknown(kind, name, names, " in this mechanism"))
 
 
-def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
+def over_time(
+    history: StateHistory, function: Callable[[Instant], Any], model: Model | None = None
+) -> Any:
     """Maps a function of an `Instant` over the saved states; tuples of numbers become arrays with
-    time first.
+    time first. `model`: the one that the states belong to, where it is at hand.
     """
     check_double_precision()
-    model = history.model()
+    model = history.model() if model is None else model
     system, layout = model.system, model.layout
 
     def one(time, entries, read, means):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxclear.formulations.model import Instant
+from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground.quantity import constant
 from jaxclear.results.state_history import StateHistory, over_time
 
@@ -21,23 +21,24 @@ MOST = 50
 
 class Looks(NamedTuple):
     """The saving `intervals` at whose ends a run looks, and what it has `seen`: the states at its
-    start and there."""
+    start and there, of which `model`."""
 
     intervals: np.ndarray
     seen: StateHistory
+    model: Model
 
     def of(self, function: Callable[[Instant], dict[str, Array]]) -> dict[str, Array]:
         """What a function says of every state seen, the run's start in front. No derivatives."""
-        return over_time(self.seen, function)
+        return over_time(self.seen, function, self.model)
 
 
-def look(history: StateHistory) -> Looks:
+def look(history: StateHistory, model: Model) -> Looks:
     """Up to `MOST` of the saving intervals, evenly spread, the last among them."""
     count = len(history.time) - 1
     intervals = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
     rows = np.concatenate([[0], 1 + intervals])
-    still = constant(history)
+    still, model = constant((history, model))
     time, states, read = jax.tree.map(
         lambda x: jnp.asarray(x)[rows], (still.time, still.states, still.read)
     )
-    return Looks(intervals, dataclasses.replace(still, time=time, states=states, read=read))
+    return Looks(intervals, dataclasses.replace(still, time=time, states=states, read=read), model)

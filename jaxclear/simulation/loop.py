@@ -26,7 +26,7 @@ from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import readings
-from jaxclear.native import verdict
+from jaxclear.native import one_row, verdict
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation import progress, spot_checks
@@ -84,7 +84,7 @@ def run(
         state = state.at[layout.remembered].set(past.remembered)
     worn = unworn(model.system) if past.worn is None else past.worn
     plan = spot_checks.plan(times, integrator.usual_step)
-    warm_start = integrator.first_warm_start(model_of_worn(model, worn), times[0], state)
+    warm_start = _first_warm_start(model_of_worn(model, worn), integrator, times[0], state)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     first = Carry(state, worn, warm_start, reached, times[0], (none, none))
     turn, unpack = _turns(model, integrator, extras.report)
@@ -99,7 +99,20 @@ def run(
         noted = noted._replace(counts=jnp.where(begun[:, None], noted.counts, 0.0))
     trajectory = Trajectory(history, last.worn, last.outcome, last.ended, stats, noted=noted)
     kept = {check: jnp.where(begun, each.T, 0.0).T for check, each in figures.items()}
-    return refereed(trajectory, kept, spot_checks.figures(model, plan, states, ends))
+    return refereed(trajectory, model, kept, spot_checks.figures(model, plan, states, ends))
+
+
+def _first_warm_start(
+    model: Model, integrator: AbstractIntegrator, time: Array, state: State
+) -> Any:
+    """What warm-starts the first step. It asks for forces, which compile faster as a kernel."""
+    arrays, rest = eqx.partition((model, integrator), eqx.is_array)
+
+    def first(arrays, time, state):
+        model, integrator = eqx.combine(arrays, rest)
+        return integrator.first_warm_start(model, time, state)
+
+    return one_row(first, arrays, time, state)
 
 
 def _turns(model: Model, integrator: AbstractIntegrator, report: bool) -> tuple[Callable, Callable]:

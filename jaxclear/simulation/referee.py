@@ -41,6 +41,7 @@ LEAST_LIFT = 0.01
 
 def refereed(
     trajectory: Trajectory,
+    model: Model,
     figures: dict[Check, Float[Array, "intervals places"]],
     windows: dict[Check, Float[Array, " places"]],
 ) -> Trajectory:
@@ -49,10 +50,10 @@ def refereed(
     can mend.
     """
     history = trajectory.history
-    looks, ends = look(history), jnp.asarray(history.time)[1:]
+    looks, ends = look(history, model), jnp.asarray(history.time)[1:]
     steps = {check: figures[check][looks.intervals] for check in KINDS if check in figures}
     kept = {check: each for check, each in figures.items() if check not in KINDS}
-    model, rebound = history.model(), kept.pop(Check.REBOUND_STEP, None)
+    rebound = kept.pop(Check.REBOUND_STEP, None)
     seen, rubbed = _of_saved_states(looks, steps, kept.get(Check.INDENTATION))
     of_run = {check: each[None] for check, each in (windows | rubbed).items()}
     if rebound is not None:
@@ -154,7 +155,7 @@ def _of_saved_states(
     """Figures that the looks tell, and those of friction, of the run as a whole, also from the
     lengths [s] of `steps` there and the largest indentations [m] in every saving interval (None:
     those seen count)."""
-    model, formulation = looks.seen.model(), looks.seen.formulation
+    model, formulation = looks.model, looks.seen.formulation
     system = model.system
     driven = looks.seen.mechanism.driven
     rubbing = bool(steps) and rubs(model)

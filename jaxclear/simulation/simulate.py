@@ -4,7 +4,6 @@ saving time to the next (`loop`).
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +11,7 @@ from jaxtyping import Array
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
+from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
@@ -44,7 +44,7 @@ class SimulationError(RuntimeError):
         return self.args[0]
 
 
-_run = eqx.filter_jit(run)
+_run = compiled_quickly(run, AROUND_A_KERNEL)
 
 
 def saving_times(duration: Any, save: Any) -> Array:

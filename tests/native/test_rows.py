@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxclear  # noqa: F401  (float64)
-from jaxclear.native import loop, over_rows, rows
+from jaxclear.native import loop, one_row, over_rows, rows
 
 ROUNDING = 1e-13
 
@@ -52,6 +52,15 @@ def test_a_long_function_is_one_kernel(monkeypatch):
     assert len(built) == 1
     # Without one rows are gone through one after the other, and nobody is warned: no run is slow.
     assert jnp.allclose(found, jax.vmap(long)(*x)["x"], rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("function", [long, short])
+def test_one_row_is_the_function_itself(function):
+    row = jax.tree.map(lambda each: each[3], given(5))
+    found, wanted = jax.jit(lambda *x: one_row(function, *x))(*row), function(*row)
+    assert jax.tree.structure(found) == jax.tree.structure(wanted)
+    for one, other in zip(*map(jax.tree.leaves, (found, wanted)), strict=True):
+        assert jnp.allclose(one, other, rtol=ROUNDING, atol=ROUNDING)
 
 
 def test_derivatives_in_both_directions_and_in_batches():
