@@ -105,7 +105,15 @@ def test_public_module_says_what_it_offers(place):
 
 
 # A joint with wear, a product of laws, a scene and a solver on groups build these themselves.
-INNER = {"AbstractLaw", "CylinderMap", "ImpactMemory", "PeriodicTorque", "SphereMap", "StepTorque"}
+INNER = {
+    "AbstractLaw",
+    "AreaMap",
+    "CylinderMap",
+    "ImpactMemory",
+    "PeriodicTorque",
+    "SphereMap",
+    "StepTorque",
+}
 INNER |= {"StateGroup"}
 
 

@@ -7,11 +7,12 @@ state.
 
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import ContactLaws
-from jaxclear.formulations import midpoint_step, state_rate, work_over_step
+from jaxclear.formulations import joint_friction, midpoint_step, state_rate, work_over_step
 from jaxclear.formulations.base import AbstractFormulation, ContactReport, clearance_contact
 from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
@@ -20,8 +21,8 @@ from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.formulations.slip_over_step import PastSlip
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
-from jaxclear.multibody import contact_point, dynamics, kinematics
-from jaxclear.multibody.forces import applied_forces, contact_reports
+from jaxclear.multibody import contact_point, kinematics
+from jaxclear.multibody.forces import Forces, applied_forces, contact_reports
 from jaxclear.multibody.state import (
     components,
     impact_speed_places,
@@ -30,16 +31,22 @@ from jaxclear.multibody.state import (
     unpack_memories,
     unpack_motion,
 )
+from jaxclear.multibody.system import rubbing_joints
+from jaxclear.multibody.topology import rubbing_in
 
 
 class CompliantContact(AbstractFormulation):
     """Contact forces are functions of indentation, its rate, and what the laws remember; impact
     speeds stand still, because the steps set them where contacts close (`impact_speed`).
+    `joints_rub`: reactions are sought with the forces, so that ideal joints may rub.
     """
 
     forces_are_means: ClassVar = False
+    joints_rub: bool = eqx.field(static=True, default=True)
 
     def check(self, mechanism, integrator):
+        check = joint_friction.check_rubbing if self.joints_rub else joint_friction.refuse_rubbing
+        check(mechanism, integrator)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
                 _check_laws(name, laws)
@@ -51,16 +58,26 @@ class CompliantContact(AbstractFormulation):
         return ()
 
     def contact_joints(self, mechanism):
-        return mechanism.topology.clearances
+        return (*mechanism.topology.clearances, *rubbing_in(mechanism.connections))
 
     def forces(self, instant: Instant):
+        forces = self._of_contacts(instant)
+        if not rubbing_joints(instant.model.system):
+            return forces
+        return joint_friction.rubbing(instant.model, forces, instant.q, instant.speeds).forces
+
+    def contact(self, instant: Instant, name: str) -> ContactReport:
+        forces = self._of_contacts(instant)
+        if name in instant.model.system.bearings:
+            return clearance_contact(instant, forces.reports[name], name)
+        return joint_friction.contact(instant, forces, name)
+
+    def _of_contacts(self, instant: Instant) -> Forces:
+        """What acts but friction in ideal joints."""
         model = instant.model
         memories = unpack_memories(model.layout, instant.entries)
         reports = contact_reports(model.system, instant.motions, memories, model.worn)
         return instant.forces(reports)
-
-    def contact(self, instant: Instant, name: str) -> ContactReport:
-        return clearance_contact(instant, self.forces(instant).reports[name], name)
 
     def rate(self, model: Model, time: Any, state: State) -> tuple[State, ContactMotion]:
         """Rate of the state, and the motion of every possible contact, from one evaluation."""
@@ -70,12 +87,13 @@ class CompliantContact(AbstractFormulation):
         reports = contact_reports(system, motions, unpack_memories(layout, entries), model.worn)
         angles = unpack_angles(layout, entries)
         forces = applied_forces(system, motions, reports, q, v, time, angles)
-        solution = dynamics.forward_dynamics(system, forces, model.stabilisation)
+        speeds = entries[layout.coordinates : layout.memory_start]
+        forces, solution, rubbing = joint_friction.solved(model, forces, q, speeds)
         rates = [
             *state_rate.coordinate_rates(system, q, v),
             *(a for accelerations in solution.accelerations for a in accelerations),
             *pack_memories(layout, {name: report.memory_rates for name, report in reports.items()}),
-            *state_rate.passive_rates(system, layout, forces, solution),
+            *state_rate.passive_rates(system, layout, forces, solution, rubbing),
         ]
         points = [point for report in reports.values() for point in report.points]
         return sp.stack(rates), _stacked([(point.indentation, point.rate) for point in points])

@@ -75,6 +75,11 @@ class Instant(NamedTuple):
         motion = (self.motions, reports, self.q, self.v, self.time)
         return applied_forces(self.model.system, *motion, self.angles)
 
+    @property
+    def speeds(self) -> list:
+        """The speeds of all links, one after the other."""
+        return [speed for own in self.v for speed in own]
+
     def pose(self, name: str) -> Pose:
         """A clearance joint's journal as seen from its bearing."""
         closure = self.model.system.bearings[name].closure

@@ -10,13 +10,12 @@ Coordinates move by exponentials of the mean speeds, so rotations stay on their 
 
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.components.clearance import AbstractPermanentJoint, CarryingEnd, carried_load
-from jaxclear.formulations.base import AbstractFormulation, ContactReport
+from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.joint_friction import friction_losses
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_friction import (
     NonCollidingSettings,
@@ -26,17 +25,17 @@ from jaxclear.formulations.permanent_friction import (
 from jaxclear.formulations.permanent_joints import fit
 from jaxclear.formulations.permanent_reactions import (
     Answer,
+    Reaction,
     friction_response,
     slip_of,
-    speed_of,
     touching,
     with_friction,
 )
+from jaxclear.formulations.permanent_report import report
 from jaxclear.formulations.permanent_wear import wear_rates
 from jaxclear.formulations.rigid import check_friction
 from jaxclear.formulations.state_rate import link_accelerations
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody import energy, kinematics
 from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import Forces, applied_forces
@@ -45,9 +44,6 @@ from jaxclear.multibody.system import System, prepare
 
 # Components of the impulse of a joint that always touches: force and torque on the child, friction.
 COMPONENTS = 7
-# A guide's friction adds to the moment and so to the sizes; a pass shrinks the error of the ratio
-# to half of it or, at worst, to (1 + mu width / length) / 2.
-PASSES = 40
 
 
 class PermanentContact(AbstractFormulation):
@@ -74,24 +70,9 @@ class PermanentContact(AbstractFormulation):
 
     def contact(self, instant, name):
         (held,) = (one for one in touching(instant.model.system) if one.name == name)
-        joint, means = held.joint, [jnp.asarray(x) for x in instant.means_of(name)]
-        ends = _ends(joint, means)
-        found = sorted((c for end in ends for c in end.contacts), key=lambda c: c.number)
-        speeds = [speed for own in instant.v for speed in own]
-        speed = speed_of(instant.model.system, instant.motions, held, speeds)
-        offset, axis = _offset_and_axis(ends)
-        return ContactReport(
-            offset,
-            axis,
-            jnp.zeros(len(found)),
-            sp.stack([contact.normal_force for contact in found]),
-            jnp.full(len(found), jnp.abs(joint.arm * speed)),
-            jnp.abs(sp.stack([contact.friction for contact in found])),
-            jnp.stack([sp.stack(contact.place) for contact in found]),
-            sp.stack(means[:3]),
-            sp.stack(means[3:6]),
-            ends,
-        )
+        means = [jnp.asarray(x) for x in instant.means_of(name)]
+        reaction, friction = Reaction(tuple(means[:3]), tuple(means[3:6])), means[6]
+        return report(instant, held, reaction, friction)
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:
         """What the first step is handed: no accelerations."""
@@ -132,7 +113,8 @@ class PermanentContact(AbstractFormulation):
         found = response.at(friction)
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
-        worn = wear_rates(model, motions, motion[0], found, friction, slips, mean)
+        sliding = [s.at(mean) * one.joint.arm for s, one in zip(slips, held, strict=True)]
+        worn = wear_rates(model, motions, motion[0], found, friction, sliding)
         gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
         gained += [
             h * x
@@ -162,9 +144,12 @@ def _powers(model: Model, forces: Forces, found: Answer, friction: Any, speeds: 
     solution = link_accelerations(model.system, found.accelerations, found.multipliers)
     acting = with_friction(model.system, forces, friction)
     rates = energy.powers(model.system, acting, solution)
-    joints = [held.joint for held in touching(model.system)]
-    place = model.layout.energies.index("friction_loss")
-    rates[place] = -sp.total(joint.arm * friction[k] * speeds[k] for k, joint in enumerate(joints))
+    held = touching(model.system)
+    slips = [one.joint.arm * speed for one, speed in zip(held, speeds, strict=True)]
+    lost, driven = friction_losses(held, friction, slips)
+    places = model.layout.energies.index
+    rates[places("friction_loss")] = lost
+    rates[places("input")] = sp.add(rates[places("input")], driven)
     return rates
 
 
@@ -179,26 +164,3 @@ def _check_unique(system: System) -> None:
                 f"loops are {redundancy} Leave its friction out, give another joint of this loop "
                 "more freedom, or take a compliant integrator such as ImplicitStep."
             )
-
-
-def _ends(joint: AbstractPermanentJoint, means: list) -> tuple[CarryingEnd, ...]:
-    """Where a joint's mean reaction and friction are carried."""
-    force, torque, friction = tuple(means[:3]), tuple(means[3:6]), means[6]
-
-    def improve(_, ratio):
-        # Half the way: friction that adds to the forces more than the forces to friction would
-        # overshoot.
-        load = carried_load(joint.carrying_ends(force, torque, ratio))
-        return 0.5 * (ratio + safe_divide(friction, load))
-
-    ratio = jax.lax.fori_loop(0, PASSES, improve, jnp.zeros(()))
-    return joint.carrying_ends(force, torque, ratio)
-
-
-def _offset_and_axis(ends: tuple[CarryingEnd, ...]) -> tuple:
-    """Where the journal lies in its gap, and how it leans."""
-    offsets, lean = jnp.stack([sp.stack(end.offset) for end in ends]), jnp.zeros(3)
-    if len(ends) == 2:
-        lean = (offsets[1] - offsets[0]) / (ends[1].height - ends[0].height)
-    axis = (lean + jnp.array([0.0, 0.0, 1.0])) / jnp.sqrt(1 + lean @ lean)
-    return jnp.mean(offsets, 0), axis

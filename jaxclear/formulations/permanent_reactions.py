@@ -1,5 +1,5 @@
-"""Joints that always touch: their sliding speeds, and the motion and reactions of the mechanism as
-linear functions of their friction.
+"""Joints that touch all the time: their sliding speeds, and the motion and reactions of the
+mechanism as linear functions of their friction.
 
 Accelerations, closure multipliers and reactions R at an instant are linear in the friction T of the
 joints, R = R0 + dR/dT T: what Delassus' operator is for contacts.
@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxclear.components.clearance import AbstractPermanentJoint
+from jaxclear.components.joint import AbstractRubbingJoint
+from jaxclear.components.joint.base import drive_of
 from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
@@ -22,14 +23,19 @@ from jaxclear.multibody.system import System
 
 
 class PermanentJoint(NamedTuple):
-    """A joint that always touches: its connection, and the link that it holds in the tree or the
-    loop that it closes.
+    """A joint that touches all the time: its connection, and the link that it holds in the tree or
+    the loop that it closes.
     """
 
     name: str
-    joint: Any  # an AbstractPermanentJoint
+    joint: Any  # an AbstractRubbingJoint
     link: Any  # a whole number, or None
     loop: int | None
+
+    @property
+    def driven(self) -> bool:
+        """Whether a drive prescribes its motion, which friction then does not change."""
+        return drive_of(self.joint) is not None
 
 
 class Slip(NamedTuple):
@@ -43,18 +49,22 @@ class Slip(NamedTuple):
 
 
 def touching(system: System) -> tuple[PermanentJoint, ...]:
-    """Joints that always touch: those of the tree in its order, then those that close loops."""
+    """Joints that touch all the time: those of the tree, then those that close loops."""
     branches, loops = system.topology.branches, system.topology.loops
     found = [
         PermanentJoint(branch.name, system.links[i].joint, i, None)
         for i, branch in enumerate(branches)
     ]
     found += [PermanentJoint(name, system.closing[i], None, i) for i, name in enumerate(loops)]
-    return tuple(held for held in found if isinstance(held.joint, AbstractPermanentJoint))
+    return tuple(held for held in found if isinstance(held.joint, AbstractRubbingJoint))
 
 
 def speed_of(system: System, motions: tuple, held: PermanentJoint, speeds: list) -> Any:
     """Speed of a joint, at the mechanism's `speeds`."""
+    if held.driven:
+        twist = kinematics.joint_twist(system, motions, held.link)
+        (column,) = held.joint.columns(held.joint.home)
+        return sp.add(sp.dot(column.linear, twist.linear), sp.dot(column.angular, twist.angular))
     if held.loop is None:
         return speeds[system.topology.branches[held.link].speeds.start]
     relative = kinematics.relative_motion(system.closures[held.loop], motions)[2]
@@ -63,6 +73,8 @@ def speed_of(system: System, motions: tuple, held: PermanentJoint, speeds: list)
 
 def slip_of(system: System, motions: tuple, held: PermanentJoint, speeds: list) -> Slip:
     """How a joint's speed follows from the mechanism's `speeds`, at which the motions are taken."""
+    if held.driven:
+        return Slip({}, speed_of(system, motions, held, speeds))
     if held.loop is None:
         return Slip({system.topology.branches[held.link].speeds.start: 1}, 0)
     closure = system.closures[held.loop]
@@ -76,6 +88,8 @@ def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
     `touching`."""
     coordinate_forces, wrenches = list(forces.coordinate_forces), list(forces.wrenches)
     for k, held in enumerate(touching(system)):
+        if held.driven:
+            continue
         if held.loop is None:
             own = coordinate_forces[held.link][0]
             coordinate_forces[held.link] = (sp.add(own, held.joint.arm * friction[k]),)
@@ -141,19 +155,22 @@ def _answer(model: Model, forces: Forces, q: tuple, touching_joints: tuple, fric
     reactions = tuple(
         closed[held.loop]
         if held.link is None
-        else _reaction(system, held.link, q[held.link], wrenches[held.link])
+        else _reaction(system, held, forces.motions, q, wrenches[held.link])
         for held in touching_joints
     )
     accelerations = sp.stack([a for own in solution.accelerations for a in own])
     return Answer(accelerations, solution.multipliers, reactions)
 
 
-def _reaction(system, index, q, wrench) -> Reaction:
+def _reaction(system, held, motions, q, wrench) -> Reaction:
     """From the wrench that a link receives to the reaction on the connection's child in the parent
     marker's axes.
     """
-    joint, branch = system.links[index].joint, system.topology.branches[index]
-    pose = joint.motion(q)
+    link, branch = system.links[held.link], system.topology.branches[held.link]
+    if held.driven:
+        pose = link.base.inverse().after(motions[held.link].relative)
+    else:
+        pose = link.joint.motion(q[held.link])
     if not branch.reversed:
         return Reaction(
             sp.apply(pose.rotation, wrench.force), sp.apply(pose.rotation, wrench.torque)

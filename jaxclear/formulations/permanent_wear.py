@@ -1,4 +1,4 @@
-"""What joints that always touch wear away: by the reaction, where it is carried in the gap.
+"""What joints that touch all the time wear away: by the reaction, where it is carried.
 
 The motion is that of the ideal joint, which wear does not change.
 """
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.formulations.model import Model
-from jaxclear.formulations.permanent_reactions import Answer, PermanentJoint, Slip, touching
+from jaxclear.formulations.permanent_reactions import Answer, PermanentJoint, touching
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody import kinematics
@@ -22,11 +22,10 @@ def wear_rates(
     q: tuple,
     found: Answer,
     friction: Any,
-    slips: list[Slip],
-    mean: list,
+    slips: list,
 ) -> list:
     """Rates of the worn volumes and of their volume-weighted locations, in the layout's order, at
-    coordinates `q`; the joints slide as at the `mean` speeds. Nothing where nothing wears."""
+    coordinates `q`; the joints slide at the speeds `slips` [m/s]. Nothing where nothing wears."""
     system, rates = model.system, []
     at = {held.name: k for k, held in enumerate(touching(system))}
     carried = {}
@@ -36,18 +35,18 @@ def wear_rates(
             ends = _ends(held, found.reactions[k], rubbing)
             carried[held.name] = (*_pose_in_gap(system, motions, q, held, ends), ends)
     for slot in model.layout.wear:
+        if slot.bearing not in at:
+            continue
         k = at[slot.bearing]
         joint = touching(system)[k].joint
         offset, axes, ends = carried[slot.bearing]
         (contact,) = (c for end in ends for c in end.contacts if c.number == slot.contact)
         _, wearing = joint.maps()[slot.surface]
-        speed = jnp.abs(joint.arm * slips[k].at(mean))
+        speed = jnp.abs(slips[k])
         volume = wearing.acceleration * wearing.law.volume_rate(
             contact.normal_force, speed, jnp.abs(contact.friction)
         )
-        # What carries overlaps by nothing that this formulation knows of.
-        depths = (jnp.zeros_like(volume),) * len(joint.gap.contact_laws())
-        place = joint.gap.features(slot.surface, offset, axes, depths, slot.contact)
+        place = joint.wear_place(slot.surface, offset, axes, slot.contact)
         rates += [volume, *(sp.mul(volume, place[i]) for i in slot.averaged)]
     return rates
 
@@ -66,14 +65,14 @@ def _pose_in_gap(
     share = 1 / len(ends)
     offset = sp.scale(share, sp.plus(sp.ZERO, *(end.offset for end in ends)))
     lean: sp.Vec = sp.ZERO
-    if len(ends) == 2:
+    if held.joint.gap_axes and len(ends) == 2:
         between = sp.minus(ends[1].offset, ends[0].offset)
         lean = sp.scale(1 / (ends[1].height - ends[0].height), between)
     # Turns of the journal are large, leans of the order of clearance over length.
     found = {2: (lean[0], lean[1], 1)}
-    if 0 in held.joint.gap.axes:
+    if 0 in held.joint.gap_axes:
         found[0] = _journal_x(system, motions, q, held)
-    return offset, tuple(found[axis] for axis in held.joint.gap.axes)
+    return offset, tuple(found[axis] for axis in held.joint.gap_axes)
 
 
 def _journal_x(system: System, motions: tuple, q: tuple, held: PermanentJoint) -> sp.Vec:

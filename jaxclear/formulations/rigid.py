@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from jaxclear.formulations.base import AbstractFormulation, clearance_contact
 from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, middle_of_step
 from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
+from jaxclear.formulations.joint_friction import refuse_rubbing
 from jaxclear.formulations.joint_reports import reports_of_means, rigid_reports
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.state_rate import link_accelerations, passive_rates
@@ -34,6 +35,7 @@ from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import contact_components, unpack_motion
+from jaxclear.multibody.topology import rubbing_in
 
 
 class RigidContact(AbstractFormulation):
@@ -44,6 +46,7 @@ class RigidContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
+        refuse_rubbing(mechanism, integrator)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
                 if laws.contact.restitution is None:
@@ -117,14 +120,18 @@ def _memories(model: Model, entries: list) -> list:
 
 def check_friction(mechanism: Mechanism, integrator: str) -> None:
     """Raises `ValueError` for friction that does not say which coefficients it regularises."""
-    for name in mechanism.topology.clearances:
-        for laws in mechanism.connections[name].joint.contact_laws():
-            if laws.friction is not None and laws.friction.coulomb() is None:
-                raise ValueError(
-                    f'joint "{name}" has friction {type(laws.friction).__name__}, of which '
-                    f"{integrator} does not know the "
-                    "coefficients; give friction.Coulomb(mu_kinetic=..., mu_static=...)."
-                )
+    laws = [
+        (name, own.friction)
+        for name in mechanism.topology.clearances
+        for own in mechanism.connections[name].joint.contact_laws()
+    ]
+    laws += [(name, joint.friction) for name, joint in rubbing_in(mechanism.connections).items()]
+    for name, law in laws:
+        if law is not None and law.coulomb() is None:
+            raise ValueError(
+                f'joint "{name}" has friction {type(law).__name__}, of which {integrator} does not '
+                "know the coefficients; give friction.Coulomb(mu_kinetic=..., mu_static=...)."
+            )
 
 
 def _passive(

@@ -1,7 +1,7 @@
 """Rates of what only follows the motion: coordinates from speeds, worn volumes and energies from
 forces."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import energy
@@ -10,6 +10,15 @@ from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.state import Layout, unpack_motion
 from jaxclear.multibody.system import System
+
+
+class Passive(NamedTuple):
+    """What ideal joints that rub add: rates of their worn volumes with their locations, power [W]
+    lost to their friction, and what drives give of it."""
+
+    worn: Any = ()
+    lost: Any = 0
+    driven: Any = 0
 
 
 def coordinate_rates(system: System, q: tuple, v: tuple) -> list:
@@ -27,18 +36,30 @@ def drift(system: System, start: list, at: list, speeds: list, h: Any) -> list:
     return [x + h * rate for x, rate in zip(start, rates, strict=True)]
 
 
-def passive_rates(system: System, layout: Layout, forces: Forces, solution: Solution) -> list:
+def passive_rates(
+    system: System,
+    layout: Layout,
+    forces: Forces,
+    solution: Solution,
+    rubbing: Passive = Passive(),
+) -> list:
     """Rates of what only follows the motion: angles over whole turns, worn volumes with their
-    locations, and energies."""
+    locations, and energies; those of ideal joints that rub as `rubbing` tells."""
     out: list[Any] = angle_rates(system, layout, forces.motions)
     for slot in layout.wear:
+        if slot.bearing not in system.bearings:
+            continue
         contact_laws = system.bearings[slot.bearing].contact_laws
         order = [k for k, pairing in enumerate(contact_laws) if pairing.wears].index(slot.contact)
         volume, features = forces.reports[slot.bearing].wear_rates[slot.surface][order]
         out.append(volume)
         out.extend(sp.mul(volume, features[i]) for i in slot.averaged)
+    out.extend(rubbing.worn)
     if layout.energies:
-        out.extend(energy.powers(system, forces, solution))
+        powers = dict(zip(layout.energies, energy.powers(system, forces, solution), strict=True))
+        powers["input"] = sp.add(powers["input"], rubbing.driven)
+        powers["friction_loss"] = sp.add(powers["friction_loss"], rubbing.lost)
+        out.extend(powers.values())
     return out
 
 

@@ -8,7 +8,9 @@ impact would seem to store energy that nothing gives back.
 
 from typing import Any
 
+from jaxclear.formulations.joint_friction import friction_losses, rubbing
 from jaxclear.formulations.model import Model
+from jaxclear.formulations.permanent_reactions import slip_of, touching
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.forces import applied_forces, contact_reports
@@ -45,6 +47,15 @@ def energy_rates(model: Model, time: Any, entries: list, mean: list) -> list:
             damped = sp.add(damped, (begun.normal_force - elastic) * moved.rate)
         work, loss = sp.add(work, pressed), sp.add(loss, damped)
         rubbed = sp.sub(rubbed, sp.add(given, pressed))
+    held = touching(system)
+    if held:
+        q, _ = unpack_motion(system, entries)
+        begun = rubbing(model, start, q, entries[layout.coordinates : layout.memory_start])
+        slips = [
+            sp.mul(one.joint.arm, slip_of(system, start.motions, one, mean).at(mean))
+            for one in held
+        ]
+        rubbed = sp.add(rubbed, friction_losses(held, begun.friction, slips)[0])
     # What a damper takes is of second degree: the mean is right to the square of the change.
     damping = sp.mul(0.5, sp.add(start.damping_loss, middle.damping_loss))
     return [work, loss, rubbed, damping]

@@ -74,7 +74,7 @@ class ImplicitStep(AbstractIntegrator):
 
     @property
     def formulation(self):
-        return CompliantContact()
+        return CompliantContact(joints_rub=False)
 
     def asked_step(self):
         return self.step if self.steps_per_save is None else None

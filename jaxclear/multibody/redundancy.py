@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.clearance import AbstractPermanentJoint
+from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.pose import STILL
@@ -74,7 +74,7 @@ def _counts_fixed(mechanism: Mechanism) -> bool:
     """Whether rows that no motion changes count: where joints always touch, those of the tree carry
     what they would."""
     joints = (connection.joint for connection in mechanism.connections.values())
-    return not any(isinstance(joint, AbstractPermanentJoint) for joint in joints)
+    return not any(isinstance(joint, AbstractRubbingJoint) for joint in joints)
 
 
 def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | None:

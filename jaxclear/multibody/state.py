@@ -12,10 +12,10 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
+from jaxclear.components.clearance import ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody.contact_point import PointState, memory_template
-from jaxclear.multibody.system import Bearing, System, permanent_joints
+from jaxclear.multibody.system import Bearing, System, rubbing_joints
 
 # An offset [m] at which nothing is structurally zero but by the scene.
 PROBE = (0.3e-3, 0.1e-3, 0.2e-3)
@@ -101,22 +101,12 @@ def lay_out(
         samples[name] = (bearing, offset, axes, overlaps)
     angles = tuple(name for name, own in system.measured.items() if own.followed)
     position += len(angles)
-    wearing = [(name, own[0].joint, *own[1:]) for name, own in samples.items()]
-    for name, held in permanent_joints(system).items():
-        offset, axes = tuple(map(jnp.asarray, PROBE)), _home_axes(held.gap)
-        depths = held.gap.indentations(offset, axes, {})
-        wearing.append((name, held.gap, offset, axes, depths))
-    for name, joint, offset, axes, depths in wearing:
-        for surface in joint.maps():
-            for k, laws in enumerate(joint.contact_laws()):
-                if not laws.wears:
-                    continue
-                features = joint.features(surface, offset, axes, depths, k)
-                constants = {i: f for i, f in enumerate(features) if isinstance(f, (int, float))}
-                averaged = tuple(i for i in range(len(features)) if i not in constants)
-                known = tuple((i, float(f)) for i, f in constants.items())
-                wear.append(WearSlot(name, surface, k, position, averaged, known))
-                position += 1 + len(averaged)
+    for name, surface, k, features in _wearing(system, samples):
+        constants = {i: f for i, f in enumerate(features) if isinstance(f, (int, float))}
+        averaged = tuple(i for i in range(len(features)) if i not in constants)
+        known = tuple((i, float(f)) for i, f in constants.items())
+        wear.append(WearSlot(name, surface, k, position, averaged, known))
+        position += 1 + len(averaged)
     energies = ENERGIES if balance else ()
     size = position + sum(count for _, count in impulses) + len(energies)
     return Layout(
@@ -131,6 +121,26 @@ def lay_out(
     )
 
 
+def _wearing(system: System, samples: dict[str, tuple]) -> list[tuple]:
+    """(joint, surface, contact, location) of every contact whose wear is mapped, the joints with
+    clearance as `samples` show them."""
+    found = []
+    for name, (bearing, offset, axes, overlaps) in samples.items():
+        for surface in bearing.joint.maps():
+            for k, laws in enumerate(bearing.contact_laws):
+                if laws.wears:
+                    place = bearing.joint.features(surface, offset, axes, overlaps, k)
+                    found.append((name, surface, k, place))
+    for name, rubbing in rubbing_joints(system).items():
+        offset, axes = tuple(map(jnp.asarray, PROBE)), _home_axes(rubbing.gap_axes)
+        for surface in rubbing.maps():
+            found += [
+                (name, surface, k, rubbing.wear_place(surface, offset, axes, k))
+                for k in rubbing.wearing_contacts()
+            ]
+    return found
+
+
 def probe(system: System, bearing: Bearing) -> tuple:
     """(offset, axes, indentations, contact candidates) of a clearance joint somewhere: for what
     does not depend on the place.
@@ -139,14 +149,14 @@ def probe(system: System, bearing: Bearing) -> tuple:
     offset = tuple(jnp.asarray(x) for x in PROBE[:2]) + (
         (0,) if planar else (jnp.asarray(PROBE[2]),)
     )
-    axes = _home_axes(bearing.joint)
+    axes = _home_axes(bearing.joint.axes)
     overlaps = bearing.joint.indentations(offset, axes, {})
     return offset, axes, overlaps, bearing.joint.contact_candidates(offset, axes, overlaps)
 
 
-def _home_axes(joint: AbstractClearance) -> tuple:
-    """The journal's axes that the gap depends on, where they are those of the bearing."""
-    return tuple(tuple(jnp.asarray(float(x)) for x in sp.IDENTITY[k]) for k in joint.axes)
+def _home_axes(axes: tuple[int, ...]) -> tuple:
+    """Axes of a journal where they are those of the bearing."""
+    return tuple(tuple(jnp.asarray(float(x)) for x in sp.IDENTITY[k]) for k in axes)
 
 
 def component_count(laws: ContactLaws, candidate: ContactCandidate) -> int:

@@ -12,12 +12,8 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.components.body import GROUND
-from jaxclear.components.clearance import (
-    AbstractClearance,
-    AbstractPermanentJoint,
-    ContactLaws,
-)
-from jaxclear.components.joint import AbstractJoint
+from jaxclear.components.clearance import AbstractClearance, ContactLaws
+from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
@@ -179,23 +175,23 @@ def body_loads(system: System) -> list[tuple[str, AbstractBodyLoad]]:
     ]
 
 
-def permanent_joints(system: System) -> dict[str, AbstractPermanentJoint]:
-    """Joints that always touch: those of the tree in its order, then those that close loops."""
+def rubbing_joints(system: System) -> dict[str, AbstractRubbingJoint]:
+    """Joints that touch all the time: those of the tree, then those that close loops."""
     joints = {
         branch.name: link.joint
         for branch, link in zip(system.topology.branches, system.links, strict=True)
     }
     joints |= dict(zip(system.topology.loops, system.closing, strict=True))
     return {
-        name: joint for name, joint in joints.items() if isinstance(joint, AbstractPermanentJoint)
+        name: joint for name, joint in joints.items() if isinstance(joint, AbstractRubbingJoint)
     }
 
 
 def wear_maps(system: System) -> dict[str, dict]:
     """Wear map and law of each surface that wears, by joint and surface: of joints that may open,
-    then of those that always touch."""
+    then of those that touch all the time."""
     joints: dict[str, Any] = {name: bearing.joint for name, bearing in system.bearings.items()}
-    joints |= permanent_joints(system)
+    joints |= rubbing_joints(system)
     return {name: joint.maps() for name, joint in joints.items() if joint.maps()}
 
 

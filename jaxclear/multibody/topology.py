@@ -10,8 +10,8 @@ hold floats free. All of it is static: names and counts, no numbers.
 from dataclasses import dataclass
 
 from jaxclear.components.body import GROUND, Body, Connection
-from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
-from jaxclear.components.joint import AbstractJoint, Free, Planar
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Free, Planar
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground.wording import listed
 
@@ -133,6 +133,12 @@ def coordinate_joint(
     return joint.coordinate_form() if isinstance(joint, AbstractClearance) else joint
 
 
+def rubbing_in(connections: dict[str, Connection]) -> dict[str, AbstractRubbingJoint]:
+    """Ideal joints whose parts touch all the time and rub, by name."""
+    joints = {name: connection.joint for name, connection in connections.items()}
+    return {n: joint for n, joint in joints.items() if isinstance(joint, AbstractRubbingJoint)}
+
+
 def grow(bodies: dict[str, Body], connections: dict[str, Connection]) -> Topology:
     """The spanning tree of a mechanism whose names have been checked."""
     ideal = {name: c for name, c in connections.items() if isinstance(c.joint, AbstractJoint)}
@@ -146,7 +152,7 @@ def grow(bodies: dict[str, Body], connections: dict[str, Connection]) -> Topolog
         reached = [end for end in ends if end in depth]
         free = len(joint.home) if drive_of(joint) is None else -1
         # Friction costs least in the tree: joints that may have it go first among equals.
-        free -= 0.5 * isinstance(joint, AbstractPermanentJoint)
+        free -= 0.5 * isinstance(joint, AbstractRubbingJoint)
         return (free, depth[reached[0]], unused.index(name))
 
     while len(depth) <= len(bodies):

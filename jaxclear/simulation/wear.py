@@ -5,7 +5,6 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxclear.components.clearance import AbstractPermanentJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.numerics import safe_divide
@@ -13,6 +12,7 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import System, wear_maps
+from jaxclear.multibody.topology import rubbing_in
 
 Worn = dict[str, dict[str, Array]]
 
@@ -30,12 +30,8 @@ def worn_as_given(mechanism: Mechanism, given: Worn | None) -> Worn | None:
     nothing is given; None for None. Raises `ValueError` with a sentence for what is no such map."""
     if given is None:
         return None
-    joints = {
-        name: connection.joint
-        for name, connection in mechanism.connections.items()
-        if name in mechanism.topology.clearances
-        or isinstance(connection.joint, AbstractPermanentJoint)
-    }
+    joints = {name: mechanism.connections[name].joint for name in mechanism.topology.clearances}
+    joints |= rubbing_in(mechanism.connections)
     cells = {
         name: {surface: wear_map.cells for surface, (wear_map, _) in joint.maps().items()}
         for name, joint in joints.items()

@@ -10,9 +10,10 @@ from typing import Any
 
 from jaxclear.formulations.contact_rates import ContactRates, contact_rates
 from jaxclear.ground.quantity import is_traced
-from jaxclear.integrators import AbstractIntegrator, FixedStep, ImplicitStep
+from jaxclear.integrators import AbstractIntegrator, Adaptive, FixedStep, ImplicitStep
 from jaxclear.laws.friction.base import AbstractForceFriction
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.topology import rubbing_in
 
 # Share of 1 / rate that an explicit step may have in friction and damping: rk4 is stable up to
 # 2.78, and damps as it should up to here.
@@ -30,6 +31,12 @@ ROUND = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 def usual_integrator(mechanism: Mechanism, duration: Any) -> tuple[AbstractIntegrator, str]:
     """The integrator for a run of `duration` [s], and why, in a sentence; "" for `FixedStep()`,
     which is the usual one."""
+    rubbing = [name for name, j in rubbing_in(mechanism.connections).items() if j.friction]
+    if rubbing:
+        return Adaptive(), (
+            f'Run with integrator.Adaptive(), because friction in joint "{rubbing[0]}" follows its '
+            "reaction, and how fast it answers is known in the run only."
+        )
     explicit = FixedStep()
     step = float(explicit.step)
     if not _touches(mechanism) or is_traced((mechanism, duration)):

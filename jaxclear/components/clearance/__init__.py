@@ -13,11 +13,9 @@ from jaxclear.components.clearance.journal_base import AbstractJournalBearing, P
 from jaxclear.components.clearance.permanent import (
     SITUATIONS,
     AbstractPermanentJoint,
-    CarriedContact,
-    CarryingEnd,
-    carried_load,
     situation,
 )
+from jaxclear.components.joint.rubbing import CarriedContact, CarryingEnd, carried_load
 from jaxclear.ground.answering import nothing_else
 
 __all__ = [

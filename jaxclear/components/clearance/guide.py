@@ -14,12 +14,9 @@ from jaxclear.components.clearance.base import (
     ContactLaws,
     check_clearance,
 )
-from jaxclear.components.clearance.permanent import (
-    AbstractPermanentJoint,
-    CarriedContact,
-    CarryingEnd,
-)
+from jaxclear.components.clearance.permanent import AbstractPermanentJoint
 from jaxclear.components.joint import Prismatic
+from jaxclear.components.joint.rubbing import CarriedContact, CarryingEnd
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, quantity

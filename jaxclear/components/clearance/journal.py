@@ -17,6 +17,7 @@ from jaxclear.components.clearance.base import (
     flattening,
 )
 from jaxclear.components.clearance.journal_base import AbstractJournalBearing
+from jaxclear.components.joint.rubbing import shared_by_ends
 from jaxclear.components.wear_map import CylinderMap, Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
@@ -238,13 +239,7 @@ class JournalBearing(AbstractJournalBearing):
         return (*place, fall, flattening(indentations[index]), float(2 * index - 1))
 
     def end_forces(self, force, torque):
-        # About y a torque pairs forces along x, about x the opposite ones along y.
-        pair = (sp.mul(1 / self.length, torque[1]), sp.mul(-1 / self.length, torque[0]))
-        ends = []
-        for side in (-1, 1):
-            x, y = (sp.add(sp.mul(0.5, force[i]), sp.mul(side, pair[i])) for i in (0, 1))
-            ends.append(((x, y, 0), sp.mul(0.5 * side, self.length)))
-        return tuple(ends)
+        return shared_by_ends(force, torque, self.length)
 
 
 def _slope(axis) -> tuple:

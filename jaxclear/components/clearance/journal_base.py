@@ -8,14 +8,11 @@ from typing import Any, ClassVar
 import equinox as eqx
 
 from jaxclear.components.clearance.base import AbstractClearance
-from jaxclear.components.clearance.permanent import (
-    AbstractPermanentJoint,
-    CarriedContact,
-    CarryingEnd,
-)
+from jaxclear.components.clearance.permanent import AbstractPermanentJoint
 from jaxclear.components.joint import Revolute
+from jaxclear.components.joint.rubbing import pressed_end
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.friction import AbstractFrictionLaw
@@ -75,20 +72,10 @@ class PermanentRevolute(AbstractPermanentJoint):
 
     def carrying_ends(self, force, torque, ratio):
         ends = self.gap.end_forces(force, torque)
-        return tuple(self._end(k, own, height, ratio) for k, (own, height) in enumerate(ends))
-
-    def _end(self, index, force, height, ratio):
-        """force = -N n + T t with t a quarter turn ahead of n, the direction in which the journal
-        leans; T = ratio |force|.
-        """
-        size = sp.norm(force)
-        normal = safe_sqrt(1 - ratio * ratio) * size
-        x, y = (safe_divide(part, size * size) for part in force[:2])
-        friction = ratio * size
-        lean = (friction * y - normal * x, -normal * y - friction * x)
-        place = (*sp.scale(self.gap.bearing_radius, lean), height)
-        offset = (*sp.scale(self.gap.clearance, lean), 0)
-        return CarryingEnd(height, force, offset, (CarriedContact(index, normal, friction, place),))
+        size = (self.gap.bearing_radius, self.gap.clearance)
+        return tuple(
+            pressed_end(k, own, height, ratio, *size) for k, (own, height) in enumerate(ends)
+        )
 
     def friction_ratio(self, mu):
         return mu / safe_sqrt(1 + mu * mu)

@@ -1,4 +1,4 @@
-"""Ideal joints, and what a joint of one's own derives from."""
+"""Ideal joints, those that rub among them, and what a joint of one's own derives from."""
 
 from jaxclear.components.joint.base import (
     AbstractDrivenJoint,
@@ -7,6 +7,8 @@ from jaxclear.components.joint.base import (
     AbstractVectorJoint,
 )
 from jaxclear.components.joint.group import Free, Planar, Spherical
+from jaxclear.components.joint.plain import PlainBearing, Slideway
+from jaxclear.components.joint.rubbing import AbstractRubbingJoint
 from jaxclear.components.joint.vector import Cylindrical, Fixed, Prismatic, Revolute, Universal
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.pose import FLIP
@@ -16,13 +18,16 @@ __all__ = [
     "AbstractDrivenJoint",
     "AbstractGroupJoint",
     "AbstractJoint",
+    "AbstractRubbingJoint",
     "AbstractVectorJoint",
     "Cylindrical",
     "Fixed",
     "Free",
+    "PlainBearing",
     "Planar",
     "Prismatic",
     "Revolute",
+    "Slideway",
     "Spherical",
     "Universal",
 ]

@@ -1,0 +1,202 @@
+"""Ideal joints whose parts rub and wear by what they carry: the plain bearing and the slideway.
+
+They move as `Revolute` and `Prismatic` do; friction and wear follow the joint's own reaction within
+the step, so that friction in one joint loads the others. Prefer a joint with clearance
+(`jaxclear.clearance`) where the play matters.
+"""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+
+from jaxclear.components.area_map import AreaMap
+from jaxclear.components.drive import AbstractDrive
+from jaxclear.components.joint.base import AbstractDrivenJoint
+from jaxclear.components.joint.rubbing import (
+    AbstractRubbingJoint,
+    CarriedContact,
+    CarryingEnd,
+    pressed_end,
+    shared_by_ends,
+)
+from jaxclear.components.joint.vector import Prismatic, Revolute
+from jaxclear.components.wear_map import Wearing
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.laws.friction import AbstractFrictionLaw
+
+
+class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
+    r"""Turns about z as `Revolute` does, and rubs: the friction torque is radius times friction.
+
+    A reaction R across the axis rubs with :math:`\sin(\arctan\mu)\,|R|` (the friction circle). With
+    `length` the moment across the axis loads the two ends as forces; without, it is not counted.
+    Force along the axis rubs without a torque. `load`: a normal force that rubs whatever the
+    reaction (a seal, a clamped bush); friction is then :math:`\mu` times this. `wear`: one depth,
+    worn volume over 2 radius length, how far the pin has sunk; the motion does not feel it. Set-
+    valued friction sticks, for `NonColliding`; laws that are functions of the sliding speed serve
+    `Adaptive` and `FixedStep` too.
+    """
+
+    home: ClassVar = Revolute.home
+    units: ClassVar = Revolute.units
+    rows: ClassVar = Revolute.rows
+    reversal: ClassVar = Revolute.reversal
+    gap_axes: ClassVar = ()
+    friction: AbstractFrictionLaw | None = None
+    radius: Scalar = quantity(10e-3, "m", "radius of the pin", above=0, kw_only=True)
+    length: Scalar | None = quantity(None, "m", "length of the bearing", above=0, kw_only=True)
+    load: Scalar | None = quantity(
+        None, "N", "normal force that rubs (None: the reaction does)", at_least=0, kw_only=True
+    )
+    wear: Wearing | None = eqx.field(default=None, kw_only=True)
+    drive: AbstractDrive | None = eqx.field(default=None, kw_only=True)
+
+    def __check_init__(self):
+        _check_area(self, length=self.length)
+
+    @property
+    def arm(self):
+        return self.radius
+
+    def friction_wrench(self, friction):
+        return sp.ZERO, (0, 0, self.radius * friction)
+
+    def carrying_ends(self, force, torque, ratio):
+        if self.load is not None:
+            return (_clamped(self.load, ratio, (self.radius, 0, 0)),)
+        ends: tuple = (((force[0], force[1], 0), 0),)
+        if self.length is not None:
+            ends = shared_by_ends(force, torque, self.length)
+        return tuple(
+            pressed_end(k, own, height, ratio, self.radius, 0)
+            for k, (own, height) in enumerate(ends)
+        )
+
+    def friction_ratio(self, mu):
+        return mu if self.load is not None else mu / safe_sqrt(1 + mu * mu)
+
+    def maps(self):
+        if self.wear is None:
+            return {}
+        return {"bearing": (AreaMap(2 * self.radius * self.length), self.wear)}
+
+    def wearing_contacts(self):
+        return (0,) if self.load is not None or self.length is None else (0, 1)
+
+    def wear_place(self, surface, offset, axes, contact):
+        return (0.0,)
+
+    def motion(self, q):
+        return Revolute().motion(q)
+
+    def columns(self, q):
+        return Revolute().columns(q)
+
+    def bias(self, q, v):
+        return None
+
+    def coordinates_at(self, pose):
+        return Revolute().coordinates_at(pose)
+
+    def speeds_at(self, pose, velocity, spin):
+        return Revolute().speeds_at(pose, velocity, spin)
+
+
+class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
+    r"""Slides along z as `Prismatic` does, and rubs: :math:`\mu` times what it carries across.
+
+    With `length` the moment across the axis loads the two ends as forces, with `width` the moment
+    about it loads the two sides; without, they are not counted. `load`: a normal force that rubs
+    whatever the reaction (a wiper, a clamp). `wear`: one depth, worn volume over width times
+    length; the motion does not feel it. Set-valued friction sticks, for `NonColliding`; laws that
+    are functions of the sliding speed serve `Adaptive` and `FixedStep` too.
+    """
+
+    home: ClassVar = Prismatic.home
+    units: ClassVar = Prismatic.units
+    rows: ClassVar = Prismatic.rows
+    reversal: ClassVar = Prismatic.reversal
+    gap_axes: ClassVar = ()
+    arm: ClassVar = 1
+    friction: AbstractFrictionLaw | None = None
+    length: Scalar | None = quantity(None, "m", "length of the slider", above=0, kw_only=True)
+    width: Scalar | None = quantity(None, "m", "width of the slider", above=0, kw_only=True)
+    load: Scalar | None = quantity(
+        None, "N", "normal force that rubs (None: the reaction does)", at_least=0, kw_only=True
+    )
+    wear: Wearing | None = eqx.field(default=None, kw_only=True)
+    drive: AbstractDrive | None = eqx.field(default=None, kw_only=True)
+
+    def __check_init__(self):
+        _check_area(self, length=self.length, width=self.width)
+
+    def friction_wrench(self, friction):
+        return (0, 0, friction), sp.ZERO
+
+    def carrying_ends(self, force, torque, ratio):
+        if self.load is not None:
+            return (_clamped(self.load, ratio, sp.ZERO),)
+        ends: list = [((force[0], force[1], 0), 0)]
+        if self.length is not None:
+            ends = list(shared_by_ends(force, torque, self.length))
+        if self.width is not None:
+            side = (sp.mul(1 / self.width, torque[2]), 0, 0)
+            ends += [(side, 0), (tuple(sp.neg(x) for x in side), 0)]
+        return tuple(
+            _side(k, sp.norm(own), ratio, own, (0, 0, height))
+            for k, (own, height) in enumerate(ends)
+        )
+
+    def friction_ratio(self, mu):
+        return mu
+
+    def maps(self):
+        if self.wear is None:
+            return {}
+        return {"guide": (AreaMap(self.width * self.length), self.wear)}
+
+    def wearing_contacts(self):
+        if self.load is not None:
+            return (0,)
+        return tuple(range((2 if self.length is not None else 1) + 2 * (self.width is not None)))
+
+    def wear_place(self, surface, offset, axes, contact):
+        return (0.0,)
+
+    def motion(self, q):
+        return Prismatic().motion(q)
+
+    def columns(self, q):
+        return Prismatic().columns(q)
+
+    def bias(self, q, v):
+        return None
+
+    def coordinates_at(self, pose):
+        return Prismatic().coordinates_at(pose)
+
+    def speeds_at(self, pose, velocity, spin):
+        return Prismatic().speeds_at(pose, velocity, spin)
+
+
+def _clamped(load: Any, ratio: Any, place: sp.Vec) -> CarryingEnd:
+    """What a given normal force [N] carries."""
+    return _side(0, load, ratio, (load, 0, 0), place)
+
+
+def _side(number: int, normal: Any, ratio: Any, force: sp.Vec, place: sp.Vec) -> CarryingEnd:
+    """One contact that a normal force [N] presses."""
+    contact = CarriedContact(number, normal, ratio * normal, place)
+    return CarryingEnd(place[2], force, sp.ZERO, (contact,))
+
+
+def _check_area(joint: Any, **sizes: Any) -> None:
+    """Raises `ValueError` where a joint wears and its bearing area is not known."""
+    missing = [name for name, size in sizes.items() if size is None]
+    if joint.wear is not None and missing:
+        raise ValueError(
+            f"a {type(joint).__name__} with wear has no {' and no '.join(missing)}; the worn depth "
+            "is the worn volume over the bearing area, so give it."
+        )

@@ -1,0 +1,116 @@
+"""Friction and wear of ideal joints where forces follow from the state: friction is a share of the
+reaction, and changes it, so both are sought together at every evaluation.
+
+Nothing here is evaluated in a mechanism without such joints.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxclear.formulations.base import ContactReport
+from jaxclear.formulations.model import Instant, Model
+from jaxclear.formulations.permanent_friction import NonCollidingSettings, regularised_friction
+from jaxclear.formulations.permanent_reactions import (
+    Answer,
+    PermanentJoint,
+    friction_response,
+    slip_of,
+    touching,
+    with_friction,
+)
+from jaxclear.formulations.permanent_report import report
+from jaxclear.formulations.permanent_wear import wear_rates
+from jaxclear.formulations.state_rate import Passive, link_accelerations
+from jaxclear.ground import sparse as sp
+from jaxclear.multibody import dynamics
+from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.topology import rubbing_in
+
+SETTINGS = NonCollidingSettings(200.0, 1e-13, None, True)
+# Last change of friction in a search, relative to the largest, beyond which there is no answer.
+LOOSE = 1e-6
+
+
+class Rubbing(NamedTuple):
+    """What acts with the friction of the joints, the accelerations, the reactions, friction [N] and
+    sliding speed [m/s] of each joint that touches all the time."""
+
+    forces: Forces
+    solution: Solution
+    answer: Answer
+    friction: Any
+    slips: list
+
+
+def rubbing(model: Model, forces: Forces, q: tuple, v: list) -> Rubbing:
+    """The friction of ideal joints under these forces, at coordinates `q` and the flat speeds `v`.
+    It is no number where friction and reactions drive each other up without end (self-locking)."""
+    system = model.system
+    held = touching(system)
+    slips = [slip_of(system, forces.motions, one, v).at(v) for one in held]
+    response = friction_response(model, forces, q)
+    problem = regularised_friction(held, slips, response)
+    friction, left, _ = SETTINGS.solver().iterate(problem)
+    friction = jnp.where(left > LOOSE, jnp.nan, friction)
+    answer = response.at(friction)
+    solution = link_accelerations(system, answer.accelerations, answer.multipliers)
+    speeds = [one.joint.arm * slip for one, slip in zip(held, slips, strict=True)]
+    return Rubbing(with_friction(system, forces, friction), solution, answer, friction, speeds)
+
+
+def solved(model: Model, forces: Forces, q: tuple, v: list) -> tuple[Forces, Solution, Passive]:
+    """(what acts, accelerations, what joints that rub wear and lose): the equations of motion
+    solved, friction of ideal joints included."""
+    held = touching(model.system)
+    if not held:
+        solution = dynamics.forward_dynamics(model.system, forces, model.stabilisation)
+        return forces, solution, Passive()
+    found = rubbing(model, forces, q, v)
+    rates = wear_rates(model, forces.motions, q, found.answer, found.friction, found.slips)
+    losses = friction_losses(held, found.friction, found.slips)
+    return found.forces, found.solution, Passive(rates, *losses)
+
+
+def friction_losses(held: tuple[PermanentJoint, ...], friction: Any, slips: list) -> tuple:
+    """(power [W] lost to friction [N] in joints that slide at these speeds [m/s], the part of it
+    that drives give)."""
+    powers = [sp.neg(sp.mul(friction[k], slip)) for k, slip in enumerate(slips)]
+    driven = [power for one, power in zip(held, powers, strict=True) if one.driven]
+    return sp.total(powers), sp.total(driven)
+
+
+def contact(instant: Instant, forces: Forces, name: str) -> ContactReport:
+    """How an ideal joint rubs at an instant, under the `forces` without its friction."""
+    found = rubbing(instant.model, forces, instant.q, instant.speeds)
+    for k, held in enumerate(touching(instant.model.system)):
+        if held.name == name:
+            return report(instant, held, found.answer.reactions[k], found.friction[k])
+    raise KeyError(name)
+
+
+def check_rubbing(mechanism: Mechanism, integrator: str) -> None:
+    """Raises `ValueError` for friction in an ideal joint that is no function of its sliding
+    speed."""
+    for name, joint in rubbing_in(mechanism.connections).items():
+        law = joint.friction
+        if law is not None and (law.set_valued or law.bristles):
+            raise ValueError(
+                f'joint "{name}" has friction {type(law).__name__}, which is no function of the '
+                f"sliding speed: for {integrator} give a {type(joint).__name__} one that is, such "
+                "as friction.ThreeZone, or take integrator.NonColliding, where friction sticks."
+            )
+
+
+def refuse_rubbing(mechanism: Mechanism, integrator: str) -> None:
+    """Raises `ValueError` for an ideal joint that rubs, where reactions are not known while forces
+    are sought."""
+    for name, joint in rubbing_in(mechanism.connections).items():
+        if joint.friction is not None or joint.maps():
+            raise ValueError(
+                f'joint "{name}" is a {type(joint).__name__} with friction or wear, which follow '
+                f"its reaction; {integrator} knows that only when a step is over. Take "
+                "integrator.Adaptive, FixedStep or NonColliding, or a joint with clearance."
+            )
