@@ -30,7 +30,7 @@ def measured() -> dict[str, dict[str, float]]:
     """
     import jaxclear as jc
     from jaxclear.studies.batch import evaluate_all
-    from jaxclear.studies.monte_carlo import draw
+    from jaxclear.studies.sampling import draw
 
     rig, found = jc.scenes.four_bar(), {}
     jc.assemble(rig)

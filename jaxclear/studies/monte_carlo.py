@@ -1,24 +1,46 @@
-"""Monte Carlo over the toleranced numbers of a problem: how responses spread, and which sample
-failed and why.
+"""Monte Carlo over the toleranced numbers of a problem: how responses spread, with the error of
+every statistic, and which sample failed and why.
 """
 
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtri
-from scipy.stats import qmc
 
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_known, expect
-from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.arguments import (
+    check_count,
+    check_flags,
+    check_known,
+    check_number,
+)
 from jaxclear.integrators import Checks, Outcome
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import chunk_size, evaluate_all
+from jaxclear.studies.sampling import check_sampled, draw, extended, groups, usual_scramblings
+from jaxclear.studies.statistics.accuracy import Asked, asked_of, told, unreached
+from jaxclear.studies.statistics.limits import Limits, check_limits, yield_of
+from jaxclear.studies.statistics.scrambled import (
+    Statistic,
+    capability,
+    deviation,
+    jackknifed,
+    quantile,
+)
+from jaxclear.studies.statistics.summary import summary_row
+from jaxclear.studies.statistics.tolerance_interval import (
+    SIDES,
+    ToleranceInterval,
+    free_interval,
+    normal_interval,
+)
 from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
-SAMPLINGS = ("sobol", "random")
+# What a study begins with that goes on until it is accurate.
+FIRST_SAMPLES = 256
 
 
 class MonteCarlo(eqx.Module):
@@ -26,7 +48,8 @@ class MonteCarlo(eqx.Module):
     sentence; those that reached their end with warnings are counted beside them.
 
     `values` (samples, variables) are the varied numbers, `responses` (samples,) by name, `checks`
-    what each run found out about itself.
+    what each run found out about itself, `scrambling` (samples,) the independent part of the sample
+    that each belongs to: errors of statistics come from the differences between these.
     """
 
     problem: AbstractProblem
@@ -37,6 +60,9 @@ class MonteCarlo(eqx.Module):
     seed: int = eqx.field(static=True)
     chunk: int = eqx.field(static=True)
     checks: Checks = eqx.field(default_factory=Checks)
+    scrambling: np.ndarray = eqx.field(default_factory=lambda: np.zeros(0, int))
+    # What was asked of the means (half of 95 % intervals, by response) and not reached.
+    unreached: str = eqx.field(static=True, default="")
 
     @property
     def failed(self) -> np.ndarray:
@@ -81,7 +107,7 @@ class MonteCarlo(eqx.Module):
         text = f"{self.count} samples, {len(self.failed)} failed, {len(self.warned)} with warnings"
         counts = counted(self.checks, np.isin(np.arange(self.count), self.warned))
         text = f"{text} ({in_words(counts)})." if counts else f"{text}."
-        return f"{text} {self.problem.remark()}".rstrip()
+        return " ".join(filter(None, (text, self.unreached, self.problem.remark())))
 
     def _sentence(self, i):
         named = ", ".join(
@@ -114,67 +140,80 @@ class MonteCarlo(eqx.Module):
         ]
         return pandas.DataFrame(columns)
 
-    def summary(self) -> Any:
-        """Mean with its standard error, standard deviation and percentiles of each response, as a
-        pandas table. "warned" counts the samples with a warning that concerns the response; the
-        last two columns leave them out, all others take them in.
+    def good(self, response: str) -> tuple[np.ndarray, np.ndarray]:
+        """A response of the samples that did not fail, and their scramblings."""
+        check_known("response", response, self.responses, " in this study")
+        kept = np.setdiff1d(np.arange(self.count), self.failed)
+        return self.responses[response][kept], self.scrambling[kept]
 
-        The standard error is that of independent samples; for quasi-random ones it is an upper
-        estimate.
+    def statistic(self, function: Callable[[np.ndarray], float], response: str) -> Statistic:
+        """Any smooth function of a sample (samples,), such as `scipy.stats.skew`, with its
+        error."""
+        return jackknifed(function, *self.good(response))
+
+    def mean(self, response: str) -> Statistic:
+        """Mean of a response."""
+        return self.statistic(np.mean, response)
+
+    def standard_deviation(self, response: str) -> Statistic:
+        """Standard deviation of a response."""
+        return self.statistic(deviation, response)
+
+    def quantile(self, response: str, share: float) -> Statistic:
+        """The value that a `share` [1] of the samples does not exceed."""
+        check_number("share of quantile", share, above=0, below=1)
+        return quantile(*self.good(response), share)
+
+    def share_within(self, limits: Mapping[str, Limits]) -> Statistic:
+        """The yield [1]: the share of samples all of whose responses keep their `limits`, {name:
+        (low, high)} with None for no limit. Samples that failed are in the interval alone: outside
+        at its lower end, inside at its upper."""
+        check_limits(limits, self.responses)
+        return yield_of(self.responses, limits, self.failed, self.scrambling)
+
+    def process_capability(self, response: str, limits: Limits) -> Statistic:
+        """Cpk [1] between limits (low, high), None for no limit: distance of the mean from the
+        nearer one, in three standard deviations."""
+        check_limits({response: limits}, self.responses)
+        return self.statistic(capability(*limits), response)
+
+    def tolerance_interval(
+        self,
+        response: str,
+        content: float = 0.99,
+        confidence: float = 0.95,
+        *,
+        side: str = "both",
+        normal: bool = False,
+    ) -> ToleranceInterval:
+        """Limits within which at least a share `content` [1] of all parts lies, with a `confidence`
+        [1]. `side`: "both", "lower" (all parts above a limit), "upper". `normal`: of a normal
+        response, mean and a factor of the standard deviation; otherwise between two samples,
+        whatever the distribution.
+
+        The confidence is that of as many independent samples; quasi-random ones deserve more.
+        Raises `ValueError` where the samples are too few, with how many are needed.
+        """
+        check_number("content of tolerance_interval", content, above=0, below=1)
+        check_number("confidence of tolerance_interval", confidence, above=0, below=1)
+        check_known("side of tolerance_interval", side, SIDES)
+        check_flags("tolerance_interval", normal=normal)
+        kind = normal_interval if normal else free_interval
+        return kind(*self.good(response), content, confidence, side)
+
+    def summary(self, limits: Mapping[str, Limits] | None = None) -> Any:
+        """Mean, standard deviation and percentiles of each response as a pandas table, each with
+        its error: half of its 95 % interval, from the differences between the scramblings (or the
+        farther end of the interval). With `limits`, {name: (low, high)}, also yield and Cpk.
+
+        "warned" counts the samples with a warning that concerns the response; the last two columns
+        leave them out, all others take them in.
         """
         import pandas
 
-        good = np.setdiff1d(np.arange(self.count), self.failed)
-        rows = []
-        for name, response in self.responses.items():
-            r = response[good]
-            low, median, high = np.percentile(r, [5, 50, 95]) if len(r) else (np.nan,) * 3
-            warned = self.concerned(name)
-            spread, clean = _spread(r), response[np.setdiff1d(good, warned)]
-            rows.append(
-                {
-                    "response": name,
-                    "unit": self.problem.units()[name],
-                    "samples": len(r),
-                    "failed": len(self.failed),
-                    "warned": len(warned),
-                    "mean": r.mean() if len(r) else np.nan,
-                    "standard error": spread / np.sqrt(max(len(r), 1)),
-                    "standard deviation": spread,
-                    "5 %": low,
-                    "median": median,
-                    "95 %": high,
-                    "mean without warned": clean.mean() if len(clean) else np.nan,
-                    "standard deviation without warned": _spread(clean),
-                }
-            )
-        return pandas.DataFrame(rows)
-
-
-def _spread(values: np.ndarray) -> float:
-    return float(values.std(ddof=1)) if len(values) > 1 else np.nan
-
-
-def draw(problem: AbstractProblem, samples: int, seed: int, sampling: str = "sobol") -> np.ndarray:
-    """Values (samples, variables) drawn from the variables' distributions."""
-    check_double_precision()
-    expect(problem, AbstractProblem, "what is sampled", "a jaxclear.Problem or FunctionProblem")
-    check_known("sampling", sampling, SAMPLINGS)
-    check_count("the number of samples", samples)
-    check_count("seed", seed, at_least=0)
-    count = len(problem.variables)
-    if count == 0:
-        raise ValueError("the problem has no variables; nothing would vary: give it some.")
-    if sampling == "sobol":
-        # A power of two keeps the sequence balanced; what is more than asked for is left out.
-        power = int(np.ceil(np.log2(samples)))
-        shares = qmc.Sobol(count, scramble=True, rng=np.random.default_rng(seed)).random_base2(
-            power
-        )[:samples]
-    else:
-        shares = np.random.default_rng(seed).random((samples, count))
-    shares = np.clip(shares, 1e-12, 1 - 1e-12)
-    return np.asarray(problem.inputs.values(ndtri(jnp.asarray(shares))))
+        limits = {} if limits is None else limits
+        check_limits(limits, self.responses)
+        return pandas.DataFrame([summary_row(self, name, limits) for name in self.responses])
 
 
 @answering
@@ -184,26 +223,75 @@ def monte_carlo(
     *,
     seed: int = 0,
     sampling: str = "sobol",
+    scramblings: int | None = None,
+    accuracy: float | Mapping[str, float] | None = None,
     chunk: int | None = None,
     progress_bar: bool = False,
 ) -> MonteCarlo:
     """Responses over a random sample of the variables.
 
-    `sampling`: "sobol" (scrambled, quasi-random) or "random". `chunk`: samples run together, by
+    `sampling`: "sobol" (scrambled, quasi-random) or "random". The sample consists of independent
+    `scramblings`, by default near its root and at most 16, whose differences tell the error of
+    every statistic. `accuracy`: half of the 95 % interval of each mean, as a share of the
+    response's root mean square [1], or by response in its unit; samples are then doubled until it
+    is reached, and `samples` are the most. `chunk`: samples run together, by
     default what fits memory; all chunks share one compiled program. A sample that fails is counted,
     named and kept; so is one whose run warns of its own numbers.
     """
-    values = draw(problem, samples, seed, sampling)
+    check_sampled(problem, samples, seed, sampling)
+    check_flags("monte_carlo", progress_bar=progress_bar)
     if chunk is not None:
         check_count("chunk of monte_carlo", chunk)
-    check_flags("monte_carlo", progress_bar=progress_bar)
-    chunk = chunk_size(problem, samples, chunk)
-    outcome = evaluate_all(
+    asked = asked_of(accuracy, problem.response_names)
+    first = samples if asked is None else min(samples, FIRST_SAMPLES)
+    parts = usual_scramblings(first) if scramblings is None else scramblings
+    check_count("scramblings of monte_carlo", parts)
+    if parts > first:
+        raise ValueError(f"{first} samples cannot be {parts} scramblings; take fewer of these.")
+    chunk = chunk_size(problem, first, chunk)
+    run = lambda values: evaluate_all(
         problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
     )
-    good = outcome.outcome == Outcome.REACHED
-    responses = {
-        name: np.where(good, outcome.responses[name], np.nan) for name in problem.response_names
-    }
-    ends = (np.asarray(outcome.outcome), np.asarray(outcome.ended))
-    return MonteCarlo(problem, values, responses, *ends, seed, chunk, outcome.checks)
+    if asked is None:
+        values, group = draw(problem, samples, seed, sampling, parts), groups(samples, parts)
+        found, short = run(values), ""
+    else:
+        plan = Plan(problem, samples, seed, sampling, parts)
+        values, group, found, short = _until_accurate(plan, first, asked, run)
+    ends = (np.asarray(found.outcome), np.asarray(found.ended))
+    responses = _responses(problem, found)
+    return MonteCarlo(problem, values, responses, *ends, seed, chunk, found.checks, group, short)
+
+
+class Plan(NamedTuple):
+    """What is sampled, at most how often, and how."""
+
+    problem: AbstractProblem
+    most: int
+    seed: int
+    sampling: str
+    scramblings: int
+
+
+def _until_accurate(plan: Plan, first: int, asked: Asked, run: Callable) -> tuple:
+    """Values, scramblings and outcomes of as many samples as the accuracy takes, and a sentence
+    where it takes more than the most."""
+    problem, parts = plan.problem, plan.scramblings
+    # All scramblings are of one length, a power of two, so that they can be doubled.
+    first = parts * 2 ** int(np.log2(first // parts))
+    values, group = draw(problem, first, plan.seed, plan.sampling, parts), groups(first, parts)
+    found = run(values)
+    while True:
+        short = told(asked, _responses(problem, found), group)
+        if not short or 2 * len(values) > plan.most:
+            return values, group, found, unreached(short)
+        more = extended(problem, len(values) // parts, parts, plan.seed, plan.sampling)
+        values = np.concatenate([values, more])
+        group = np.concatenate([group, groups(len(more), parts)])
+        found = jax.tree.map(lambda *both: np.concatenate(both), found, run(more))
+
+
+def _responses(problem: AbstractProblem, found: SampleResult) -> dict[str, np.ndarray]:
+    """Responses of the samples, nan of those that failed."""
+    good = found.outcome == Outcome.REACHED
+    return {name: np.where(good, found.responses[name], np.nan) for name in problem.response_names}

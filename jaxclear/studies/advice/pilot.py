@@ -21,8 +21,8 @@ from jaxclear.integrators import AbstractIntegrator, Adaptive, Outcome
 from jaxclear.simulation.simulate import check_run
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.monte_carlo import draw
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.sampling import draw
 from jaxclear.studies.warned import concern
 from jaxclear.studies.work_precision import tight_reference
 

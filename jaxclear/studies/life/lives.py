@@ -19,8 +19,8 @@ from jaxclear.studies.life.living import Living
 from jaxclear.studies.life.result import WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
-from jaxclear.studies.monte_carlo import draw
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.sampling import draw
 from jaxclear.studies.store import Store
 
 

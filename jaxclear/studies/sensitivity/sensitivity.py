@@ -12,7 +12,8 @@ from jaxclear.ground.arguments import check_count, check_known, check_number, ex
 from jaxclear.ground.wording import listed
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identity import first_difference
-from jaxclear.studies.monte_carlo import MonteCarlo, draw, monte_carlo
+from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
+from jaxclear.studies.sampling import draw
 from jaxclear.studies.sensitivity.derivative import Sensitivity, confirmed
 from jaxclear.studies.sensitivity.methods import differences, pathwise, regression
 

@@ -1,0 +1,95 @@
+"""Values of a problem's variables, drawn from their joint distribution.
+
+Quasi-random samples come as independent scramblings of Sobol's sequence: within one, points are
+spread evenly, so that means converge faster than those of random samples; between them nothing is
+shared, so that their differences tell the error, whatever the response.
+
+Source: Owen 1998, ACM TOMACS 8, 71, doi:10.1145/272991.273010; L'Ecuyer, Nakayama, Owen & Tuffin
+2023, Winter Simulation Conference, doi:10.1109/WSC60868.2023.10408613.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import special
+from scipy.stats import qmc
+
+from jaxclear.ground.arguments import check_count, check_known, expect
+from jaxclear.ground.precision import check_double_precision
+from jaxclear.studies.base import AbstractProblem
+
+__all__ = ["SAMPLINGS", "check_sampled", "draw", "extended", "groups", "usual_scramblings"]
+
+SAMPLINGS = ("sobol", "random")
+# More scramblings leave each too few points; fewer leave their differences too few to tell from.
+MOST_SCRAMBLINGS = 16
+# Shares that have a finite score.
+LEAST_SHARE = 1e-12
+
+
+def usual_scramblings(samples: int) -> int:
+    """How many scramblings a sample is made of: a power of two near its root, 16 at the most."""
+    return int(min(MOST_SCRAMBLINGS, 2 ** (int(np.log2(samples)) // 2)))
+
+
+def groups(samples: int, scramblings: int) -> np.ndarray:
+    """The scrambling (samples,) that each sample belongs to: one after the other, of equal length
+    but for one."""
+    return np.arange(samples) * scramblings // samples
+
+
+def check_sampled(problem: Any, samples: Any, seed: Any, sampling: Any = "sobol") -> None:
+    """What is sampled, and how. Raises `ValueError` with a sentence."""
+    check_double_precision()
+    expect(problem, AbstractProblem, "what is sampled", "a jaxclear.Problem")
+    check_known("sampling", sampling, SAMPLINGS)
+    check_count("the number of samples", samples)
+    check_count("seed", seed, at_least=0)
+    if not problem.variables:
+        raise ValueError("the problem has no variables; nothing would vary: give it some.")
+
+
+def draw(
+    problem: AbstractProblem,
+    samples: int,
+    seed: int,
+    sampling: str = "sobol",
+    scramblings: int = 1,
+) -> np.ndarray:
+    """Values (samples, variables) drawn from the variables' distributions, one scrambling after the
+    other as `groups` counts them."""
+    check_sampled(problem, samples, seed, sampling)
+    sizes = np.bincount(groups(samples, scramblings), minlength=scramblings)
+    return _values(problem, [(0, int(size)) for size in sizes], seed, sampling)
+
+
+def extended(
+    problem: AbstractProblem, drawn: int, scramblings: int, seed: int, sampling: str
+) -> np.ndarray:
+    """As many values (scramblings * drawn, variables) again, where every scrambling has `drawn`
+    points: its next ones, one scrambling after the other."""
+    return _values(problem, [(drawn, 2 * drawn)] * scramblings, seed, sampling)
+
+
+def _values(problem, spans, seed, sampling):
+    count = len(problem.names)
+    shares = np.concatenate(
+        [_shares(count, span, (seed, i), sampling) for i, span in enumerate(spans)]
+    )
+    normal = special.ndtri(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
+    return np.asarray(problem.inputs.values(jnp.asarray(normal)))
+
+
+def _shares(count: int, span: tuple[int, int], seed: tuple[int, int], sampling: str) -> np.ndarray:
+    """Points of one scrambling, from the first number of a span up to the second; the first of
+    all scramblings is that of the plain seed."""
+    start, stop = span
+    rng = np.random.default_rng(seed if seed[1] else seed[0])
+    if stop == start:
+        return np.zeros((0, count))
+    if sampling == "random":
+        return rng.random((stop, count))[start:]
+    # A power of two keeps the sequence balanced; what is more than asked for is left out.
+    power = int(np.ceil(np.log2(stop)))
+    return qmc.Sobol(count, scramble=True, rng=rng).random_base2(power)[start:stop]

@@ -1,0 +1,40 @@
+"""What a Monte Carlo study tells of one response, in a row."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxclear.studies.statistics.limits import Limits
+from jaxclear.studies.statistics.scrambled import deviation, standard_error
+
+PERCENTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
+
+
+def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str, Any]:
+    """The row of a response in the summary of a study (`MonteCarlo`)."""
+    values, group = study.good(name)
+    warned = study.concerned(name)
+    clean = np.setdiff1d(np.setdiff1d(np.arange(study.count), study.failed), warned)
+    clean = study.responses[name][clean]
+    known = {"mean": study.mean(name)}
+    row = {
+        "response": name,
+        "unit": study.problem.units()[name],
+        "samples": len(values),
+        "failed": len(study.failed),
+        "warned": len(warned),
+        "mean": known["mean"].value,
+        "standard error": standard_error(np.mean, values, group)[0] if len(values) else np.nan,
+    }
+    known["standard deviation"] = study.standard_deviation(name)
+    known |= {label: study.quantile(name, share) for label, share in PERCENTILES.items()}
+    if name in limits:
+        known["yield"] = study.share_within({name: limits[name]})
+        known["Cpk"] = study.process_capability(name, limits[name])
+    for label, told in known.items():
+        row[label] = told.value
+        row[f"{label} error"] = told.error
+    row["mean without warned"] = clean.mean() if len(clean) else np.nan
+    row["standard deviation without warned"] = deviation(clean)
+    return row

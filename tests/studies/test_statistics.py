@@ -1,0 +1,151 @@
+"""Statistics of a Monte Carlo study and their errors, against closed forms of a stack of parts."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import jaxclear as jc
+from jaxclear.studies.statistics.tolerance_interval import fewest, normal_factor
+
+D = jc.distribution
+# A stack of four parts: gap = d - a - b - c, normal with mean 0.5 mm.
+SPREADS = (0.05, 0.03, 0.02, 0.04)
+SPREAD = float(np.sqrt(np.sum(np.square(SPREADS))))
+
+
+def gap(a, b, c, d):
+    return {"gap": d - a - b - c, "worn": jnp.exp(10 * (a + b + c - 6.0))}
+
+
+STACK = jc.FunctionProblem(
+    gap,
+    {
+        name: jc.Dimension(nominal, D.Normal(spread), unit="mm")
+        for name, nominal, spread in zip("abcd", (1.0, 2.0, 3.0, 6.5), SPREADS, strict=True)
+    },
+    units={"gap": "mm", "worn": "1"},
+)
+EXACT = stats.norm(0.5, SPREAD)
+TRUTH = {
+    "mean": (lambda s: s.mean("gap"), 0.5),
+    "standard deviation": (lambda s: s.standard_deviation("gap"), SPREAD),
+    "5 %": (lambda s: s.quantile("gap", 0.05), EXACT.ppf(0.05)),
+    "median": (lambda s: s.quantile("gap", 0.5), 0.5),
+    "95 %": (lambda s: s.quantile("gap", 0.95), EXACT.ppf(0.95)),
+    "yield": (lambda s: s.share_within({"gap": (0.4, None)}), EXACT.sf(0.4)),
+    "rare": (lambda s: s.share_within({"gap": (0.3, 0.7)}), 1 - 2 * EXACT.sf(0.7)),
+    "Cpk": (lambda s: s.process_capability("gap", (0.3, 0.75)), 0.2 / (3 * SPREAD)),
+    "skewness": (lambda s: s.statistic(stats.skew, "gap"), 0.0),
+    "mean of a curved one": (
+        lambda s: s.mean("worn"),
+        np.exp(50 * np.sum(np.square(SPREADS[:3]))),
+    ),
+}
+REPEATED = 60
+
+
+@pytest.fixture(scope="module")
+def studies():
+    return [jc.monte_carlo(STACK, 256, seed=seed) for seed in range(REPEATED)]
+
+
+@pytest.mark.parametrize("name", TRUTH)
+def test_intervals_hold_what_they_promise(studies, name):
+    """95 %, of 60: 50 or fewer by chance once in 1e4."""
+    ask, exact = TRUTH[name]
+    told = [ask(study) for study in studies]
+    covered = sum(one.low <= exact <= one.high for one in told)
+    assert covered > 50
+    # Not by being wide: half widths within 2.5 times what the scatter asks for (rare: of few).
+    needed = 1.96 * np.std([one.value for one in told])
+    widths = np.median([0.5 * (one.high - one.low) for one in told])
+    assert widths < (4.0 if name == "rare" else 2.5) * needed
+
+
+def test_standard_errors_are_the_scatter_of_means(studies):
+    """Random samples would promise 0.0046: 4 times the truth."""
+    told = np.sqrt(np.mean([s.summary()["standard error"][0] ** 2 for s in studies]))
+    scatter = np.std([s.mean("gap").value for s in studies])
+    assert 0.8 < told / scatter < 1.3
+    assert 3 * scatter < SPREAD / 16
+
+
+def test_a_sample_consists_of_scramblings_of_equal_length(studies):
+    assert np.bincount(studies[0].scrambling).tolist() == [16] * 16
+    assert np.bincount(jc.monte_carlo(STACK, 100).scrambling).tolist() == [13, 12] * 4
+    assert len(np.unique(jc.monte_carlo(STACK, 64, scramblings=4).scrambling)) == 4
+
+
+def test_the_summary_gives_every_statistic_its_error(studies):
+    table = studies[0].summary({"gap": (0.3, 0.7)}).set_index("response")
+    row = table.loc["gap"]
+    for name in ("mean", "standard deviation", "5 %", "median", "95 %", "yield", "Cpk"):
+        assert row[f"{name} error"] > 0
+    assert row["mean"] == studies[0].mean("gap").value
+    assert np.isnan(table.loc["worn", "yield"])
+
+
+def test_samples_are_doubled_until_the_accuracy_is_reached():
+    study = jc.monte_carlo(STACK, 65536, accuracy={"worn": 0.005})
+    assert 256 < study.count < 65536 and study.mean("worn").error <= 0.005
+    assert study.count & (study.count - 1) == 0 and not study.unreached
+    # What was drawn first is still there.
+    first = jc.monte_carlo(STACK, 256)
+    np.testing.assert_array_equal(study.values[:256], first.values)
+    short = jc.monte_carlo(STACK, 512, accuracy=1e-6)
+    assert short.count == 512
+    assert "accuracy asked is not reached (mean of gap to" in short.sentence()
+
+
+def test_failed_samples_are_unknown_in_the_yield():
+    broken = jc.FunctionProblem(
+        lambda a: jnp.where(a > 0, jnp.sqrt(a), jnp.nan), {"a": jc.Dimension(0.0, D.Uniform(1.0))}
+    )
+    told = jc.monte_carlo(broken, 64).share_within({"response": (None, 2.0)})
+    assert told.value == 1.0 and told.low < 0.55 and told.high == 1.0
+
+
+@pytest.mark.parametrize(
+    ("samples", "content", "both", "factor"),
+    # ISO 16269-6:2014, tables for a confidence of 95 %.
+    [(10, 0.95, False, 2.911), (30, 0.99, False, 3.064), (10, 0.95, True, 3.393)],
+)
+def test_factors_of_tolerance_intervals_are_those_of_the_standard(samples, content, both, factor):
+    assert normal_factor(samples, content, 0.95, both) == pytest.approx(factor, abs=1.1e-3)
+
+
+def test_wilks_numbers_of_samples():
+    assert fewest(0.95, 0.95, "upper") == 59 and fewest(0.95, 0.95, "both") == 93
+
+
+@pytest.mark.parametrize("normal", [True, False])
+def test_tolerance_intervals_hold_their_content(studies, normal):
+    """With a confidence of 95 %: of 60 intervals 8 too short by chance once in 100."""
+    content = 0.95
+    short = 0
+    for study in studies:
+        found = study.tolerance_interval("gap", content, normal=normal)
+        assert found.low.value < found.high.value and found.low.error > 0
+        short += EXACT.cdf(found.high.value) - EXACT.cdf(found.low.value) < content
+    assert short < 8
+    upper = studies[0].tolerance_interval("gap", content, side="upper", normal=normal)
+    assert upper.low.value == -np.inf and EXACT.cdf(upper.high.value) > content
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda s: s.quantile("gap", 1.0), "share of quantile is 1.0"),
+        (lambda s: s.mean("force"), 'no response "force"'),
+        (lambda s: s.share_within({"gap": (1.0, 0.0)}), "low is not below high"),
+        (lambda s: s.share_within({"gap": 0.3}), r"two numbers, \(low, high\)"),
+        (lambda s: s.tolerance_interval("gap", 0.99), "samples are too few .* it needs 473[.]"),
+        (lambda s: s.tolerance_interval("gap", side="left"), 'no side .* "left"'),
+        (lambda s: jc.monte_carlo(STACK, 8, scramblings=9), "8 samples cannot be 9 scramblings"),
+        (lambda s: jc.monte_carlo(STACK, 8, accuracy={"force": 1.0}), 'no response "force"'),
+    ],
+)
+def test_mistakes_get_a_sentence(studies, call, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        call(studies[0])
