@@ -42,6 +42,7 @@ from jaxclear.results import response
 from jaxclear.results.pointing_error import pointing_error
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.positions import positions
 from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution, limit_state
@@ -54,6 +55,7 @@ from jaxclear.studies.life.lives import wear_lives
 from jaxclear.studies.life.settled import settled
 from jaxclear.studies.life.wear_life import wear_life
 from jaxclear.studies.monte_carlo import monte_carlo
+from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
 from jaxclear.studies.surface.correction import corrected
@@ -79,6 +81,7 @@ __all__ = [
     "Material",
     "Mechanism",
     "PilotSettings",
+    "PositionProblem",
     "Problem",
     "Projection",
     "Saving",
@@ -109,6 +112,7 @@ __all__ = [
     "numerics",
     "pointing_error",
     "pose",
+    "positions",
     "quantity",
     "response",
     "scenes",

@@ -22,6 +22,7 @@ __all__ = [
     "AbstractDrive",
     "ConstantSpeed",
     "Harmonic",
+    "Held",
     "Position",
     "RampUp",
     "Speed",
@@ -45,6 +46,15 @@ class ConstantSpeed(AbstractDrive):
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         return self.start + self.speed * time, self.speed, 0
+
+
+class Held(AbstractDrive):
+    """q = position, at rest."""
+
+    position: Scalar = quantity(unit="rad", meaning="position (m for a sliding joint)")
+
+    def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
+        return self.position, 0, 0
 
 
 class Harmonic(AbstractDrive):

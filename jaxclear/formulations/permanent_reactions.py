@@ -15,11 +15,12 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.pose import FLIP
+from jaxclear.ground.pose import FLIP, Pose
 from jaxclear.multibody import constraints, dynamics, kinematics
 from jaxclear.multibody.forces import Forces, add_action_and_reaction
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.system import System
+from jaxclear.multibody.tree import Wrench
 
 
 class PermanentJoint(NamedTuple):
@@ -171,7 +172,13 @@ def _reaction(system, held, motions, q, wrench) -> Reaction:
         pose = link.base.inverse().after(motions[held.link].relative)
     else:
         pose = link.joint.motion(q[held.link])
-    if not branch.reversed:
+    return reaction_through(pose, branch.reversed, wrench)
+
+
+def reaction_through(pose: Pose, turned_round: bool, wrench: Wrench) -> Reaction:
+    """Reaction on a connection's child, from the wrench that a link receives through its joint and
+    the joint's pose; `turned_round`: the tree goes through it from its child to its parent."""
+    if not turned_round:
         return Reaction(
             sp.apply(pose.rotation, wrench.force), sp.apply(pose.rotation, wrench.torque)
         )

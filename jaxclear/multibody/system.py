@@ -70,13 +70,15 @@ def _turned(pose: Pose, turn: sp.Mat) -> Pose:
     return Pose(sp.product(pose.rotation, turn), pose.translation)
 
 
-def prepare(mechanism: Mechanism) -> System:
-    """The system of a mechanism."""
+def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> System:
+    """The system of a mechanism. `shifts`: by connection where its parent's marker has moved to, in
+    that marker (a bearing whose journal leans in its gap, say)."""
+    shifts = shifts or {}
     topology = mechanism.topology
     links: list[Link] = []
     for subtree in topology.subtrees:
         for position in subtree:
-            links.append(_link(mechanism, position, subtree, links))
+            links.append(_link(mechanism, position, subtree, links, shifts))
     frames = {GROUND: REST} | {
         branch.body: link.frame for branch, link in zip(topology.branches, links, strict=True)
     }
@@ -84,6 +86,8 @@ def prepare(mechanism: Mechanism) -> System:
     def closure(name, rows):
         ends = (mechanism.connections[name].parent, mechanism.connections[name].child)
         poses = [frames[marker.body].after(marker.pose()) for marker in ends]
+        if name in shifts:
+            poses[0] = poses[0].after(shifts[name])
         return Closure(*poses, *[topology.index(marker.body) for marker in ends], rows)
 
     closures = tuple(
@@ -131,7 +135,13 @@ def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, Clo
     return found
 
 
-def _link(mechanism: Mechanism, position: int, subtree: tuple[int, ...], links: list[Link]) -> Link:
+def _link(
+    mechanism: Mechanism,
+    position: int,
+    subtree: tuple[int, ...],
+    links: list[Link],
+    shifts: dict[str, Pose],
+) -> Link:
     topology = mechanism.topology
     branch = topology.branches[position]
     body = mechanism.bodies[branch.body]
@@ -140,6 +150,8 @@ def _link(mechanism: Mechanism, position: int, subtree: tuple[int, ...], links: 
     if branch.connection is not None:
         connection = mechanism.connections[branch.connection]
         base, outer = connection.parent.pose(), connection.child.pose()
+        if branch.connection in shifts:
+            base = base.after(shifts[branch.connection])
         if branch.reversed:
             base, outer = _turned(outer, joint.reversal), _turned(base, joint.reversal)
     parent = topology.index(branch.parent)

@@ -27,6 +27,7 @@ from jaxclear.results.trajectory import Trajectory
 __all__ = [
     "AbstractResponse",
     "FinalCoordinate",
+    "LostMotion",
     "MeanContactForce",
     "PeakContactForce",
     "PeakWornDepth",
@@ -160,6 +161,22 @@ class PointingAngle(AbstractResponse):
     def __call__(self, run):
         angle = tip_errors(run, self.tip, self.base, self.through)[2].pointing_angle
         return jnp.max(angle) if self.peak else safe_sqrt(jnp.mean(angle * angle))
+
+
+class LostMotion(AbstractResponse):
+    """Largest difference [rad, m] of a joint's coordinate under the loads and under reversed loads,
+    over the positions of a `PositionProblem` with `both_ways=True`: how far its play lets it turn
+    while the drives stand still."""
+
+    joint: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="rad", kw_only=True)
+
+    def drawn_from(self):
+        return "motion"
+
+    def __call__(self, run):
+        back = run.reversed.coordinate(self.joint)
+        return jnp.max(jnp.abs(run.coordinate(self.joint) - back))
 
 
 class MeanContactForce(AbstractResponse):

@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import inside, numbers
-from jaxclear.ground.wording import described
 from jaxclear.integrators import AbstractIntegrator, Outcome
 from jaxclear.multibody.assembly import (
     Start,
@@ -38,17 +37,20 @@ from jaxclear.simulation.dead_point import diagnosed, diagnosed_outcome
 from jaxclear.simulation.derivatives import guarded, refusal
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
-from jaxclear.studies.base import AbstractProblem, SampleResult, is_one_number, stacked
+from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.inputs import correlation_matrix
 from jaxclear.studies.usual_integrator import usual_integrator
 from jaxclear.studies.variable import (
     Variable,
-    check_apart,
-    check_derived,
-    check_variable,
+    by_name,
+    check_responses,
+    check_variables,
     leaves_of,
-    with_derived,
+    one_number,
+    places_of,
+    units_of_variables,
+    with_values,
 )
 
 # Histories that a response may build from the saved states, in multiples of these.
@@ -105,8 +107,8 @@ class Problem(AbstractProblem):
         check_double_precision()
         self.mechanism = mechanism
         expect(mechanism, Mechanism, "the mechanism of a Problem", "a jaxclear.Mechanism")
-        self.response = _by_name("response", response)
-        self.variables = _by_name("variables", variables)
+        self.response = by_name("response", response)
+        self.variables = by_name("variables", variables)
         times = saving_times(check_duration(duration), save)
         usual = usual_integrator(mechanism, times[-1]) if integrator is None else (integrator, "")
         self.integrator, self.why_integrator = usual
@@ -122,16 +124,9 @@ class Problem(AbstractProblem):
         if motion is None:
             self.determined, seen = determined(seen, self.state.concentric)
         self.redundancy = seen.topology.redundancy if motion is None else motion.redundancy
-        _check_responses(self.response, self.variables)
-        known = [(leaf, metadata.get("unit", "1")) for _, leaf, metadata in numbers(mechanism)]
-        for name, variable in self.variables.items():
-            check_variable(name, variable, mechanism)
-        check_derived(mechanism, self.variables)
-        check_apart({name: self._leaves(v) for name, v in self.variables.items()})
-        firsts = [self._leaves(variable)[0] for variable in self.variables.values()]
-        self.variable_units = tuple(
-            next((u for leaf, u in known if leaf is first), "1") for first in firsts
-        )
+        check_responses(self.response, self.variables, "a trajectory")
+        check_variables(self.variables, mechanism)
+        self.variable_units = units_of_variables(mechanism, self.variables.values())
 
     def _leaves(self, variable):
         return leaves_of(variable)(self.mechanism)
@@ -146,15 +141,10 @@ class Problem(AbstractProblem):
 
     def with_values(self, values: Float[Array, " variables"]) -> Mechanism:
         """The mechanism with its variables set. Leaves that vary together move by the same
-        amount; derived numbers follow. Coordinates of the start that the loops determine become
-        guesses."""
-        mechanism = self.mechanism
-        for name, value in zip(self.names, values, strict=True):
-            variable = self.variables[name]
-            old = self._leaves(variable)
-            new = [leaf + (value - old[0]) for leaf in old]
-            mechanism = eqx.tree_at(leaves_of(variable), mechanism, new)
-        return loosened(with_derived(mechanism, self.variables), self.determined)
+        amount. Coordinates of the start that the loops determine become guesses."""
+        variables = [self.variables[name] for name in self.names]
+        mechanism = with_values(self.mechanism, variables, values)
+        return loosened(mechanism, self.determined)
 
     def seen(self, values: Float[Array, " variables"]) -> Mechanism:
         """The mechanism of one set of values as it is simulated."""
@@ -186,8 +176,7 @@ class Problem(AbstractProblem):
         mechanism, start, trajectory = self.started(values)
         trajectory = guarded(trajectory, self.integrator, discrete_derivatives)
         responses = {
-            name: _one_number(name, response(trajectory))
-            for name, response in self.response.items()
+            name: one_number(name, response(trajectory)) for name, response in self.response.items()
         }
         possible = jnp.all(
             jnp.stack([inside(leaf, metadata) for _, leaf, metadata in numbers(mechanism)])
@@ -240,58 +229,13 @@ class Problem(AbstractProblem):
         return "", refusal(seen, self.integrator)
 
     def parts(self):
-        leaves = jax.tree_util.tree_leaves_with_path(self.mechanism)
-        known = {id(leaf): jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves}
-        places = {
-            f'what "{name}" points at': ", ".join(
-                known[id(leaf)] for leaf in self._leaves(variable)
-            )
-            for name, variable in self.variables.items()
-        }
         told = ("mechanism", "response", "duration", "shares", "integrator", "state")
-        derived = {f'what "{n}" derives': v.derived for n, v in self.variables.items() if v.derived}
-        return {what: getattr(self, what) for what in told} | places | derived
+        return {what: getattr(self, what) for what in told} | places_of(
+            self.mechanism, self.variables
+        )
 
 
 @eqx.filter_jit
 def _run_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> Trajectory:
     """Runs of a chunk of samples."""
     return jax.vmap(lambda own: problem.started(own)[2])(values)
-
-
-def _by_name(what: str, given: Any) -> dict[str, Any]:
-    """What varies or is wanted, by name; a response alone is called "response"."""
-    if what == "response" and not isinstance(given, Mapping):
-        return {what: given}
-    expect(given, Mapping, f"{what} of a Problem", "a dictionary from names")
-    if what == "response" and not given:
-        raise ValueError("response of a Problem is empty; it must hold at least one.")
-    for name in given:
-        expect(name, str, f"a name in {what} of a Problem", "a text")
-    return dict(given)
-
-
-def _check_responses(responses: dict[str, Any], variables: dict[str, Any]) -> None:
-    """What is wanted of a run, by names that no variable has."""
-    for name, wanted in responses.items():
-        if not callable(wanted) or isinstance(wanted, type):
-            hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
-            raise ValueError(
-                f'response "{name}" is {described(wanted)}; it must be a function of a '
-                f"trajectory, such as one of jaxclear.response{hint}."
-            )
-        if name in variables:
-            raise ValueError(
-                f'"{name}" names a variable and a response; give them different names.'
-            )
-
-
-def _one_number(name: str, value: Any) -> Array:
-    """What a response answers, which studies take for one number."""
-    if not is_one_number(value):
-        hint = " It returns nothing: is a `return` missing?" if value is None else ""
-        raise ValueError(
-            f'response "{name}" gives {described(value)} for a run; it must be one number, such as '
-            f"a mean or the largest.{hint}"
-        )
-    return jnp.asarray(value, float)

@@ -1,25 +1,30 @@
-"""A number of a mechanism that varies, and what it points at."""
+"""What varies of a mechanism, which responses are wanted of it, and the checks of both."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from jaxclear.ground.arguments import check_number, expect
+from jaxclear.ground.quantity import numbers
 from jaxclear.ground.wording import described, meant
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.studies.base import AbstractVariable, one_distribution
+from jaxclear.studies.base import AbstractVariable, is_one_number, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
 
 __all__ = [
     "Variable",
-    "check_apart",
-    "check_derived",
-    "check_variable",
+    "by_name",
+    "check_responses",
+    "check_variables",
     "leaves_of",
-    "with_derived",
+    "one_number",
+    "places_of",
+    "units_of_variables",
+    "with_values",
 ]
 
 # A derived number and the mechanism's own may differ by this share: data sheets round.
@@ -76,16 +81,16 @@ def _pair(given: Any) -> tuple[Callable, Callable]:
     return tuple(given)
 
 
-def with_derived(mechanism: Mechanism, variables: Mapping[str, Variable]) -> Mechanism:
+def _with_derived(mechanism: Mechanism, variables: Iterable[Variable]) -> Mechanism:
     """The mechanism with the numbers that follow from its variables, in the order given."""
-    for variable in variables.values():
+    for variable in variables:
         for where, value in variable.derived:
             leaves = lambda own: jax.tree.leaves(where(own))
             mechanism = eqx.tree_at(leaves, mechanism, [jnp.asarray(value(mechanism), float)])
     return mechanism
 
 
-def check_derived(mechanism: Mechanism, variables: Mapping[str, Variable]) -> None:
+def _check_derived(mechanism: Mechanism, variables: Mapping[str, Variable]) -> None:
     """Raises `ValueError` where a derived number is not what the mechanism itself has: one of the
     two is wrong."""
     varied = {
@@ -107,7 +112,80 @@ def check_derived(mechanism: Mechanism, variables: Mapping[str, Variable]) -> No
                 )
 
 
-def check_apart(leaves: dict[str, list]) -> None:
+def with_values(mechanism: Mechanism, variables: list[Variable], values: Any) -> Mechanism:
+    """The mechanism with its variables set, in the order of `values`. Leaves that vary together
+    move by the same amount; derived numbers follow."""
+    old = [leaves_of(variable)(mechanism) for variable in variables]
+    for variable, own, value in zip(variables, old, values, strict=True):
+        new = [leaf + (value - own[0]) for leaf in own]
+        mechanism = eqx.tree_at(leaves_of(variable), mechanism, new)
+    return _with_derived(mechanism, variables)
+
+
+def units_of_variables(mechanism: Mechanism, variables: Iterable[Variable]) -> tuple[str, ...]:
+    """Unit of each variable."""
+    known = [(leaf, metadata.get("unit", "1")) for _, leaf, metadata in numbers(mechanism)]
+    firsts = [leaves_of(variable)(mechanism)[0] for variable in variables]
+    return tuple(next((u for leaf, u in known if leaf is first), "1") for first in firsts)
+
+
+def places_of(mechanism: Mechanism, variables: dict[str, Variable]) -> dict[str, Any]:
+    """What each variable points at, in words, and what follows from it."""
+    leaves = jax.tree_util.tree_leaves_with_path(mechanism)
+    known = {id(leaf): jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves}
+    return {
+        f'what "{name}" points at': ", ".join(known[id(x)] for x in leaves_of(own)(mechanism))
+        for name, own in variables.items()
+    } | {f'what "{name}" derives': own.derived for name, own in variables.items() if own.derived}
+
+
+def by_name(what: str, given: Any) -> dict[str, Any]:
+    """What varies or is wanted, by name; a response alone is called "response"."""
+    if what == "response" and not isinstance(given, Mapping):
+        return {what: given}
+    expect(given, Mapping, f"{what} of a Problem", "a dictionary from names")
+    if what == "response" and not given:
+        raise ValueError("response of a Problem is empty; it must hold at least one.")
+    for name in given:
+        expect(name, str, f"a name in {what} of a Problem", "a text")
+    return dict(given)
+
+
+def one_number(name: str, value: Any) -> Array:
+    """What a response answers, which studies take for one number."""
+    if not is_one_number(value):
+        hint = " It returns nothing: is a `return` missing?" if value is None else ""
+        raise ValueError(
+            f'response "{name}" gives {described(value)} for a run; it must be one number, such as '
+            f"a mean or the largest.{hint}"
+        )
+    return jnp.asarray(value, float)
+
+
+def check_responses(response: dict[str, Any], variables: dict[str, Any], of: str) -> None:
+    """Responses are functions `of` something, and share no name with a variable."""
+    for name, wanted in response.items():
+        if not callable(wanted) or isinstance(wanted, type):
+            hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
+            raise ValueError(
+                f'response "{name}" is {described(wanted)}; it must be a function of {of}, such as '
+                f"one of jaxclear.response{hint}."
+            )
+        if name in variables:
+            raise ValueError(
+                f'"{name}" names a variable and a response; give them different names.'
+            )
+
+
+def check_variables(variables: dict[str, Any], mechanism: Mechanism) -> None:
+    """Each points at numbers of the mechanism of its own."""
+    for name, variable in variables.items():
+        _check_variable(name, variable, mechanism)
+    _check_derived(mechanism, variables)
+    _check_apart({name: leaves_of(v)(mechanism) for name, v in variables.items()})
+
+
+def _check_apart(leaves: dict[str, list]) -> None:
     """Each number of the mechanism may vary by one variable only."""
     taken: dict[int, str] = {}
     for name, own in leaves.items():
@@ -120,7 +198,7 @@ def check_apart(leaves: dict[str, list]) -> None:
                 )
 
 
-def check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:
+def _check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:
     """What is given as a variable of a mechanism."""
     expect(variable, Variable, f'variable "{name}"', "a jaxclear.Variable")
     try:

@@ -31,6 +31,7 @@ def test_responses_are_what_their_names_say(run):
     saved = max(force.max(), pressed)
     assert saved <= float(jc.response.PeakContactForce("B")(run)) < 1.01 * saved
     covered = {type(response) for response in expected} | {
+        jc.response.LostMotion,  # of positions: tests/simulation/test_positions.py
         jc.response.PeakContactForce,
         jc.response.PositionError,
         jc.response.PointingAngle,

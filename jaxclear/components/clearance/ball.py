@@ -67,6 +67,9 @@ class BallSocket(AbstractClearance):
         pairs = ((x, x), (x, y), (x, z), (y, y), (y, z))
         return (x, y, z, *(sp.mul(*pair) for pair in pairs), flattening(indentations[0]))
 
+    def seat(self, force, torque):
+        return sp.scale(-self.clearance, direction(force, 3)), (0, 0)
+
     def permanent_form(self):
         if self.friction is not None:
             raise ValueError(

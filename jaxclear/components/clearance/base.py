@@ -107,6 +107,18 @@ class AbstractClearance(AbstractQuantified):
             "integrator that lets parts separate, such as ImplicitStep or MoreauJean."
         )
 
+    def seat(self, force: sp.Vec, torque: sp.Vec) -> tuple[sp.Vec, tuple]:
+        """Where a reaction presses the journal without friction: the offset of its centre from the
+        bearing's [m], and the slope (dx/dz, dy/dz) of its axis. `force` [N] and `torque` [N m] act
+        on the journal about its centre, in the bearing's axes; in the middle where there are none.
+
+        Raises `ValueError`, with a sentence that goes behind the joint's name, where none is known.
+        """
+        raise ValueError(
+            f"is a {type(self).__name__}, of which it is not known where a load presses it; a "
+            "joint of one's own tells it by its method `seat`."
+        )
+
     def check_plane(self, heights: tuple[float, float, float]) -> None:
         """Raises `ValueError`, with a sentence that goes behind the joint's name, where this joint
         finds no contact in the plane. `heights`: how far the bearing's three unit axes rise out of

@@ -96,6 +96,11 @@ class SliderGuide(AbstractClearance):
                 '"y" or "-y"; a guide along another direction takes markers with a quaternion.'
             )
 
+    def seat(self, force, torque):
+        first, last = self.permanent_form().carrying_ends(force, torque, 0.0)
+        slope = sp.mul(1 / self.length, sp.sub(last.offset[0], first.offset[0]))
+        return (sp.mul(0.5, sp.add(first.offset[0], last.offset[0])), 0, 0), (slope, 0)
+
     def permanent_form(self):
         return PermanentPrismatic(self)
 

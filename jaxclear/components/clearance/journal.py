@@ -8,6 +8,7 @@ discretised cylinders).
 from typing import ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jaxclear.components.clearance.base import (
     ContactCandidate,
@@ -240,6 +241,11 @@ class JournalBearing(AbstractJournalBearing):
 
     def end_forces(self, force, torque):
         return shared_by_ends(force, torque, self.length)
+
+    def axial_seat(self, force):
+        if self.flange is None or sp.is_zero(force):
+            return 0
+        return -jnp.sign(force) * self.flange.clearance
 
 
 def _slope(axis) -> tuple:

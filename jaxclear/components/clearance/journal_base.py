@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
-from jaxclear.components.clearance.base import AbstractClearance
+from jaxclear.components.clearance.base import AbstractClearance, direction
 from jaxclear.components.clearance.permanent import AbstractPermanentJoint
 from jaxclear.components.joint import Revolute
 from jaxclear.components.joint.rubbing import pressed_end
@@ -34,6 +34,23 @@ class AbstractJournalBearing(AbstractClearance):
 
     def permanent_form(self):
         return PermanentRevolute(self)
+
+    def seat(self, force, torque):
+        # Each end lies where the wall pushes back, on the far side.
+        ends = [
+            (sp.scale(-self.clearance, direction(own, 2)), height)
+            for own, height in self.end_forces(force, torque)
+        ]
+        (first, low), (last, high) = ends[0], ends[-1]
+        if len(ends) == 1 or all(map(sp.is_zero, torque[:2])):
+            return (*first, self.axial_seat(force[2])), (0, 0)
+        slope = sp.scale(1 / sp.sub(high, low), tuple(map(sp.sub, last, first)))
+        return (*sp.scale(0.5, tuple(map(sp.add, first, last))), self.axial_seat(force[2])), slope
+
+    def axial_seat(self, force: Any) -> Any:
+        """Where along the bearing [m] a force [N] presses the journal; nowhere, unless overridden,
+        because nothing stops it."""
+        return 0
 
 
 class PermanentRevolute(AbstractPermanentJoint):

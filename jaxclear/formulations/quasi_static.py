@@ -1,0 +1,213 @@
+r"""A mechanism at rest at a position of its drives: where its loops close, how its reactions hold
+the loads, and on which side of its bearing each journal lies.
+
+Every joint is the ideal one whose coordinates the joint tells, between a journal and a bearing's
+marker that is moved to where the journal lies. The journal lies where its reaction presses it,
+which is what contact and its force complement each other to: $c - |e| \ge 0$, $\lambda \ge 0$,
+$\lambda (c - |e|) = 0$ without friction; a load that does not pull leaves it in the middle. So the
+unknowns are the free coordinates and the seats of the journals, and the equations that loops close
+and that every seat is the one of its own reaction: as many of the ones as of the others.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxclear.components.body import Connection
+from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
+from jaxclear.components.drive import Held
+from jaxclear.components.joint.base import AbstractDrivenJoint, drive_of
+from jaxclear.formulations.permanent_reactions import Reaction, reaction_through
+from jaxclear.ground import factorisation
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import Pose, frame_with_axis
+from jaxclear.ground.wording import listed, unknown
+from jaxclear.multibody import constraints, dynamics, kinematics, tree
+from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody.forces import Forces, applied_forces
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.system import System, prepare
+from jaxclear.multibody.tree import Motion
+
+# Numbers of a seat: offset (x, y, z) [m] and slope (dx/dz, dy/dz) of the axis [1].
+SEAT = 5
+
+
+class Posed(eqx.Module):
+    """A mechanism whose drives hold their joints and whose joints are ideal, with the clearance
+    joints that these stand for (`gaps`, by connection)."""
+
+    mechanism: Mechanism
+    gaps: dict[str, AbstractClearance]
+    held: tuple[str, ...] = eqx.field(static=True)
+
+    def at(self, position: Any) -> "Posed":
+        """The same at other positions of the drives, in the order of `held` [rad, m]."""
+        places = lambda posed: [
+            posed.mechanism.connections[n].joint.drive.position for n in posed.held
+        ]
+        return eqx.tree_at(places, self, [position[i] for i in range(len(self.held))])
+
+
+class Standing(NamedTuple):
+    """A mechanism at coordinates and seats: `left` of the loops' closure [m, 1] with its
+    `jacobian` (by free speed), and the `seats` in which the reactions there would press the
+    journals."""
+
+    system: System
+    motions: tuple[Motion, ...]
+    left: list
+    jacobian: list
+    reactions: dict[str, Reaction]
+    seats: dict[str, tuple]
+
+
+def posed(mechanism: Mechanism, held: tuple[str, ...]) -> Posed:
+    """The mechanism with these joints held. Raises `ValueError`, naming the joint, for what has no
+    place under a load or cannot be held."""
+    for name in held:
+        if name not in mechanism.connections:
+            raise ValueError(unknown("joint", name, mechanism.connections, " to be held"))
+    others = [name for name in mechanism.driven if name not in held]
+    if others:
+        raise ValueError(
+            f"joint {listed(others)} is driven and its positions are not told; give positions of "
+            "every drive."
+        )
+    connections, gaps = {}, {}
+    for name, connection in mechanism.connections.items():
+        joint = connection.joint
+        if name in mechanism.topology.clearances:
+            gaps[name] = joint
+            try:
+                joint = joint.coordinate_form()
+                gaps[name].seat((1.0, 1.0, 0), sp.ZERO)
+            except ValueError as error:
+                raise ValueError(f'joint "{name}" {error}') from None
+        if isinstance(joint, AbstractPermanentJoint):
+            joint = joint.ideal
+        if name in held:
+            joint = _held(name, joint)
+        connections[name] = Connection(joint, connection.parent, connection.child)
+    start, guess = (_free(mechanism.given[what], held) for what in ("start", "guess"))
+    bare = Mechanism(mechanism.bodies, connections, mechanism.loads, start=start, guess=guess)
+    return Posed(bare, gaps, held)
+
+
+def _free(given: dict[str, tuple], held: tuple[str, ...]) -> dict[str, tuple]:
+    return {name: values for name, values in given.items() if name not in held}
+
+
+def _held(name: str, joint: Any) -> Any:
+    """The joint with its coordinate held."""
+    if not isinstance(joint, AbstractDrivenJoint):
+        raise ValueError(
+            f'joint "{name}" is a {type(joint).__name__}, whose position cannot be held by one '
+            "number; hold a revolute or a prismatic joint, or a journal or a slider."
+        )
+    return eqx.tree_at(lambda j: j.drive, joint, Held(0.0), is_leaf=lambda x: x is None)
+
+
+def shift(seat: tuple) -> Pose:
+    """Where the bearing's marker is taken to be for a journal in this seat: at the journal's
+    centre, its z axis along the journal's."""
+    x, y = seat[3:]
+    if sp.is_zero(x) and sp.is_zero(y):
+        return Pose(sp.IDENTITY, seat[:3])
+    if not sp.is_zero(x) and not sp.is_zero(y):
+        return Pose(frame_with_axis((x, y, jnp.ones(()))), seat[:3])
+    # About one axis only, so that a plane stays one.
+    size = 1 / jnp.sqrt(1 + (x * x if sp.is_zero(y) else y * y))
+    if sp.is_zero(y):
+        sine = size * x
+        return Pose(((size, 0, sine), (0, 1, 0), (-sine, 0, size)), seat[:3])
+    sine = size * y
+    return Pose(((1, 0, 0), (0, size, sine), (0, -sine, size)), seat[:3])
+
+
+def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -> Standing:
+    """The mechanism at coordinates `q` (entries of the state) and seats; `side` -1 reverses the
+    loads. Raises `ValueError` where the loops do not determine the mechanism."""
+    system = prepare(scene.mechanism, {name: shift(seat) for name, seat in seats.items()})
+    count = system.topology.speed_count
+    places, rates = unpack_motion(system, [*q, *(0,) * count])
+    motions = kinematics.link_motions(system, places, rates, 0.0)
+    rows = [constraints.constraint_rows(system, motions, c) for c in system.closures]
+    left = [value for own in rows for value in own.residuals]
+    jacobian = [row for own in rows for row in own.jacobian]
+    _check_square(scene.mechanism, count, len(jacobian))
+    forces = applied_forces(system, motions, {}, places, rates, 0.0, {})
+    transposed = [[row.get(j, 0) for row in jacobian] for j in range(count)]
+    multipliers = tuple(solved(transposed, _unheld(system, forces)))
+    reactions = _reactions(system, forces, multipliers, places)
+    pressed = {}
+    for name, gap in scene.gaps.items():
+        force, torque = (sp.scale(side, part) for part in reactions[name])
+        offset, slope = gap.seat(force, torque)
+        pressed[name] = (*offset, *slope)
+    return Standing(system, motions, left, jacobian, reactions, pressed)
+
+
+def left_open(scene: Posed, q: Any, seats: dict[str, tuple]) -> list:
+    """What is left of the loops' closure at coordinates `q` and seats [m, 1], as in `standing`."""
+    system = prepare(scene.mechanism, {name: shift(seat) for name, seat in seats.items()})
+    motion = unpack_motion(system, [*q, *(0,) * system.topology.speed_count])
+    motions = kinematics.link_motions(system, *motion, 0.0)
+    rows = [constraints.constraint_rows(system, motions, c) for c in system.closures]
+    return [value for own in rows for value in own.residuals]
+
+
+def solved(matrix: list[list], right: list) -> list:
+    """x of matrix x = right, rows of sparse scalars; nan where the matrix is singular."""
+    if not right:
+        return []
+    if len(right) == 1:
+        return [right[0] / matrix[0][0]]
+    lines = [sp.stack([*row, value]) for row, value in zip(matrix, right, strict=True)]
+    return factorisation.eliminate(lines)
+
+
+def _unheld(system: System, forces: Forces) -> list:
+    """What the multipliers must give each free coordinate for the mechanism to rest."""
+    ground, missing = kinematics.upward(system), []
+    for subtree in system.topology.subtrees:
+        parts = (system.links, forces.motions, forces.wrenches)
+        links, motions, wrenches = kinematics.by_subtree(subtree, *parts)
+        bias = tree.bias_forces(links, motions, ground, wrenches)
+        applied = [force for i in subtree for force in forces.coordinate_forces[i]]
+        missing += [sp.sub(b, f) for f, b in zip(applied, bias, strict=True)]
+    return missing
+
+
+def _reactions(
+    system: System, forces: Forces, multipliers: tuple, places: tuple
+) -> dict[str, Reaction]:
+    """Reaction of every connection."""
+    found = constraints.constraint_wrenches(system, forces.motions, multipliers)
+    closed = [Reaction(force, torque) for _, force, torque, _ in found]
+    reactions = dict(zip(system.topology.loops, closed, strict=True))
+    still = Solution(tuple((0,) * len(own.columns) for own in forces.motions), multipliers)
+    through = dynamics.joint_wrenches(system, forces, still)
+    for index, branch in enumerate(system.topology.branches):
+        drive = drive_of(system.links[index].joint)
+        place = places[index] if drive is None else (drive.motion(0.0)[0],)
+        if branch.connection is not None:
+            pose = system.links[index].joint.motion(place)
+            own = reaction_through(pose, branch.reversed, through[index])
+            reactions[branch.connection] = own
+    return reactions
+
+
+def _check_square(mechanism: Mechanism, free: int, rows: int) -> None:
+    if free > rows:
+        raise ValueError(
+            f"the loops leave the mechanism {free - rows} of its freedoms when joints "
+            f"{listed(mechanism.driven)} are held; give positions of {free - rows} more."
+        )
+    if rows > free:
+        raise ValueError(
+            f"the loops have {rows} rows for {free} free coordinates, so that the reactions are "
+            "not unique and no journal knows its side; give a joint of the loops more freedom."
+        )

@@ -1,0 +1,164 @@
+"""A question about positions: a mechanism at rest at positions of its drives, without time.
+
+Most tolerance questions are of this kind: where does a part stand, how far does play let it off,
+how much motion is lost when the load turns round. A sample is an assembly at each position, so it
+costs microseconds where a run costs milliseconds.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.formulations.quasi_static import posed
+from jaxclear.ground.arguments import check_flags, expect
+from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.quantity import inside, numbers
+from jaxclear.integrators import Outcome
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.results.positions import Positions
+from jaxclear.results.response import unit_of
+from jaxclear.simulation.positions import (
+    Spot,
+    Way,
+    both,
+    checked_positions,
+    spots_along,
+    way_of,
+)
+from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
+from jaxclear.studies.batch import sample_of_chunk
+from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.variable import (
+    Variable,
+    by_name,
+    check_responses,
+    check_variables,
+    leaves_of,
+    one_number,
+    places_of,
+    units_of_variables,
+    with_values,
+)
+
+__all__ = ["PositionProblem"]
+
+# Samples a chunk: beyond it the rows of the kernel leave the cache
+# (benchmarks/claims/positions.py).
+LARGEST_CHUNK = 256
+# Numbers of a sample at a position: those of the mechanism and of its standing, roughly.
+NUMBERS = 400
+
+
+class PositionProblem(AbstractProblem):
+    """A mechanism over positions of its drives, the numbers in it that vary, and the responses
+    wanted.
+
+    `response`: a function of `jaxclear.positions`' result, or several by name; those of
+    `jaxclear.response` that read places serve. `positions`: coordinates [rad, m] by joint, as in
+    `jaxclear.positions`, `both_ways` too; `correlation` as in `Problem`. Each position of each
+    sample is sought from where the nominal mechanism stands there; a sample of which one is not
+    found has failed. Derivatives are exact, seats of the journals included. Raises `ValueError`
+    with a sentence for what cannot be asked.
+    """
+
+    mechanism: Mechanism
+    response: dict[str, Callable]
+    variables: dict[str, Variable]
+    position: Float[Array, "positions drives"]
+    starts: Spot
+    way: Way
+    correlation: Float[Array, "variables variables"] | None
+    held: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    response_names: tuple[str, ...] = eqx.field(static=True)
+    variable_units: tuple[str, ...] = eqx.field(static=True)
+    both_ways: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        response: Callable | Mapping[str, Callable],
+        variables: Mapping[str, Variable],
+        *,
+        positions: Mapping[str, Any],
+        both_ways: bool = False,
+        correlation: Any = None,
+    ):
+        check_double_precision()
+        expect(mechanism, Mechanism, "the mechanism of a PositionProblem", "a jaxclear.Mechanism")
+        check_flags("PositionProblem", both_ways=both_ways)
+        self.mechanism, self.both_ways = mechanism, both_ways
+        self.response, self.variables = (
+            by_name("response", response),
+            by_name("variables", variables),
+        )
+        self.names, self.response_names = tuple(self.variables), tuple(self.response)
+        check_responses(self.response, self.variables, "a mechanism over positions")
+        check_variables(self.variables, mechanism)
+        self.variable_units = units_of_variables(mechanism, self.variables.values())
+        self.correlation = correlation_matrix(correlation, self.names)
+        self.held, places = checked_positions(positions)
+        self.position = jnp.asarray(places)
+        scene = posed(mechanism, self.held)
+        self.way = way_of(scene)
+        self.starts = spots_along(scene, places, self.way)
+
+    def nominal(self):
+        return stacked([leaves_of(self.variables[n])(self.mechanism)[0] for n in self.names])
+
+    def units(self):
+        return {name: unit_of(self.response[name]) for name in self.response_names}
+
+    def positions(self, values: Float[Array, " variables"]) -> Positions:
+        """The mechanism of one set of values at all positions; pure."""
+        variables = [self.variables[name] for name in self.names]
+        scene = posed(with_values(self.mechanism, variables, values), self.held)
+        return both(scene, self.position, self.starts, self.way, self.both_ways)
+
+    def evaluate(self, values, *, discrete_derivatives=False):
+        check_double_precision()
+        found = self.positions(values)
+        responses = {n: one_number(n, self.response[n](found)) for n in self.response_names}
+        mechanism = found.scene.mechanism, found.scene.gaps
+        known = [
+            inside(leaf, metadata) for part in mechanism for _, leaf, metadata in numbers(part)
+        ]
+        ok = jnp.all(found.found)
+        if found.other is not None:
+            ok &= jnp.all(found.other.found)
+        outcome = jnp.where(ok, Outcome.REACHED, Outcome.UNASSEMBLED)
+        outcome = jnp.where(jnp.all(jnp.stack(known)), outcome, Outcome.OUT_OF_RANGE)
+        return SampleResult(responses, outcome, jnp.zeros(()))
+
+    def sample_memory(self):
+        return 8 * NUMBERS * len(self.position)
+
+    def most_together(self):
+        return LARGEST_CHUNK
+
+    def rerun(self, values, index, chunk) -> Positions:
+        """The mechanism of one sample at all positions."""
+        return sample_of_chunk(_chunk, self, values, index, chunk)
+
+    def ending(self, outcome, ended):
+        if outcome == Outcome.REACHED:
+            return "the mechanism stands at every position."
+        if outcome == Outcome.UNASSEMBLED:
+            return "the mechanism cannot be assembled at every position."
+        said = Outcome(outcome).sentence
+        return f"{said[0].lower()}{said[1:]}"
+
+    def parts(self):
+        told = ("mechanism", "response", "position", "held", "both_ways")
+        found = {what: getattr(self, what) for what in told}
+        return found | places_of(self.mechanism, self.variables)
+
+
+@eqx.filter_jit
+def _chunk(problem: PositionProblem, values: Float[Array, "samples variables"]) -> Positions:
+    """A chunk of samples at all positions."""
+    return jax.vmap(problem.positions)(values)
