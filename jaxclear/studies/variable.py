@@ -99,7 +99,7 @@ def _check_derived(mechanism: Mechanism, variables: Mapping[str, Variable]) -> N
     for name, variable in variables.items():
         for where, value in variable.derived:
             leaves, found = jax.tree.leaves(where(mechanism)), value(mechanism)
-            own = leaves[0] if len(leaves) == 1 else leaves
+            own: Any = leaves[0] if len(leaves) == 1 else leaves
             if not eqx.is_array(own) or jnp.ndim(own) != 0 or id(own) in varied:
                 raise ValueError(
                     f'variable "{name}" derives {described(own)}; it must be one number of the '
