@@ -49,6 +49,9 @@ from jaxclear.studies import distribution, limit_state
 from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
+from jaxclear.studies.design import catalogue, cost, limit
+from jaxclear.studies.design.design import design, design_front
+from jaxclear.studies.design.settings import DesignSettings
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.life.derivative import wear_life_derivatives
 from jaxclear.studies.life.lives import wear_lives
@@ -75,6 +78,7 @@ __all__ = [
     "Baumgarte",
     "Body",
     "Connection",
+    "DesignSettings",
     "Dimension",
     "FunctionProblem",
     "Marker",
@@ -94,16 +98,21 @@ __all__ = [
     "Wearing",
     "advise",
     "assemble",
+    "catalogue",
     "clearance",
     "complementarity",
     "contact",
     "corrected",
+    "cost",
+    "design",
+    "design_front",
     "distribution",
     "drive",
     "formulation",
     "friction",
     "integrator",
     "joint",
+    "limit",
     "limit_state",
     "load",
     "material",

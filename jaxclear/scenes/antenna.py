@@ -170,7 +170,8 @@ def antenna(
     """
     check_number("clearance of antenna", clearance, "m", above=0)
     check_number("offset of antenna", offset, "m")
-    joint = bearing(kind, clearance, friction_law(friction))
+    # One each, so that a study may vary the clearances of either.
+    joints = {name: bearing(kind, clearance, friction_law(friction)) for name in JOINTS}
     places = {
         "J1": (Marker("satellite", (0.0, 0.0, 0.5 * SATELLITE_HEIGHT)), Marker("link1")),
         "J2": (Marker("link1", (0.0, 0.0, LINK_1), axis="x"), Marker("link2", axis="x")),
@@ -182,7 +183,7 @@ def antenna(
     guess = {} if kind == "ideal" else {"link1": (0.0, 0.0, top), "link2": (0.0, 0.0, top + LINK_1)}
     return Mechanism(
         bodies=_bodies(offset),
-        connections=base | {name: Connection(joint, *ends) for name, ends in places.items()},
+        connections=base | {name: Connection(joints[name], *ends) for name, ends in places.items()},
         loads={f"motor {name}": MotorTorque(*places[name], torque) for name, torque in torques},
         guess=guess,
     )

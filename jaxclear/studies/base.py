@@ -104,6 +104,10 @@ class AbstractProblem(AbstractQuantified):
     def most_together(self) -> int:
         """Samples that are best computed together, at the most."""
 
+    def at_once(self) -> bool:
+        """Whether a sample costs no more than what would be fitted to stand in for it."""
+        return False
+
     def idle(self) -> "AbstractProblem":
         """The same compiled program on as little work as possible."""
         return self

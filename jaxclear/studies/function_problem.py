@@ -148,6 +148,9 @@ class FunctionProblem(AbstractProblem):
     def sample_memory(self):
         return self.memory
 
+    def at_once(self):
+        return True
+
     def most_together(self):
         return LARGEST_CHUNK
 

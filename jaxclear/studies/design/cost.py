@@ -1,0 +1,147 @@
+"""What a tolerance costs: a function of its width, the tighter the dearer.
+
+A tolerance is half of the variation that is allowed. Costs are in whatever unit the user counts in;
+only their ratios decide the design.
+"""
+
+from abc import abstractmethod
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.interpolate import PchipInterpolator
+
+from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
+
+__all__ = [
+    "AbstractCost",
+    "Exponential",
+    "Reciprocal",
+    "ReciprocalExponential",
+    "ReciprocalPower",
+    "ReciprocalSquared",
+    "Table",
+]
+__getattr__ = nothing_else("jaxclear.cost", __all__)
+
+MONEY = "(cost)"
+FIXED = "cost that no tolerance changes"
+
+
+class AbstractCost(AbstractQuantified):
+    """Cost of a dimension as a function of its tolerance."""
+
+    @abstractmethod
+    def __call__(self, tolerance: Scalar) -> Scalar:
+        """Cost of a tolerance (half of the allowed variation, in the dimension's own unit, above
+        0)."""
+
+    def known(self) -> tuple[float, float]:
+        """Smallest and largest tolerance whose cost is known."""
+        return 0.0, float("inf")
+
+
+class Reciprocal(AbstractCost):
+    """$C = C_0 + b/t$.
+
+    Source: Chase & Greenwood 1988, "Design issues in mechanical tolerance analysis", ASME
+    Manufacturing Review 1, 50.
+    """
+
+    scale: Scalar = quantity(unit="(cost x tolerance)", meaning="cost times tolerance", above=0)
+    fixed: Scalar = quantity(0.0, MONEY, FIXED, at_least=0)
+
+    def __call__(self, tolerance):
+        return self.fixed + self.scale / tolerance
+
+
+class ReciprocalSquared(AbstractCost):
+    """$C = C_0 + b/t^2$; steeper than `Reciprocal`.
+
+    Source: Spotts 1973, J. Eng. Ind. 95, 762, https://doi.org/10.1115/1.3438222.
+    """
+
+    scale: Scalar = quantity(unit="(cost x tolerance^2)", meaning="cost times tolerance^2", above=0)
+    fixed: Scalar = quantity(0.0, MONEY, FIXED, at_least=0)
+
+    def __call__(self, tolerance):
+        return self.fixed + self.scale / tolerance**2
+
+
+class ReciprocalPower(AbstractCost):
+    """$C = C_0 + b/t^k$ with an exponent fitted to a process.
+
+    Source: Sutherland & Roth 1975, J. Eng. Ind. 97, 283, https://doi.org/10.1115/1.3438551.
+    """
+
+    scale: Scalar = quantity(unit="(cost x tolerance^k)", meaning="cost times tolerance^k", above=0)
+    exponent: Scalar = quantity(unit="1", meaning="exponent k of the tolerance", above=0)
+    fixed: Scalar = quantity(0.0, MONEY, FIXED, at_least=0)
+
+    def __call__(self, tolerance):
+        return self.fixed + self.scale / tolerance**self.exponent
+
+
+class Exponential(AbstractCost):
+    """$C = C_0 + b e^{-m t}$: bounded as the tolerance goes to 0, so take it within the range that
+    it was fitted to.
+
+    Source: Speckhart 1972, J. Eng. Ind. 94, 447, https://doi.org/10.1115/1.3428175.
+    """
+
+    scale: Scalar = quantity(unit=MONEY, meaning="cost that tightening to nothing adds", above=0)
+    rate: Scalar = quantity(unit="(1/tolerance)", meaning="share of it lost by width", above=0)
+    fixed: Scalar = quantity(0.0, MONEY, FIXED, at_least=0)
+
+    def __call__(self, tolerance):
+        return self.fixed + self.scale * jnp.exp(-self.rate * tolerance)
+
+
+class ReciprocalExponential(AbstractCost):
+    """$C = C_0 + b t^{-k} e^{-m t}$, which holds `ReciprocalPower` (m = 0) and `Exponential`
+    (k = 0).
+
+    Source: Michael & Siddall 1981, J. Mech. Des. 103, 842, https://doi.org/10.1115/1.3254995.
+    """
+
+    scale: Scalar = quantity(unit="(cost x tolerance^k)", meaning="cost times tolerance^k", above=0)
+    exponent: Scalar = quantity(unit="1", meaning="exponent k of the tolerance", at_least=0)
+    rate: Scalar = quantity(unit="(1/tolerance)", meaning="share lost by width", at_least=0)
+    fixed: Scalar = quantity(0.0, MONEY, FIXED, at_least=0)
+
+    def __call__(self, tolerance):
+        fall = jnp.exp(-self.rate * tolerance)
+        return self.fixed + self.scale * fall / tolerance**self.exponent
+
+
+class Table(AbstractCost):
+    """Costs at given tolerances, in rising order, and between them the monotone cubic of Fritsch &
+    Carlson (SIAM J. Numer. Anal. 17, 238, https://doi.org/10.1137/0717021). Unknown outside."""
+
+    tolerances: tuple = vector(unit="(tolerance)", meaning="tolerances, rising, above 0")
+    costs: tuple = vector(unit=MONEY, meaning="cost of each")
+    coefficients: Float[Array, "4 pieces"]
+
+    def __init__(self, tolerances: Any, costs: Any):
+        self.tolerances, self.costs = tolerances, costs
+        wide, dear = np.asarray(self.tolerances, float), np.asarray(self.costs, float)
+        if len(wide) != len(dear) or len(wide) < 2:
+            raise ValueError(
+                f"cost.Table has {len(wide)} tolerances and {len(dear)} costs; it must have as "
+                "many of the one as of the other, two at least."
+            )
+        if np.any(np.diff(wide) <= 0) or wide[0] <= 0:
+            raise ValueError(
+                "tolerances of cost.Table do not rise from above 0; give them in rising order."
+            )
+        self.coefficients = jnp.asarray(PchipInterpolator(wide, dear).c)
+
+    def known(self):
+        return float(self.tolerances[0]), float(self.tolerances[-1])
+
+    def __call__(self, tolerance):
+        ends = jnp.stack(self.tolerances)
+        piece = jnp.clip(jnp.searchsorted(ends, tolerance) - 1, 0, len(self.tolerances) - 2)
+        return jnp.polyval(self.coefficients[:, piece], tolerance - ends[piece])

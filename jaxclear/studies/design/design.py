@@ -1,0 +1,157 @@
+"""The cheapest tolerances, clearances and nominal dimensions that keep limits: `jaxclear.design`.
+
+What may be chosen, what it costs and what must hold is the user's; candidates are judged on a
+surface through few runs, or on the problem itself where it answers at once, and the last one by
+runs that had no part in finding it.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags, expect
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.design.abstract_limit import AbstractLimit
+from jaxclear.studies.design.freedom import freedom_of
+from jaxclear.studies.design.question import Question, checked_cost, checked_limits
+from jaxclear.studies.design.result import Design, prices_of
+from jaxclear.studies.design.runs import BATCH, Runs
+from jaxclear.studies.design.search import Sought, sought
+from jaxclear.studies.design.settings import DesignSettings
+
+__all__ = ["design", "design_front"]
+
+
+@answering
+def design(
+    problem: AbstractProblem,
+    cost: Any,
+    limits: Sequence[AbstractLimit] | AbstractLimit,
+    *,
+    tolerance: Mapping[str, Any] | None = None,
+    nominal: Mapping[str, Any] | None = None,
+    settings: DesignSettings | None = None,
+    store: str | Path | None = None,
+    progress_bar: bool = False,
+) -> Design:
+    """The cheapest design of a problem that keeps all limits.
+
+    `cost`: members of `jaxclear.cost` by the name of the variable whose tolerance they price, or a
+    differentiable function of two dictionaries (nominal values, tolerances). `limits`: members of
+    `jaxclear.limit`, on responses or variables. `tolerance` and `nominal`: what may be chosen, by
+    name of the variable, each (smallest, largest) or a member of `jaxclear.catalogue`; a tolerance
+    stretches the variable's own distribution, and is half of its range (three standard deviations
+    where it has no ends).
+
+    The answer was verified by runs with other random numbers, and tightened until it held; its
+    sentence says so, or that it does not hold. Ctrl-C ends the search with the best so far.
+    `store`: a folder that keeps every run; asked again, a design takes them from there. Raises
+    `ValueError` with a sentence for what cannot be asked.
+    """
+    asked = _asked(problem, cost, limits, tolerance, nominal)
+    settings = _settings(settings)
+    check_flags("design", progress_bar=progress_bar)
+    runs = _runs(problem, settings, store, progress_bar)
+    return _designed(asked, runs, settings)
+
+
+@answering
+def design_front(
+    problem: AbstractProblem,
+    cost: Any,
+    limits: Sequence[AbstractLimit] | AbstractLimit,
+    bounds: Sequence[float],
+    *,
+    limit: int = 0,
+    settings: DesignSettings | None = None,
+    store: str | Path | None = None,
+    **choices: Any,
+) -> list[Design]:
+    """The Pareto front of cost against one limit: the designs for several `bounds` of limit number
+    `limit`, each verified; runs of one serve the surfaces of the next. All else as in `design`."""
+    unknown = set(choices) - {"tolerance", "nominal", "progress_bar"}
+    if unknown:
+        raise TypeError(
+            f'design_front has no argument "{sorted(unknown)[0]}"; beside bounds and limit it '
+            "takes what jaxclear.design takes."
+        )
+    show = choices.pop("progress_bar", False)
+    check_flags("design_front", progress_bar=show)
+    asked = _asked(problem, cost, limits, choices.get("tolerance"), choices.get("nominal"))
+    check_count("limit of design_front", limit, at_least=0)
+    if limit >= len(asked.limits):
+        raise ValueError(f"there is no limit {limit}; there are {len(asked.limits)}, from 0 on.")
+    settings = _settings(settings)
+    runs = _runs(problem, settings, store, show)
+    found = []
+    for bound in bounds:
+        own = list(asked.limits)
+        own[limit] = own[limit].with_bound(bound)
+        found.append(_designed(asked.with_limits(tuple(own)), runs, settings))
+    return found
+
+
+def _asked(problem: Any, cost: Any, limits: Any, tolerance: Any, nominal: Any) -> Question:
+    """The question, checked."""
+    expect(problem, AbstractProblem, "what is designed", "a problem of jaxclear")
+    freedom = freedom_of(problem, nominal, tolerance)
+    checked = checked_limits(limits, problem)
+    return Question(
+        freedom, checked_cost(cost, freedom), checked, problem.inputs, np.ones(len(checked))
+    )
+
+
+def _settings(settings: DesignSettings | None) -> DesignSettings:
+    settings = DesignSettings() if settings is None else settings
+    expect(settings, DesignSettings, "settings of design", "a jaxclear.DesignSettings")
+    return settings
+
+
+def _direct(problem: AbstractProblem, settings: DesignSettings) -> bool:
+    """Whether the problem answers without a surface."""
+    if settings.surface is not None:
+        return not settings.surface
+    return problem.at_once() and not any(problem.pathwise_limits())
+
+
+def _runs(problem: AbstractProblem, settings: DesignSettings, store: Any, show: bool) -> Runs:
+    batch = problem.most_together() if problem.at_once() else BATCH
+    return Runs(problem, store, show, min(batch, settings.samples))
+
+
+def _designed(question: Question, runs: Runs, settings: DesignSettings) -> Design:
+    before = runs.count, runs.computed, runs.failed
+    found = sought(question, runs, settings, _direct(runs.problem, settings))
+    return _told(found, runs, settings, before)
+
+
+def _told(found: Sought, runs: Runs, settings: DesignSettings, before: tuple) -> Design:
+    """The last round as a result."""
+    last, question = found.rounds[-1], found.question
+    place = jnp.asarray(last.candidate.place)
+    names = question.freedom.names
+    nominal, tolerance = (np.asarray(own) for own in question.freedom.decoded(place))
+    samples = question.samples(place, found.model, found.points)
+    none = np.full(len(question.limits), np.nan)
+    check = last.check
+    return Design(
+        runs.problem,
+        question,
+        dict(zip(names, map(float, nominal), strict=True)),
+        dict(zip(names, map(float, tolerance), strict=True)),
+        last.candidate.cost,
+        none if check is None else check.numbers,
+        none if check is None else check.errors,
+        none if check is None else check.excess,
+        prices_of(question, last.candidate.multipliers, samples),
+        tuple(found.rounds),
+        found.ended,
+        float(settings.accuracy),
+        runs.count - before[0],
+        runs.computed - before[1],
+        runs.failed - before[2],
+    )

@@ -1,0 +1,138 @@
+"""The cheapest candidate on a model: scipy's SLSQP, with exact slopes.
+
+Multipliers are those that best close the conditions of Karush, Kuhn and Tucker at the optimum, by
+non-negative least squares, whichever method found it.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import minimize, nnls
+
+from jaxclear.studies.design.model import AbstractModel
+from jaxclear.studies.design.population import Points
+from jaxclear.studies.design.question import Question
+
+# A limit broken by less than this share is kept: rounding of the optimiser.
+KEPT = 1e-6
+# A limit or bound within this share is one that decides.
+ACTIVE = 1e-4
+STEPS, ACCURACY = 100, 1e-9
+
+
+class Candidate(NamedTuple):
+    """A candidate: its `place`, `cost`, `excess` (limits,) [1], what it breaks as a whole [1], and
+    `multipliers` (limits,): cost saved by an excess of 1."""
+
+    place: np.ndarray
+    cost: float
+    excess: np.ndarray
+    multipliers: np.ndarray
+
+    @property
+    def broken(self) -> float:
+        """The largest excess [1]; 0 where all limits are kept."""
+        return float(max(self.excess.max(initial=0.0), 0.0))
+
+    def better(self, other: "Candidate") -> bool:
+        """Whether it is to be preferred: it keeps limits that the other breaks, or is cheaper."""
+        if max(self.broken, other.broken) > KEPT:
+            return self.broken < other.broken
+        return self.cost < other.cost
+
+
+class Search(NamedTuple):
+    """What an optimiser works on: `shift` (limits,) [1] is added to every excess, `low` and `high`
+    (free,) enclose the places it may take."""
+
+    question: Question
+    model: AbstractModel
+    points: Points
+    shift: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    def told(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cost and excesses, (1 + limits,), and their slopes, (1 + limits, free)."""
+        found, slopes = told(self.question, self.model, self.points, jnp.asarray(place))
+        found = np.array(found)
+        found[1:] += self.shift
+        return found, np.asarray(slopes)
+
+
+@eqx.filter_jit
+def told(question: Question, model: AbstractModel, points: Points, place: Any):
+    """Cost and excesses of a candidate, (1 + limits,), and their slopes, (1 + limits, free)."""
+
+    def both(own):
+        found = jnp.append(question.price(own), question.excesses(own, model, points))
+        return found, found
+
+    slopes, found = jax.jacrev(both, has_aux=True)(place)
+    return found, slopes
+
+
+def cheapest(search: Search, starts: list[np.ndarray]) -> Candidate:
+    """The best that SLSQP finds from several starts."""
+    found = [_from_one(search, np.clip(start, search.low, search.high)) for start in starts]
+    return best_of(found)
+
+
+def best_of(candidates: list[Candidate]) -> Candidate:
+    """The one that is to be preferred to all others."""
+    best = candidates[0]
+    for one in candidates[1:]:
+        best = one if one.better(best) else best
+    return best
+
+
+def _from_one(search: Search, start: np.ndarray) -> Candidate:
+    kept: dict[bytes, tuple] = {}
+
+    def at(place):
+        key = place.tobytes()
+        if key not in kept:
+            kept.clear()
+            kept[key] = search.told(place)
+        return kept[key]
+
+    whole = abs(at(start)[0][0]) or 1.0
+    found = minimize(
+        lambda place: at(place)[0][0] / whole,
+        start,
+        jac=lambda place: at(place)[1][0] / whole,
+        method="SLSQP",
+        bounds=list(zip(search.low, search.high, strict=True)),
+        constraints={
+            "type": "ineq",
+            "fun": lambda place: -at(place)[0][1:],
+            "jac": lambda place: -at(place)[1][1:],
+        },
+        options={"maxiter": STEPS, "ftol": ACCURACY},
+    )
+    return judged(search, np.clip(found.x, search.low, search.high))
+
+
+def judged(search: Search, place: np.ndarray) -> Candidate:
+    """A place as a candidate, with its multipliers."""
+    found, slopes = search.told(place)
+    sizes = multipliers(found[1:], slopes, place, search)
+    return Candidate(place, float(found[0]), found[1:], sizes)
+
+
+def multipliers(
+    excess: np.ndarray, slopes: np.ndarray, place: np.ndarray, search: Search
+) -> np.ndarray:
+    """Multipliers (limits,) of the limits that decide, 0 of the others: $\\nabla C = -\\sum
+    \\lambda_j \\nabla g_j$, but for places at their ends, with $\\lambda_j \\ge 0$."""
+    deciding = np.flatnonzero(excess > -ACTIVE)
+    low, high = place - search.low < ACTIVE, search.high - place < ACTIVE
+    unit = np.eye(len(place))
+    columns = np.concatenate([slopes[1:][deciding], -unit[low], unit[high]]).T
+    found = np.zeros(len(excess))
+    if columns.size:
+        found[deciding] = nnls(columns, -slopes[0])[0][: len(deciding)]
+    return found

@@ -1,0 +1,159 @@
+"""A design's question as functions of the numbers that are free: what a candidate costs, and by how
+much it breaks each limit."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.quantity import Scalar
+from jaxclear.ground.wording import described
+from jaxclear.studies.design.abstract_limit import AbstractLimit, Sample
+from jaxclear.studies.design.cost import AbstractCost
+from jaxclear.studies.design.freedom import NOMINAL, TOLERANCE, Freedom
+from jaxclear.studies.design.model import AbstractModel
+from jaxclear.studies.design.population import Points
+
+Cost = dict[str, AbstractCost] | Callable[[dict, dict], Any]
+
+
+class Question(eqx.Module):
+    """What is asked: `inputs` is the joint distribution of the problem's variables, `sizes`
+    (limits,) what an excess is measured by."""
+
+    freedom: Freedom
+    cost: Any
+    limits: tuple[AbstractLimit, ...]
+    inputs: Any
+    sizes: np.ndarray
+
+    def price(self, place: Float[Array, " free"]) -> Scalar:
+        """Cost of a candidate."""
+        nominal, tolerance = self.freedom.decoded(place)
+        names = self.freedom.names
+        if not isinstance(self.cost, dict):
+            numbers = [dict(zip(names, own, strict=True)) for own in (nominal, tolerance)]
+            return jnp.asarray(self.cost(*numbers), float)
+        parts = [cost(tolerance[names.index(name)]) for name, cost in self.cost.items()]
+        return jnp.sum(jnp.stack(parts))
+
+    def values(self, place: Float[Array, " free"], normal: Any) -> Array:
+        """Values (samples, variables) of the parts of a candidate."""
+        nominal, tolerance = self.freedom.decoded(place)
+        widths = tolerance / jnp.asarray(self.freedom.usual)
+        moved = lambda inputs: (inputs.nominal, inputs.widths)
+        return eqx.tree_at(moved, self.inputs, (nominal, widths)).values(jnp.asarray(normal))
+
+    @eqx.filter_jit
+    def samples(self, place: Array, model: AbstractModel, points: Points) -> list[Sample]:
+        """What each limit sees of a candidate by a model."""
+        values = self.values(place, points.normal)
+        responses = model(values)
+        weights = jnp.asarray(points.weights)
+        return [
+            Sample(self.of(limit, values, responses), weights, self._ends(limit, place, model))
+            for limit in self.limits
+        ]
+
+    def excesses(self, place: Array, model: AbstractModel, points: Points) -> Array:
+        """By how much a candidate breaks each limit, (limits,) [1] in multiples of `sizes`."""
+        seen = zip(self.limits, self.samples(place, model, points), strict=True)
+        return jnp.stack([limit.excess(own) for limit, own in seen]) / self.sizes
+
+    def of(self, limit: AbstractLimit, values: Any, responses: dict) -> Any:
+        """What a limit is about, (samples,): a response, or a variable."""
+        if limit.response in responses:
+            return responses[limit.response]
+        return values[:, self.freedom.names.index(limit.response)]
+
+    def measured_by(self, sizes: np.ndarray) -> "Question":
+        """The same with other sizes."""
+        return eqx.tree_at(lambda q: q.sizes, self, sizes)
+
+    def with_limits(self, limits: tuple[AbstractLimit, ...]) -> "Question":
+        """The same with other limits."""
+        return Question(self.freedom, self.cost, limits, self.inputs, self.sizes)
+
+    def _ends(self, limit, place, model):
+        """Smallest and largest value of what a limit is about, (2,), by first order."""
+        if not limit.extreme():
+            return jnp.zeros(2)
+        nominal, tolerance = self.freedom.decoded(place)
+        value, slope = jax.value_and_grad(lambda own: self.one(limit, own, model))(nominal)
+        reach = jnp.sum(jnp.abs(slope) * tolerance)
+        return jnp.stack([value - reach, value + reach])
+
+    def one(self, limit: AbstractLimit, values: Array, model: AbstractModel) -> Scalar:
+        """What a limit is about, for one set of values (variables,)."""
+        batch = values[None]
+        return self.of(limit, batch, model(batch))[0]
+
+    def corner(self, limit: AbstractLimit, place: np.ndarray, model: AbstractModel) -> np.ndarray:
+        """Values (variables,) of the worst case of a limit, by the slopes of a model."""
+        nominal, tolerance = self.freedom.decoded(jnp.asarray(place))
+        slope = jax.grad(lambda own: self.one(limit, own, model))(nominal)
+        side = 1.0 if limit.upper() else -1.0
+        return np.asarray(nominal + side * jnp.sign(slope) * tolerance)
+
+
+def checked_cost(cost: Any, freedom: Freedom) -> Cost:
+    """What a user gives as cost. Raises `ValueError` with a sentence for what cannot be."""
+    if callable(cost) and not isinstance(cost, (Mapping, AbstractCost)):
+        return cost
+    expect(
+        cost,
+        Mapping,
+        "cost of design",
+        "a dictionary from names of variables to members of jaxclear.cost, or a function of "
+        "(nominal, tolerance)",
+    )
+    free = {c.variable: c for c in freedom.choices if c.kind == TOLERANCE}
+    if not cost:
+        raise ValueError("cost of design is empty; it must hold a cost for one tolerance at least.")
+    for name, own in cost.items():
+        check_known("variable", name, freedom.names, " in this problem")
+        expect(own, AbstractCost, f'cost of "{name}"', "one of jaxclear.cost, such as Reciprocal")
+        choice = free.get(freedom.names.index(name))
+        low, high = own.known()
+        if choice is not None and not low <= choice.low < choice.high <= high:
+            raise ValueError(
+                f'cost of "{name}" is known for tolerances from {low:g} to {high:g}, and its '
+                f"tolerance may be {choice.low:g} to {choice.high:g}; narrow its bounds."
+            )
+    bare = [freedom.names[i] for i in free if freedom.names[i] not in cost]
+    if bare:
+        raise ValueError(
+            f'the tolerance of "{bare[0]}" is free and costs nothing; give it a cost, or a fixed '
+            "tolerance."
+        )
+    return dict(cost)
+
+
+def checked_limits(limits: Any, problem: Any) -> tuple[AbstractLimit, ...]:
+    """What a user gives as limits. Raises `ValueError` with a sentence for what cannot be."""
+    given = [limits] if isinstance(limits, AbstractLimit) else limits
+    if not isinstance(given, Sequence) or isinstance(given, str) or not given:
+        raise ValueError(
+            f"limits of design are {described(limits)}; they must be members of jaxclear.limit, "
+            "one at least."
+        )
+    for limit in given:
+        expect(limit, AbstractLimit, "a limit of design", "one of jaxclear.limit")
+        known = (*problem.response_names, *problem.names)
+        check_known("response", limit.response, known, " in this problem (nor variable)")
+    return tuple(given)
+
+
+def sizes_of(question: Question, place: np.ndarray, model: AbstractModel, points: Points) -> Any:
+    """What each limit's excess is measured by, (limits,)."""
+    samples = question.samples(jnp.asarray(place), model, points)
+    pairs = zip(question.limits, samples, strict=True)
+    return np.array([float(limit.size(sample)) for limit, sample in pairs])
+
+
+__all__ = ["NOMINAL", "Question", "checked_cost", "checked_limits", "sizes_of"]

@@ -1,0 +1,203 @@
+"""What `jaxclear.design` answers: numbers for a drawing, whether they were seen to keep the limits,
+and what each limit costs."""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.design.abstract_limit import AbstractLimit
+from jaxclear.studies.design.freedom import NOMINAL
+from jaxclear.studies.design.question import Question
+from jaxclear.studies.design.search import Round
+from jaxclear.studies.surface.response_surface import TRUSTED
+
+ENDINGS = {
+    "rounds": "The rounds that were allowed are used up.",
+    "interrupted": "Interrupted: this is the best so far.",
+    "infeasible": "No candidate within the bounds keeps the limits; this one breaks them least.",
+    "holds": "",
+}
+
+
+class Design(eqx.Module):
+    """A design: `nominal` values and `tolerances` of all variables by name, its `cost`; of each
+    limit the number found by new runs with its 95 % error and its price.
+
+    `numbers`, `errors`, `excess` (limits,) are those of the last verification (`nan` without one);
+    `excess` [1] and `prices` [cost for a unit of the bound] belong to the limits in their order.
+    `rounds` are the history, `runs` how many samples were used, `computed` how many of them this
+    time.
+    """
+
+    problem: AbstractProblem
+    question: Question
+    nominal: dict[str, float]
+    tolerances: dict[str, float]
+    cost: float
+    numbers: np.ndarray
+    errors: np.ndarray
+    excess: np.ndarray
+    prices: np.ndarray
+    rounds: tuple[Round, ...]
+    ended: str = eqx.field(static=True)
+    accuracy: float = eqx.field(static=True)
+    runs: int = eqx.field(static=True)
+    computed: int = eqx.field(static=True)
+    failed: int = eqx.field(static=True)
+
+    @property
+    def limits(self) -> tuple[AbstractLimit, ...]:
+        """The limits, in the order in which they were given."""
+        return self.question.limits
+
+    @property
+    def verified(self) -> bool:
+        """Whether new runs have looked at this very design."""
+        return self.rounds[-1].check is not None
+
+    @property
+    def seen_by(self) -> int:
+        """New runs that looked at this very design."""
+        check = self.rounds[-1].check
+        return 0 if check is None else check.runs
+
+    @property
+    def holds(self) -> bool:
+        """Whether new runs found every limit kept, to within the accuracy asked for."""
+        return self.verified and bool(np.all(self.excess <= self.accuracy))
+
+    @property
+    def distrusted(self) -> tuple[str, ...]:
+        """Limited responses whose surface does not stand for runs (leave-one-out R2 below 0.9)."""
+        quality = self.rounds[-1].quality
+        limited = dict.fromkeys(limit.response for limit in self.limits)
+        return tuple(name for name in limited if quality.get(name, 1.0) < TRUSTED)
+
+    def label(self, i: int) -> str:
+        """What a free number is in the catalogue that it comes from; "" without one."""
+        choice = self.question.freedom.choices[i]
+        own = self.nominal if choice.kind == NOMINAL else self.tolerances
+        if not choice.offered:
+            return ""
+        number = own[self.question.freedom.names[choice.variable]]
+        return choice.labels[int(np.argmin(np.abs(np.subtract(choice.offered, number))))]
+
+    def sentence(self) -> str:
+        """The cost, whether the limits hold, which of them decide and what they cost."""
+        said = [f"Cost {self.cost:.6g}."]
+        if not self.verified:
+            said.append("Not verified by runs of its own.")
+        elif self.holds:
+            said.append(
+                f"All limits hold, by {self.seen_by} new runs, to within {100 * self.accuracy:g} %."
+            )
+        else:
+            broken = [self._broken(i) for i in np.flatnonzero(~(self.excess <= self.accuracy))]
+            said.append(f"It does not hold: {'; '.join(broken)}.")
+        said += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
+        if self.failed:
+            said.append(f"{self.failed} of {self.runs} runs failed and are left out.")
+        said += [
+            f'The surface of "{name}" does not stand for its runs: the design was led by runs '
+            "alone and may not be the cheapest."
+            for name in self.distrusted
+        ]
+        return " ".join([*said, ENDINGS[self.ended]]).rstrip()
+
+    def __str__(self) -> str:
+        return self.sentence()
+
+    def unit(self, i: int) -> str:
+        """Unit of a limited number."""
+        units = self.problem.units() | dict(
+            zip(self.problem.names, self.problem.variable_units, strict=True)
+        )
+        return self.limits[i].unit(units[self.limits[i].response])
+
+    def _broken(self, i):
+        limit = self.limits[i]
+        return (
+            f"the {limit.words()} is {self.numbers[i]:.4g} +- {self.errors[i]:.2g}, "
+            f"{'above' if limit.upper() else 'below'} {float(limit.bound()):.4g}"
+        )
+
+    def _priced(self, i):
+        limit, price = self.limits[i], self.prices[i]
+        step, named = 1e-6, f"1 µ{self.unit(i)}"
+        if self.unit(i) not in ("m", "rad"):
+            step = 0.01 * abs(float(limit.bound())) or 1.0
+            named = f"{step:.3g} {self.unit(i)}".removesuffix(" 1")
+        way = "more" if limit.upper() else "less"
+        return f"The limit on the {limit.words()} decides: {named} {way} saves {price * step:.3g}."
+
+    def table(self) -> Any:
+        """A pandas table of all variables: nominal value, tolerance, whether each was chosen, and
+        its catalogue's name."""
+        import pandas
+
+        freedom = self.question.freedom
+        rows = []
+        for variable, name in enumerate(freedom.names):
+            free = {c.kind: i for i, c in enumerate(freedom.choices) if c.variable == variable}
+            labels = [self.label(i) for i in free.values()]
+            rows.append(
+                {
+                    "variable": name,
+                    "unit": self.problem.variable_units[variable],
+                    "nominal": self.nominal[name],
+                    "tolerance": self.tolerances[name],
+                    "chosen": " and ".join(free),
+                    "catalogue": " ".join(filter(None, labels)),
+                }
+            )
+        return pandas.DataFrame(rows)
+
+    def limit_table(self) -> Any:
+        """A pandas table of the limits: number, 95 % error, bound, whether it holds, price of a
+        unit of the bound."""
+        import pandas
+
+        rows = []
+        for i, limit in enumerate(self.limits):
+            rows.append(
+                {
+                    "limit": limit.words(),
+                    "unit": self.unit(i),
+                    "number": self.numbers[i],
+                    "error": self.errors[i],
+                    "bound": float(limit.bound()),
+                    "side": "at most" if limit.upper() else "at least",
+                    "holds": bool(self.excess[i] <= self.accuracy),
+                    "price": self.prices[i],
+                }
+            )
+        return pandas.DataFrame(rows)
+
+    def history(self) -> Any:
+        """A pandas table, a row a round: cost, largest excess by new runs, runs so far, what the
+        surface covered of the bounds, the least leave-one-out R2 of a limited response."""
+        import pandas
+
+        limited = {limit.response for limit in self.limits}
+        rows = []
+        for one in self.rounds:
+            quality = [q for name, q in one.quality.items() if name in limited]
+            excess = np.nan if one.check is None else float(one.check.excess.max())
+            rows.append(
+                {
+                    "cost": one.candidate.cost,
+                    "largest excess": excess,
+                    "runs": one.runs,
+                    "region": one.region,
+                    "least R2": min(quality, default=1.0),
+                }
+            )
+        return pandas.DataFrame(rows)
+
+
+def prices_of(question: Question, multipliers: np.ndarray, samples: list) -> np.ndarray:
+    """Cost (limits,) that a unit of each bound would save, from what a unit of excess does."""
+    rows = zip(question.limits, multipliers, samples, question.sizes, strict=True)
+    return np.array([float(limit.give(seen)) * own / size for limit, own, seen, size in rows])

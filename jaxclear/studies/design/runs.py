@@ -1,0 +1,87 @@
+"""Samples of a problem that a design has computed, kept: in memory for the surfaces to come, in a
+folder for another day.
+
+They are asked for in batches of one size, so that one compiled program serves them all and every
+record of the store has the same length.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.integrators import Outcome
+from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.identity import in_texts
+from jaxclear.studies.store import Store
+
+# Samples a batch: one record of the store, and one chunk of the compiled program.
+BATCH = 32
+KIND = "a design"
+
+
+class Runs:
+    """Values (samples, variables) and responses by name (samples,); `nan` for those that failed."""
+
+    def __init__(self, problem: Any, store: Any, show: bool, batch: int = BATCH):
+        self.problem, self.show, self.batch = problem, show, batch
+        self.store = None if store is None else Store.opened(store, KIND, in_texts(problem))
+        self.values = np.zeros((0, len(problem.names)))
+        self.responses = np.zeros((0, len(problem.response_names)))
+        self.computed = 0
+
+    @property
+    def count(self) -> int:
+        """Samples computed or taken from the store."""
+        return len(self.values)
+
+    @property
+    def failed(self) -> int:
+        """Samples without a response."""
+        return int(np.sum(~np.isfinite(self.responses).all(axis=1)))
+
+    def ask(self, values: np.ndarray, label: str) -> np.ndarray:
+        """Responses (samples, responses) of values (samples, variables)."""
+        count = len(values)
+        padded = np.concatenate([values, np.repeat(values[-1:], -count % self.batch, axis=0)])
+        pieces = padded.reshape(-1, self.batch, values.shape[1])
+        found: list[np.ndarray] = []
+        for piece in pieces:
+            kept = self._taken(piece)
+            if kept is None:
+                break
+            found.append(kept)
+        left = pieces[len(found) :]
+        if len(left):
+            found += self._computed(left, label)
+        answers = np.concatenate(found)[:count]
+        self.values = np.concatenate([self.values, values])
+        self.responses = np.concatenate([self.responses, answers])
+        return answers
+
+    def within(self, inside: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """(values, responses) of the samples that succeeded and lie inside."""
+        good = np.isfinite(self.responses).all(axis=1) & inside(self.values)
+        return self.values[good], self.responses[good]
+
+    def _taken(self, piece: np.ndarray) -> np.ndarray | None:
+        if self.store is None:
+            return None
+        shape = jax.ShapeDtypeStruct((self.batch, self.responses.shape[1]), np.dtype(float))
+        return self.store.taken(piece.ravel(), shape)
+
+    def _computed(self, pieces: np.ndarray, label: str) -> list[np.ndarray]:
+        flat = jnp.asarray(pieces.reshape(-1, pieces.shape[-1]))
+        found = evaluate_all(
+            self.problem, flat, chunk=self.batch, progress_bar=self.show, label=f"design, {label}"
+        )
+        good = found.outcome == Outcome.REACHED
+        columns = [np.where(good, found.responses[n], np.nan) for n in self.problem.response_names]
+        answers = np.stack(columns, axis=1).reshape(len(pieces), self.batch, -1)
+        self.computed += len(flat)
+        for piece, own in zip(pieces, answers, strict=True):
+            if self.store is not None:
+                self.store.add(piece.ravel(), own)
+        return list(answers)

@@ -1,0 +1,194 @@
+"""From a question to a design that keeps its limits: fit, optimise, verify, tighten.
+
+Each round takes the cheapest candidate on a surface, verifies it by new runs, and shifts each limit
+by what the surface was wrong there. The runs join the surface of the next round, which covers half
+as much about the candidate. A round whose candidate keeps every limit, and leaves none that decides
+unused, is the last.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import qmc
+
+from jaxclear.studies.design.discrete import chosen_from_catalogues
+from jaxclear.studies.design.lagrangian import cheapest_by_steps
+from jaxclear.studies.design.model import AbstractModel, Direct, surface_through
+from jaxclear.studies.design.optimise import Candidate, Search, cheapest, judged
+from jaxclear.studies.design.population import Points, points
+from jaxclear.studies.design.question import Question, sizes_of
+from jaxclear.studies.design.rare import rare_regions
+from jaxclear.studies.design.runs import Runs
+from jaxclear.studies.design.settings import DesignSettings
+from jaxclear.studies.design.verification import Check, Verifier
+
+# Starts of the first search, and least runs for each term of a quadratic surface.
+STARTS, RUNS_PER_TERM = 3, 2
+# Verifications are repeated with so many times the runs, up to so often, while they are less sure
+# than is asked.
+MORE, TIMES = 4, 1
+
+
+class Round(NamedTuple):
+    """What a round found: the candidate, its check, R2 of the surface by response (none where the
+    problem answers itself), runs so far, the size of the region that the surface covers [1]."""
+
+    candidate: Candidate
+    check: Check | None
+    quality: dict[str, float]
+    runs: int
+    region: float
+
+
+class Sought(NamedTuple):
+    """All rounds, the question with the sizes of its limits, why the search ended, what answered
+    last and at which points."""
+
+    rounds: list[Round]
+    question: Question
+    ended: str
+    model: AbstractModel
+    points: Points
+
+
+def sought(question: Question, runs: Runs, settings: DesignSettings, direct: bool) -> Sought:
+    """The rounds of a design. An interrupt ends it with the rounds so far."""
+    seeking = _Seeking(question, runs, settings, direct)
+    try:
+        seeking.go()
+    except KeyboardInterrupt:
+        if not seeking.rounds:
+            raise
+        seeking.ended = "interrupted"
+    return Sought(seeking.rounds, seeking.question, seeking.ended, seeking.model, seeking.points)
+
+
+class _Seeking:
+    """The state of a search: the place reached, shifts of the limits, the surface's region."""
+
+    def __init__(self, question: Question, runs: Runs, settings: DesignSettings, direct: bool):
+        self.question, self.runs, self.settings, self.direct = question, runs, settings, direct
+        freedom = question.freedom
+        self.place = freedom.encoded(freedom.start, freedom.usual)
+        self.shift = np.zeros(len(question.limits))
+        self.region, self.ended = 1.0, "rounds"
+        self.rounds: list[Round] = []
+        # Until there is a surface, and points for it.
+        self.model: AbstractModel = Direct(runs.problem)
+        self.points = points(len(freedom.names), 1, settings.seed)
+        self.quality: dict[str, float] = {}
+
+    def go(self) -> None:
+        """Round after round."""
+        for number in range(self.settings.rounds):
+            if not self.direct:
+                self._fit(number)
+            candidate = self._candidate(number)
+            self.place = candidate.place
+            # Kept before it is verified: an interrupt may come in between.
+            self.rounds.append(self._round(candidate, None))
+            if candidate.broken > self.settings.accuracy:
+                self.ended = "infeasible"
+                if self.region < 1 or self.direct:
+                    return
+            check = self._checked(number, candidate)
+            self.rounds[-1] = self._round(candidate, check)
+            if self._good(candidate, check):
+                self.ended = "holds"
+                return
+            wrong = check.excess - (candidate.excess - self.shift)
+            self.shift = np.where(np.isfinite(wrong), wrong, self.shift)
+            self.region *= 0.5
+
+    def _round(self, candidate: Candidate, check: Check | None) -> Round:
+        return Round(candidate, check, self.quality, self.runs.count, self.region)
+
+    def _low_high(self) -> tuple[np.ndarray, np.ndarray]:
+        """The places that the region holds: a box about the last candidate."""
+        low = np.clip(self.place - 0.5 * self.region, 0.0, 1.0 - self.region)
+        return low, np.clip(low + self.region, 0.0, 1.0)
+
+    def _fit(self, number: int) -> None:
+        """A surface over the region, from the runs that lie in it and as many new ones as it
+        wants."""
+        low, high = self._low_high()
+        box = self._box(low, high)
+        inside = lambda values: np.all((values >= box[0]) & (values <= box[1]), axis=1)
+        variables = len(self.question.freedom.names)
+        terms = (variables + 1) * (variables + 2) // 2
+        wanted = self.settings.runs or max(RUNS_PER_TERM * terms, 64)
+        missing = wanted - len(self.runs.within(inside)[0])
+        if missing > 0 or number == 0:
+            self.runs.ask(self._drawn(low, high, max(missing, 1), number), "surface")
+        self.model, self.quality = surface_through(self.runs.problem, *self.runs.within(inside))
+
+    def _drawn(self, low: np.ndarray, high: np.ndarray, count: int, number: int) -> np.ndarray:
+        """Parts of designs that fill the region, (count, variables)."""
+        size, variables = len(low), len(self.question.freedom.names)
+        rng = np.random.default_rng([self.settings.seed, number])
+        share = qmc.Sobol(size + variables, scramble=True, rng=rng).random(count)
+        places = low + share[:, :size] * (high - low)
+        # Evenly between three standard deviations: a surface wants its edges.
+        normal = 3.0 * (2.0 * share[:, size:] - 1.0)
+        rows = zip(places, normal, strict=True)
+        values = [self.question.values(jnp.asarray(p), n[None])[0] for p, n in rows]
+        return np.stack([np.asarray(own) for own in values])
+
+    def _box(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest and largest values (variables,) of parts of designs in the region."""
+        size = len(self.question.freedom.names)
+        far = np.concatenate([-3.5 * np.ones((1, size)), 3.5 * np.ones((1, size))])
+        ends = [np.asarray(self.question.values(jnp.asarray(place), far)) for place in (low, high)]
+        return np.minimum(*(e.min(axis=0) for e in ends)), np.maximum(
+            *(e.max(axis=0) for e in ends)
+        )
+
+    def _candidate(self, number: int) -> Candidate:
+        """The cheapest of the region, on the catalogues where there are some."""
+        settings, count = self.settings, len(self.question.freedom.names)
+        shifts = rare_regions(self.question, self.place, self.model)
+        self.points = points(count, settings.samples, settings.seed, shifts, matched=True)
+        if number == 0:
+            sizes = sizes_of(self.question, self.place, self.model, self.points)
+            self.question = self.question.measured_by(sizes)
+        low, high = self._low_high()
+        search = Search(self.question, self.model, self.points, self.shift, low, high)
+        starts = [self.place]
+        if number == 0:
+            rng = np.random.default_rng(settings.seed)
+            starts += list(qmc.Sobol(len(low), rng=rng).random(STARTS - 1))
+        if settings.uses_steps(len(low)):
+            best = cheapest_by_steps(search, starts[0])
+        else:
+            best = cheapest(search, starts)
+        return chosen_from_catalogues(search, best)
+
+    def _checked(self, number: int, candidate: Candidate) -> Check:
+        """The candidate by new runs; by more where they are less sure than is asked."""
+        shifts = rare_regions(self.question, candidate.place, self.model)
+        verifier = Verifier(self.question, self.runs, self.points, not self.direct)
+        samples = self.settings.samples if self.direct else self.settings.check
+        for again in range(TIMES + 1):
+            # Seeds apart from those of surfaces and of the search.
+            seed = 1000 * (self.settings.seed + 1) + (TIMES + 1) * number + again
+            check = verifier.check(candidate.place, self.model, samples, seed, shifts)
+            unsure = check.excess_errors.max() > self.settings.accuracy
+            if not unsure or self.direct:
+                return check
+            samples *= MORE
+        return check
+
+    def _good(self, candidate: Candidate, check: Check) -> bool:
+        """Whether every limit is kept, and what decides is used up."""
+        allowed = self.settings.accuracy
+        kept = check.excess <= allowed
+        used = (candidate.multipliers <= 0) | (
+            check.excess >= -np.maximum(allowed, check.excess_errors)
+        )
+        if any(choice.offered for choice in self.question.freedom.choices):
+            used[:] = True
+        return bool(np.all(kept & used)) and check.failed == 0
+
+
+__all__ = ["Round", "Sought", "judged", "sought"]

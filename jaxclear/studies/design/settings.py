@@ -1,0 +1,36 @@
+"""How a design is sought: accuracy, sizes of samples, which optimiser."""
+
+import equinox as eqx
+
+from jaxclear.ground.arguments import check_known
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
+
+__all__ = ["DesignSettings"]
+
+METHODS = ("auto", "slsqp", "optax")
+# More free numbers than this are searched by steps of optax.
+TENS = 40
+
+
+class DesignSettings(AbstractQuantified):
+    """`accuracy` [1]: by how much of itself a limit may be missed. `samples`: points at which a
+    surface, or a problem that answers at once, is taken; `check`: runs of a verification, `runs`:
+    of a surface (None: two for each term of a quadratic, 64 at least). `rounds`: verifications at
+    the most. `method`: "slsqp", "optax" (an augmented Lagrangian), or "auto", by how many numbers
+    are free. `surface`: whether one stands in for the problem (None: unless it answers at once)."""
+
+    accuracy: Scalar = quantity(5e-3, "1", "miss of a limit that is let pass", above=0, below=1)
+    samples: int = count(4096, "points of a population", at_least=64)
+    check: int = count(128, "runs of a verification", at_least=16)
+    runs: int | None = eqx.field(static=True, default=None)
+    rounds: int = count(6, "verifications at the most")
+    seed: int = count(0, "seed of all random numbers", at_least=0)
+    method: str = eqx.field(static=True, default="auto")
+    surface: bool | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        check_known("method of a design", self.method, METHODS)
+
+    def uses_steps(self, free: int) -> bool:
+        """Whether optax takes the steps for so many free numbers."""
+        return self.method == "optax" or (self.method == "auto" and free > TENS)

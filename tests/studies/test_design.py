@@ -1,0 +1,332 @@
+"""Designs of linear stacks against their closed form (Lagrange), members of the families against
+published formulas, and sentences for what cannot be asked."""
+
+import itertools
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import norm
+
+import jaxclear as jc
+from jaxclear.studies.design.catalogue import standard_width
+
+NAMES = ("a", "b", "c", "d")
+NOMINAL = np.array([0.02, 0.03, 0.045, 0.0055])
+SLOPES = np.array([1.0, 1.0, -1.0, 2.0])
+GAP = float(SLOPES @ NOMINAL)
+ROOM = 30e-6
+PRICED = np.array([1.0, 2.0, 3.0, 0.5]) * 1e-4
+# Standard deviation of a tolerance of 1: normal, three deviations in it, cut off at its ends.
+SPREAD = float(jc.distribution.TruncatedNormal(1 / 3, bound=1.0).deviation())
+
+
+def stack(a, b, c, d):
+    return {"gap": a + b - c + 2 * d}
+
+
+def problem(distribution=None):
+    kind = {"tolerance": 20e-6} if distribution is None else {"distribution": distribution}
+    dimensions = zip(NAMES, NOMINAL, strict=True)
+    return jc.FunctionProblem(stack, {n: jc.Dimension(v, **kind) for n, v in dimensions})
+
+
+def by_name(numbers):
+    return dict(zip(NAMES, numbers, strict=True))
+
+
+def reciprocal():
+    return by_name([jc.cost.Reciprocal(scale) for scale in PRICED])
+
+
+def optimum(deviations, spread=SPREAD):
+    """Tolerances, cost and its slope with the room where the gap's `deviations` may take ROOM:
+    t ~ (b / c^2)^(1/3)."""
+    shape = (PRICED / SLOPES**2) ** (1 / 3)
+    best = shape * ROOM / (deviations * spread * np.linalg.norm(SLOPES * shape))
+    cost = (PRICED / best).sum()
+    return best, cost, cost / ROOM
+
+
+MEAN = jc.limit.MeanAndDeviation("gap", at_most=GAP + ROOM, deviations=3)
+WIDE = by_name([(1e-6, 1e-4)] * 4)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE)
+
+
+def test_reciprocal_costs_meet_the_closed_form_and_its_price(plain):
+    best, cost, price = optimum(3)
+    np.testing.assert_allclose(plain.cost, cost, rtol=1e-4)
+    np.testing.assert_allclose(plain.prices, [price], rtol=1e-2)
+    np.testing.assert_allclose(list(plain.tolerances.values()), best, rtol=2e-3)
+    assert plain.holds and plain.runs >= 4096
+    assert "All limits hold" in plain.sentence() and "1 µm more saves" in plain.sentence()
+
+
+def test_the_tables_tell_what_the_sentence_tells(plain):
+    assert list(plain.table()["chosen"]) == ["tolerance"] * 4
+    row = plain.limit_table().iloc[0]
+    assert row["holds"] and row["side"] == "at most" and row["unit"] == "m"
+    np.testing.assert_allclose(row["number"], GAP + ROOM, atol=0.005 * ROOM)
+    assert len(plain.history()) == len(plain.rounds)
+
+
+def test_exponential_costs_meet_the_closed_form_and_its_price():
+    scale, rate = np.array([3.0, 5.0, 2.0, 4.0]), np.array([2e4, 5e4, 3e4, 8e4])
+    room = ROOM / 3 / SPREAD
+
+    def best(force):  # B m exp(-m t) = 2 force c^2 t
+        balance = lambda t, b, m, c: b * m * np.exp(-m * t) - 2 * force * c**2 * t
+        rows = zip(scale, rate, SLOPES, strict=True)
+        return np.array([brentq(balance, 1e-12, 1e-2, args=row) for row in rows])
+
+    short = lambda power: np.linalg.norm(SLOPES * best(np.exp(power))) - room
+    force = np.exp(brentq(short, np.log(1e3), np.log(1e13)))
+    cost = (scale * np.exp(-rate * best(force))).sum()
+    costs = by_name(map(jc.cost.Exponential, scale, rate))
+    found = jc.design(problem(), costs, MEAN, tolerance=by_name([(1e-7, 3e-4)] * 4))
+    np.testing.assert_allclose(found.cost, cost, rtol=1e-4)
+    np.testing.assert_allclose(found.prices, [2 * force * room / 3 / SPREAD], rtol=1e-2)
+
+
+@pytest.mark.slow
+def test_the_worst_case_meets_its_closed_form():
+    found = jc.design(
+        problem(), reciprocal(), jc.limit.WorstCase("gap", at_least=GAP - ROOM), tolerance=WIDE
+    )
+    shape = np.sqrt(PRICED / abs(SLOPES))
+    best = shape * ROOM / (abs(SLOPES) @ shape)
+    np.testing.assert_allclose(found.cost, (PRICED / best).sum(), rtol=1e-6)
+    np.testing.assert_allclose(found.numbers, [GAP - ROOM], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_optax_finds_what_slsqp_finds():
+    settings = jc.DesignSettings(method="optax")
+    found = jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE, settings=settings)
+    np.testing.assert_allclose(found.cost, optimum(3)[1], rtol=1e-4)
+    np.testing.assert_allclose(found.prices, [optimum(3)[2]], rtol=1e-2)
+
+
+@pytest.mark.slow
+def test_sixty_tolerances_are_left_to_optax():
+    count = 60
+    slopes = np.where(np.arange(count) % 2, 1.0, -1.0) * (1 + np.arange(count) % 5)
+    priced = 1e-4 * (1 + np.arange(count) % 3)
+    names = [f"x{i}" for i in range(count)]
+    many = jc.FunctionProblem(
+        lambda **x: sum(s * x[n] for s, n in zip(slopes, names, strict=True)),
+        {name: jc.Dimension(0.01, tolerance=2e-5) for name in names},
+    )
+    middle = float(slopes.sum() * 0.01)
+    limit = jc.limit.MeanAndDeviation("response", at_most=middle + 1e-4, deviations=3)
+    costs = {n: jc.cost.Reciprocal(b) for n, b in zip(names, priced, strict=True)}
+    wide, settings = dict.fromkeys(names, (1e-6, 1e-4)), jc.DesignSettings(samples=1024)
+    found = jc.design(many, costs, limit, tolerance=wide, settings=settings)
+    shape = (priced / slopes**2) ** (1 / 3)
+    best = shape * 1e-4 / (3 * SPREAD * np.linalg.norm(slopes * shape))
+    np.testing.assert_allclose(found.cost, (priced / best).sum(), rtol=1e-3)
+    assert found.holds
+
+
+RARE = [
+    (jc.limit.Quantile("gap", at_most=GAP + ROOM, share=0.99), norm.ppf(0.99), 1e-3),
+    (jc.limit.Probability("gap", above=GAP + ROOM, at_most=1e-3), -norm.ppf(1e-3), 3e-3),
+    (jc.limit.Probability("gap", below=GAP - ROOM, at_most=1e-6), -norm.ppf(1e-6), 3e-3),
+    (jc.limit.Probability("gap", above=GAP + ROOM, below=GAP - ROOM, at_most=2.7e-3), 3.0, 3e-3),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("limit", "deviations", "error"), RARE)
+def test_quantiles_and_rare_shares_meet_the_closed_form(limit, deviations, error):
+    """Costs of normal stacks go with the quantile; a share of 1e-6 is told by 8192 points."""
+    asked = problem(jc.distribution.Normal(1e-5))
+    found = jc.design(asked, reciprocal(), limit, tolerance=by_name([(1e-7, 3e-4)] * 4))
+    two = getattr(limit, "below", None) is not None and limit.above is not None
+    deviations = -norm.ppf(2.7e-3 / 2) if two else deviations
+    _, cost, _ = optimum(deviations, 1 / 3)
+    np.testing.assert_allclose(found.cost, cost, rtol=error)
+    assert found.holds
+
+
+@pytest.mark.slow
+def test_a_surface_stands_in_for_the_problem():
+    settings = jc.DesignSettings(surface=True)
+    found = jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE, settings=settings)
+    np.testing.assert_allclose(found.cost, optimum(3)[1], rtol=1e-3)
+    assert found.holds and found.runs < 1000
+
+
+@pytest.mark.slow
+def test_nominal_values_move_away_from_a_one_sided_limit():
+    """With the gap's nominal free nothing limits the tolerances: they end at their widest."""
+    found = jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE, nominal={"a": (0.0198, 0.02)})
+    np.testing.assert_allclose(found.cost, (PRICED / 1e-4).sum(), rtol=1e-6)
+    np.testing.assert_allclose(list(found.tolerances.values()), 1e-4, rtol=1e-6)
+    assert found.holds
+
+
+@pytest.mark.slow
+def test_grades_are_the_best_of_all_combinations():
+    grades = {n: jc.catalogue.ISO286(v, range(6, 10)) for n, v in zip(NAMES, NOMINAL, strict=True)}
+    found = jc.design(problem(), reciprocal(), MEAN, tolerance=grades)
+    widths = np.stack(np.meshgrid(*[g.numbers() for g in grades.values()], indexing="ij"), -1)
+    kept = np.linalg.norm(3 * SPREAD * SLOPES * widths, axis=-1) <= ROOM * 1.005
+    assert found.cost == pytest.approx((PRICED / widths).sum(-1)[kept].min(), rel=1e-9)
+    assert all(label.startswith("IT") for label in found.table()["catalogue"])
+
+
+@pytest.mark.slow
+def test_what_cannot_be_kept_is_said():
+    tight = jc.limit.MeanAndDeviation("gap", at_most=GAP + 1e-9)
+    found = jc.design(problem(), reciprocal(), tight, tolerance=WIDE)
+    assert not found.holds and "does not hold" in found.sentence()
+    assert "No candidate within the bounds" in found.sentence()
+
+
+@pytest.mark.slow
+def test_a_front_falls_with_the_bound():
+    bounds = [GAP + 20e-6, GAP + 30e-6, GAP + 40e-6]
+    found = jc.design_front(problem(), reciprocal(), MEAN, bounds, tolerance=WIDE)
+    costs = np.array([one.cost for one in found])
+    np.testing.assert_allclose(costs * [20, 30, 40], optimum(3)[1] * 30, rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_store_gives_back_what_it_has(tmp_path):
+    settings = jc.DesignSettings(surface=True)
+    asked = [problem(), reciprocal(), MEAN]
+    first = jc.design(*asked, tolerance=WIDE, settings=settings, store=tmp_path / "kept")
+    again = jc.design(*asked, tolerance=WIDE, settings=settings, store=tmp_path / "kept")
+    assert first.computed == first.runs + -first.runs % 32 or first.computed >= first.runs
+    assert again.computed == 0 and again.cost == first.cost
+
+
+@pytest.mark.slow
+def test_an_interrupt_keeps_the_best(monkeypatch):
+    from jaxclear.studies.design import verification
+
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(verification.Verifier, "check", interrupted)
+    found = jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE)
+    np.testing.assert_allclose(found.cost, optimum(3)[1], rtol=1e-3)
+    assert not found.holds and "Not verified" in found.sentence()
+    assert "Interrupted" in found.sentence()
+
+
+def test_iso_286_follows_its_own_formula():
+    """i = 0.45 D^(1/3) + 0.001 D of the geometric mean of each step; the standard rounds, up to a
+    tenth, in the smallest step a seventh."""
+    multiples = {5: 7, 6: 10, 7: 16, 8: 25, 9: 40, 10: 64, 11: 100, 12: 160, 13: 250, 16: 1000}
+    ends = [1, 3, 6, 10, 18, 30, 50, 80, 120, 180, 250, 315, 400, 500]
+    for low, high in itertools.pairwise(ends):
+        middle = np.sqrt(low * high)
+        unit = 0.45 * middle ** (1 / 3) + 0.001 * middle
+        for grade, many in multiples.items():
+            found = standard_width(1e-3 * high, grade)
+            assert found == pytest.approx(many * unit, rel=0.155 if high == 3 else 0.1)
+
+
+@pytest.mark.parametrize(
+    ("size", "grade", "width"),
+    [
+        (3, 11, 60),
+        (6, 11, 75),
+        (6.1, 11, 90),
+        (20, 7, 21),
+        (30, 6, 13),
+        (50, 16, 1600),
+        (500, 18, 9700),
+    ],
+)
+def test_iso_286_has_the_published_widths(size, grade, width):
+    assert standard_width(1e-3 * size, grade) == width
+    half = jc.catalogue.ISO286(1e-3 * size, [grade]).numbers()[0]
+    assert half == pytest.approx(0.5e-6 * width)
+
+
+COSTS = [
+    (jc.cost.Reciprocal(2.0, 1.0), 2.0),
+    (jc.cost.ReciprocalSquared(2.0, 1.0), 1.5),
+    (jc.cost.ReciprocalPower(2.0, 0.5, 1.0), 1 + 2 / np.sqrt(2)),
+    (jc.cost.Exponential(2.0, 0.5, 1.0), 1 + 2 * np.exp(-1)),
+    (jc.cost.ReciprocalExponential(2.0, 1.0, 0.5, 1.0), 1 + np.exp(-1)),
+    (jc.cost.Table([1.0, 2.0, 4.0], [5.0, 3.0, 2.5]), 3.0),
+]
+
+
+def test_every_cost_has_its_formula_here():
+    members = {kind.__name__ for kind in jc.cost.AbstractCost.__subclasses__()}
+    assert members == {type(cost).__name__ for cost, _ in COSTS}
+
+
+@pytest.mark.parametrize(("cost", "value"), COSTS)
+def test_costs_fall_with_the_tolerance(cost, value):
+    assert float(cost(jnp.asarray(2.0))) == pytest.approx(value)
+    for width in (1.1, 2.0, 3.9):
+        assert jax.grad(cost)(jnp.asarray(width)) < 0
+
+
+def asked(**changed):
+    known = {
+        "problem": problem(),
+        "cost": reciprocal(),
+        "limits": MEAN,
+        "tolerance": WIDE,
+    } | changed
+    return jc.design(known.pop("problem"), known.pop("cost"), known.pop("limits"), **known)
+
+
+REFUSED = [
+    ({"problem": 3}, "what is designed is 3; it must be a problem of jaxclear"),
+    ({"tolerance": None}, "nothing is left open"),
+    ({"tolerance": {"e": (1, 2)}}, 'no variable "e" in this problem'),
+    ({"tolerance": {"a": 3}}, 'tolerance of "a" is 3; it must be \\(smallest, largest\\)'),
+    ({"tolerance": {"a": (0, 1)}}, 'smallest tolerance of "a" is 0'),
+    ({"tolerance": {"a": (2e-5, 1e-5)}}, 'largest tolerance of "a" is 1e-05'),
+    ({"cost": {}}, "cost of design is empty"),
+    ({"cost": {"a": 3}}, 'cost of "a" is 3; it must be one of jaxclear.cost'),
+    ({"cost": {"a": jc.cost.Reciprocal(1.0)}}, 'tolerance of "b" is free and costs nothing'),
+    (
+        {"cost": reciprocal() | {"a": jc.cost.Table([1e-5, 2e-5], [2, 1])}},
+        'cost of "a" is known for tolerances from 1e-05 to 2e-05',
+    ),
+    ({"limits": []}, "limits of design are an empty list"),
+    ({"limits": jc.limit.Quantile("gop", at_most=1, share=0.9)}, 'no response "gop"'),
+    ({"settings": 3}, "settings of design is 3"),
+]
+
+
+@pytest.mark.parametrize(("changed", "sentence"), REFUSED)
+def test_what_cannot_be_asked_is_refused(changed, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        asked(**changed)
+
+
+def test_limits_that_contradict_themselves_are_refused():
+    with pytest.raises(ValueError, match="takes at_most or at_least; give one of the two"):
+        jc.limit.Quantile("gap", share=0.9)
+    with pytest.raises(ValueError, match="takes above, below or both; give one"):
+        jc.limit.Probability("gap", at_most=0.1)
+    with pytest.raises(ValueError, match="above must be the larger"):
+        jc.limit.Probability("gap", above=1.0, below=2.0, at_most=0.1)
+    with pytest.raises(ValueError, match="do not rise"):
+        jc.cost.Table([2.0, 1.0], [1.0, 2.0])
+    with pytest.raises(ValueError, match='no grade of catalogue.ISO286 "IT3"'):
+        jc.catalogue.ISO286(0.02, [3])
+
+
+@pytest.mark.slow
+def test_designs_are_quick():
+    begun = time.process_time()
+    jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE)
+    assert time.process_time() - begun < 20
