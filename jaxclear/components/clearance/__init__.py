@@ -15,6 +15,7 @@ from jaxclear.components.clearance.permanent import (
     AbstractPermanentJoint,
     situation,
 )
+from jaxclear.components.clearance.roundness import Lobes
 from jaxclear.components.joint.rubbing import CarriedContact, CarryingEnd, carried_load
 from jaxclear.ground.answering import nothing_else
 
@@ -30,6 +31,7 @@ __all__ = [
     "ContactLaws",
     "Flange",
     "JournalBearing",
+    "Lobes",
     "PermanentPrismatic",
     "PermanentRevolute",
     "PlanarJournalBearing",

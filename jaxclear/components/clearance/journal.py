@@ -14,10 +14,10 @@ from jaxclear.components.clearance.base import (
     ContactCandidate,
     ContactLaws,
     check_clearance,
-    direction,
     flattening,
 )
 from jaxclear.components.clearance.journal_base import AbstractJournalBearing
+from jaxclear.components.clearance.roundness import Lobes, check_roundness
 from jaxclear.components.joint.rubbing import shared_by_ends
 from jaxclear.components.wear_map import CylinderMap, Wearing
 from jaxclear.ground import sparse as sp
@@ -31,8 +31,8 @@ from jaxclear.laws.stiffness import Shape
 class PlanarJournalBearing(AbstractJournalBearing):
     r"""Journal in a bearing, both axes parallel: one contact, in the plane of the bearing.
 
-    :math:`\delta = |e| - c`. Prefer `JournalBearing` where the journal's axis can tilt or slide
-    along the bearing.
+    :math:`\delta = |e| - c`; `roundness` are the lobes of a bore that is not round. Prefer
+    `JournalBearing` where the journal's axis can tilt or slide along the bearing.
     """
 
     ideal_rows: ClassVar = ("x", "y")
@@ -46,9 +46,11 @@ class PlanarJournalBearing(AbstractJournalBearing):
     )
     length: Scalar = quantity(20e-3, "m", "length of the bearing", above=0, kw_only=True)
     bearing_wear: Wearing | None = eqx.field(default=None, kw_only=True)
+    roundness: tuple[Lobes, ...] | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
         check_clearance(self, "bearing_radius")
+        check_roundness(self)
 
     @property
     def axes(self) -> tuple[int, ...]:
@@ -60,14 +62,14 @@ class PlanarJournalBearing(AbstractJournalBearing):
 
     def indentations(self, offset, axes, worn):
         depth = 0
+        x, y, overlap = self.touch(offset)
         if "bearing" in worn:
-            depth = self.maps()["bearing"][0].depth_at_end(
-                worn["bearing"], offset[0], offset[1], -1
-            )
-        return (sp.sub(sp.norm(offset[:2]) - self.clearance, depth),)
+            place = offset[:2] if self.roundness is None else (x, y)
+            depth = self.maps()["bearing"][0].depth_at_end(worn["bearing"], *place, -1)
+        return (sp.sub(overlap, depth),)
 
     def contact_candidates(self, offset, axes, indentations):
-        x, y = direction(offset, 2)
+        x, y, _ = self.touch(offset)
         reach = self.bearing_radius + 0.5 * indentations[0]
         return (ContactCandidate((reach * x, reach * y, 0), (x, y, 0), ((-y, x, 0),)),)
 
@@ -80,7 +82,7 @@ class PlanarJournalBearing(AbstractJournalBearing):
         return {"bearing": (cylinder, self.bearing_wear)}
 
     def features(self, surface, offset, axes, indentations, index):
-        return (*direction(offset, 2), 0.0, flattening(indentations[0]), 0.0)
+        return (*self.touch(offset)[:2], 0.0, flattening(indentations[0]), 0.0)
 
     def end_forces(self, force, torque):
         return (((force[0], force[1], 0), 0),)
@@ -130,9 +132,11 @@ class JournalBearing(AbstractJournalBearing):
     flange: Flange | None = eqx.field(default=None, kw_only=True)
     bearing_wear: Wearing | None = eqx.field(default=None, kw_only=True)
     journal_wear: Wearing | None = eqx.field(default=None, kw_only=True)
+    roundness: tuple[Lobes, ...] | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
         check_clearance(self, "bearing_radius")
+        check_roundness(self)
         length, journal = concrete(self.length), concrete(self.journal_length)
         if length is not None and journal is not None and 0 < journal < length:
             raise ValueError(
@@ -182,9 +186,8 @@ class JournalBearing(AbstractJournalBearing):
         slope = _slope(axes[0])
         overlaps = []
         for end, centre in zip((-1, 1), self.end_centres(offset, axes), strict=True):
-            x, y = direction(centre, 2)
+            x, y, overlap = self.touch(centre)
             lean = sp.add(sp.mul(slope[0], x), sp.mul(slope[1], y))
-            overlap = sp.norm(centre[:2]) - self.clearance
             if not sp.is_zero(lean):
                 overlap = overlap + 0.5 * self.journal_radius * lean * lean
             for surface in worn:
@@ -212,7 +215,7 @@ class JournalBearing(AbstractJournalBearing):
         candidates = []
         ends = zip(self.end_centres(offset, axes), indentations[:2], strict=True)
         for centre, indentation in ends:
-            x, y = direction(centre, 2)
+            x, y, _ = self.touch(centre)
             reach = self.bearing_radius + 0.5 * indentation
             place, tangents = (reach * x, reach * y, centre[2]), ((-y, x, 0), (0, 0, 1))
             candidates.append(ContactCandidate(place, (x, y, 0), tangents))
@@ -234,7 +237,7 @@ class JournalBearing(AbstractJournalBearing):
     def features(self, surface, offset, axes, indentations, index):
         centres = self.end_centres(offset, axes)
         here, other = centres[index], centres[1 - index]
-        x, y = direction(here, 2)
+        x, y, _ = self.touch(here)
         fall = sp.add(sp.mul(here[0] - other[0], x), sp.mul(here[1] - other[1], y))
         place = (x, y) if surface == "bearing" else _seen_by(axes[1], x, y)
         return (*place, fall, flattening(indentations[index]), float(2 * index - 1))

@@ -9,6 +9,7 @@ import equinox as eqx
 
 from jaxclear.components.clearance.base import AbstractClearance, direction
 from jaxclear.components.clearance.permanent import AbstractPermanentJoint
+from jaxclear.components.clearance.roundness import Lobes, leaned, touched
 from jaxclear.components.joint import Revolute
 from jaxclear.components.joint.rubbing import pressed_end
 from jaxclear.ground import sparse as sp
@@ -25,6 +26,20 @@ class AbstractJournalBearing(AbstractClearance):
     friction: eqx.AbstractVar[AbstractFrictionLaw | None]
     bearing_radius: eqx.AbstractVar[Scalar]
     clearance: eqx.AbstractVar[Scalar]
+    roundness: eqx.AbstractVar[tuple[Lobes, ...] | None]
+
+    def touch(self, offset: sp.Vec) -> tuple[Any, Any, Any]:
+        """Direction (x, y) in which a journal at `offset` [m] is nearest to the bore, and its
+        overlap there [m]."""
+        if self.roundness is None:
+            return (*direction(offset, 2), sp.norm(offset[:2]) - self.clearance)
+        return touched(self.roundness, self.clearance, offset)
+
+    def leaned(self, lean: sp.Vec) -> sp.Vec:
+        """Where a journal lies [m] that is pressed in a direction (length 1, or 0)."""
+        if self.roundness is None:
+            return (*sp.scale(self.clearance, lean[:2]), 0)
+        return leaned(self.roundness, self.clearance, lean)
 
     @abstractmethod
     def end_forces(self, force: sp.Vec, torque: sp.Vec) -> tuple[tuple[sp.Vec, Any], ...]:
@@ -38,7 +53,7 @@ class AbstractJournalBearing(AbstractClearance):
     def seat(self, force, torque):
         # Each end lies where the wall pushes back, on the far side.
         ends = [
-            (sp.scale(-self.clearance, direction(own, 2)), height)
+            (self.leaned(tuple(sp.neg(x) for x in direction(own, 2)))[:2], height)
             for own, height in self.end_forces(force, torque)
         ]
         (first, low), (last, high) = ends[0], ends[-1]
@@ -90,9 +105,14 @@ class PermanentRevolute(AbstractPermanentJoint):
     def carrying_ends(self, force, torque, ratio):
         ends = self.gap.end_forces(force, torque)
         size = (self.gap.bearing_radius, self.gap.clearance)
-        return tuple(
+        found = tuple(
             pressed_end(k, own, height, ratio, *size) for k, (own, height) in enumerate(ends)
         )
+        if self.gap.roundness is None:
+            return found
+        leans = [direction(end.offset, 2) for end in found]
+        pairs = zip(found, leans, strict=True)
+        return tuple(end._replace(offset=self.gap.leaned(lean)) for end, lean in pairs)
 
     def friction_ratio(self, mu):
         return mu / safe_sqrt(1 + mu * mu)

@@ -1,0 +1,118 @@
+"""Samples a second of tolerance studies without time, by CPU time: a planar four-bar with clearance
+at 36 positions of its crank, its derivative, a stack of ten dimensions; by the samples computed
+together. How far the four-bar's pose errors are from those of ten more turns of the search.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxclear as jc
+from benchmarks.measure import arguments, report, seconds_to_compile, side_by_side
+from jaxclear.studies.batch import cores, evaluate_all
+from jaxclear.studies.monte_carlo import draw
+
+POSITIONS = 36
+
+
+def four_bar() -> jc.PositionProblem:
+    """Largest error of the follower's angle over a turn of the crank; eight dimensions vary."""
+    angles = np.linspace(0.0, 2 * np.pi, POSITIONS, endpoint=False)
+    ideal = jc.positions(jc.scenes.four_bar("ideal"), {"O": angles}).coordinate("D")
+    places = {
+        "clearance": lambda m: m.connections["B"].joint.clearance,
+        "crank": lambda m: m.connections["A"].parent.at[0],
+        "coupler": lambda m: m.connections["B"].parent.at[0],
+        "coupler's hole": lambda m: m.connections["B"].parent.at[1],
+        "follower": lambda m: m.connections["B"].child.at[0],
+        "ground x": lambda m: m.connections["D"].parent.at[0],
+        "ground y": lambda m: m.connections["D"].parent.at[1],
+        "coupler's mass": lambda m: m.bodies["coupler"].mass,
+    }
+    widths = dict.fromkeys(places, 50e-6) | {"coupler's mass": 0.05}
+    return jc.PositionProblem(
+        jc.scenes.four_bar("planar", 0.2e-3, friction=False, wear=False),
+        {"follower error": lambda stands: jnp.max(jnp.abs(stands.coordinate("D") - ideal))},
+        {name: jc.Variable(where, tolerance=widths[name]) for name, where in places.items()},
+        positions={"O": angles},
+    )
+
+
+def stack() -> jc.FunctionProblem:
+    """Play that ten parts leave in a housing."""
+    parts = {f"part {i}": jc.Dimension(10e-3, tolerance=20e-6) for i in range(9)}
+    housing = {"housing": jc.Dimension(90.3e-3, tolerance=80e-6)}
+    return jc.FunctionProblem(
+        lambda housing, **parts: housing - sum(parts.values()), housing | parts
+    )
+
+
+def rows_of(name: str, problem: Any, chunks: tuple[int, ...], many: int) -> list[dict[str, Any]]:
+    out = []
+    for chunk in chunks:
+        values = jnp.asarray(draw(problem, many, 0))
+        spent = side_by_side({name: lambda v=values, c=chunk: evaluate_all(problem, v, chunk=c)})
+        wall, cpu = spent[name]
+        out.append(
+            {
+                "problem": name,
+                "variables": len(problem.names),
+                "samples together": chunk,
+                "samples per CPU s": many / cpu,
+                f"samples per s on {cores()} cores": many / wall,
+            }
+        )
+    return out
+
+
+def derivative_rows(problem: jc.PositionProblem, chunk: int) -> list[dict[str, Any]]:
+    """Cost of the slope along one direction, beside the value."""
+    values = jnp.asarray(draw(problem, chunk, 0))
+    direction = jnp.zeros(len(problem.names)).at[0].set(1.0)
+    one = lambda v: problem.evaluate(v).responses["follower error"]
+    slope = lambda v: jax.jvp(one, (v,), (direction,))[1]
+    rows, spent = [], {}
+    for what, function in (("value", one), ("slope", slope)):
+        compiled, seconds = seconds_to_compile(jax.vmap(function), values)
+        spent[what] = (lambda c=compiled: c(values)), seconds
+    times = side_by_side({what: run for what, (run, _) in spent.items()})
+    for what, (_, seconds) in spent.items():
+        cpu = times[what][1]
+        rows.append({"of a sample": what, "us CPU": 1e6 * cpu / chunk, "compiled in s": seconds})
+    return rows
+
+
+def agreement_rows(problem: jc.PositionProblem) -> list[dict[str, Any]]:
+    """Largest difference of responses from those sought anew from where the search ended."""
+    values = jnp.asarray(draw(problem, 256, 1))
+
+    @eqx.filter_jit
+    def twice(problem, values):
+        found = jax.vmap(problem.positions)(values)
+        again = jax.vmap(lambda v, q: started(problem, q).positions(v))(values, found.coordinates)
+        return found.coordinates, again.coordinates
+
+    def started(problem, q):
+        return eqx.tree_at(lambda p: p.starts.q, problem, q)
+
+    first, second = twice(problem, values)
+    return [{"largest change of a coordinate [rad]": float(jnp.abs(first - second).max())}]
+
+
+def main() -> None:
+    options = arguments(__doc__)
+    problem = four_bar()
+    many = 1 << (12 if options.quick else 15)
+    chunks = (256, 1024) if options.quick else (64, 256, 512, 1024, 2048)
+    rows = rows_of("four-bar, 36 positions", problem, chunks, many)
+    rows += rows_of("stack of ten", stack(), (1024, 4096, 16384), 1 << 17)
+    report("positions: samples a second", rows, options)
+    report("positions: derivative", derivative_rows(problem, 1024), options)
+    report("positions: agreement", agreement_rows(problem), options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""Bores that are not round, against brute force: circle and bore point by point."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+
+RADIUS, CLEARANCE = 10e-3, 50e-6
+OVAL = jc.clearance.Lobes(2, cosine=5e-6, sine=-3e-6)
+TREFOIL = jc.clearance.Lobes(3, cosine=1e-6, sine=2e-6)
+AROUND = np.linspace(0, 2 * np.pi, 40001)
+
+
+def bearing(*lobes, kind=jc.clearance.PlanarJournalBearing, **more):
+    return kind(
+        jc.contact.Hertz(),
+        bearing_radius=RADIUS,
+        clearance=CLEARANCE,
+        roundness=lobes or None,
+        **more,
+    )
+
+
+def wall(angle):
+    """Deviation of the radius, and its first derivative."""
+    value = 5e-6 * np.cos(2 * angle) - 3e-6 * np.sin(2 * angle)
+    value += 1e-6 * np.cos(3 * angle) + 2e-6 * np.sin(3 * angle)
+    slope = -10e-6 * np.sin(2 * angle) - 6e-6 * np.cos(2 * angle)
+    return value, slope - 3e-6 * np.sin(3 * angle) + 6e-6 * np.cos(3 * angle)
+
+
+def brute_overlap(offset):
+    """Largest overlap of the journal's circle and the bore, both as points about the centre."""
+    journal = RADIUS - CLEARANCE
+    x = offset[0] + journal * np.cos(AROUND)
+    y = offset[1] + journal * np.sin(AROUND)
+    return np.max(np.hypot(x, y) - RADIUS - wall(np.arctan2(y, x))[0])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_overlap_is_that_of_a_circle_and_the_bore(seed):
+    """To second order in gaps beside the radius: 60 um squared over 10 mm."""
+    rng = np.random.default_rng(seed)
+    angle, size = rng.uniform(0, 2 * np.pi), rng.uniform(1.0, 1.2) * CLEARANCE
+    offset = size * np.array([np.cos(angle), np.sin(angle)])
+    (found,) = bearing(OVAL, TREFOIL).indentations((*map(jnp.asarray, offset), 0), (), {})
+    assert float(found) == pytest.approx(brute_overlap(offset), abs=4e-7)
+    # on the angle of the offset itself it would be off by far more, at some of these angles
+    plain = size - CLEARANCE - wall(angle)[0]
+    assert float(found) >= plain - 1e-12
+
+
+def test_a_round_bore_asked_for_by_lobes_of_no_height_is_the_round_bore():
+    offset = (jnp.asarray(3e-5), jnp.asarray(-4.2e-5), 0)
+    flat, plain = bearing(jc.clearance.Lobes(4)), bearing()
+    one, other = (own.indentations(offset, (), {})[0] for own in (flat, plain))
+    assert float(one) == pytest.approx(float(other), abs=1e-18)
+
+
+@pytest.mark.parametrize("angle", np.linspace(0, 6, 7))
+def test_a_pressed_journal_lies_as_far_as_the_bore_lets_it(angle):
+    """Of all places that do not overlap, the seat is the farthest along the load, and touches."""
+    joint = bearing(OVAL, TREFOIL)
+    load = np.array([np.cos(angle), np.sin(angle)])
+    seat = np.array(joint.seat((-10 * load[0], -10 * load[1], 0), (0, 0, 0))[0][:2], float)
+    overlap = jax.jit(jax.vmap(lambda x, y: joint.indentations((x, y, 0), (), {})[0]))
+    assert float(overlap(*seat[:, None])[0]) == pytest.approx(0.0, abs=1e-12)
+    others = seat + np.random.default_rng(0).normal(size=(4000, 2)) * 1e-5
+    inside = np.asarray(overlap(*others.T)) <= 0
+    assert 100 < inside.sum() < 3900
+    assert (others[inside] @ load).max() <= seat @ load + 1e-12
+
+
+def test_both_ends_of_a_spatial_bearing_see_the_lobes():
+    joint = bearing(OVAL, TREFOIL, kind=jc.clearance.JournalBearing, length=20e-3)
+    planar = bearing(OVAL, TREFOIL)
+    offset = (jnp.asarray(4e-5), jnp.asarray(3.5e-5), jnp.asarray(0.0))
+    ends = joint.indentations(offset, ((0, 0, 1),), {})
+    (alone,) = planar.indentations((*offset[:2], 0), (), {})
+    np.testing.assert_allclose(np.array(ends), float(alone), rtol=1e-12)
+
+
+def test_lobes_that_would_touch_twice_are_refused():
+    with pytest.raises(ValueError, match="may touch two of them at once"):
+        bearing(jc.clearance.Lobes(5, cosine=3e-6))
+    with pytest.raises(ValueError, match=r"no tuple of jaxclear\.clearance\.Lobes"):
+        bearing(3.0)
