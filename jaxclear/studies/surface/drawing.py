@@ -47,3 +47,13 @@ def scrambled_normal(count: int, variables: int, rng: np.random.Generator) -> np
     shares = qmc.Sobol(variables, scramble=True, rng=rng).random_base2(power)[:count]
     tiny = np.finfo(float).eps
     return np.clip(ndtri(np.clip(shares, tiny, 1 - tiny)), -FURTHEST, FURTHEST)
+
+
+@eqx.filter_jit
+def _value_slopes(problem, normal):
+    return jax.vmap(jax.jacfwd(lambda z: values_of(problem, z)))(normal)
+
+
+def value_slopes(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
+    """How the values move with the standard normal numbers, (samples, variables, variables)."""
+    return np.asarray(_value_slopes(problem, jnp.asarray(normal)))

@@ -1,0 +1,125 @@
+"""What the searches and samplings ask: margins of limits at standard normal numbers, from runs or
+from a surface.
+
+Runs are counted, with those that did not reach their end: where nobody knows whether a part fails,
+it counts as failing, and is told.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.integrators import Outcome
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.batch import chunk_size, evaluate_all
+from jaxclear.studies.limit_state import AbstractLimitState
+from jaxclear.studies.surface.drawing import all_values, value_slopes, values_of
+from jaxclear.studies.surface.response_surface import ResponseSurface
+from jaxclear.studies.surface.surface import run
+
+# Runs that are computed together, so that all rounds share one compiled program.
+ROUND = 128
+
+
+class AbstractModel(ABC):
+    """Margins of the limits in z, the standard normal numbers behind the variables."""
+
+    @abstractmethod
+    def margins(self, normal: np.ndarray) -> np.ndarray:
+        """Margins (samples, limits) at `normal` (samples, variables); nan where a run failed."""
+
+    @abstractmethod
+    def slopes(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Margins (samples, limits) and their slopes (samples, limits, variables)."""
+
+
+@dataclass
+class RunModel(AbstractModel):
+    """Margins by runs of a problem. `runs` counts them, one with slopes as one for each variable
+    more; `failed` those that did not reach their end."""
+
+    problem: AbstractProblem
+    limit: AbstractLimitState
+    progress_bar: bool = False
+    label: str = "runs"
+    runs: int = 0
+    failed: int = 0
+    kept: list[tuple[np.ndarray, Any]] = field(default_factory=list)
+
+    def margins(self, normal):
+        values = all_values(self.problem, normal)
+        found = evaluate_all(
+            self.problem,
+            jnp.asarray(values),
+            chunk=chunk_size(self.problem, max(ROUND, len(normal))),
+            progress_bar=self.progress_bar,
+            label=self.label,
+        )
+        self.kept.append((values, found))
+        self.runs += len(normal)
+        return self._margins(found)
+
+    def slopes(self, normal):
+        values = all_values(self.problem, normal)
+        found, gradients = run(
+            self.problem, values, slopes=True, chunk=1 if len(normal) == 1 else len(normal)
+        )
+        assert gradients is not None
+        self.runs += len(normal) * (1 + normal.shape[1])
+        through = value_slopes(self.problem, normal)
+        steep = [
+            _sense(own) * np.einsum("kv,kvz->kz", gradients[own.response], through)
+            for own in self.limit.limits()
+        ]
+        return self._margins(found), np.stack(steep, axis=1)
+
+    def _margins(self, found):
+        own = {name: np.asarray(r, float) for name, r in found.responses.items()}
+        margins = np.stack([np.asarray(limit.margin(own)) for limit in self.limit.limits()], axis=1)
+        good = (np.asarray(found.outcome) == Outcome.REACHED) & np.isfinite(margins).all(axis=1)
+        self.failed += int((~good).sum())
+        return np.where(good[:, None], margins, np.nan)
+
+
+@dataclass(frozen=True)
+class SurfaceModel(AbstractModel):
+    """Margins by a surface; costs no run."""
+
+    surface: ResponseSurface
+    limit: AbstractLimitState
+
+    def margins(self, normal):
+        return np.asarray(_surface_margins(self.surface, self.limit.limits(), jnp.asarray(normal)))
+
+    def slopes(self, normal):
+        both = _surface_slopes(self.surface, self.limit.limits(), jnp.asarray(normal))
+        return np.asarray(both[0]), np.asarray(both[1])
+
+
+def _sense(limit: Any) -> float:
+    """How a margin moves with its response."""
+    return float(limit.margin({limit.response: 1.0}) - limit.margin({limit.response: 0.0}))
+
+
+def _at(surface, limits):
+    def margins(z):
+        responses = surface(values_of(surface.problem, z))
+        return jnp.stack([limit.margin(responses) for limit in limits])
+
+    return margins
+
+
+@eqx.filter_jit
+def _surface_margins(surface, limits, normal):
+    return jax.lax.map(_at(surface, limits), normal, batch_size=1024)
+
+
+@eqx.filter_jit
+def _surface_slopes(surface, limits, normal):
+    margins = _at(surface, limits)
+    return jax.vmap(lambda z: (margins(z), jax.jacfwd(margins)(z)))(normal)
