@@ -60,6 +60,7 @@ from jaxclear.studies.life.wear_life import wear_life
 from jaxclear.studies.monte_carlo import monte_carlo
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.reliability.reliability import reliability
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
@@ -123,6 +124,7 @@ __all__ = [
     "pose",
     "positions",
     "quantity",
+    "reliability",
     "response",
     "scenes",
     "sensitivity",

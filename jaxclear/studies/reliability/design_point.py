@@ -14,15 +14,16 @@ doi:10.1016/S0167-4730(97)00026-X (bulges).
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.optimize import minimize, nnls
 from scipy.special import ndtr
 
 from jaxclear.studies.reliability.models import AbstractModel
 
 # A point is found where the limit and the nearest point are this near, in deviations.
-NEAR = 1e-3
-# Steps of a search, shortenings of a step, and points of one cut set, at the most.
-MOST_STEPS, MOST_HALVINGS, MOST_POINTS = 40, 6, 8
+NEAR = 2e-3
+# Steps of a search, of one among bulges, shortenings of a step, and points of one cut set, at the
+# most.
+MOST_STEPS, STEPS_HIDDEN, MOST_HALVINGS, MOST_POINTS = 15, 10, 4, 8
 # Nothing is looked for further out [deviations]: it would happen once in 1e15 parts.
 FURTHEST = 8.0
 # Points this far apart are two [deviations].
@@ -31,8 +32,8 @@ APART = 0.5
 NEGLIGIBLE = 1e-3
 # Radius and steepness of a bulge, in shares of beta.
 RADIUS, STEEPNESS = 1.1, 0.75
-# Where the middle tells no direction, or nothing is found from there, others are tried.
-STARTS, START_RADIUS = 6, 2.5
+# Starts of a search, of one among bulges, and how far from the middle they are [deviations].
+STARTS, AGAIN, START_RADIUS, OFF_MIDDLE = 6, 3, 2.5, 0.3
 
 
 class DesignPoint(NamedTuple):
@@ -82,28 +83,33 @@ def _of_cut(model, cut, variables, rng) -> list[DesignPoint]:
     found: list[DesignPoint] = []
     bulges: list[_Bulge] = []
     directions = rng.normal(size=(STARTS, variables))
-    directions *= START_RADIUS / np.linalg.norm(directions, axis=1, keepdims=True)
-    while len(found) < MOST_POINTS:
-        point = None
-        for start in (np.zeros(variables), *directions):
-            point = _search(model, cut, start, bulges)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    middle = model.margins(np.zeros((1, variables)))[0, list(cut)]
+    safe = bool(np.max(middle) > 0) if np.isfinite(middle).all() else True
+    # Not from the middle itself, where symmetric limits have no slope or lead to a saddle.
+    radii = [OFF_MIDDLE, *[START_RADIUS] * (STARTS - 1)]
+    for start in np.asarray(radii)[:, None] * directions:
+        first = _found(model, cut, start)
+        if first is not None and (first.beta > 0) == safe:
+            found.append(first)
+            break
+    while 0 < len(found) < MOST_POINTS and safe:
+        last = found[-1]
+        height = STEEPNESS * last.beta * last.slopes.max()
+        height /= (RADIUS**2 - STEEPNESS**2) ** 2 * last.beta**4
+        bulges.append(_Bulge(last.normal, RADIUS * last.beta, height))
+        further = [OFF_MIDDLE * directions[0], -last.normal, *last.beta * directions[1:AGAIN]]
+        for start in further:
+            where = _search(model, cut, start, bulges, STEPS_HIDDEN)[1]
             # The foot of a bulge is no design point: from there the search goes on without.
-            if point is not None and bulges:
-                point = _search(model, cut, point.normal, [])
-            if point is not None and all(_new(point, other) for other in found):
+            point = _found(model, cut, where)
+            if point is not None and point.beta > 0 and all(_new(point, own) for own in found):
+                found.append(point)
                 break
-            point = None
-            if found and start is directions[0]:
-                break
-        if point is None:
-            return found
-        found.append(point)
-        rare = ndtr(-point.beta) < NEGLIGIBLE * sum(ndtr(-own.beta) for own in found)
-        if rare or point.beta <= 0.0:
-            return found
-        height = STEEPNESS * point.beta * point.slopes.max()
-        height /= (RADIUS**2 - STEEPNESS**2) ** 2 * point.beta**4
-        bulges.append(_Bulge(point.normal, RADIUS * point.beta, height))
+        else:
+            break
+        if ndtr(-found[-1].beta) < NEGLIGIBLE * sum(ndtr(-own.beta) for own in found):
+            break
     return found
 
 
@@ -111,24 +117,60 @@ def _new(point: DesignPoint, other: DesignPoint) -> bool:
     return bool(np.linalg.norm(point.normal - other.normal) > APART)
 
 
-def _search(model, cut, start, bulges) -> DesignPoint | None:
-    """The design point that a search from `start` (variables,) ends at; None without one."""
+def _found(model, cut, start) -> DesignPoint | None:
+    """The design point that a search from `start` (variables,) leads to. Where a limit bends as much
+    as the distance, steps to planes go to and fro, and a method that learns curvatures goes on.
+
+    That method: SLSQP of scipy, Kraft 1988, DFVLR-FB 88-28.
+    """
+    point, where = _search(model, cut, start, [], MOST_STEPS)
+    if point is not None or not np.isfinite(where).all():
+        return point
+    seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+    def limits(z):
+        if z.tobytes() not in seen:
+            margins, slopes = _seen(model, cut, z, [])
+            size = np.maximum(sizes, np.finfo(float).tiny)
+            seen[z.tobytes()] = -margins / size, -slopes / size[:, None]
+        return seen[z.tobytes()]
+
+    sizes = np.linalg.norm(_seen(model, cut, where, [])[1], axis=1)
+    if not np.isfinite(sizes).all() or sizes.min() == 0.0:
+        return None
+    found = minimize(
+        lambda z: (0.5 * z @ z, z),
+        where,
+        jac=True,
+        method="SLSQP",
+        constraints={
+            "type": "eq" if len(cut) == 1 else "ineq",
+            "fun": lambda z: limits(z)[0],
+            "jac": lambda z: limits(z)[1],
+        },
+        options={"maxiter": MOST_STEPS, "ftol": NEAR**2},
+    )
+    return _search(model, cut, found.x, [], 1)[0] if np.isfinite(found.x).all() else None
+
+
+def _search(model, cut, start, bulges, steps) -> tuple[DesignPoint | None, np.ndarray]:
+    """The design point that a search from `start` (variables,) ends at, None without one; and where
+    it has come to."""
     z = start
     margins, slopes = _seen(model, cut, z, bulges)
-    for _ in range(MOST_STEPS):
+    for _ in range(steps):
         sizes = np.linalg.norm(slopes, axis=1)
         if not (np.isfinite(margins).all() and np.isfinite(sizes).all()) or sizes.min() == 0.0:
-            return None
+            return None, z
         nearest = _nearest(z, margins, slopes)
         if nearest is None:
-            return None
-        reach = np.linalg.norm(nearest)
-        nearest = nearest * min(1.0, FURTHEST / max(reach, FURTHEST))
+            return None, z
+        nearest = nearest * min(1.0, FURTHEST / max(np.linalg.norm(nearest), FURTHEST))
         broken = margins if len(cut) == 1 else np.maximum(margins, 0.0)
         if np.linalg.norm(nearest - z) < NEAR and np.max(abs(broken) / sizes) < NEAR:
-            return _point(z, cut, margins, slopes)
+            return _point(z, cut, margins, slopes), z
         z, margins, slopes = _stepped(model, cut, bulges, (z, margins, slopes), nearest)
-    return None
+    return None, z
 
 
 def _stepped(model, cut, bulges, here, nearest):

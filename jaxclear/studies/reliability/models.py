@@ -6,7 +6,7 @@ it counts as failing, and is told.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.integrators import Outcome
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState
 from jaxclear.studies.surface.drawing import all_values, value_slopes, values_of
@@ -23,7 +23,7 @@ from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.surface.surface import run
 
 # Runs that are computed together, so that all rounds share one compiled program.
-ROUND = 128
+ROUND = 256
 
 
 class AbstractModel(ABC):
@@ -49,26 +49,26 @@ class RunModel(AbstractModel):
     label: str = "runs"
     runs: int = 0
     failed: int = 0
-    kept: list[tuple[np.ndarray, Any]] = field(default_factory=list)
 
-    def margins(self, normal):
+    def responses(self, normal: np.ndarray) -> tuple[np.ndarray, SampleResult]:
+        """Values (samples, variables) and what their runs give."""
         values = all_values(self.problem, normal)
         found = evaluate_all(
             self.problem,
             jnp.asarray(values),
-            chunk=chunk_size(self.problem, max(ROUND, len(normal))),
+            chunk=chunk_size(self.problem, ROUND),
             progress_bar=self.progress_bar,
             label=self.label,
         )
-        self.kept.append((values, found))
         self.runs += len(normal)
-        return self._margins(found)
+        return values, found
+
+    def margins(self, normal):
+        return self.of(self.responses(normal)[1])
 
     def slopes(self, normal):
         values = all_values(self.problem, normal)
-        found, gradients = run(
-            self.problem, values, slopes=True, chunk=1 if len(normal) == 1 else len(normal)
-        )
+        found, gradients = run(self.problem, values, slopes=True, chunk=len(normal))
         assert gradients is not None
         self.runs += len(normal) * (1 + normal.shape[1])
         through = value_slopes(self.problem, normal)
@@ -76,9 +76,10 @@ class RunModel(AbstractModel):
             _sense(own) * np.einsum("kv,kvz->kz", gradients[own.response], through)
             for own in self.limit.limits()
         ]
-        return self._margins(found), np.stack(steep, axis=1)
+        return self.of(found), np.stack(steep, axis=1)
 
-    def _margins(self, found):
+    def of(self, found: SampleResult) -> np.ndarray:
+        """Margins (samples, limits) of runs; nan where one did not reach its end."""
         own = {name: np.asarray(r, float) for name, r in found.responses.items()}
         margins = np.stack([np.asarray(limit.margin(own)) for limit in self.limit.limits()], axis=1)
         good = (np.asarray(found.outcome) == Outcome.REACHED) & np.isfinite(margins).all(axis=1)

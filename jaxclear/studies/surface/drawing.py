@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 from scipy.special import ndtri
 from scipy.stats import qmc
@@ -23,11 +22,7 @@ def values_of(
     problem: AbstractProblem, normal: Float[Array, " variables"]
 ) -> Float[Array, " variables"]:
     """Values of the variables that standard normal numbers stand for; differentiable."""
-    columns = [
-        problem.variables[name].distribution.quantile(ndtr(z))
-        for name, z in zip(problem.names, normal, strict=True)
-    ]
-    return problem.nominal() + jnp.stack(columns)
+    return problem.inputs.values(normal)
 
 
 @eqx.filter_jit

@@ -1,0 +1,99 @@
+"""Importance sampling at the design points, in independent scramblings until it is accurate enough.
+
+Where a surface is trusted it takes up what it explains: its own probability by the same sampling,
+from as many points as wanted, and runs only for where it is wrong.
+
+Source: Melchers 1989, Struct. Saf. 6, 3, doi:10.1016/0167-4730(89)90003-9.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxclear.studies.limit_state import system_margin
+from jaxclear.studies.reliability.estimate import Probability, refused
+from jaxclear.studies.reliability.models import RunModel, SurfaceModel
+from jaxclear.studies.reliability.proposal import Proposal
+from jaxclear.studies.surface.drawing import scrambled_normal
+
+# Runs of one scrambling, scramblings before the first look, and added between looks.
+BLOCK, FIRST, MORE = 32, 8, 4
+# The surface's own probability: so many scramblings of so many points.
+SURFACE_BLOCKS, SURFACE_POINTS = 16, 4096
+# Runs after which it is told how many it takes, and given up where they are too many.
+LOOK = 1024
+
+
+class _Known(NamedTuple):
+    """The surface's own probability and the variance of that."""
+
+    value: float
+    variance: float
+
+
+def importance(
+    model: RunModel,
+    surface: SurfaceModel | None,
+    proposal: Proposal,
+    accuracy: float,
+    most_runs: int,
+    seed: int,
+) -> Probability:
+    """Probability of failing to a coefficient of variation of `accuracy`, in `most_runs` at the
+    most."""
+    cuts = model.limit.cut_sets()
+    before, failed = model.runs, model.failed
+    known = _own_probability(surface, proposal, cuts, seed) if surface is not None else None
+    means, within, counts, unknown = np.zeros(0), np.zeros(0), 0, 0.0
+    while True:
+        new = FIRST if not len(means) else MORE
+        rngs = [np.random.default_rng([seed, 3, len(means) + k]) for k in range(new)]
+        raw = [scrambled_normal(BLOCK, proposal.dimensions, rng) for rng in rngs]
+        normal = proposal.drawn(np.concatenate(raw))
+        margins, weights = model.margins(normal), proposal.weights(normal)
+        lost = np.isnan(margins).any(axis=1)
+        fails = lost | (system_margin(np.where(lost[:, None], -1.0, margins), cuts) < 0)
+        counts, unknown = counts + int(fails.sum()), unknown + float(np.sum(weights * lost))
+        left = weights * fails
+        if surface is not None:
+            left = left - weights * (system_margin(surface.margins(normal), cuts) < 0)
+        blocks = left.reshape(new, BLOCK)
+        means = np.concatenate([means, blocks.mean(axis=1)])
+        within = np.concatenate([within, blocks.var(axis=1, ddof=1) / BLOCK])
+        found = _answer(means, within, known, counts)
+        runs = model.runs - before
+        if found.variation <= accuracy:
+            break
+        # A coefficient of variation falls with the root of the runs.
+        needed = runs * (found.variation / accuracy) ** 2 if counts else np.inf
+        if runs + MORE * BLOCK > most_runs or (runs >= LOOK and needed > 2 * most_runs):
+            break
+    share = unknown / (runs * found.value) if found.value > 0 else 0.0
+    if counts == 0 or not found.value > 0:
+        why = f"none of {runs} samples about the design points fails"
+        return refused(f"{why}.", runs, model.failed - failed)
+    return found._replace(runs=runs, failed=model.failed - failed, unknown=share)
+
+
+def _answer(
+    means: np.ndarray, within: np.ndarray, known: _Known | None, counts: int
+) -> Probability:
+    """The answer so far: the mean of the blocks and its variation, by their spread or, where that
+    is larger, by the spread within them (variances of means, (blocks,)): few blocks are like each
+    other by chance, and sampling until they are would be biased. As if one failing sample more had
+    differed: that a surface is right at all samples does not make it right."""
+    value = means.mean() + (known.value if known else 0.0)
+    if not value > 0 or not counts:
+        return Probability(max(float(value), 0.0), np.inf, blocks=len(means))
+    variance = max(means.var(ddof=1), within.mean()) / len(means)
+    variance += known.variance + (value / counts) ** 2 if known else 0.0
+    return Probability(float(value), float(np.sqrt(variance) / value), blocks=len(means))
+
+
+def _own_probability(surface: SurfaceModel, proposal: Proposal, cuts, seed: int) -> _Known:
+    rngs = [np.random.default_rng([seed, 4, k]) for k in range(SURFACE_BLOCKS)]
+    raw = [scrambled_normal(SURFACE_POINTS, proposal.dimensions, rng) for rng in rngs]
+    normal = proposal.drawn(np.concatenate(raw))
+    fails = system_margin(surface.margins(normal), cuts) < 0
+    means = (proposal.weights(normal) * fails).reshape(SURFACE_BLOCKS, -1).mean(axis=1)
+    return _Known(float(means.mean()), float(means.var(ddof=1) / SURFACE_BLOCKS))

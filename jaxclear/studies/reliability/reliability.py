@@ -1,0 +1,160 @@
+"""How often a limit is broken, however rarely: `jaxclear.reliability`.
+
+Design points are found on exact slopes of the runs where these are right, else on a surface that is
+mended where parts fail. From there FORM and SORM answer at once, and importance sampling says how
+far they are right; where it does not reach the accuracy, subset simulation takes its place.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number, expect
+from jaxclear.ground.wording import listed
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.identity import first_difference
+from jaxclear.studies.limit_state import AbstractLimitState, check_limit
+from jaxclear.studies.reliability.design_point import DesignPoint, design_points
+from jaxclear.studies.reliability.estimate import Probability, refused
+from jaxclear.studies.reliability.first_order import curvatures, form, sorm
+from jaxclear.studies.reliability.importance import importance
+from jaxclear.studies.reliability.models import AbstractModel, RunModel, SurfaceModel
+from jaxclear.studies.reliability.proposal import Proposal
+from jaxclear.studies.reliability.refinement import surface_where_it_fails
+from jaxclear.studies.reliability.result import Reliability
+from jaxclear.studies.reliability.subset import subset
+from jaxclear.studies.surface.response_surface import ResponseSurface
+
+METHODS = ("form", "sorm", "importance", "subset")
+# Without a wish: subset simulation only where importance sampling does not do.
+USUAL = ("form", "sorm", "importance")
+
+
+@answering
+def reliability(
+    problem: AbstractProblem,
+    limit: AbstractLimitState,
+    *,
+    methods: Sequence[str] | None = None,
+    surface: ResponseSurface | None = None,
+    accuracy: float = 0.1,
+    most_runs: int = 20_000,
+    seed: int = 0,
+    progress_bar: bool = False,
+) -> Reliability:
+    """Probability that a limit is broken, with its error and the number of runs.
+
+    `limit`: of `jaxclear.limit_state`: `Above("response", threshold)`, `Below`, or several in
+    `Series` or `Parallel`. `methods`: some of "form", "sorm", "importance" and "subset"; by default
+    the first three, and the last where importance sampling does not reach the `accuracy`, a
+    coefficient of variation. `most_runs` bounds the runs of each sampling. `surface`: of
+    `jaxclear.surface`, on which design points are then found, and which takes up what it explains
+    of importance sampling; by default one is fitted where the problem has no exact slopes.
+    Raises `ValueError` for what cannot be asked.
+    """
+    expect(problem, AbstractProblem, "what reliability is asked of", "a problem of jaxclear")
+    wanted = _checked(problem, limit, methods, surface)
+    check_number("accuracy of reliability", accuracy, above=0, at_most=1)
+    check_count("most_runs of reliability", most_runs)
+    check_count("seed of reliability", seed, at_least=0)
+    check_flags("reliability", progress_bar=progress_bar)
+    model = RunModel(problem, limit, progress_bar)
+    estimates: dict[str, Probability] = {}
+    points, own, notes = _searched(model, surface, wanted, seed)
+    search: AbstractModel = model if own is None else SurfaceModel(own, limit)
+    found_in = 0 if own is not None else model.runs
+    if "form" in wanted:
+        estimates["form"] = Probability(form(points), runs=found_in) if points else _none(notes)
+    if "sorm" in wanted:
+        estimates |= _second_order(search, model, points, found_in)
+    if "importance" in wanted:
+        trusted = own is not None and all(own.trusted(part.response) for part in limit.limits())
+        control = SurfaceModel(own, limit) if own is not None and trusted else None
+        estimates["importance"] = (
+            importance(model, control, Proposal.at(points), accuracy, most_runs, seed)
+            if points
+            else _none(notes)
+        )
+    missed = "importance" in estimates and not estimates["importance"].variation <= accuracy
+    if "subset" in wanted or (methods is None and missed):
+        estimates["subset"] = subset(model, accuracy, most_runs, seed)
+    return Reliability(
+        problem, limit, estimates, tuple(points), own, model.runs, model.failed, accuracy,
+        tuple(notes),
+    )  # fmt: skip
+
+
+def _searched(
+    model: RunModel, surface: ResponseSurface | None, wanted: Sequence[str], seed: int
+) -> tuple[list[DesignPoint], ResponseSurface | None, list[str]]:
+    """Design points, the surface on which they were found (None: on runs), and sentences."""
+    if set(wanted) <= {"subset"}:
+        return [], None, []
+    cuts, variables = model.limit.cut_sets(), len(model.problem.names)
+    if surface is None and not any(model.problem.pathwise_limits()):
+        return design_points(model, cuts, variables, seed), None, []
+    if surface is None:
+        found, points, right = surface_where_it_fails(model, seed)
+    else:
+        trusted = all(surface.trusted(own.response) for own in model.limit.limits())
+        searched = SurfaceModel(surface, model.limit)
+        points = design_points(searched, cuts, variables, seed) if trusted else []
+        found, right = surface, trusted
+    notes = [found.sentence()]
+    if points and not right:
+        notes.append("Runs at its design points do not confirm the surface.")
+    return points, found, notes
+
+
+def _none(notes: list[str]) -> Probability:
+    """What methods answer that have no design point."""
+    return refused("the surface is too rough to search." if notes else "no design point is found.")
+
+
+def _second_order(
+    search: AbstractModel, model: RunModel, points: list[DesignPoint], before: int
+) -> dict[str, Probability]:
+    """SORM's answers by its two formulas."""
+    names = ("breitung", "tvedt")
+    if not points:
+        return dict.fromkeys(names, refused("there is no design point."))
+    if any(len(point.cut) > 1 for point in points):
+        why = "it has no formula for limits that are broken together."
+        return dict.fromkeys(names, refused(why))
+    start = model.runs
+    answers = sorm(points, [curvatures(search, point) for point in points])
+    runs = before + model.runs - start
+    bent = refused("the limit bends around the middle.", runs)
+    return {
+        name: Probability(value, runs=runs) if value == value else bent
+        for name, value in zip(names, answers, strict=True)
+    }
+
+
+def _checked(problem: AbstractProblem, limit: Any, methods: Any, surface: Any) -> tuple[str, ...]:
+    """The methods wanted. Raises `ValueError` for what cannot be asked."""
+    if not problem.names:
+        raise ValueError(
+            "the problem has no variables; nothing would fail by chance: give it some."
+        )
+    check_limit(limit, problem.response_names, "reliability")
+    if surface is not None:
+        expect(surface, ResponseSurface, "surface of reliability", "what jaxclear.surface gives")
+        difference = first_difference(surface.problem, problem)
+        if difference:
+            raise ValueError(
+                f"the surface is of another problem ({difference}); give one of this problem, "
+                "jaxclear.surface(problem)."
+            )
+    if methods is None:
+        return USUAL
+    if isinstance(methods, str):
+        methods = (methods,)
+    expect(methods, (tuple, list), "methods of reliability", f"some of {listed(METHODS)}")
+    if not methods:
+        raise ValueError(
+            f"methods of reliability is empty; it must hold some of {listed(METHODS)}."
+        )
+    for method in methods:
+        check_known("method of reliability", method, METHODS)
+    return tuple(methods)

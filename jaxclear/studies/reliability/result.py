@@ -1,0 +1,202 @@
+"""What is known of how often a limit is broken: by each method, and which answer stands."""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from scipy.special import ndtri
+
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.limit_state import AbstractLimitState
+from jaxclear.studies.reliability.design_point import DesignPoint
+from jaxclear.studies.reliability.estimate import Probability
+from jaxclear.studies.surface.response_surface import ResponseSurface
+
+# Methods that know their own error.
+SAMPLED = ("importance", "subset")
+# A small share of a probability, of which nothing is said.
+SMALL = 1e-3
+
+
+class Reliability(eqx.Module):
+    """Probability of failing by several methods.
+
+    `estimates` are the methods' own answers by name. `points` are the design points, likeliest
+    first: the likeliest parts that fail. `surface` is what they were found on, None where it was
+    the runs themselves. `runs` and `failed` count all runs, those of the search and the surface
+    too, and those of them that did not reach their end; `accuracy` is the coefficient of variation
+    that was asked for; `notes` are sentences.
+    """
+
+    problem: AbstractProblem
+    limit: AbstractLimitState
+    estimates: dict[str, Probability]
+    points: tuple[DesignPoint, ...]
+    surface: ResponseSurface | None
+    runs: int = eqx.field(static=True)
+    failed: int = eqx.field(static=True)
+    accuracy: float = eqx.field(static=True)
+    notes: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def method(self) -> str:
+        """The method whose answer stands: of those that sample the most certain one, but the larger
+        one where they contradict each other, for what a method does not find is missing from its
+        answer; without one the last that has an answer, "none" without any."""
+        sampled = [name for name in SAMPLED if self._answers(name)]
+        if len(sampled) == 2 and not _overlap(*(self.estimates[name] for name in sampled)):
+            return max(sampled, key=lambda name: self.estimates[name].value)
+        if sampled:
+            return min(sampled, key=lambda name: self.estimates[name].variation)
+        return next((name for name in reversed(self.estimates) if self._answers(name)), "none")
+
+    @property
+    def probability(self) -> float:
+        """Probability of failing [1] by the method whose answer stands; nan without one."""
+        return self.estimates[self.method].value if self.method != "none" else np.nan
+
+    @property
+    def variation(self) -> float:
+        """Coefficient of variation [1] of `probability`; nan where no method knows its error."""
+        return self.estimates[self.method].variation if self.method != "none" else np.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of `probability`; nan where no method knows its error."""
+        return self.estimates[self.method].interval if self.method != "none" else (np.nan, np.nan)
+
+    @property
+    def beta(self) -> float:
+        """Reliability index [1]: the probability as standard deviations of a normal number."""
+        return float(-ndtri(self.probability))
+
+    def importance(self) -> dict[str, float]:
+        """Share of each variable in the distance of the likeliest design point [1]; they add up to
+        one. Of correlated variables those of their own scores. Empty without a design point."""
+        if not self.points:
+            return {}
+        shares = _shares(self.problem, self.points[0])
+        return {name: float(s) for name, s in zip(self.problem.names, shares, strict=True)}
+
+    def design_point(self, index: int = 0) -> dict[str, float]:
+        """Values of the variables of a design point, by name, in their units."""
+        values = self.problem.inputs.values(self.points[index].normal)
+        return {name: float(v) for name, v in zip(self.problem.names, values, strict=True)}
+
+    def table(self) -> Any:
+        """A pandas table: one row a method."""
+        import pandas
+
+        rows = [
+            {
+                "method": name,
+                "probability": own.value,
+                "coefficient of variation": own.variation,
+                "95 % low": own.interval[0],
+                "95 % high": own.interval[1],
+                "runs": own.runs,
+                "failed": own.failed,
+                "refusal": own.refusal,
+            }
+            for name, own in self.estimates.items()
+        ]
+        return pandas.DataFrame(rows).set_index("method")
+
+    def design_points(self) -> Any:
+        """A pandas table: one row a design point; beta, values, and importance [1] by variable."""
+        import pandas
+
+        rows = []
+        for i, point in enumerate(self.points):
+            shares = _shares(self.problem, point)
+            row = {"beta": point.beta} | self.design_point(i)
+            row |= {
+                f"importance of {n}": s for n, s in zip(self.problem.names, shares, strict=True)
+            }
+            rows.append(row)
+        return pandas.DataFrame(rows)
+
+    def sentence(self) -> str:
+        """The answer with its error and cost, where FORM and sampling disagree, and what is to be
+        known of it."""
+        if self.method == "none":
+            return " ".join(["No method has an answer.", *self._refusals(), *self.notes])
+        own = self.estimates[self.method]
+        text = f"P({self.limit.words()}) = {own.value:.3g}"
+        if np.isfinite(own.variation):
+            low, high = own.interval
+            text += (
+                f", coefficient of variation {own.variation:.1%} (95 %: {low:.3g} to {high:.3g})"
+            )
+            text += f", by {_named(self.method)}"
+            if own.variation > self.accuracy:
+                text += f"; {self.accuracy:.0%} were asked for and take more runs (most_runs)"
+        else:
+            text += f" by {_named(self.method)}, whose error is not known: sample to know it"
+        said = [f"{text}; {self.runs} runs in all.", *self._comparison(own), *self._lost(own)]
+        return " ".join([*said, *self._refusals(), *self.notes])
+
+    def _answers(self, name: str) -> bool:
+        return name in self.estimates and np.isfinite(self.estimates[name].value)
+
+    def _comparison(self, own: Probability) -> list[str]:
+        """Where methods contradict the answer."""
+        said = []
+        for name, other in self.estimates.items():
+            if name == self.method or not self._answers(name) or not np.isfinite(own.variation):
+                continue
+            if name in SAMPLED:
+                if not _overlap(own, other):
+                    said.append(
+                        f"{_named(name).capitalize()} says {other.value:.3g} and contradicts it: "
+                        "one of the two does not find all that fails."
+                    )
+            elif not own.interval[0] <= other.value <= own.interval[1]:
+                ratio = other.value / own.value
+                times = f"{ratio:.2g} times as much" if ratio >= 1 else f"1/{1 / ratio:.2g} of it"
+                said.append(
+                    f"{_named(name)} says {other.value:.3g}, {times}: the limit is not "
+                    f"{_shape(name)} where parts fail."
+                )
+        return said
+
+    def _lost(self, own: Probability) -> list[str]:
+        if not self.failed:
+            return []
+        text = f"{self.failed} runs did not reach their end"
+        if own.unknown > SMALL:
+            return [f"{text}; they count as failing, with {own.unknown:.1%} of the probability."]
+        return [f"{text}; they count as failing, with next to nothing of the probability."]
+
+    def _refusals(self) -> list[str]:
+        return [f"{_named(n)}: {e.refusal}" for n, e in self.estimates.items() if e.refusal]
+
+
+def _named(method: str) -> str:
+    """A method in a sentence."""
+    names = {
+        "form": "FORM",
+        "breitung": "SORM (Breitung)",
+        "tvedt": "SORM (Tvedt)",
+        "importance": "importance sampling",
+        "subset": "subset simulation",
+    }
+    return names[method]
+
+
+def _shape(method: str) -> str:
+    return "a plane" if method == "form" else "a paraboloid"
+
+
+def _overlap(one: Probability, other: Probability) -> bool:
+    return one.interval[0] <= other.interval[1] and other.interval[0] <= one.interval[1]
+
+
+def _shares(problem: AbstractProblem, point: DesignPoint) -> np.ndarray:
+    """Importance of the variables, (variables,) [1]."""
+    root = problem.inputs.inverse_root
+    if root is None:
+        return point.importance
+    # Slope of the distance by each variable's own score.
+    direction = np.asarray(root).T @ (point.normal / np.linalg.norm(point.normal))
+    return direction**2 / np.sum(direction**2)

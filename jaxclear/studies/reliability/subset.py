@@ -1,0 +1,112 @@
+"""Subset simulation: a rare failing as a chain of frequent ones, whatever its shape.
+
+Samples that are worst so far are seeds of chains that stay at least as bad; each level takes a
+tenth. Independent repetitions side by side tell the error, which single ones underestimate.
+
+Source: Au & Beck 2001, Probab. Eng. Mech. 16, 263, doi:10.1016/S0266-8920(01)00019-4;
+Papaioannou, Betz, Zwirglmaier & Straub 2015, Probab. Eng. Mech. 41, 89,
+doi:10.1016/j.probengmech.2015.06.006 (adaptive conditional sampling).
+"""
+
+import numpy as np
+
+from jaxclear.studies.limit_state import system_margin
+from jaxclear.studies.reliability.estimate import Probability, refused
+from jaxclear.studies.reliability.models import RunModel
+
+# Share of the samples that a level keeps, samples of a level, repetitions at the least and added.
+SHARE, LEVEL, FIRST, MORE = 0.1, 500, 8, 4
+# Share of steps that are to be taken, and the correlation of a chain's first steps.
+ACCEPTED, FIRST_SPREAD = 0.44, 0.6
+# Levels at the most: rarer than one in 1e12 is not looked for.
+MOST_LEVELS = 12
+
+
+def subset(model: RunModel, accuracy: float, most_runs: int, seed: int) -> Probability:
+    """Probability of failing to a coefficient of variation of `accuracy`, in `most_runs` at the
+    most; each repetition begins with samples about the middle."""
+    before, failed = model.runs, model.failed
+    values, unknown = np.zeros(0), np.zeros(0)
+    while True:
+        new = MORE if len(values) else FIRST
+        rng = np.random.default_rng([seed, 5, len(values)])
+        own, lost = _repetitions(model, new, rng)
+        values, unknown = np.concatenate([values, own]), np.concatenate([unknown, lost])
+        runs, mean = model.runs - before, values.mean()
+        error = values.std(ddof=1) / np.sqrt(len(values))
+        if error <= accuracy * mean or runs * (1 + MORE / len(values)) > most_runs:
+            break
+    if mean == 0.0:
+        return refused(
+            f"subset simulation finds nothing that fails in {runs} runs, down to "
+            f"{SHARE**MOST_LEVELS:.0e}.",
+            runs,
+            model.failed - failed,
+        )
+    return Probability(
+        float(mean),
+        float(error / mean),
+        runs,
+        model.failed - failed,
+        float(unknown.mean() / mean),
+        len(values),
+    )
+
+
+def _repetitions(model: RunModel, repetitions: int, rng) -> tuple[np.ndarray, np.ndarray]:
+    """Probabilities (repetitions,) of independent simulations, and how much of them are runs that
+    did not reach their end."""
+    variables, cuts = len(model.problem.names), model.limit.cut_sets()
+    normal = rng.normal(size=(repetitions, LEVEL, variables))
+    scales = np.ones(len(model.limit.limits()))
+
+    def worst(at):
+        flat = model.margins(at.reshape(-1, variables)) / scales
+        lost = np.isnan(flat).any(axis=1)
+        found = np.where(lost, -np.inf, system_margin(np.where(lost[:, None], 0.0, flat), cuts))
+        return found.reshape(at.shape[:-1])
+
+    margins = model.margins(normal.reshape(-1, variables))
+    # Limits in one scale, so that a system's worst samples are not those of the largest unit.
+    scales = np.maximum(np.nanstd(margins, axis=0), np.finfo(float).tiny)
+    lost = np.isnan(margins).any(axis=1)
+    margins = system_margin(np.where(lost[:, None], 0.0, margins / scales), cuts)
+    margins = np.where(lost, -np.inf, margins).reshape(repetitions, LEVEL)
+    found, unknown, kept = np.zeros(repetitions), np.zeros(repetitions), int(SHARE * LEVEL)
+    share, open_ = np.ones(repetitions), np.ones(repetitions, bool)
+    for _ in range(MOST_LEVELS):
+        order = np.argsort(margins, axis=1, kind="stable")
+        level = np.take_along_axis(margins, order[:, kept - 1 : kept + 1], axis=1).mean(axis=1)
+        # -inf where so many runs are lost that they are the level.
+        done = open_ & ~(level > 0)
+        inside = (margins < 0).mean(axis=1)
+        found[done] = share[done] * inside[done]
+        unknown[done] = share[done] * np.isinf(margins[done]).mean(axis=1)
+        open_ &= ~done
+        if not open_.any():
+            break
+        share[open_] *= (margins[open_] <= level[open_, None]).mean(axis=1)
+        seeds = order[open_, :kept]
+        chains = (
+            np.take_along_axis(normal[open_], seeds[..., None], axis=1),
+            np.take_along_axis(margins[open_], seeds, axis=1),
+        )
+        normal[open_], margins[open_] = _conditioned(worst, *chains, level[open_], rng)
+    return found, unknown
+
+
+def _conditioned(worst, seeds, margins, levels, rng) -> tuple[np.ndarray, np.ndarray]:
+    """Chains from `seeds` (repetitions, chains, variables) with their `margins` that stay at or
+    below the levels (repetitions,): (repetitions, `LEVEL`, variables) and their margins."""
+    steps = round(LEVEL / seeds.shape[1])
+    spread = np.full(len(seeds), FIRST_SPREAD)
+    places, found = [seeds], [margins]
+    for step in range(1, steps):
+        width = np.minimum(spread, 1.0)[:, None, None]
+        moved = np.sqrt(1 - width**2) * places[-1] + width * rng.normal(size=seeds.shape)
+        tried = worst(moved)
+        taken = tried <= levels[:, None]
+        places.append(np.where(taken[..., None], moved, places[-1]))
+        found.append(np.where(taken, tried, found[-1]))
+        spread *= np.exp((taken.mean(axis=1) - ACCEPTED) / np.sqrt(step))
+    return np.concatenate(places, axis=1), np.concatenate(found, axis=1)
