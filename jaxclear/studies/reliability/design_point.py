@@ -118,8 +118,9 @@ def _new(point: DesignPoint, other: DesignPoint) -> bool:
 
 
 def _found(model, cut, start) -> DesignPoint | None:
-    """The design point that a search from `start` (variables,) leads to. Where a limit bends as much
-    as the distance, steps to planes go to and fro, and a method that learns curvatures goes on.
+    """The design point that a search from `start` (variables,) leads to. Where a limit bends as
+    much as the distance, steps to planes go to and fro, and a method that learns curvatures goes
+    on.
 
     That method: SLSQP of scipy, Kraft 1988, DFVLR-FB 88-28.
     """
@@ -165,7 +166,7 @@ def _search(model, cut, start, bulges, steps) -> tuple[DesignPoint | None, np.nd
         nearest = _nearest(z, margins, slopes)
         if nearest is None:
             return None, z
-        nearest = nearest * min(1.0, FURTHEST / max(np.linalg.norm(nearest), FURTHEST))
+        nearest = nearest * min(1.0, FURTHEST / max(float(np.linalg.norm(nearest)), FURTHEST))
         broken = margins if len(cut) == 1 else np.maximum(margins, 0.0)
         if np.linalg.norm(nearest - z) < NEAR and np.max(abs(broken) / sizes) < NEAR:
             return _point(z, cut, margins, slopes), z

@@ -95,10 +95,12 @@ class SurfaceModel(AbstractModel):
     limit: AbstractLimitState
 
     def margins(self, normal):
-        return np.asarray(_surface_margins(self.surface, self.limit.limits(), jnp.asarray(normal)))
+        return np.asarray(
+            _surface_margins(self.surface.bare(), self.limit.limits(), jnp.asarray(normal))
+        )
 
     def slopes(self, normal):
-        both = _surface_slopes(self.surface, self.limit.limits(), jnp.asarray(normal))
+        both = _surface_slopes(self.surface.bare(), self.limit.limits(), jnp.asarray(normal))
         return np.asarray(both[0]), np.asarray(both[1])
 
 

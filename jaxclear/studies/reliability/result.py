@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtri
 
@@ -80,7 +81,7 @@ class Reliability(eqx.Module):
 
     def design_point(self, index: int = 0) -> dict[str, float]:
         """Values of the variables of a design point, by name, in their units."""
-        values = self.problem.inputs.values(self.points[index].normal)
+        values = self.problem.inputs.values(jnp.asarray(self.points[index].normal))
         return {name: float(v) for name, v in zip(self.problem.names, values, strict=True)}
 
     def table(self) -> Any:

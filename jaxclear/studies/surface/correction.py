@@ -158,12 +158,12 @@ def _surface_normal(surface, normal):
 
 def _evaluated(surface: ResponseSurface, values: np.ndarray) -> dict[str, np.ndarray]:
     """The surface at `values` (samples, variables)."""
-    return jax.tree.map(np.asarray, _surface_values(surface, jnp.asarray(values)))
+    return jax.tree.map(np.asarray, _surface_values(surface.bare(), jnp.asarray(values)))
 
 
 def _of_normal(surface: ResponseSurface, normal: np.ndarray) -> dict[str, np.ndarray]:
     """The surface at standard normal numbers (samples, variables)."""
-    return jax.tree.map(np.asarray, _surface_normal(surface, jnp.asarray(normal)))
+    return jax.tree.map(np.asarray, _surface_normal(surface.bare(), jnp.asarray(normal)))
 
 
 def _fails(limit: AbstractLimitState, responses: dict[str, np.ndarray]) -> np.ndarray:

@@ -40,6 +40,11 @@ class ResponseSurface(eqx.Module):
         terms = products(self.polynomials, self.powers, jnp.asarray(values))
         return {name: terms @ self.coefficients[name] for name in self.problem.response_names}
 
+    def bare(self) -> "ResponseSurface":
+        """The same surface without its runs, so that a compiled program serves all refits."""
+        numbers = self.polynomials, self.powers, self.coefficients
+        return ResponseSurface(self.problem, *numbers, {}, {}, np.zeros((0, 0)), {}, {}, 0)
+
     def trusted(self, response: str) -> bool:
         """Whether the surface may stand for runs of a response."""
         check_known("response", response, self.quality, " of this surface")

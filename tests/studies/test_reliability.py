@@ -1,0 +1,236 @@
+"""Probabilities of failing against closed forms, quadrature, OpenTURNS and published values."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import integrate, stats
+from scipy.special import ndtr
+
+import jaxclear as jc
+from tests.rigs.limit_states import CASES, case
+
+Normal = jc.distribution.Normal
+Above, Below = jc.limit_state.Above, jc.limit_state.Below
+Series, Parallel = jc.limit_state.Series, jc.limit_state.Parallel
+QUICK = ("RP25",)
+
+
+def standard(function, count=2, **options):
+    """A function of standard normal numbers a, b, ..."""
+    names = "abcdefgh"[:count]
+    variables = {name: jc.Dimension(0.0, Normal(1.0), unit="1") for name in names}
+    return jc.FunctionProblem(function, variables, **options)
+
+
+def gap_and_ratio(bore, shaft):
+    return {"gap": bore - shaft, "ratio": bore / shaft}
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return jc.FunctionProblem(
+        gap_and_ratio,
+        {"bore": jc.Dimension(20.1, Normal(0.02)), "shaft": jc.Dimension(20.0, Normal(0.01))},
+    )
+
+
+@pytest.fixture(scope="module")
+def linear(fit):
+    return jc.reliability(fit, Below("gap", 0.0))
+
+
+def test_a_plane_in_normal_numbers_is_exact(linear):
+    """Gap of two normal diameters: beta = 0.1 / sqrt(0.02^2 + 0.01^2), shares 0.8 and 0.2."""
+    beta = 0.1 / np.hypot(0.02, 0.01)
+    for method in ("form", "breitung", "tvedt"):
+        assert linear.estimates[method].value == pytest.approx(ndtr(-beta), rel=1e-6)
+    assert linear.importance() == pytest.approx({"bore": 0.8, "shaft": 0.2}, abs=1e-6)
+    assert linear.design_point() == pytest.approx({"bore": 20.02, "shaft": 20.02}, abs=1e-6)
+    low, high = linear.interval
+    assert low < ndtr(-beta) < high and linear.variation <= 0.1
+    assert linear.method == "importance" and "times" not in linear.sentence()
+
+
+def test_beta_is_that_of_the_limit_and_not_of_its_formula(fit, linear):
+    """Hasofer and Lind: the same parts fail by gap below 0 and by ratio below 1."""
+    same = jc.reliability(fit, Below("ratio", 1.0), methods="form")
+    assert same.beta == pytest.approx(linear.points[0].beta, abs=1e-5)
+
+
+def test_correlated_variables_have_their_own_beta():
+    """Difference of two normal numbers with correlation 0.6: variance 1 + 0.25 - 2 0.6 0.5."""
+    problem = jc.FunctionProblem(
+        lambda a, b: a - b,
+        {"a": jc.Dimension(3.0, Normal(1.0)), "b": jc.Dimension(0.0, Normal(0.5))},
+        correlation={("a", "b"): 0.6},
+    )
+    found = jc.reliability(problem, Below("response", 0.0), methods="form")
+    assert found.beta == pytest.approx(3.0 / np.sqrt(1.25 - 0.6), rel=1e-6)
+
+
+def test_second_order_bends_with_the_limit():
+    """3 - a + 0.15 b^2: the probability is an integral over b; Tvedt's three terms are nearer to it
+    than Breitung's one."""
+    problem = standard(lambda a, b: 3.0 - a + 0.15 * b**2)
+    found = jc.reliability(problem, Below("response", 0.0), methods=("form", "sorm")).estimates
+    exact = integrate.quad(lambda b: ndtr(-3 - 0.15 * b**2) * stats.norm.pdf(b), -8, 8)[0]
+    error = {name: abs(own.value / exact - 1) for name, own in found.items()}
+    assert error["form"] > 0.3 > 0.05 > error["breitung"] > error["tvedt"] < 0.005
+    # Breitung's formula itself: curvature 0.3 at beta 3.
+    assert found["breitung"].value == pytest.approx(ndtr(-3.0) / np.sqrt(1.9), rel=1e-4)
+
+
+def test_a_sphere_is_found_by_subset_simulation():
+    """No direction is the likeliest: points on a sphere fail with a chi square's probability."""
+    problem = standard(lambda a, b, c: a**2 + b**2 + c**2, 3)
+    found = jc.reliability(problem, Above("response", 16.0), methods=("sorm", "subset"))
+    low, high = found.interval
+    assert low < stats.chi2(3).sf(16.0) < high
+    assert "bends around the middle" in found.sentence() and found.method == "subset"
+
+
+def test_systems_of_planes_have_the_multinormal_probability():
+    """Of two planes under an angle: together by scipy's bivariate distribution, either by the
+    complement."""
+    problem = standard(lambda a, b: {"first": a, "second": 0.6 * a + 0.8 * b})
+    limits = Above("first", 1.5), Above("second", 2.0)
+    both = stats.multivariate_normal([0, 0], [[1, 0.6], [0.6, 1]]).cdf([-1.5, -2.0])
+    either = ndtr(-1.5) + ndtr(-2.0) - both
+    for system, exact in ((Parallel(*limits), both), (Series(*limits), either)):
+        found = jc.reliability(problem, system, methods=("form", "importance"))
+        assert found.estimates["form"].value == pytest.approx(exact, rel=0.01)
+        assert found.interval[0] < exact < found.interval[1]
+    assert len(found.points) == 2
+
+
+def test_every_branch_of_a_limit_is_found():
+    """|a b| above 12.5 in four corners that a search from the middle sees none of."""
+    problem, limit, _ = case("RP111")
+    found = jc.reliability(problem, limit, methods="form")
+    assert len(found.points) == 4
+    np.testing.assert_allclose([p.beta for p in found.points], 5.0, atol=1e-3)
+
+
+def test_the_sentence_says_where_planes_mislead():
+    problem, limit, reference = case("RP31")
+    found = jc.reliability(problem, limit, seed=1)
+    assert found.estimates["form"].value / reference["published"] > 5
+    assert "FORM says 0.0228" in found.sentence()
+    assert "the limit is not a plane where parts fail" in found.sentence()
+    table = found.table()
+    assert list(table.index) == ["form", "breitung", "tvedt", "importance"]
+    assert table.loc["importance", "95 % high"] < table.loc["form", "probability"]
+
+
+def test_runs_that_end_early_count_as_failing_and_are_told():
+    """A number that does not exist beyond a = 2: nobody knows, so it fails, on the safe side."""
+    problem = standard(lambda a, b: jnp.where(a > 2, jnp.nan, a + b))
+    found = jc.reliability(
+        problem, Above("response", 3.0), methods=("form", "importance", "subset")
+    )
+    tail = ndtr(-2.0)
+    rest = integrate.quad(lambda a: ndtr(a - 3.0) * stats.norm.pdf(a), -8, 2)[0]
+    for method in ("importance", "subset"):
+        own = found.estimates[method]
+        assert own.interval[0] < tail + rest < own.interval[1]
+        assert own.failed > 0 and own.unknown == pytest.approx(tail / (tail + rest), rel=0.3)
+    assert "they count as failing" in found.sentence()
+
+
+def not_differentiable(a, b, c):
+    """As a run with contacts: right values, no slopes."""
+    form = lambda a, b, c: np.asarray(a + 0.5 * b + 0.05 * c**2 + 0.02 * a * b)
+    shape = jax.ShapeDtypeStruct((), float)
+    return jax.pure_callback(form, shape, a, b, c, vmap_method="broadcast_all")
+
+
+def test_without_slopes_a_surface_searches_and_runs_correct_it():
+    problem = standard(not_differentiable, 3)
+    assert any(problem.pathwise_limits())
+    found = jc.reliability(problem, Above("response", 5.0))
+    smooth = standard(lambda a, b, c: a + 0.5 * b + 0.05 * c**2 + 0.02 * a * b, 3)
+    exact = jc.reliability(smooth, Above("response", 5.0), accuracy=0.02)
+    assert found.surface is not None and exact.surface is None
+    assert found.points[0].beta == pytest.approx(exact.points[0].beta, abs=1e-3)
+    gap = abs(found.probability - exact.probability)
+    assert gap < 3 * np.hypot(found.variation, exact.variation) * exact.probability
+    assert found.runs < 320 and found.variation < 0.05, "the surface takes up what it explains"
+
+
+@pytest.mark.slow
+def test_a_rough_surface_is_not_searched():
+    problem = standard(lambda a, b: jnp.sin(40 * a) + jnp.sin(40 * b))
+    found = jc.reliability(problem, Above("response", 1.9), surface=jc.surface(problem, 64))
+    assert found.method == "subset" and "the surface is too rough to search" in found.sentence()
+
+
+@pytest.mark.slow
+def test_stated_errors_are_the_true_ones():
+    """40 repetitions: root mean square of stated over true error, and how often 95 % hold."""
+    problem, limit, reference = case("RP22")
+    runs = [jc.reliability(problem, limit, seed=s, methods="importance") for s in range(40)]
+    true = np.array([run.probability for run in runs]) / reference["published"] - 1
+    stated = np.array([run.variation for run in runs])
+    assert 0.7 < np.sqrt(np.mean(stated**2) / np.mean(true**2)) < 1.6
+    inside = [run.interval[0] < reference["published"] < run.interval[1] for run in runs]
+    assert sum(inside) >= 34
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in CASES]
+)
+def test_published_limit_states_are_within_their_intervals(name):
+    """Three standard errors, for 26 cases are asked at once."""
+    problem, limit, reference = case(name)
+    found = jc.reliability(problem, limit, most_runs=300_000, seed=2)
+    width = 3 * found.variation * found.probability
+    assert found.variation <= 0.1
+    assert reference["low"] - width < found.probability < reference["high"] + width
+
+
+@pytest.mark.parametrize("name", ["RP8", "RP28", "RP38", "R-S", "Axial stressed beam"])
+@pytest.mark.slow
+def test_design_points_are_those_of_openturns(name):
+    openturns = pytest.importorskip("openturns")
+    problem, limit, _ = case(name)
+    found = jc.reliability(problem, limit, methods="form")
+    count, own = len(problem.names), limit.limits()[0]
+
+    @jax.jit
+    def margin(z):
+        return own.margin(problem.evaluate(problem.inputs.values(z)).responses)
+
+    function = openturns.PythonFunction(count, 1, lambda z: [float(margin(jnp.asarray(list(z))))])
+    inputs = openturns.RandomVector(openturns.Normal(count))
+    event = openturns.ThresholdEvent(
+        openturns.CompositeRandomVector(openturns.Function(function), inputs), openturns.Less(), 0.0
+    )
+    solver = openturns.AbdoRackwitz()
+    try:
+        search = openturns.FORM(solver, event, openturns.Point(count))
+    except TypeError:
+        solver.setStartingPoint(openturns.Point(count))
+        search = openturns.FORM(solver, event)
+    search.run()
+    answer = search.getResult()
+    assert found.points[0].beta == pytest.approx(answer.getHasoferReliabilityIndex(), abs=2e-3)
+    theirs = np.asarray(answer.getStandardSpaceDesignPoint())
+    nearest = min(np.linalg.norm(theirs - point.normal) for point in found.points)
+    assert nearest < 0.05
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"limit": 3.0}, "it must be a limit state, such as"),
+        ({"limit": Above("gup", 0.1)}, 'no response "gup" in this problem.*gap'),
+        ({"methods": ()}, "methods of reliability is empty"),
+        ({"methods": ("fosm",)}, 'no method of reliability "fosm"'),
+        ({"accuracy": 0.0}, "accuracy of reliability is 0"),
+        ({"surface": 3}, "what jaxclear.surface gives"),
+    ],
+)
+def test_what_cannot_be_asked_gets_a_sentence(fit, given, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        jc.reliability(fit, **({"limit": Below("gap", 0.0)} | given))
