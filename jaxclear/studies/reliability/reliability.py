@@ -59,14 +59,8 @@ def reliability(
     check_count("seed of reliability", seed, at_least=0)
     check_flags("reliability", progress_bar=progress_bar)
     model = RunModel(problem, limit, progress_bar)
-    estimates: dict[str, Probability] = {}
     points, own, notes = _searched(model, surface, wanted, seed)
-    search: AbstractModel = model if own is None else SurfaceModel(own, limit)
-    found_in = 0 if own is not None else model.runs
-    if "form" in wanted:
-        estimates["form"] = Probability(form(points), runs=found_in) if points else _none(notes)
-    if "sorm" in wanted:
-        estimates |= _second_order(search, model, points, found_in)
+    estimates = _from_points(model, own, points, wanted, notes)
     if "importance" in wanted:
         trusted = own is not None and all(own.trusted(part.response) for part in limit.limits())
         control = SurfaceModel(own, limit) if own is not None and trusted else None
@@ -78,10 +72,28 @@ def reliability(
     missed = "importance" in estimates and not estimates["importance"].variation <= accuracy
     if "subset" in wanted or (methods is None and missed):
         estimates["subset"] = subset(model, accuracy, most_runs, seed)
+    counts = model.runs, model.failed
     return Reliability(
-        problem, limit, estimates, tuple(points), own, model.runs, model.failed, accuracy,
-        tuple(notes),
-    )  # fmt: skip
+        problem, limit, estimates, tuple(points), own, *counts, accuracy, tuple(notes)
+    )
+
+
+def _from_points(
+    model: RunModel,
+    own: ResponseSurface | None,
+    points: list[DesignPoint],
+    wanted: Sequence[str],
+    notes: list[str],
+) -> dict[str, Probability]:
+    """What FORM and SORM answer; their runs are those of the search."""
+    estimates: dict[str, Probability] = {}
+    search: AbstractModel = model if own is None else SurfaceModel(own, model.limit)
+    found_in = model.runs
+    if "form" in wanted:
+        estimates["form"] = Probability(form(points), runs=found_in) if points else _none(notes)
+    if "sorm" in wanted:
+        estimates |= _second_order(search, model, points, found_in)
+    return estimates
 
 
 def _searched(

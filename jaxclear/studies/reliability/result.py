@@ -154,6 +154,8 @@ class Reliability(eqx.Module):
                     )
             elif not own.interval[0] <= other.value <= own.interval[1]:
                 ratio = other.value / own.value
+                if abs(ratio - 1) <= 2 * self.accuracy:
+                    continue
                 times = f"{ratio:.2g} times as much" if ratio >= 1 else f"1/{1 / ratio:.2g} of it"
                 said.append(
                     f"{_named(name)} says {other.value:.3g}, {times}: the limit is not "
