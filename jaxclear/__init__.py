@@ -35,6 +35,7 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vecto
 from jaxclear.laws import contact, friction, material, stiffness, wear
 from jaxclear.laws.material import Material
 from jaxclear.multibody.assembly import assemble
+from jaxclear.multibody.heated import heated
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.magnitudes import UnusualMagnitude
 from jaxclear.multibody.mechanism import Mechanism
@@ -49,6 +50,7 @@ from jaxclear.studies import distribution, limit_state
 from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
+from jaxclear.studies.condition import Condition
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
 from jaxclear.studies.design.settings import DesignSettings
@@ -64,7 +66,7 @@ from jaxclear.studies.reliability.reliability import reliability
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
-from jaxclear.studies.variable import Variable
+from jaxclear.studies.variable import AbstractMechanismVariable, Variable
 
 from jaxclear import scenes  # isort: skip
 
@@ -72,12 +74,14 @@ from jaxclear import scenes  # isort: skip
 conformal = contact
 
 __all__ = [
+    "AbstractMechanismVariable",
     "AbstractProblem",
     "AbstractQuantified",
     "AbstractVariable",
     "AbstractWearMap",
     "Baumgarte",
     "Body",
+    "Condition",
     "Connection",
     "DesignSettings",
     "Dimension",
@@ -111,6 +115,7 @@ __all__ = [
     "drive",
     "formulation",
     "friction",
+    "heated",
     "integrator",
     "joint",
     "limit",

@@ -32,13 +32,10 @@ from jaxclear.simulation.positions import (
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.responses import by_name, check_responses, one_number
 from jaxclear.studies.variable import (
-    Variable,
-    by_name,
-    check_responses,
+    AbstractMechanismVariable,
     check_variables,
-    leaves_of,
-    one_number,
     places_of,
     units_of_variables,
     with_values,
@@ -67,7 +64,7 @@ class PositionProblem(AbstractProblem):
 
     mechanism: Mechanism
     response: dict[str, Callable]
-    variables: dict[str, Variable]
+    variables: dict[str, AbstractMechanismVariable]
     position: Float[Array, "positions drives"]
     starts: Spot
     way: Way
@@ -82,7 +79,7 @@ class PositionProblem(AbstractProblem):
         self,
         mechanism: Mechanism,
         response: Callable | Mapping[str, Callable],
-        variables: Mapping[str, Variable],
+        variables: Mapping[str, AbstractMechanismVariable],
         *,
         positions: Mapping[str, Any],
         both_ways: bool = False,
@@ -108,7 +105,7 @@ class PositionProblem(AbstractProblem):
         self.starts = spots_along(scene, places, self.way)
 
     def nominal(self):
-        return stacked([leaves_of(self.variables[n])(self.mechanism)[0] for n in self.names])
+        return stacked([self.variables[n].nominal_in(self.mechanism) for n in self.names])
 
     def units(self):
         return {name: unit_of(self.response[name]) for name in self.response_names}

@@ -40,14 +40,11 @@ from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.inputs import correlation_matrix
+from jaxclear.studies.responses import by_name, check_responses, one_number
 from jaxclear.studies.usual_integrator import usual_integrator
 from jaxclear.studies.variable import (
-    Variable,
-    by_name,
-    check_responses,
+    AbstractMechanismVariable,
     check_variables,
-    leaves_of,
-    one_number,
     places_of,
     units_of_variables,
     with_values,
@@ -75,7 +72,7 @@ class Problem(AbstractProblem):
 
     mechanism: Mechanism
     response: dict[str, Callable]
-    variables: dict[str, Variable]
+    variables: dict[str, AbstractMechanismVariable]
     duration: Array
     shares: Float[Array, " saves"]
     integrator: AbstractIntegrator
@@ -96,7 +93,7 @@ class Problem(AbstractProblem):
         self,
         mechanism: Mechanism,
         response: Callable | Mapping[str, Callable],
-        variables: Mapping[str, Variable],
+        variables: Mapping[str, AbstractMechanismVariable],
         *,
         duration: float,
         integrator: AbstractIntegrator | None = None,
@@ -128,12 +125,9 @@ class Problem(AbstractProblem):
         check_variables(self.variables, mechanism)
         self.variable_units = units_of_variables(mechanism, self.variables.values())
 
-    def _leaves(self, variable):
-        return leaves_of(variable)(self.mechanism)
-
     def nominal(self) -> Float[Array, " variables"]:
         """Nominal value of each variable."""
-        return stacked([self._leaves(self.variables[name])[0] for name in self.names])
+        return stacked([self.variables[n].nominal_in(self.mechanism) for n in self.names])
 
     def units(self) -> dict[str, str]:
         """Unit of each response."""

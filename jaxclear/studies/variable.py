@@ -1,27 +1,24 @@
-"""What varies of a mechanism, which responses are wanted of it, and the checks of both."""
+"""What varies of a mechanism, or about it."""
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.quantity import numbers
 from jaxclear.ground.wording import described, meant
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.studies.base import AbstractVariable, is_one_number, one_distribution
+from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
 
 __all__ = [
+    "AbstractMechanismVariable",
     "Variable",
-    "by_name",
-    "check_responses",
     "check_variables",
-    "leaves_of",
-    "one_number",
     "places_of",
     "units_of_variables",
     "with_values",
@@ -31,7 +28,43 @@ __all__ = [
 SAME = 1e-3
 
 
-class Variable(AbstractVariable):
+class AbstractMechanismVariable(AbstractVariable):
+    """A number that varies of a mechanism, or about it."""
+
+    @abstractmethod
+    def leaves(self, mechanism: Mechanism) -> list:
+        """The numbers of the mechanism that it sets by itself."""
+
+    @abstractmethod
+    def nominal_in(self, mechanism: Mechanism) -> Any:
+        """Its nominal value."""
+
+    @abstractmethod
+    def unit_in(self, mechanism: Mechanism) -> str:
+        """Its unit."""
+
+    @abstractmethod
+    def put(self, mechanism: Mechanism, value: Any) -> Mechanism:
+        """The mechanism with its numbers set."""
+
+    @abstractmethod
+    def followed(self, mechanism: Mechanism, value: Any) -> Mechanism:
+        """The mechanism, all of whose variables are set, with what follows from this one."""
+
+    @abstractmethod
+    def check(self, name: str, mechanism: Mechanism) -> None:
+        """Raises `ValueError` where it has nothing to do with the mechanism."""
+
+    @abstractmethod
+    def told(self, name: str, mechanism: Mechanism) -> dict[str, Any]:
+        """All that tells it from another, but for its distribution."""
+
+    def check_derived(self, name: str, mechanism: Mechanism, varied: set[int]) -> None:
+        """Raises `ValueError` where a derived number is not what the mechanism itself has (one of
+        the two is wrong), or is one of those that are `varied`."""
+
+
+class Variable(AbstractMechanismVariable):
     """A number of the mechanism that varies: `where(mechanism)` returns its leaf, or several leaves
     that vary together.
 
@@ -60,10 +93,53 @@ class Variable(AbstractVariable):
         self.distribution = one_distribution("Variable", distribution, tolerance)
         self.derived = tuple(_pair(one) for one in _listed(derived))
 
+    def leaves(self, mechanism):
+        return jax.tree.leaves(self.where(mechanism))
 
-def leaves_of(variable: Variable) -> Callable[[Mechanism], list]:
-    """What finds the numbers of a variable in a mechanism."""
-    return lambda mechanism: jax.tree.leaves(variable.where(mechanism))
+    def nominal_in(self, mechanism):
+        return self.leaves(mechanism)[0]
+
+    def unit_in(self, mechanism):
+        first = self.leaves(mechanism)[0]
+        known = ((leaf, metadata.get("unit", "1")) for _, leaf, metadata in numbers(mechanism))
+        return next((unit for leaf, unit in known if leaf is first), "1")
+
+    def put(self, mechanism, value):
+        # Leaves that vary together move by the same amount.
+        old = self.leaves(mechanism)
+        new = [leaf + (value - old[0]) for leaf in old]
+        return eqx.tree_at(self.leaves, mechanism, new)
+
+    def followed(self, mechanism, value):
+        for where, found in self.derived:
+            leaves = lambda own: jax.tree.leaves(where(own))
+            mechanism = eqx.tree_at(leaves, mechanism, [jnp.asarray(found(mechanism), float)])
+        return mechanism
+
+    def check(self, name, mechanism):
+        _check_place(name, self.where, mechanism)
+
+    def told(self, name, mechanism):
+        leaves = jax.tree_util.tree_leaves_with_path(mechanism)
+        known = {id(leaf): jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves}
+        places = ", ".join(known[id(leaf)] for leaf in self.leaves(mechanism))
+        derived = {f'what "{name}" derives': self.derived} if self.derived else {}
+        return {f'what "{name}" points at': places} | derived
+
+    def check_derived(self, name, mechanism, varied):
+        for where, value in self.derived:
+            leaves, found = jax.tree.leaves(where(mechanism)), value(mechanism)
+            own: Any = leaves[0] if len(leaves) == 1 else leaves
+            if not eqx.is_array(own) or jnp.ndim(own) != 0 or id(own) in varied:
+                raise ValueError(
+                    f'variable "{name}" derives {described(own)}; it must be one number of the '
+                    "mechanism, which no variable sets."
+                )
+            if not jnp.allclose(own, found, rtol=SAME, atol=0.0):
+                raise ValueError(
+                    f'variable "{name}" derives a number that is {float(found):.6g} at nominal, '
+                    f"where the mechanism has {float(own):.6g}; give the mechanism what it derives."
+                )
 
 
 def _listed(derived: Any) -> Any:
@@ -81,108 +157,45 @@ def _pair(given: Any) -> tuple[Callable, Callable]:
     return tuple(given)
 
 
-def _with_derived(mechanism: Mechanism, variables: Iterable[Variable]) -> Mechanism:
-    """The mechanism with the numbers that follow from its variables, in the order given."""
-    for variable in variables:
-        for where, value in variable.derived:
-            leaves = lambda own: jax.tree.leaves(where(own))
-            mechanism = eqx.tree_at(leaves, mechanism, [jnp.asarray(value(mechanism), float)])
+def with_values(
+    mechanism: Mechanism, variables: list[AbstractMechanismVariable], values: Any
+) -> Mechanism:
+    """The mechanism with its variables set, in the order of `values`, and what follows."""
+    for variable, value in zip(variables, values, strict=True):
+        mechanism = variable.put(mechanism, value)
+    for variable, value in zip(variables, values, strict=True):
+        mechanism = variable.followed(mechanism, value)
     return mechanism
 
 
-def _check_derived(mechanism: Mechanism, variables: Mapping[str, Variable]) -> None:
-    """Raises `ValueError` where a derived number is not what the mechanism itself has: one of the
-    two is wrong."""
-    varied = {
-        id(leaf) for variable in variables.values() for leaf in leaves_of(variable)(mechanism)
-    }
-    for name, variable in variables.items():
-        for where, value in variable.derived:
-            leaves, found = jax.tree.leaves(where(mechanism)), value(mechanism)
-            own: Any = leaves[0] if len(leaves) == 1 else leaves
-            if not eqx.is_array(own) or jnp.ndim(own) != 0 or id(own) in varied:
-                raise ValueError(
-                    f'variable "{name}" derives {described(own)}; it must be one number of the '
-                    "mechanism, which no variable sets."
-                )
-            if not jnp.allclose(own, found, rtol=SAME, atol=0.0):
-                raise ValueError(
-                    f'variable "{name}" derives a number that is {float(found):.6g} at nominal, '
-                    f"where the mechanism has {float(own):.6g}; give the mechanism what it derives."
-                )
-
-
-def with_values(mechanism: Mechanism, variables: list[Variable], values: Any) -> Mechanism:
-    """The mechanism with its variables set, in the order of `values`. Leaves that vary together
-    move by the same amount; derived numbers follow."""
-    old = [leaves_of(variable)(mechanism) for variable in variables]
-    for variable, own, value in zip(variables, old, values, strict=True):
-        new = [leaf + (value - own[0]) for leaf in own]
-        mechanism = eqx.tree_at(leaves_of(variable), mechanism, new)
-    return _with_derived(mechanism, variables)
-
-
-def units_of_variables(mechanism: Mechanism, variables: Iterable[Variable]) -> tuple[str, ...]:
+def units_of_variables(
+    mechanism: Mechanism, variables: Iterable[AbstractMechanismVariable]
+) -> tuple[str, ...]:
     """Unit of each variable."""
-    known = [(leaf, metadata.get("unit", "1")) for _, leaf, metadata in numbers(mechanism)]
-    firsts = [leaves_of(variable)(mechanism)[0] for variable in variables]
-    return tuple(next((u for leaf, u in known if leaf is first), "1") for first in firsts)
+    return tuple(variable.unit_in(mechanism) for variable in variables)
 
 
-def places_of(mechanism: Mechanism, variables: dict[str, Variable]) -> dict[str, Any]:
+def places_of(
+    mechanism: Mechanism, variables: Mapping[str, AbstractMechanismVariable]
+) -> dict[str, Any]:
     """What each variable points at, in words, and what follows from it."""
-    leaves = jax.tree_util.tree_leaves_with_path(mechanism)
-    known = {id(leaf): jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves}
-    return {
-        f'what "{name}" points at': ", ".join(known[id(x)] for x in leaves_of(own)(mechanism))
-        for name, own in variables.items()
-    } | {f'what "{name}" derives': own.derived for name, own in variables.items() if own.derived}
-
-
-def by_name(what: str, given: Any) -> dict[str, Any]:
-    """What varies or is wanted, by name; a response alone is called "response"."""
-    if what == "response" and not isinstance(given, Mapping):
-        return {what: given}
-    expect(given, Mapping, f"{what} of a Problem", "a dictionary from names")
-    if what == "response" and not given:
-        raise ValueError("response of a Problem is empty; it must hold at least one.")
-    for name in given:
-        expect(name, str, f"a name in {what} of a Problem", "a text")
-    return dict(given)
-
-
-def one_number(name: str, value: Any) -> Array:
-    """What a response answers, which studies take for one number."""
-    if not is_one_number(value):
-        hint = " It returns nothing: is a `return` missing?" if value is None else ""
-        raise ValueError(
-            f'response "{name}" gives {described(value)} for a run; it must be one number, such as '
-            f"a mean or the largest.{hint}"
-        )
-    return jnp.asarray(value, float)
-
-
-def check_responses(response: dict[str, Any], variables: dict[str, Any], of: str) -> None:
-    """Responses are functions `of` something, and share no name with a variable."""
-    for name, wanted in response.items():
-        if not callable(wanted) or isinstance(wanted, type):
-            hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
-            raise ValueError(
-                f'response "{name}" is {described(wanted)}; it must be a function of {of}, such as '
-                f"one of jaxclear.response{hint}."
-            )
-        if name in variables:
-            raise ValueError(
-                f'"{name}" names a variable and a response; give them different names.'
-            )
+    found: dict[str, Any] = {}
+    for name, own in variables.items():
+        found |= own.told(name, mechanism)
+    return found
 
 
 def check_variables(variables: dict[str, Any], mechanism: Mechanism) -> None:
-    """Each points at numbers of the mechanism of its own."""
+    """Each points at numbers of the mechanism of its own, or is a condition."""
     for name, variable in variables.items():
-        _check_variable(name, variable, mechanism)
-    _check_derived(mechanism, variables)
-    _check_apart({name: leaves_of(v)(mechanism) for name, v in variables.items()})
+        wanted = "a jaxclear.Variable, or a jaxclear.Condition"
+        expect(variable, AbstractMechanismVariable, f'variable "{name}"', wanted)
+        variable.check(name, mechanism)
+    leaves = {name: variable.leaves(mechanism) for name, variable in variables.items()}
+    _check_apart(leaves)
+    varied = {id(leaf) for own in leaves.values() for leaf in own}
+    for name, variable in variables.items():
+        variable.check_derived(name, mechanism, varied)
 
 
 def _check_apart(leaves: dict[str, list]) -> None:
@@ -198,11 +211,10 @@ def _check_apart(leaves: dict[str, list]) -> None:
                 )
 
 
-def _check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:
-    """What is given as a variable of a mechanism."""
-    expect(variable, Variable, f'variable "{name}"', "a jaxclear.Variable")
+def _check_place(name: str, where: Callable, mechanism: Mechanism) -> None:
+    """What a variable of a mechanism points at."""
     try:
-        target = variable.where(mechanism)
+        target = where(mechanism)
     except (KeyError, AttributeError, TypeError, IndexError) as error:
         raise ValueError(
             f'variable "{name}" points at nothing in this mechanism: its `where` fails with '
@@ -210,9 +222,17 @@ def _check_variable(name: str, variable: Any, mechanism: Mechanism) -> None:
         ) from error
     leaves = target if isinstance(target, (tuple, list)) else [target]
     if not leaves or not all(eqx.is_array(leaf) and jnp.ndim(leaf) == 0 for leaf in leaves):
+        hint = (
+            ""
+            if target is not None
+            else (
+                " What is not given there cannot vary: give a marker three numbers for `at` and "
+                "axis=(0, 0, 1) instead of a name, say."
+            )
+        )
         raise ValueError(
             f'variable "{name}" must point at numbers of the mechanism; where(mechanism) gives '
-            f"{described(target)}."
+            f"{described(target)}.{hint}"
         )
 
 

@@ -67,6 +67,11 @@ class BallSocket(AbstractClearance):
         pairs = ((x, x), (x, y), (x, z), (y, y), (y, z))
         return (x, y, z, *(sp.mul(*pair) for pair in pairs), flattening(indentations[0]))
 
+    def grown(self, outer, inner):
+        socket = outer * self.socket_radius
+        gap = socket - inner * (self.socket_radius - self.clearance)
+        return eqx.tree_at(lambda own: (own.socket_radius, own.clearance), self, (socket, gap))
+
     def seat(self, force, torque):
         return sp.scale(-self.clearance, direction(force, 3)), (0, 0)
 

@@ -119,6 +119,18 @@ class AbstractClearance(AbstractQuantified):
             "joint of one's own tells it by its method `seat`."
         )
 
+    def grown(self, outer: Scalar, inner: Scalar) -> "AbstractClearance":
+        """The joint with the outer part (bearing, socket, guide) and the inner one (journal, ball,
+        slider) larger by factors [1], as by heat.
+
+        Raises `ValueError`, with a sentence that goes behind the joint's name, where it is not
+        known.
+        """
+        raise ValueError(
+            f"is a {type(self).__name__}, of which it is not known how it grows with its parts; a "
+            "joint of one's own tells it by its method `grown`."
+        )
+
     def check_plane(self, heights: tuple[float, float, float]) -> None:
         """Raises `ValueError`, with a sentence that goes behind the joint's name, where this joint
         finds no contact in the plane. `heights`: how far the bearing's three unit axes rise out of

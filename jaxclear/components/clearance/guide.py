@@ -6,6 +6,7 @@ planar prismatic joint".
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.components.clearance.base import (
@@ -95,6 +96,12 @@ class SliderGuide(AbstractClearance):
                 'in which its parts move: give the connection, or both markers, axis="x", "-x", '
                 '"y" or "-y"; a guide along another direction takes markers with a quaternion.'
             )
+
+    def grown(self, outer, inner):
+        width = inner * self.width
+        gap = outer * (0.5 * self.width + self.clearance) - 0.5 * width
+        sizes = lambda own: (own.width, own.clearance, own.length)
+        return eqx.tree_at(sizes, self, (width, gap, inner * self.length))
 
     def seat(self, force, torque):
         first, last = self.permanent_form().carrying_ends(force, torque, 0.0)

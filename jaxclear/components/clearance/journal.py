@@ -245,6 +245,18 @@ class JournalBearing(AbstractJournalBearing):
     def end_forces(self, force, torque):
         return shared_by_ends(force, torque, self.length)
 
+    def grown_along(self, length, outer, inner):
+        joint = self
+        if self.journal_length is not None:
+            grown = inner * self.journal_length
+            joint = eqx.tree_at(lambda own: own.journal_length, joint, grown)
+        if self.flange is None:
+            return joint
+        # The collars stand on the journal, half a bearing and the axial clearance from its middle.
+        gap = inner * (0.5 * length + self.flange.clearance) - 0.5 * outer * length
+        sizes = lambda own: (own.flange.clearance, own.flange.radius)
+        return eqx.tree_at(sizes, joint, (gap, inner * self.flange.radius))
+
     def axial_seat(self, force):
         if self.flange is None or sp.is_zero(force):
             return 0

@@ -26,6 +26,7 @@ class AbstractJournalBearing(AbstractClearance):
     friction: eqx.AbstractVar[AbstractFrictionLaw | None]
     bearing_radius: eqx.AbstractVar[Scalar]
     clearance: eqx.AbstractVar[Scalar]
+    length: eqx.AbstractVar[Scalar]
     roundness: eqx.AbstractVar[tuple[Lobes, ...] | None]
 
     def touch(self, offset: sp.Vec) -> tuple[Any, Any, Any]:
@@ -40,6 +41,18 @@ class AbstractJournalBearing(AbstractClearance):
         if self.roundness is None:
             return (*sp.scale(self.clearance, lean[:2]), 0)
         return leaned(self.roundness, self.clearance, lean)
+
+    def grown(self, outer, inner):
+        bore = outer * self.bearing_radius
+        gap = bore - inner * (self.bearing_radius - self.clearance)
+        sizes = lambda joint: (joint.bearing_radius, joint.clearance, joint.length)
+        joint = eqx.tree_at(sizes, self, (bore, gap, outer * self.length))
+        return joint.grown_along(self.length, outer, inner)
+
+    def grown_along(self, length: Scalar, outer: Scalar, inner: Scalar) -> "AbstractJournalBearing":
+        """The joint with what is along its axis larger by these factors, the bearing having been
+        of `length` [m]; nothing else is, unless overridden."""
+        return self
 
     @abstractmethod
     def end_forces(self, force: sp.Vec, torque: sp.Vec) -> tuple[tuple[sp.Vec, Any], ...]:

@@ -1,0 +1,79 @@
+"""What varies about a mechanism and is no number of it, such as a temperature."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+
+from jaxclear.ground.arguments import check_number, expect
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.wording import described
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.studies.base import one_distribution
+from jaxclear.studies.distribution import AbstractDistribution
+from jaxclear.studies.variable import AbstractMechanismVariable
+
+__all__ = ["Condition"]
+
+
+class Condition(AbstractMechanismVariable):
+    """What varies and is no number of the mechanism itself, such as a temperature:
+    `acts(mechanism, value)` returns the mechanism as it is under the condition, all other variables
+    set before.
+
+    `nominal` and `unit` are the condition's own; `acts(mechanism, nominal)` is the mechanism as it
+    is studied at nominal. `distribution` or `tolerance` as of a `Variable`.
+    """
+
+    nominal: Scalar = quantity(unit="(its unit)", meaning="nominal value")
+    distribution: AbstractDistribution
+    acts: Callable[[Mechanism, Any], Mechanism] = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        acts: Callable[[Mechanism, Any], Mechanism],
+        nominal: Any,
+        distribution: AbstractDistribution | None = None,
+        *,
+        tolerance: float | None = None,
+        unit: str = "K",
+    ):
+        if not callable(acts):
+            raise ValueError(
+                f"acts of a Condition is {described(acts)}; it must be a function of a mechanism "
+                "and the condition's value that returns a mechanism."
+            )
+        if tolerance is not None:
+            check_number("tolerance of a Condition", tolerance, above=0)
+        expect(unit, str, "unit of a Condition", 'a text, such as "K"')
+        self.acts, self.nominal, self.unit = acts, nominal, unit
+        self.distribution = one_distribution("Condition", distribution, tolerance)
+
+    def leaves(self, mechanism):
+        return []
+
+    def nominal_in(self, mechanism):
+        return self.nominal
+
+    def unit_in(self, mechanism):
+        return self.unit
+
+    def put(self, mechanism, value):
+        return mechanism
+
+    def followed(self, mechanism, value):
+        return self.acts(mechanism, value)
+
+    def check(self, name, mechanism):
+        found = self.acts(mechanism, self.nominal)
+        expect(found, Mechanism, f'what condition "{name}" makes of the mechanism', "a mechanism")
+        if jax.tree.structure(found) != jax.tree.structure(mechanism):
+            raise ValueError(
+                f'condition "{name}" makes another mechanism (other parts, not other numbers); '
+                "change numbers only, as with equinox.tree_at."
+            )
+
+    def told(self, name, mechanism):
+        return {f'what "{name}" does': self.acts, f'nominal of "{name}"': self.nominal}

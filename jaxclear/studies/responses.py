@@ -1,0 +1,51 @@
+"""Which responses are wanted of a mechanism, by name, and what they may answer."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.wording import described
+from jaxclear.studies.base import is_one_number
+
+__all__ = ["by_name", "check_responses", "one_number"]
+
+
+def by_name(what: str, given: Any) -> dict[str, Any]:
+    """What varies or is wanted, by name; a response alone is called "response"."""
+    if what == "response" and not isinstance(given, Mapping):
+        return {what: given}
+    expect(given, Mapping, f"{what} of a Problem", "a dictionary from names")
+    if what == "response" and not given:
+        raise ValueError("response of a Problem is empty; it must hold at least one.")
+    for name in given:
+        expect(name, str, f"a name in {what} of a Problem", "a text")
+    return dict(given)
+
+
+def one_number(name: str, value: Any) -> Array:
+    """What a response answers, which studies take for one number."""
+    if not is_one_number(value):
+        hint = " It returns nothing: is a `return` missing?" if value is None else ""
+        raise ValueError(
+            f'response "{name}" gives {described(value)} for a run; it must be one number, such as '
+            f"a mean or the largest.{hint}"
+        )
+    return jnp.asarray(value, float)
+
+
+def check_responses(response: dict[str, Any], variables: dict[str, Any], of: str) -> None:
+    """Responses are functions `of` something, and share no name with a variable."""
+    for name, wanted in response.items():
+        if not callable(wanted) or isinstance(wanted, type):
+            hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
+            raise ValueError(
+                f'response "{name}" is {described(wanted)}; it must be a function of {of}, such as '
+                f"one of jaxclear.response{hint}."
+            )
+        if name in variables:
+            raise ValueError(
+                f'"{name}" names a variable and a response; give them different names.'
+            )
