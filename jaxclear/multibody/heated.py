@@ -5,13 +5,13 @@ $R_B' = R_B (1 + \alpha_B \Delta T)$, $R_J' = R_J (1 + \alpha_J \Delta T)$, $c' 
 Dimensions of a drawing hold at 20 °C (ISO 1:2022).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
 
-from jaxclear.components.body import GROUND, Body, Marker
+from jaxclear.components.body import GROUND, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_known, check_number, expect
@@ -54,14 +54,14 @@ def heated(mechanism: Mechanism, rise: Any, expansion: Any) -> Mechanism:
     for name, body in mechanism.bodies.items():
         if body.com is not None:
             com = tuple(growth[name] * x for x in body.com)
-            warm = eqx.tree_at(lambda m, n=name: _com(m.bodies[n]), warm, com)
+            warm = eqx.tree_at(_place("bodies", name, "com"), warm, com)
     for name in mechanism.topology.clearances:
         connection = mechanism.connections[name]
         factors = growth[connection.parent.body], growth[connection.child.body]
         joint: AbstractClearance = connection.joint.grown(*factors)
-        warm = eqx.tree_at(lambda m, n=name: m.connections[n].joint, warm, joint)
+        warm = eqx.tree_at(_place("connections", name, "joint"), warm, joint)
     return warm
 
 
-def _com(body: Body) -> Any:
-    return body.com
+def _place(part: str, name: str, field: str) -> Callable[[Mechanism], Any]:
+    return lambda mechanism: getattr(getattr(mechanism, part)[name], field)

@@ -81,7 +81,7 @@ def check_roundness(joint: Any) -> None:
             "jaxclear.clearance.Lobes; give a tuple of them, or None for a round bore."
         )
     clearance = concrete(joint.clearance)
-    sizes = [(own.number, concrete(own.cosine), concrete(own.sine)) for own in lobes]
+    sizes: list[Any] = [(own.number, concrete(own.cosine), concrete(own.sine)) for own in lobes]
     if clearance is None or any(None in size for size in sizes):
         return
     bent = sum((k * k - 1) * (a * a + b * b) ** 0.5 for k, a, b in sizes)
