@@ -127,7 +127,7 @@ TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
     ("sensitivity", "variable", lambda x: sensitivity(variables=x), {"name": "b", "number": 3}),
     ("sensitivity", "sample", lambda x: sensitivity(sample=x), KINDS["count"]),
     ("sensitivity", "difference", lambda x: sensitivity(difference_samples=x), KINDS["count"]),
-    ("sensitivity", "width", lambda x: sensitivity(width=x), POSITIVE),
+    ("sensitivity", "statistic", lambda x: sensitivity(of=x), {"text": "magic", "number": 3}),
     ("sensitivity", "method", lambda x: sensitivity(methods=x), PARTS | {"empty": ()}),
     ("sensitivity", "seed", lambda x: sensitivity(seed=x), KINDS["seed"]),
     ("advise", "advice", lambda x: jc.advise(x), PARTS),

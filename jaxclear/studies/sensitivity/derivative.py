@@ -1,7 +1,9 @@
 """A derivative as an answer: a value, its error, the method that gave it, and a verdict.
 
 At least two methods agree within their errors, or the verdict says that they do not. An error is
-half the width of a 95 % interval, in the derivative's own unit.
+half the width of a 95 % interval, in the derivative's own unit. Methods that agree are combined:
+each independent part of the sample is weighed by what the other parts tell of the methods'
+variances and covariances, so that weights and what they weigh are never of one sample.
 """
 
 from typing import Any, NamedTuple
@@ -10,12 +12,17 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.statistics.scrambled import student
 
 # An answer this many times less certain than another is large agrees with anything, and confirms
 # nothing.
 VAGUE = 3.0
 # Of a difference of numbers that are nearly the same, which no scatter of samples shows.
 ROUNDING = 1e-9
+# What is smaller than this share of another method's error is zero.
+ROUNDING = 1e-9
+# Weights from fewer scramblings are chance.
+FEWEST = 8
 # Methods agree on what is wrong as well, where more than this share of their runs is in doubt.
 FEW_WARNED = 0.05
 
@@ -25,7 +32,8 @@ class Estimate(NamedTuple):
     `refusal` says why a method has no answer (then value and error are nan). `doubt` says what its
     error leaves out: such an estimate stands only beside one without doubt that agrees with it.
     `warned` [1] is the share of its runs with warnings that concern the response, `warnings` what
-    they are."""
+    they are. `parts` are the contributions of its independent scramblings, whose mean is the value;
+    `bias` [the value's unit] is what the error holds besides their scatter."""
 
     value: float
     error: float
@@ -33,6 +41,17 @@ class Estimate(NamedTuple):
     doubt: str = ""
     warned: float = 0.0
     warnings: str = ""
+    parts: tuple[float, ...] = ()
+    bias: float = 0.0
+
+
+def from_parts(parts: np.ndarray, bias: float = 0.0) -> Estimate:
+    """The mean of contributions (scramblings,), with their Student interval and a bias."""
+    if len(parts) < 2 or not np.all(np.isfinite(parts)):
+        return refused("the sample has too few independent scramblings to tell an error.")
+    half = student(len(parts)) * parts.std(ddof=1) / np.sqrt(len(parts))
+    error = float(np.hypot(half, bias))
+    return Estimate(float(parts.mean()), error, parts=tuple(parts.tolist()), bias=float(bias))
 
 
 def refused(why: str) -> Estimate:
@@ -41,8 +60,8 @@ def refused(why: str) -> Estimate:
 
 
 class Derivative(eqx.Module):
-    """Derivative of the mean of a response over the tolerances with respect to one variable, with
-    its 95 % error.
+    """Derivative of a statistic of a response over the tolerances (by default its mean) with
+    respect to one variable or the width of its distribution, with its 95 % error.
 
     `value` and `error` are in [response/variable]; see `Sensitivity.unit`. `estimates` are the
     methods' own answers, `verdict` is a sentence that says whether they agree, and which of their
@@ -60,16 +79,20 @@ class Derivative(eqx.Module):
 
 
 class Sensitivity(eqx.Module):
-    """Derivatives by (response, variable), and the sample behind them."""
+    """Derivatives by (response, variable), and the sample behind them. Statistics other than means
+    and widths of distributions go by their own names, "standard deviation of force", "tolerance of
+    clearance"; `units` are theirs."""
 
     derivatives: dict[tuple[str, str], Derivative]
     sample: MonteCarlo
+    units: dict[str, str] = eqx.field(static=True, default_factory=dict)
 
     def unit(self, response: str, variable: str) -> str:
         """Unit of a derivative, "(response)/(variable)"."""
         problem = self.sample.problem
-        below = problem.variable_units[problem.names.index(variable)]
-        return f"({problem.units()[response]})/({below})"
+        known = dict(zip(problem.names, problem.variable_units, strict=True)) | self.units
+        above = self.units.get(response) or problem.units()[response]
+        return f"({above})/({known[variable]})"
 
     def table(self) -> Any:
         """A pandas table: one row a derivative, by response and variable; first the answer, then
@@ -118,6 +141,10 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
         partners = [other for other in order if other != name and _agree(best, estimates[other])]
         if partners:
             verdict = _agreement(best, name, partners, order)
+            joined = combined({own: estimates[own] for own in (name, *partners)})
+            if joined is not None:
+                names = " and ".join(n for n in (name, *partners) if estimates[n].parts)
+                return answer(joined.value, joined.error, names, verdict, trustworthy=True)
             return answer(best.value, best.error, name, verdict, trustworthy=True)
     if not order:
         return answer(np.nan, np.nan, "none", "No method has an answer.")
@@ -129,6 +156,33 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
     middle, spread = 0.5 * (max(values) + min(values)), 0.5 * (max(values) - min(values))
     spread += max(estimates[name].error for name in order)
     return answer(middle, spread, "spread of methods", "The methods disagree.")
+
+
+def combined(estimates: dict[str, Estimate]) -> Estimate | None:
+    """The estimates without doubt or bias in one, weighed so that their common variance is least;
+    None where fewer than two have parts, or they cannot be paired."""
+    sound = [e for e in estimates.values() if e.parts and not e.doubt and e.bias == 0.0]
+    if len(sound) < 2 or len({len(e.parts) for e in sound}) > 1 or len(sound[0].parts) < FEWEST:
+        return None
+    parts = np.array([e.parts for e in sound])
+    count = parts.shape[1]
+    joined = np.array([_weights(np.delete(parts, i, axis=1)) @ parts[:, i] for i in range(count)])
+    found = from_parts(joined)
+    # Weights that do not help are left out: another half's scatter may have misled them.
+    return found if found.error < min(e.error for e in sound) else None
+
+
+def _weights(parts: np.ndarray) -> np.ndarray:
+    """Weights (methods,) of the least variance, from contributions (methods, scramblings); none is
+    negative, because covariances of few parts are themselves uncertain."""
+    covariance = np.atleast_2d(np.cov(parts))
+    variances = np.diag(covariance)
+    if np.any(variances <= 0):
+        return (variances == variances.min()) / np.sum(variances == variances.min())
+    found = np.clip(np.linalg.pinv(covariance) @ np.ones(len(parts)), 0.0, None)
+    if found.sum() <= 0:
+        found = 1.0 / variances
+    return found / found.sum()
 
 
 def _without_unconfirmed(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
@@ -151,8 +205,9 @@ def _by_certainty(estimates: dict[str, Estimate]) -> list[str]:
     if not order:
         return []
     largest = VAGUE * (abs(answers[order[0]].value) + answers[order[0]].error)
-    # An exact zero makes no other answer vague.
-    return [name for name in order if largest == 0 or answers[name].error <= largest]
+    # A zero, but for rounding, makes no other answer vague.
+    least = ROUNDING * max(answers[name].error for name in order)
+    return [name for name in order if largest <= least or answers[name].error <= largest]
 
 
 def _agree(a: Estimate, b: Estimate) -> bool:

@@ -1,11 +1,10 @@
-"""Three ways to the derivative of a mean response, none of which is right everywhere.
+"""Ways to the derivative of a statistic by runs at other values, and by tangents of runs.
 
-`regression` reads the slope off a Monte Carlo sample (free, averages over the tolerances).
-`differences` runs the same samples with one variable moved up and down (common random numbers), at
-two widths, so that curvature shows as an error. `pathwise` carries the tangent through every step:
+`differences` runs the same samples with one variable moved up and down (common random numbers), by
+two steps, and extrapolates to none (Richardson). `pathwise` carries the tangent through every step:
 exact for the discrete run and cheap. Where contacts open and close that is not the derivative of
 the motion: it stands only where another method confirms it. Behind many impacts it grows without
-bound, and is refused.
+bound, and is refused. Beside them stands `regression`, which needs no runs of its own.
 """
 
 import equinox as eqx
@@ -17,103 +16,78 @@ from jaxtyping import Array, Float
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.monte_carlo import MonteCarlo
-from jaxclear.studies.sensitivity.derivative import Estimate, refused
+from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
+from jaxclear.studies.sensitivity.direction import Direction
+from jaxclear.studies.sensitivity.functional import Functional
+from jaxclear.studies.sensitivity.regression import pseudo_values
+from jaxclear.studies.statistics.scrambled import student
 from jaxclear.studies.warned import concern
 
-# A standard normal variable stays within this many deviations in 95 % of cases.
-CONFIDENCE = 1.96
 # From this many times the typical size of single derivatives on, the error of their mean shows that
 # a mean does not exist.
 REFUSAL_SPREAD = 30.0
-# Fewer differences have no error worth the name; a fit takes 4 samples a coefficient besides.
+# Fewer differences have no error worth the name.
 FEWEST = 8
-# A sample that a fit follows almost by itself (leverage near 1) is given this much freedom.
-LEAST_FREEDOM = 1e-3
-
-
-def regression(sample: MonteCarlo, response: str, variable: int) -> Estimate:
-    """Slope at nominal of a quadratic least-squares fit over the sample, with
-    heteroscedasticity-robust (HC3) errors.
-
-    The fit is linear in all variables and quadratic in the one asked for (its place among them), so
-    curvature does not leak into the slope.
-
-    Source: HC3: MacKinnon & White 1985, J. Econometrics 29, 305, doi:10.1016/0304-4076(85)90158-7.
-    """
-    runs = np.isin(np.arange(sample.count), sample.failed, invert=True)
-    good = np.flatnonzero(runs)
-    values = sample.values[good] - np.asarray(sample.problem.nominal())
-    scale = values.std(axis=0)
-    if len(good) < 4 * values.shape[1] + FEWEST:
-        return refused(
-            f"{len(good)} good samples are too few for a fit in {values.shape[1]} variables."
-        )
-    if scale[variable] == 0:
-        return refused("the variable does not vary in the sample.")
-    x = values / np.where(scale > 0, scale, 1.0)
-    design = np.column_stack([np.ones(len(x)), x, x[:, variable] ** 2])
-    target = sample.responses[response][good]
-    inverse = np.linalg.pinv(design.T @ design)
-    coefficients = inverse @ design.T @ target
-    leverage = np.einsum("ij,jk,ik->i", design, inverse, design)
-    residual = (target - design @ coefficients) / np.clip(1.0 - leverage, LEAST_FREEDOM, None)
-    covariance = inverse @ (design.T * residual**2) @ design @ inverse
-    deviation = np.sqrt(covariance[1 + variable, 1 + variable])
-    slope = coefficients[1 + variable]
-    slope, error = slope / scale[variable], CONFIDENCE * deviation / scale[variable]
-    told = concern(sample.problem, response, sample.checks, runs)
-    return Estimate(float(slope), float(error))._replace(warned=told[0], warnings=told[1])
+# Where the two steps differ by more than chance, what a third would still move the answer: the
+# extrapolation gains a factor of 4 a halving at least.
+REMAINDER = 0.25
 
 
 def differences(
     problem: AbstractProblem,
-    values: np.ndarray,
-    variable: int,
-    width: float,
+    sample: tuple[np.ndarray, np.ndarray],
+    direction: Direction,
+    wanted: list[Functional],
     *,
     progress_bar: bool = False,
 ) -> dict[str, Estimate]:
-    """Central differences over common random numbers, `values` (samples, variables), at `width` (in
-    the variable's unit) and half of it; their disagreement is the bias.
-    """
-    shifts = np.array([-1.0, -0.5, 0.5, 1.0]) * width
-    direction = np.eye(values.shape[1])[variable]
-    moved = np.concatenate([values + shift * direction for shift in shifts])
+    """Central differences over common random numbers, `sample`: values (samples, variables) and
+    their scramblings (samples,), by one step of the direction and half of it, extrapolated."""
+    values, group = sample
+    step = direction.step(problem)
+    if not problem.inputs.distributions[direction.variable].is_continuous() and direction.number:
+        why = "the variable comes in single sizes; its width has no meaning by itself."
+        return {one.label: refused(why) for one in wanted}
+    speed = direction.velocities(problem, values)
+    shifts = np.array([-1.0, -0.5, 0.5, 1.0]) * step
+    axis = np.eye(values.shape[1])[direction.variable]
+    moved = np.concatenate([values + shift * speed[:, None] * axis for shift in shifts])
     found = evaluate_all(
         problem, jnp.asarray(moved), progress_bar=progress_bar, label="differences"
     )
     good = np.all((found.outcome == Outcome.REACHED).reshape(4, -1), axis=0)
     runs = np.tile(good, 4)
-    estimates = {}
-    for name, flat in found.responses.items():
-        far_down, down, up, far_up = flat.reshape(4, -1)[:, good]
-        wide, narrow = (far_up - far_down) / (2 * width), (up - down) / width
-        if len(wide) < FEWEST:
-            estimates[name] = refused(
-                f"only {len(wide)} of {len(good)} samples ran at all four widths."
+    answers = {}
+    for one in wanted:
+        if good.sum() < FEWEST:
+            answers[one.label] = refused(
+                f"only {good.sum()} of {len(good)} samples ran at all four widths."
             )
             continue
-        gap = abs(wide.mean() - narrow.mean())
+        rows = np.asarray(found.responses[one.response]).reshape(4, -1)[:, good]
+
+        def slopes(kept, rows=rows, one=one):
+            far_down, down, up, far_up = (one.value(row[kept]) for row in rows)
+            wide, narrow = (far_up - far_down) / (2 * step), (up - down) / step
+            return np.array([wide, narrow, (4 * narrow - wide) / 3])
+
+        parts = pseudo_values(slopes, group[good]).reshape(-1, 3)
+        gap = parts[:, 2] - parts[:, 1]
+        half = student(len(gap)) * gap.std(ddof=1) / np.sqrt(len(gap)) if len(gap) > 1 else np.inf
         # A gap within its own noise is no sign of curvature.
-        bias = max(gap - _half_interval(wide - narrow), 0.0)
-        answer = Estimate(float(wide.mean()), float(np.hypot(_half_interval(wide), bias)))
-        share, words = concern(problem, name, found.checks, runs)
-        estimates[name] = answer._replace(warned=share, warnings=words)
-    return estimates
-
-
-def _half_interval(values: np.ndarray) -> float:
-    """95 % error of the mean of independent values."""
-    return float(CONFIDENCE * values.std(ddof=1) / np.sqrt(len(values)))
+        bias = REMAINDER * max(abs(gap.mean()) - half, 0.0)
+        told = concern(problem, one.response, found.checks, runs)
+        answer = from_parts(parts[:, 2], bias)
+        answers[one.label] = answer._replace(warned=told[0], warnings=told[1])
+    return answers
 
 
 @eqx.filter_jit
 def _tangents_of_chunk(
     problem: AbstractProblem, packed: Float[Array, "samples pairs"]
 ) -> SampleResult:
-    """Tangents of the responses along a direction: `packed` (samples, 2 variables) are values and
-    directions.
+    """Responses and their tangents along a direction, stacked: `packed` (samples, 2 variables) are
+    values and directions.
     """
     count = packed.shape[1] // 2
 
@@ -122,47 +96,62 @@ def _tangents_of_chunk(
             result = problem.evaluate(values, discrete_derivatives=True)
             return result.responses, (result.outcome, result.ended, result.checks)
 
-        _, tangents, rest = jax.jvp(responses, (row[:count],), (row[count:],), has_aux=True)
-        return SampleResult(tangents, *rest)
+        found, tangents, rest = jax.jvp(responses, (row[:count],), (row[count:],), has_aux=True)
+        both = {name: jnp.stack([found[name], tangents[name]]) for name in found}
+        return SampleResult(both, *rest)
 
     return jax.vmap(one)(packed)
 
 
 def pathwise(
-    problem: AbstractProblem, values: np.ndarray, variable: int, *, progress_bar: bool = False
+    problem: AbstractProblem,
+    sample: tuple[np.ndarray, np.ndarray],
+    direction: Direction,
+    wanted: list[Functional],
+    *,
+    progress_bar: bool = False,
 ) -> dict[str, Estimate]:
-    """Mean over the sample `values` (samples, variables) of the derivative of each run, with its
-    standard error; refused where it has no mean, in doubt where contacts open and close.
+    """Mean over the `sample`, values (samples, variables) and their scramblings (samples,), of the
+    derivative of each run; refused where it has no mean, in doubt where contacts open and close.
     """
-    why, doubt = problem.pathwise_limits()
-    if why:
-        return {name: refused(why) for name in problem.response_names}
-    direction = np.zeros_like(values)
-    direction[:, variable] = 1.0
-    packed = jnp.asarray(np.concatenate([values, direction], axis=1))
+    refusal, doubt = problem.pathwise_limits()
+    values, group = sample
+    if refusal:
+        return {one.label: refused(refusal) for one in wanted}
+    axes = np.zeros_like(values)
+    axes[:, direction.variable] = direction.velocities(problem, values)
+    packed = jnp.asarray(np.concatenate([values, axes], axis=1))
     found = evaluate_all(
         problem, packed, progress_bar=progress_bar, label="tangents", function=_tangents_of_chunk
     )
     good = np.asarray(found.outcome == Outcome.REACHED)
-    estimates = {}
-    for name, tangents in found.responses.items():
-        share, words = concern(problem, name, found.checks, good)
-        answer = _mean_tangent(np.asarray(tangents)[good])
-        estimates[name] = answer._replace(doubt=doubt, warned=share, warnings=words)
-    return estimates
+    answers = {}
+    for one in wanted:
+        share, words = concern(problem, one.response, found.checks, good)
+        responses, tangents = np.asarray(found.responses[one.response])[good].T
+        answer = _mean_tangent(one, responses, tangents, group[good])
+        answers[one.label] = answer._replace(doubt=doubt, warned=share, warnings=words)
+    return answers
 
 
-def _mean_tangent(tangents: np.ndarray) -> Estimate:
-    finite = tangents[np.isfinite(tangents)]
-    error = _half_interval(finite) if len(finite) > 1 else np.nan
-    if len(finite) < len(tangents) or not np.isfinite(error):
+def _mean_tangent(
+    one: Functional, responses: np.ndarray, tangents: np.ndarray, group: np.ndarray
+) -> Estimate:
+    finite = np.isfinite(tangents)
+    if finite.sum() < len(tangents) or len(tangents) < 2:
         return refused(
-            f"the tangent overflowed in {len(tangents) - len(finite)} of {len(tangents)} runs: it "
+            f"the tangent overflowed in {len(tangents) - finite.sum()} of {len(tangents)} runs: it "
             "grows without bound through impacts."
         )
-    if error > REFUSAL_SPREAD * np.median(abs(finite)):
+    if one.tangent(responses, tangents) is None:
+        return refused("tangents of runs do not tell how many parts pass a value.")
+    parts = pseudo_values(
+        lambda kept: float(np.mean(one.tangent(responses[kept], tangents[kept]))), group
+    )
+    answer = from_parts(parts)
+    if answer.error > REFUSAL_SPREAD * np.median(abs(tangents)):
         return refused(
-            f"single runs differ by up to {np.abs(finite).max():.1e}: the tangent grows without "
+            f"single runs differ by up to {np.abs(tangents).max():.1e}: the tangent grows without "
             "bound through impacts."
         )
-    return Estimate(float(finite.mean()), error)
+    return answer

@@ -1,23 +1,31 @@
-"""Derivatives of responses with respect to what varies: `jaxclear.sensitivity`.
+"""Derivatives of statistics of responses with respect to what varies: `jaxclear.sensitivity`.
 
-Each variable is differentiated by several methods (`methods`) on shared samples; their answers meet
-in one (`derivative`).
+Each direction is differentiated by several methods (`regression`, `methods`), each on a sample of
+its own, so that chance and bias of one are not those of another; their answers meet in one
+(`derivative`).
 """
 
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import check_count, check_known, check_number, expect
+from jaxclear.ground.arguments import check_count, check_known, expect
 from jaxclear.ground.wording import listed
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identity import first_difference
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
-from jaxclear.studies.sampling import draw
+from jaxclear.studies.sampling import draw, groups, usual_scramblings
 from jaxclear.studies.sensitivity.derivative import Sensitivity, confirmed
-from jaxclear.studies.sensitivity.methods import differences, pathwise, regression
+from jaxclear.studies.sensitivity.direction import directions
+from jaxclear.studies.sensitivity.functional import functionals
+from jaxclear.studies.sensitivity.methods import differences, pathwise
+from jaxclear.studies.sensitivity.regression import regressions, runs_at_ends
 
 METHODS = ("regression", "differences", "pathwise")
+# Independent parts of a sample of differences: as many as of the Monte Carlo sample.
+SCRAMBLINGS = 16
 
 
 @answering
@@ -27,50 +35,61 @@ def sensitivity(
     *,
     sample: MonteCarlo | int = 256,
     difference_samples: int = 128,
-    width: float | None = None,
+    of: Any = ("mean",),
     methods: Sequence[str] = ("regression", "differences"),
     seed: int = 0,
     progress_bar: bool = False,
 ) -> Sensitivity:
-    """Derivatives of the mean of every response with respect to `variables` (names; all by
-    default).
+    """Derivatives of the mean of every response, or of other statistics, with respect to
+    `variables`: names (all by default), and widths of distributions by theirs, "tolerance of
+    clearance", "standard deviation of length", "half width of slot".
 
-    `sample`: a Monte Carlo sample to read slopes from, or how many samples to draw for it. `width`:
-    how far `differences` moves a variable [its unit], by default one standard deviation of its
-    distribution: a response with kinks has another slope at every scale, and the one wanted is that
-    over the tolerance. `methods`: any of "regression", "differences", "pathwise" (fixed-step
+    `sample`: a Monte Carlo sample to read slopes from, or how many samples to draw for it. `of`:
+    any of "mean", "standard deviation", ("quantile", share [1]), ("above", limit), ("below",
+    limit), for every response, or {response: statistics}; limits in the response's unit, the share
+    of parts beyond one is a probability of failure. `methods`: any of "regression" (a polynomial,
+    corrected by the score function), "differences", "pathwise" (fixed-step
     integrators only; the cheapest where nothing opens and closes; through contacts it is shown only
     where another method agrees with it, and is never the answer).
     Raises `ValueError` with a sentence for a name that there is not, and for a sample of another
     problem.
     """
-    expect(problem, AbstractProblem, "what is differentiated", "a problem, as jaxclear.Problem")
-    _check(sample, difference_samples, width, methods, seed)
-    wanted = _wanted(problem, variables)
-    if isinstance(sample, MonteCarlo):
-        drawn = sample
+    expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
+    _check(sample, difference_samples, methods, seed)
+    wanted = directions(problem, _wanted(problem, variables))
+    asked = functionals(of, problem.response_names)
+    drawn = sample
+    if isinstance(drawn, MonteCarlo):
         _check_sample(problem, drawn)
     else:
-        drawn = monte_carlo(problem, sample, seed=seed, progress_bar=progress_bar)
-    shared = draw(problem, difference_samples, seed + 1)
-    derivatives = {}
-    for name in wanted:
-        place = problem.names.index(name)
+        drawn = monte_carlo(problem, drawn, seed=seed, progress_bar=progress_bar)
+    derivatives, ends = {}, {}
+    for direction in wanted:
         answers = {}
+        place = direction.variable
         if "regression" in methods:
-            answers["regression"] = {r: regression(drawn, r, place) for r in problem.response_names}
-        if "differences" in methods:
-            deviation = problem.variables[name].distribution.deviation()
-            step = float(deviation) if width is None else width
-            answers["differences"] = differences(
-                problem, shared, place, step, progress_bar=progress_bar
+            if place not in ends:
+                parts = len(np.unique(drawn.scrambling))
+                ends[place] = runs_at_ends(problem, place, parts, seed + 3, progress_bar)
+            answers["regression"] = regressions(drawn, direction, asked, ends[place])
+        for name, method, own in (("differences", differences, 1), ("pathwise", pathwise, 2)):
+            if name in methods:
+                shared = _shared(problem, difference_samples, seed + own)
+                answers[name] = method(problem, shared, direction, asked, progress_bar=progress_bar)
+        for one in asked:
+            estimates = {method: found[one.label] for method, found in answers.items()}
+            derivatives[one.label, direction.label] = confirmed(
+                one.label, direction.label, estimates
             )
-        if "pathwise" in methods:
-            answers["pathwise"] = pathwise(problem, shared, place, progress_bar=progress_bar)
-        for response in problem.response_names:
-            estimates = {method: found[response] for method, found in answers.items()}
-            derivatives[response, name] = confirmed(response, name, estimates)
-    return Sensitivity(derivatives, drawn)
+    units = {one.label: one.unit(problem.units()[one.response]) for one in asked}
+    units |= {d.label: problem.variable_units[d.variable] for d in wanted}
+    return Sensitivity(derivatives, drawn, units)
+
+
+def _shared(problem: AbstractProblem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A sample of a method's own: values (samples, variables) and scramblings (samples,)."""
+    parts = SCRAMBLINGS if samples >= 4 * SCRAMBLINGS else usual_scramblings(samples)
+    return draw(problem, samples, seed, scramblings=parts), groups(samples, parts)
 
 
 def _check_sample(problem: AbstractProblem, sample: MonteCarlo) -> None:
@@ -83,7 +102,7 @@ def _check_sample(problem: AbstractProblem, sample: MonteCarlo) -> None:
         )
 
 
-def _check(sample: Any, difference_samples: Any, width: Any, methods: Any, seed: Any) -> None:
+def _check(sample: Any, difference_samples: Any, methods: Any, seed: Any) -> None:
     """What a study of derivatives may be asked for."""
     expect(methods, (tuple, list), "methods of sensitivity", f"some of {listed(METHODS)}")
     if not methods:
@@ -96,16 +115,12 @@ def _check(sample: Any, difference_samples: Any, width: Any, methods: Any, seed:
         check_count("sample of sensitivity (a Monte Carlo study, or how many samples)", sample)
     check_count("difference_samples of sensitivity", difference_samples)
     check_count("seed of sensitivity", seed, at_least=0)
-    if width is not None:
-        check_number("width of sensitivity", width, above=0)
 
 
 def _wanted(problem: AbstractProblem, variables: str | Sequence[str] | None) -> list[str]:
-    """The names asked for. Raises `ValueError` for one that the problem does not have."""
+    """The names asked for."""
     if variables is None:
         return list(problem.names)
     wanted = [variables] if isinstance(variables, str) else variables
     expect(wanted, (list, tuple), "variables of sensitivity", "names of the problem's variables")
-    for name in wanted:
-        check_known("variable", name, problem.names, " in this problem")
     return list(wanted)

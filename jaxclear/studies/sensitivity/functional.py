@@ -1,0 +1,137 @@
+"""Which statistic of a response is differentiated: its mean, standard deviation, a quantile, or the
+share of parts beyond a limit.
+
+Each statistic has an influence function: its derivative is that of the mean of this function of the
+response. So what finds derivatives of means finds those of statistics.
+
+Source: influence functions: Hampel 1974, J. Am. Stat. Assoc. 69, 383,
+doi:10.1080/01621459.1974.10482962.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.wording import described
+
+# The slope of a quantile by the score of its share is taken over +- this many scores: wide enough
+# for some samples to lie within, narrow enough for the slope to be that of the middle.
+SCORES_ASIDE = 0.3
+WORDS = ("mean", "standard deviation")
+KINDS = ("quantile", "above", "below")
+
+
+class Functional(NamedTuple):
+    """A statistic of a response by kind: "mean", "standard deviation", "quantile" (of a share
+    `number` [1]), "above" or "below" (share [1] of parts beyond a limit `number`)."""
+
+    response: str
+    kind: str
+    number: float = np.nan
+
+    @property
+    def label(self) -> str:
+        """What it is called in a study's answers; a mean as its response."""
+        if self.kind == "mean":
+            return self.response
+        if self.kind == "quantile":
+            return f"{100 * self.number:g} % quantile of {self.response}"
+        if self.kind in KINDS:
+            sign = ">" if self.kind == "above" else "<"
+            return f"P({self.response} {sign} {self.number:g})"
+        return f"{self.kind} of {self.response}"
+
+    def unit(self, response_unit: str) -> str:
+        """Its unit, from that of the response."""
+        return "1" if self.kind in ("above", "below") else response_unit
+
+    def value(self, responses: np.ndarray) -> float:
+        """The statistic of a sample (samples,)."""
+        if self.kind == "mean":
+            return float(responses.mean())
+        if self.kind == "standard deviation":
+            return float(responses.std(ddof=1))
+        if self.kind == "quantile":
+            return float(np.quantile(responses, self.number))
+        return float(np.mean(self._beyond(responses)))
+
+    def place(self, sample: np.ndarray) -> float | None:
+        """The value at which parts are told apart; None where none is."""
+        if self.kind == "quantile":
+            return float(np.quantile(sample, self.number))
+        return self.number if self.kind in KINDS else None
+
+    def unknown(self, sample: np.ndarray) -> float:
+        """Half of the 95 % interval of the density that `influence` takes from a sample (samples,),
+        as a share of it [1]: of so many samples around the quantile."""
+        if self.kind != "quantile":
+            return 0.0
+        low, high = stats.norm.cdf(stats.norm.ppf(self.number) + np.array([-1, 1]) * SCORES_ASIDE)
+        return float(stats.norm.ppf(0.975) / np.sqrt(max(len(sample) * (high - low), 1.0)))
+
+    def influence(self, sample: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """The function of responses whose mean has the statistic's derivative, as a sample
+        (samples,) tells it."""
+        if self.kind == "mean":
+            return lambda y: y
+        if self.kind == "standard deviation":
+            mean, spread = sample.mean(), sample.std(ddof=1)
+            return lambda y: (y - mean) ** 2 / (2.0 * spread) if spread > 0 else 0.0 * y
+        if self.kind == "quantile":
+            score = stats.norm.ppf(self.number)
+            around = stats.norm.cdf([score - SCORES_ASIDE, score + SCORES_ASIDE])
+            low, high = np.quantile(sample, around)
+            density = 2 * SCORES_ASIDE * stats.norm.pdf(score) / max(high - low, 1e-300)
+            place = np.quantile(sample, self.number)
+            return lambda y: (y <= place) / -density
+        return lambda y: self._beyond(y).astype(float)
+
+    def tangent(self, responses: np.ndarray, tangents: np.ndarray) -> np.ndarray | None:
+        """Single runs' parts of the derivative, from their tangents; None where tangents do not
+        tell it."""
+        if self.kind == "mean":
+            return tangents
+        if self.kind == "standard deviation":
+            return (responses - responses.mean()) / responses.std(ddof=1) * tangents
+        return None
+
+    def _beyond(self, responses):
+        return responses > self.number if self.kind == "above" else responses < self.number
+
+
+def functionals(of: Any, responses: tuple[str, ...]) -> list[Functional]:
+    """What a user asks derivatives of: statistics for all responses, or {response: statistics}.
+    Raises `ValueError` with a sentence."""
+    if isinstance(of, Mapping):
+        for name in of:
+            check_known("response", name, responses, " in this problem")
+        return [_functional(name, one) for name, own in of.items() for one in _several(own)]
+    return [_functional(name, one) for name in responses for one in _several(of)]
+
+
+def _several(given: Any) -> list:
+    pair = isinstance(given, tuple) and len(given) == 2 and given[0] in KINDS
+    if isinstance(given, str) or pair:
+        return [given]
+    expect(given, (list, tuple), "of of sensitivity", 'statistics, such as ("mean",)')
+    if not given:
+        raise ValueError("of of sensitivity is empty; it must hold at least one statistic.")
+    return list(given)
+
+
+def _functional(response: str, given: Any) -> Functional:
+    if isinstance(given, str):
+        check_known("statistic of sensitivity", given, WORDS)
+        return Functional(response, given)
+    if not isinstance(given, (tuple, list)) or len(given) != 2 or given[0] not in KINDS:
+        raise ValueError(
+            f'a statistic of sensitivity is {described(given)}; it must be "mean", "standard '
+            'deviation", ("quantile", share), ("above", limit) or ("below", limit).'
+        )
+    kind, number = given
+    bounds = {"above": 0, "below": 1} if kind == "quantile" else {}
+    check_number(f'"{kind}" of sensitivity', number, **bounds)
+    return Functional(response, kind, float(number))

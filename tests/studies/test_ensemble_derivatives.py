@@ -1,0 +1,186 @@
+"""Derivatives of statistics, by nominal values and by widths of tolerances, against closed forms;
+their intervals hold, and what jumps or has no density is told.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import jaxclear as jc
+from jaxclear.studies.sensitivity.derivative import combined, confirmed, from_parts
+
+D = jc.distribution
+SLOPES, SPREADS = np.array([1.0, -0.8, 0.5]), np.array([0.1, 0.2, 0.15])
+SPREAD = float(np.sqrt(np.sum((SLOPES * SPREADS) ** 2)))
+LIMIT = 0.7 + 1.5 * SPREAD
+LINEAR = jc.FunctionProblem(
+    lambda x, y, z: x - 0.8 * y + 0.5 * z,
+    {n: jc.Dimension(1.0, D.Normal(float(s))) for n, s in zip("xyz", SPREADS, strict=True)},
+)
+OF = ("mean", "standard deviation", ("quantile", 0.95), ("above", LIMIT))
+LABELS = (
+    "response",
+    "standard deviation of response",
+    "95 % quantile of response",
+    f"P(response > {LIMIT:g})",
+)
+DENSITY = stats.norm.pdf(1.5)
+# Of the spread, by the width of x: a^2 s / spread.
+BY_WIDTH = float(SLOPES[0] ** 2 * SPREADS[0] / SPREAD)
+BY_NOMINAL = (1.0, 0.0, 1.0, DENSITY / SPREAD)
+BY_SPREAD = (0.0, 1.0, stats.norm.ppf(0.95), 1.5 * DENSITY / SPREAD)
+TRUTH = {(label, "x"): exact for label, exact in zip(LABELS, BY_NOMINAL, strict=True)} | {
+    (label, "standard deviation of x"): exact * BY_WIDTH
+    for label, exact in zip(LABELS, BY_SPREAD, strict=True)
+}
+REPEATED = 24
+
+
+@pytest.fixture(scope="module")
+def answers():
+    return [
+        jc.sensitivity(
+            LINEAR,
+            ["x", "standard deviation of x"],
+            of=OF,
+            methods=("regression",),
+            seed=10 * seed,
+        )
+        for seed in range(REPEATED)
+    ]
+
+
+@pytest.mark.parametrize("key", TRUTH, ids=str)
+def test_intervals_hold_the_closed_form(answers, key):
+    """95 %: of 24 fewer than 19 by chance once in 200 (the eight are of one sample)."""
+    found = [study.derivatives[key].estimates["regression"] for study in answers]
+    inside = [abs(e.value - TRUTH[key]) <= e.error + 1e-12 for e in found]
+    assert sum(inside) >= 19
+    # Intervals promise something: a tenth of the derivative of a share, at 256 runs.
+    assert np.median([e.error for e in found]) < 0.5 * abs(TRUTH[key]) + 0.03
+
+
+def test_derivatives_go_by_the_names_of_statistics_and_widths(answers):
+    study = answers[0]
+    assert set(study.derivatives) == set(TRUTH)
+    assert study.unit(LABELS[3], "standard deviation of x") == "(1)/(m)"
+    assert study.unit(LABELS[2], "x") == "(m)/(m)"
+    tolerance = jc.FunctionProblem(lambda x: x**2, {"x": jc.Dimension(1.0, tolerance=0.3)})
+    found = jc.sensitivity(tolerance, "tolerance of x", sample=64, difference_samples=64)
+    derivative = found.derivatives["response", "tolerance of x"]
+    # E x^2 = 1 + variance, which grows with the square of the tolerance.
+    exact = 2 * float(tolerance.inputs.deviations()[0]) ** 2 / 0.3
+    assert derivative.trustworthy and derivative.value == pytest.approx(exact, rel=2e-2)
+
+
+def kinked(x, y):
+    return {"kink": jnp.abs(x - 1.02) + jnp.sin(5 * y) * x, "steps": jnp.floor(8 * (x + y)) + x}
+
+
+KINKED = jc.FunctionProblem(
+    kinked, {"x": jc.Dimension(1.0, D.Uniform(0.3)), "y": jc.Dimension(0.3, tolerance=0.4)}
+)
+
+
+def means(x, y, half_width, points=1 << 16):
+    share = stats.qmc.Sobol(2, scramble=True, rng=1).random(points)
+    cut = np.asarray(KINKED.variables["y"].distribution.quantile(jnp.asarray(share[:, 1])))
+    found = kinked(x + half_width * (2 * share[:, 0] - 1), y + cut)
+    return {name: float(np.mean(r)) for name, r in found.items()}
+
+
+def test_what_jumps_is_differentiated_through_the_ends_of_its_distribution():
+    """All that a uniform distribution knows of a derivative is at its ends."""
+    step = 0.02
+    up, down = means(1.0 + step, 0.3, 0.3), means(1.0 - step, 0.3, 0.3)
+    wide, narrow = means(1.0, 0.3, 0.3 + step), means(1.0, 0.3, 0.3 - step)
+    found = jc.sensitivity(
+        KINKED, ["x", "half width of x"], methods=("regression", "differences", "pathwise")
+    )
+    for name in ("kink", "steps"):
+        for label, high, low in (("x", up, down), ("half width of x", wide, narrow)):
+            exact = (high[name] - low[name]) / (2 * step)
+            derivative = found.derivatives[name, label]
+            for method in ("regression", "differences"):
+                estimate = derivative.estimates[method]
+                assert abs(estimate.value - exact) < 1.5 * estimate.error + 0.02
+    # No run's tangent sees a jump: 1 where the mean moves by 9.
+    jumping = found.derivatives["steps", "x"]
+    assert jumping.estimates["pathwise"].value == pytest.approx(1.0)
+    assert "not by pathwise" in jumping.verdict and jumping.value > 8
+
+
+def test_single_sizes_have_differences_only():
+    shims = jc.FunctionProblem(
+        lambda shim, gap: gap - shim,
+        {
+            "shim": jc.Dimension(1.0, D.Discrete((-0.1, 0.1))),
+            "gap": jc.Dimension(2.0, D.Normal(0.1)),
+        },
+    )
+    found = jc.sensitivity(shims, sample=64, difference_samples=32)
+    shim, gap = (found.derivatives["response", n] for n in ("shim", "gap"))
+    assert "single sizes" in shim.estimates["regression"].refusal
+    assert shim.value == pytest.approx(-1.0) and "Unconfirmed" in shim.verdict
+    assert gap.trustworthy and gap.value == pytest.approx(1.0)
+
+
+def test_correlated_variables_move_one_by_one():
+    """The derivative by one nominal value, all spreads and their correlation as they are."""
+    both = jc.FunctionProblem(
+        lambda x, y: x * y,
+        {"x": jc.Dimension(1.0, D.Normal(0.1)), "y": jc.Dimension(3.0, D.Normal(0.2))},
+        correlation={("x", "y"): 0.9},
+    )
+    found = jc.sensitivity(both, of=("mean", "standard deviation"), difference_samples=64)
+    mean = found.derivatives["response", "x"]
+    assert mean.trustworthy and mean.value == pytest.approx(3.0, abs=1e-3)
+    cut = jc.FunctionProblem(
+        lambda x, y: x * y,
+        {"x": jc.Dimension(1.0, D.Uniform(0.1)), "y": jc.Dimension(3.0, D.Normal(0.2))},
+        correlation={("x", "y"): 0.9},
+    )
+    told = jc.sensitivity(cut, "x", sample=64, difference_samples=32).derivatives["response", "x"]
+    assert "correlated" in told.estimates["regression"].refusal
+
+
+def test_methods_that_agree_are_combined_with_the_least_variance():
+    rng = np.random.default_rng(0)
+    errors = {"one": [], "other": [], "both": []}
+    inside = 0
+    for _ in range(300):
+        estimates = {
+            "one": from_parts(1.0 + rng.normal(size=16)),
+            "other": from_parts(1.0 + 1.5 * rng.normal(size=16)),
+        }
+        joined = combined(estimates) or estimates["one"]
+        inside += abs(joined.value - 1.0) <= joined.error
+        for name, e in (estimates | {"both": joined}).items():
+            errors[name].append(e.value - 1.0)
+    rms = {name: np.sqrt(np.mean(np.square(e))) for name, e in errors.items()}
+    # 0.83 of the better one at best.
+    assert rms["both"] < 0.95 * rms["one"] and inside / 300 > 0.91
+    found = confirmed("r", "v", estimates)
+    assert found.method in ("one and other", "other and one", "one", "other")
+
+
+def test_a_biased_method_is_not_combined():
+    sure = from_parts(np.linspace(0.9, 1.1, 16))
+    biased = from_parts(np.linspace(0.9, 1.1, 16), bias=0.1)
+    assert combined({"a": sure, "b": biased}) is None and biased.error > 0.1
+
+
+@pytest.mark.parametrize(
+    ("of", "sentence"),
+    [
+        ("magic", 'no statistic of sensitivity "magic"'),
+        ([], "of of sensitivity is empty"),
+        ([("quantile", 1.5)], '"quantile" of sensitivity is 1.5'),
+        ([("beyond", 1.0)], '"above", limit'),
+        ({"force": "mean"}, 'no response "force"'),
+    ],
+)
+def test_mistakes_get_a_sentence(of, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        jc.sensitivity(LINEAR, of=of)
