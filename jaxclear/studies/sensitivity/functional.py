@@ -89,7 +89,7 @@ class Functional(NamedTuple):
             return lambda y: (y <= place) / -density
         return lambda y: self._beyond(y).astype(float)
 
-    def tangent(self, responses: np.ndarray, tangents: np.ndarray) -> np.ndarray | None:
+    def tangent(self, responses: np.ndarray, tangents: np.ndarray) -> Any:
         """Single runs' parts of the derivative, from their tangents; None where tangents do not
         tell it."""
         if self.kind == "mean":
@@ -132,6 +132,7 @@ def _functional(response: str, given: Any) -> Functional:
             'deviation", ("quantile", share), ("above", limit) or ("below", limit).'
         )
     kind, number = given
-    bounds = {"above": 0, "below": 1} if kind == "quantile" else {}
-    check_number(f'"{kind}" of sensitivity', number, **bounds)
+    if kind == "quantile":
+        check_number('"quantile" of sensitivity', number, above=0, below=1)
+    check_number(f'"{kind}" of sensitivity', number)
     return Functional(response, kind, float(number))

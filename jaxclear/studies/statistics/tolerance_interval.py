@@ -82,7 +82,7 @@ def free_interval(
     for place, at in ((rank - 1, rank / count), (count - rank, 1 - rank / count)):
         told = quantile(values, group, at)
         ends.append(Statistic(float(ordered[place]), told.low, told.high))
-    return _sided(*ends, content, confidence, side)
+    return _sided(ends[0], ends[1], content, confidence, side)
 
 
 def fewest(content: float, confidence: float, side: str) -> int:
