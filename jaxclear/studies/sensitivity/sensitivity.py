@@ -18,8 +18,8 @@ from jaxclear.studies.identity import first_difference
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
 from jaxclear.studies.sampling import draw, groups, usual_scramblings
 from jaxclear.studies.sensitivity.derivative import Sensitivity, confirmed
-from jaxclear.studies.sensitivity.direction import directions
-from jaxclear.studies.sensitivity.functional import functionals
+from jaxclear.studies.sensitivity.direction import Direction, directions
+from jaxclear.studies.sensitivity.functional import Functional, functionals
 from jaxclear.studies.sensitivity.methods import differences, pathwise
 from jaxclear.studies.sensitivity.regression import regressions, runs_at_ends
 
@@ -63,26 +63,34 @@ def sensitivity(
         _check_sample(problem, drawn)
     else:
         drawn = monte_carlo(problem, drawn, seed=seed, progress_bar=progress_bar)
-    derivatives, ends = {}, {}
+    bar = {"progress_bar": progress_bar}
+    ends, found = {}, {}
     for direction in wanted:
-        answers = {}
+        answers = found[direction] = {}
         place = direction.variable
         if "regression" in methods:
             if place not in ends:
                 parts = len(np.unique(drawn.scrambling))
-                ends[place] = runs_at_ends(problem, place, parts, seed + 3, progress_bar)
+                ends[place] = runs_at_ends(problem, place, parts, seed + 3, **bar)
             answers["regression"] = regressions(drawn, direction, asked, ends[place])
         for name, method, own in (("differences", differences, 1), ("pathwise", pathwise, 2)):
             if name in methods:
                 shared = _shared(problem, difference_samples, seed + own)
-                answers[name] = method(problem, shared, direction, asked, progress_bar=progress_bar)
+                answers[name] = method(problem, shared, direction, asked, **bar)
+    return _met(found, asked, drawn)
+
+
+def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarlo) -> Sensitivity:
+    """One answer from the methods' answers, for each direction and statistic."""
+    derivatives = {}
+    for direction, answers in found.items():
         for one in asked:
-            estimates = {method: found[one.label] for method, found in answers.items()}
-            derivatives[one.label, direction.label] = confirmed(
-                one.label, direction.label, estimates
-            )
+            estimates = {method: own[one.label] for method, own in answers.items()}
+            key = one.label, direction.label
+            derivatives[key] = confirmed(*key, estimates)
+    problem = drawn.problem
     units = {one.label: one.unit(problem.units()[one.response]) for one in asked}
-    units |= {d.label: problem.variable_units[d.variable] for d in wanted}
+    units |= {d.label: problem.variable_units[d.variable] for d in found}
     return Sensitivity(derivatives, drawn, units)
 
 
