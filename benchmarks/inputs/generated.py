@@ -141,6 +141,7 @@ ALLOWED |= {("PointingAngle", "tip", "text"), ("PointingAngle", "through", "text
 # Made by the package alone, from what it has checked: reports, states and problems of a step.
 INNER = {"Trajectory", "Solution", "Iterate", "JointFriction", "FrictionContact", "LCP", "Advance"}
 INNER |= {"HorizontalLCP", "Interval", "GroupTerm", "PermanentRevolute", "PermanentPrismatic"}
+INNER |= {"PermanentSpherical"}
 INNER |= {"SimulationError", "Outcome", "MarkerMotion", "Action", "Effect", "ContactCandidate"}
 INNER |= {"ContactLaws", "CarriedContact", "CarryingEnd", "Scalar", "Check", "Checks", "Figure"}
 # Written out in `functions`, since their arguments are no fields.

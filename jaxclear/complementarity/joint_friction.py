@@ -3,14 +3,15 @@ r"""Coulomb friction in joints that always touch, as a problem: bounds that foll
 The sliding speeds s [m/s] at the end of a step are linear in the friction T [N] of the joints, s =
 W T + s_0. Joint k rubs with T_k in [-a_k N_k, b_k N_k] and holds there: s_k > 0 needs T_k at the
 lower end, s_k < 0 at the upper one, between them s_k = 0. N_k, the sum of the sizes of the forces
-that the joint carries, moves with T. Where these forces have known directions (a guide) this is a
+that the joint carries, moves with T. A ball's T_k has three components, across the force that it
+carries, within a disc of that radius. Where these forces have known directions (a guide) this is a
 horizontal LCP; a journal's turn with T, and the problem is a quasi-variational inequality. Source:
 Pfeiffer & Glocker 1996, doi:10.1002/9783527618385, chapter 5 (bounds that reactions move); sweeps
 with the bounds of the last ones: Jourdan, Alart & Jean 1998, doi:10.1016/S0045-7825(97)00137-0.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,10 +28,25 @@ from jaxclear.ground.quantity import Scalar, quantity
 __all__ = ["BoxedGaussSeidel", "JointFriction"]
 
 
+class Caught(NamedTuple):
+    """A ball whose friction holds it up to this `share` [1] of what it carries."""
+
+    share: Any
+
+
+class Opposed(NamedTuple):
+    """A ball whose friction opposes the sliding velocity `slip` [m/s]: its `share` [1] of what it
+    carries, by the size of the slip across that force."""
+
+    slip: tuple
+    share: Callable
+
+
 class JointFriction(AbstractProblem):
     """z = T, w = s = W T + s_0: `delassus` rows of W [m/s per N], `free_velocity` s_0 [m/s].
 
-    `ratios`: (a_k, b_k) of each joint [1], `None` for one without friction. `carried(k, T, ratio)`:
+    `ratios`: (a_k, b_k) of each joint [1], `None` for one without friction, `Caught` or `Opposed`
+    of a ball. `carried(k, T, ratio)`:
     the forces that joint k carries at friction T, vectors [N], where `ratio` [1] is T_k over the
     sum of their sizes as last known. `softest` [m/s per N]: a diagonal entry of W below this is
     rounding: a drive moves that joint whatever friction does.
@@ -41,26 +57,88 @@ class JointFriction(AbstractProblem):
     ratios: tuple[tuple[Any, Any] | None, ...]
     carried: Callable[[int, Array, Any], Sequence[sp.Vec]]
     softest: Any
+    places: tuple[slice, ...] | None = None
+
+    def place(self, k: int) -> slice:
+        """Where joint k's friction lies in z: one component, of a ball three."""
+        return slice(k, k + 1) if self.places is None else self.places[k]
+
+    def components(self) -> int:
+        """How many components z has."""
+        return self.place(len(self.ratios) - 1).stop if self.ratios else 0
 
     def load(self, k: int, friction: Float[Array, " k"], ratio: Any) -> Any:
         """N_k [N], of which friction is a share."""
         return sp.total(sp.norm(force) for force in self.carried(k, friction, ratio))
 
-    def slip(self, k: int, friction: Float[Array, " k"]) -> Any:
-        """s_k [m/s]."""
-        return self.free_velocity[k] + sp.dot(self.delassus[k], friction)
+    def slip(self, i: int, friction: Float[Array, " k"]) -> Any:
+        """Component i of s [m/s]."""
+        return self.free_velocity[i] + sp.dot(self.delassus[i], friction)
+
+    def shares(self, k: int, friction: Float[Array, " k"], load: Any) -> Any:
+        """Friction of joint k over its load."""
+        place = self.place(k)
+        own = [safe_divide(friction[i], load) for i in range(place.start, place.stop)]
+        return own[0] if len(own) == 1 else tuple(own)
+
+    def improved(
+        self, k: int, friction: Float[Array, " k"], load: Any, relaxation: Any
+    ) -> tuple[list, Any]:
+        """(components of T_k as the others' friction asks for them, the bound of their size)."""
+        rule, place = self.ratios[k], self.place(k)
+        if isinstance(rule, (Caught, Opposed)):
+            return self._on_ball(k, friction, rule)
+        low, high = (share * load for share in rule)
+        i = place.start
+        stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
+        wanted = friction[i] - self.slip(i, friction) / stiff
+        return [_within(wanted, low, high, relaxation)], jnp.maximum(low, high)
+
+    def _on_ball(self, k: int, friction: Float[Array, " k"], rule: Any) -> tuple[list, Any]:
+        """A ball that would stick with friction inside the disc sticks; one that would not is moved
+        against its slip onto the disc's edge."""
+        (force,) = self.carried(k, friction, (0.0,) * 3)
+        size = sp.norm(force)
+        frame = _across(tuple(safe_divide(x, size) for x in force))
+        if isinstance(rule, Opposed):
+            slip = [sp.dot(axis, rule.slip) for axis in frame]
+            speed = sp.norm(slip)
+            bound = rule.share(speed) * size
+            found = [-bound * safe_divide(x, speed) for x in slip]
+        else:
+            bound = rule.share * size
+            found = self._caught(k, friction, frame, bound)
+        return [sp.dot(found, column) for column in zip(*frame, strict=True)], bound
+
+    def _caught(self, k: int, friction: Float[Array, " k"], frame: tuple, bound: Any) -> list:
+        own = range(self.place(k).start, self.place(k).stop)
+        block = [[self.delassus[i][j] for j in own] for i in own]
+        pulled = [[sp.dot(row, axis) for row in block] for axis in frame]
+        (a, b), (c, d) = ([sp.dot(axis, column) for column in pulled] for axis in frame)
+        softest = self.softest[own[0]]
+        a, d = jnp.maximum(a, softest), jnp.maximum(d, softest)
+        slips = [self.slip(i, friction) for i in own]
+        s = [sp.dot(axis, slips) for axis in frame]
+        now = [sp.dot(axis, [friction[i] for i in own]) for axis in frame]
+        det = a * d - b * c
+        sticks = [now[0] - (d * s[0] - b * s[1]) / det, now[1] - (a * s[1] - c * s[0]) / det]
+        slides = [x - y / (a + d) for x, y in zip(now, s, strict=True)]
+        longest = sp.norm(slides)
+        shrunk = jnp.where(longest > bound, safe_divide(bound, longest), 1.0)
+        inside = sp.norm(sticks) <= bound
+        return [jnp.where(inside, x, shrunk * y) for x, y in zip(sticks, slides, strict=True)]
 
     def residual(self, z, w):
         """Largest entry of the natural map of the boxes, T - proj(T - s / W_kk) [N]."""
-        total = jnp.zeros_like(z)
+        total = jnp.zeros(len(self.ratios))
         for _ in range(2):  # the second with the shares of friction that the first finds
-            loads = [self.load(k, z, safe_divide(z[k], total[k])) for k in range(len(self.ratios))]
+            loads = [self.load(k, z, self.shares(k, z, total[k])) for k in range(len(self.ratios))]
             total = sp.stack(loads)
         left = [jnp.zeros(())]
         for k, pair in enumerate(self.ratios):
             if pair is not None:
-                wanted = z[k] - w[k] / jnp.maximum(self.delassus[k][k], self.softest[k])
-                left.append(z[k] - jnp.clip(wanted, -pair[0] * total[k], pair[1] * total[k]))
+                found, _ = self.improved(k, z, total[k], None)
+                left += [z[self.place(k).start + i] - x for i, x in enumerate(found)]
         return jnp.max(jnp.abs(jnp.stack(left)))
 
 
@@ -85,14 +163,14 @@ class BoxedGaussSeidel(AbstractSolver):
     def solve(self, problem: JointFriction) -> Solution:
         check_double_precision()
         found = self.iterate(problem)
-        slips = sp.stack([problem.slip(k, found.z) for k in range(len(problem.ratios))])
+        slips = sp.stack([problem.slip(i, found.z) for i in range(problem.components())])
         solved = jnp.where(found.residual <= self.tolerance, Outcome.SOLVED, Outcome.LIMIT)
         outcome = jnp.where(jnp.isfinite(found.residual), solved, Outcome.NOT_FINITE)
         return Solution(found.z, slips, problem.residual(found.z, slips), outcome, found.sweeps)
 
     def iterate(self, problem: JointFriction) -> Iterate:
         """Friction, its last change relative to the largest bound, and sweeps taken."""
-        start = jnp.zeros(len(problem.ratios))
+        start, loads = jnp.zeros(problem.components()), jnp.zeros(len(problem.ratios))
         if all(pair is None for pair in problem.ratios):
             return Iterate(start, jnp.zeros(()), jnp.zeros((), int))
 
@@ -105,7 +183,7 @@ class BoxedGaussSeidel(AbstractSolver):
             change = jnp.max(jnp.abs(friction - before)) / jnp.where(largest > 0, largest, 1.0)
             return friction, total, change, sweeps + 1
 
-        first = (start, start, jnp.asarray(jnp.inf), jnp.zeros((), int))
+        first = (start, loads, jnp.asarray(jnp.inf), jnp.zeros((), int))
         friction, _, change, sweeps = jax.lax.while_loop(unfinished, improve, first)
         return Iterate(friction, change, sweeps)
 
@@ -115,13 +193,12 @@ class BoxedGaussSeidel(AbstractSolver):
         for k, pair in enumerate(problem.ratios):
             if pair is None:
                 continue
-            load = problem.load(k, friction, safe_divide(friction[k], total[k]))
+            load = problem.load(k, friction, problem.shares(k, friction, total[k]))
             total = total.at[k].set(load)
-            low, high = (share * load for share in pair)
-            stiff = jnp.maximum(problem.delassus[k][k], problem.softest[k])
-            wanted = friction[k] - problem.slip(k, friction) / stiff
-            friction = friction.at[k].set(_within(wanted, low, high, self.relaxation))
-            largest = jnp.maximum(largest, jnp.maximum(low, high))
+            found, bound = problem.improved(k, friction, load, self.relaxation)
+            for i, x in enumerate(found):
+                friction = friction.at[problem.place(k).start + i].set(x)
+            largest = jnp.maximum(largest, bound)
         return friction, total, largest
 
 
@@ -132,3 +209,13 @@ def _within(x, low, high, relaxation):
     width = relaxation * 0.5 * (low + high)
     root = lambda y: safe_sqrt(y * y + width * width)
     return 0.5 * (root(x + low) - root(x - high) + high - low)
+
+
+def _across(direction: tuple) -> tuple[tuple, tuple]:
+    """Two axes across a unit vector, and at right angles to each other (Duff et al. 2017, J.
+    Comput. Graph. Tech. 6, 1)."""
+    x, y, z = direction
+    sign = jnp.where(z < 0, -1.0, 1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return (1.0 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)

@@ -15,7 +15,8 @@ from jaxclear.formulations.permanent_reactions import (
     Answer,
     PermanentJoint,
     friction_response,
-    slip_of,
+    placed,
+    speeds_of,
     touching,
     with_friction,
 )
@@ -36,7 +37,7 @@ LOOSE = 1e-6
 
 class Rubbing(NamedTuple):
     """What acts with the friction of the joints, the accelerations, the reactions, friction [N] and
-    sliding speed [m/s] of each joint that touches all the time."""
+    sliding speed [m/s] of each joint that touches all the time, of a ball three components."""
 
     forces: Forces
     solution: Solution
@@ -50,14 +51,14 @@ def rubbing(model: Model, forces: Forces, q: tuple, v: list) -> Rubbing:
     It is no number where friction and reactions drive each other up without end (self-locking)."""
     system = model.system
     held = touching(system)
-    slips = [slip_of(system, forces.motions, one, v).at(v) for one in held]
+    slips = [speeds_of(system, forces.motions, one, v) for one in held]
     response = friction_response(model, forces, q)
     problem = regularised_friction(held, slips, response)
     friction, left, _ = SETTINGS.solver().iterate(problem)
     friction = jnp.where(left > LOOSE, jnp.nan, friction)
     answer = response.at(friction)
     solution = link_accelerations(system, answer.accelerations, answer.multipliers)
-    speeds = [one.joint.arm * slip for one, slip in zip(held, slips, strict=True)]
+    speeds = [one.joint.arm * x for one, own in zip(held, slips, strict=True) for x in own]
     return Rubbing(with_friction(system, forces, friction), solution, answer, friction, speeds)
 
 
@@ -78,16 +79,21 @@ def friction_losses(held: tuple[PermanentJoint, ...], friction: Any, slips: list
     """(power [W] lost to friction [N] in joints that slide at these speeds [m/s], the part of it
     that drives give)."""
     powers = [sp.neg(sp.mul(friction[k], slip)) for k, slip in enumerate(slips)]
-    driven = [power for one, power in zip(held, powers, strict=True) if one.driven]
+    places = zip(held, placed(held), strict=True)
+    driven = [powers[place.start] for one, place in places if one.driven]
     return sp.total(powers), sp.total(driven)
 
 
 def contact(instant: Instant, forces: Forces, name: str) -> ContactReport:
     """How an ideal joint rubs at an instant, under the `forces` without its friction."""
     found = rubbing(instant.model, forces, instant.q, instant.speeds)
-    for k, held in enumerate(touching(instant.model.system)):
+    joints = touching(instant.model.system)
+    places = placed(joints)
+    for k, held in enumerate(joints):
         if held.name == name:
-            return report(instant, held, found.answer.reactions[k], found.friction[k])
+            return report(
+                instant, held, found.answer.reactions[k], tuple(found.friction[places[k]])
+            )
     raise KeyError(name)
 
 

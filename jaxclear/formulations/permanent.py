@@ -27,7 +27,8 @@ from jaxclear.formulations.permanent_reactions import (
     Answer,
     Reaction,
     friction_response,
-    slip_of,
+    placed,
+    slips_of,
     touching,
     with_friction,
 )
@@ -42,8 +43,9 @@ from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.state import unpack_angles, unpack_motion
 from jaxclear.multibody.system import System, prepare
 
-# Components of the impulse of a joint that always touches: force and torque on the child, friction.
-COMPONENTS = 7
+# Components of the reaction of a joint that always touches: force and torque on the child. Behind
+# them its impulse has those of its friction.
+REACTION = 6
 
 
 class PermanentContact(AbstractFormulation):
@@ -59,20 +61,21 @@ class PermanentContact(AbstractFormulation):
         return fit(mechanism)
 
     def impulses(self, system):
-        return tuple((held.name, COMPONENTS) for held in touching(system))
+        return tuple((held.name, REACTION + held.joint.components) for held in touching(system))
 
     def contact_joints(self, mechanism):
         return tuple(held.name for held in touching(prepare(mechanism)))
 
     def forces(self, instant):
-        friction = instant.means[COMPONENTS - 1 :: COMPONENTS]
+        held = touching(instant.model.system)
+        friction = [x for one in held for x in instant.means_of(one.name)[REACTION:]]
         return with_friction(instant.model.system, instant.forces({}), friction)
 
     def contact(self, instant, name):
         (held,) = (one for one in touching(instant.model.system) if one.name == name)
         means = [jnp.asarray(x) for x in instant.means_of(name)]
-        reaction, friction = Reaction(tuple(means[:3]), tuple(means[3:6])), means[6]
-        return report(instant, held, reaction, friction)
+        reaction = Reaction(tuple(means[:3]), tuple(means[3:REACTION]))
+        return report(instant, held, reaction, tuple(means[REACTION:]))
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:
         """What the first step is handed: no accelerations."""
@@ -100,29 +103,33 @@ class PermanentContact(AbstractFormulation):
         angles = unpack_angles(layout, entries)
         forces = applied_forces(system, motions, {}, *motion, time_step.middle, angles)
         held = touching(system)
-        slips = [slip_of(system, motions, one, middle) for one in held]
+        places = placed(held)
+        slips = [slips_of(system, motions, one, middle) for one in held]
         response = friction_response(model, forces, motion[0])
         if settings.regularised:
-            speeds = [slip.at(middle) for slip in slips]
+            speeds = [[slip.at(middle) for slip in own] for own in slips]
             problem = regularised_friction(held, speeds, response)
         else:
             mass = sp.total(link.mass for link in system.links)
-            joints = [one.joint for one in held]
-            problem = set_valued_friction(joints, slips, v, h, mass, response)
+            problem = set_valued_friction(held, slips, v, h, mass, response)
         friction, left, _ = settings.solver().iterate(problem)
         found = response.at(friction)
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
-        sliding = [s.at(mean) * one.joint.arm for s, one in zip(slips, held, strict=True)]
+        sliding = [
+            one.joint.arm * slip.at(mean)
+            for one, own in zip(held, slips, strict=True)
+            for slip in own
+        ]
         worn = wear_rates(model, motions, motion[0], found, friction, sliding)
         gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
         gained += [
             h * x
             for k, reaction in enumerate(found.reactions)
-            for x in (*reaction.force, *reaction.torque, friction[k])
+            for x in (*reaction.force, *reaction.torque, *friction[places[k]])
         ]
         if layout.energies:
-            rates = _powers(model, forces, found, friction, [slip.at(mean) for slip in slips])
+            rates = _powers(model, forces, found, friction, sliding)
             gained += [h * rate for rate in rates]
         end = [*displace(system, q, mean, h), *after]
         end += [x + g for x, g in zip(entries[len(end) :], gained, strict=True)]
@@ -139,14 +146,12 @@ def displace(system: System, q: list, speeds: list, h: Any) -> list:
     return out
 
 
-def _powers(model: Model, forces: Forces, found: Answer, friction: Any, speeds: list) -> list:
-    """Powers of the energy balance; friction's at the mean `speeds` of the joints."""
+def _powers(model: Model, forces: Forces, found: Answer, friction: Any, slips: list) -> list:
+    """Powers of the energy balance; friction's at the sliding speeds `slips` [m/s]."""
     solution = link_accelerations(model.system, found.accelerations, found.multipliers)
     acting = with_friction(model.system, forces, friction)
     rates = energy.powers(model.system, acting, solution)
-    held = touching(model.system)
-    slips = [one.joint.arm * speed for one, speed in zip(held, speeds, strict=True)]
-    lost, driven = friction_losses(held, friction, slips)
+    lost, driven = friction_losses(touching(model.system), friction, slips)
     places = model.layout.energies.index
     rates[places("friction_loss")] = lost
     rates[places("input")] = sp.add(rates[places("input")], driven)

@@ -2,8 +2,8 @@
 contact."""
 
 from jaxclear.components.body import Connection
-from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
-from jaxclear.components.joint import AbstractJoint
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
 from jaxclear.multibody.mechanism import Mechanism
 
 
@@ -39,10 +39,10 @@ def permanent_joint(name: str, joint: AbstractClearance) -> AbstractJoint:
         form = joint.permanent_form()
     except ValueError as error:
         raise ValueError(f'joint "{name}" {error}') from None
-    if joint.maps() and not isinstance(form, AbstractPermanentJoint):
+    if joint.maps() and not isinstance(form, AbstractRubbingJoint):
         raise ValueError(
-            f'joint "{name}" is a {type(joint).__name__} that wears, which integrator.NonColliding '
-            "follows in journals only; leave its wear out, or take a compliant integrator such as "
-            "ImplicitStep."
+            f'joint "{name}" is a {type(joint).__name__} that wears, whose form in permanent '
+            f"contact, {type(form).__name__}, tells of no wear; leave its wear out, or take a "
+            "compliant integrator such as ImplicitStep."
         )
     return form

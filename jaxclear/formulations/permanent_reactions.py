@@ -15,6 +15,7 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.formulations.contact_rows import ContactJacobianRow
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.pose import FLIP, Pose
 from jaxclear.multibody import constraints, dynamics, kinematics
 from jaxclear.multibody.forces import Forces, add_action_and_reaction
@@ -60,44 +61,104 @@ def touching(system: System) -> tuple[PermanentJoint, ...]:
     return tuple(held for held in found if isinstance(held.joint, AbstractRubbingJoint))
 
 
-def speed_of(system: System, motions: tuple, held: PermanentJoint, speeds: list) -> Any:
-    """Speed of a joint, at the mechanism's `speeds`."""
+def placed(held: tuple[PermanentJoint, ...]) -> tuple[slice, ...]:
+    """Where the friction and the sliding speeds of each joint lie among those of all."""
+    out, start = [], 0
+    for one in held:
+        out.append(slice(start, start + one.joint.components))
+        start += one.joint.components
+    return tuple(out)
+
+
+def own_part(values: Any, place: slice) -> Any:
+    """A joint's own among the values of all: one number, of a ball three."""
+    if place.stop - place.start == 1:
+        return values[place.start]
+    return tuple(values[i] for i in range(place.start, place.stop))
+
+
+def slid(joint: AbstractRubbingJoint, slip: Any, place: sp.Vec) -> Any:
+    """Sliding speed [m/s] at a contact; of a ball that across its normal, towards the `place`."""
+    if joint.components == 1:
+        return jnp.abs(slip)
+    size = sp.norm(place)
+    normal = tuple(safe_divide(x, size) for x in place)
+    return sp.norm(sp.minus(slip, sp.scale(sp.dot(slip, normal), normal)))
+
+
+def speeds_of(system: System, motions: tuple, held: PermanentJoint, speeds: list) -> tuple:
+    """Speed of a joint, of a ball its angular velocity in the parent marker's axes, at the
+    mechanism's `speeds`."""
     if held.driven:
         twist = kinematics.joint_twist(system, motions, held.link)
         (column,) = held.joint.columns(held.joint.home)
-        return sp.add(sp.dot(column.linear, twist.linear), sp.dot(column.angular, twist.angular))
+        return (sp.add(sp.dot(column.linear, twist.linear), sp.dot(column.angular, twist.angular)),)
     if held.loop is None:
-        return speeds[system.topology.branches[held.link].speeds.start]
+        own = tuple(speeds[system.topology.branches[held.link].speeds])
+        return own if len(own) == 1 else sp.apply(_turn(system, motions, held), own)
     relative = kinematics.relative_motion(system.closures[held.loop], motions)[2]
-    return held.joint.speeds_at(*relative)[0]
+    return _rates(held, relative.pose, relative.velocity, relative.spin)
 
 
-def slip_of(system: System, motions: tuple, held: PermanentJoint, speeds: list) -> Slip:
-    """How a joint's speed follows from the mechanism's `speeds`, at which the motions are taken."""
+def _rates(held: PermanentJoint, pose: Any, velocity: sp.Vec, spin: sp.Vec) -> tuple:
+    return held.joint.speeds_at(pose, velocity, spin) if held.joint.components == 1 else spin
+
+
+def _turn(system: System, motions: tuple, held: PermanentJoint) -> sp.Mat:
+    """From the speeds of a ball of the tree to its angular velocity in the parent marker's axes."""
+    if system.topology.branches[held.link].reversed:
+        return tuple(tuple(sp.neg(x) for x in row) for row in sp.IDENTITY)
+    return joint_pose(system, motions, held).rotation
+
+
+def joint_pose(system: System, motions: tuple, held: PermanentJoint) -> Pose:
+    """Pose of the outer marker of a joint of the tree in the inner one."""
+    return system.links[held.link].base.inverse().after(motions[held.link].relative)
+
+
+def slips_of(
+    system: System, motions: tuple, held: PermanentJoint, speeds: list
+) -> tuple[Slip, ...]:
+    """How a joint's speeds follow from the mechanism's `speeds`, at which the motions are taken."""
+    now = speeds_of(system, motions, held, speeds)
     if held.driven:
-        return Slip({}, speed_of(system, motions, held, speeds))
+        return (Slip({}, now[0]),)
     if held.loop is None:
-        return Slip({system.topology.branches[held.link].speeds.start: 1}, 0)
+        start = system.topology.branches[held.link].speeds.start
+        if len(now) == 1:
+            return (Slip({start: 1}, 0),)
+        rows = _turn(system, motions, held)
+        kept = [{start + j: x for j, x in enumerate(r) if not sp.is_zero(x)} for r in rows]
+        return tuple(Slip(row, 0) for row in kept)
     closure = system.closures[held.loop]
     pose = kinematics.relative_motion(closure, motions)[1]
-    (row,) = kinematics.relative_jacobian(system, motions, closure, pose, held.joint.speeds_at)
-    return Slip(row, sp.sub(speed_of(system, motions, held, speeds), along(row, speeds)))
+    rows = kinematics.relative_jacobian(
+        system, motions, closure, pose, lambda *velocity: _rates(held, *velocity)
+    )
+    return tuple(Slip(row, sp.sub(x, along(row, speeds))) for row, x in zip(rows, now, strict=True))
 
 
 def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
     """The forces, with friction [N] added in each joint that touches, in the order of
     `touching`."""
     coordinate_forces, wrenches = list(forces.coordinate_forces), list(forces.wrenches)
-    for k, held in enumerate(touching(system)):
+    joints = touching(system)
+    for held, place in zip(joints, placed(joints), strict=True):
+        own = own_part(friction, place)
         if held.driven:
             continue
         if held.loop is None:
-            own = coordinate_forces[held.link][0]
-            coordinate_forces[held.link] = (sp.add(own, held.joint.arm * friction[k]),)
+            if held.joint.components == 1:
+                rubbed: tuple = (sp.mul(held.joint.arm, own),)
+            else:
+                turn = _turn(system, forces.motions, held)
+                rubbed = sp.apply_transposed(turn, sp.scale(held.joint.arm, own))
+            before = coordinate_forces[held.link]
+            coordinate_forces[held.link] = tuple(map(sp.add, before, rubbed))
             continue
         closure = system.closures[held.loop]
         pose = kinematics.relative_motion(closure, forces.motions)[1]
-        add_action_and_reaction(wrenches, closure, pose, *held.joint.friction_wrench(friction[k]))
+        add_action_and_reaction(wrenches, closure, pose, *held.joint.friction_wrench(own))
     return forces._replace(wrenches=tuple(wrenches), coordinate_forces=tuple(coordinate_forces))
 
 
@@ -137,11 +198,11 @@ class FrictionResponse(NamedTuple):
 def friction_response(model: Model, forces: Forces, q: tuple) -> FrictionResponse:
     """How the mechanism answers friction [N] in its touching joints, at coordinates `q`."""
     held = touching(model.system)
-    rest = jnp.zeros(len(held))
+    rest = jnp.zeros(sum(one.joint.components for one in held))
     without, push = jax.linearize(
         lambda friction: sp.dense(_answer(model, forces, q, held, friction)), rest
     )
-    return FrictionResponse(without, [push(rest.at[k].set(1.0)) for k in range(len(held))])
+    return FrictionResponse(without, [push(rest.at[k].set(1.0)) for k in range(len(rest))])
 
 
 def _answer(model: Model, forces: Forces, q: tuple, touching_joints: tuple, friction) -> Answer:
@@ -167,20 +228,23 @@ def _reaction(system, held, motions, q, wrench) -> Reaction:
     """From the wrench that a link receives to the reaction on the connection's child in the parent
     marker's axes.
     """
-    link, branch = system.links[held.link], system.topology.branches[held.link]
+    branch = system.topology.branches[held.link]
     if held.driven:
-        pose = link.base.inverse().after(motions[held.link].relative)
+        pose = joint_pose(system, motions, held)
     else:
-        pose = link.joint.motion(q[held.link])
-    return reaction_through(pose, branch.reversed, wrench)
+        pose = system.links[held.link].joint.motion(q[held.link])
+    return reaction_through(pose, branch.reversed, wrench, held.joint.reversal)
 
 
-def reaction_through(pose: Pose, turned_round: bool, wrench: Wrench) -> Reaction:
+def reaction_through(
+    pose: Pose, turned_round: bool, wrench: Wrench, turn: sp.Mat = FLIP
+) -> Reaction:
     """Reaction on a connection's child, from the wrench that a link receives through its joint and
-    the joint's pose; `turned_round`: the tree goes through it from its child to its parent."""
+    the joint's pose; `turned_round`: the tree goes through it from its child to its parent, both
+    markers turned by `turn`."""
     if not turned_round:
         return Reaction(
             sp.apply(pose.rotation, wrench.force), sp.apply(pose.rotation, wrench.torque)
         )
-    force, torque = (tuple(sp.neg(x) for x in sp.apply(FLIP, part)) for part in wrench)
+    force, torque = (tuple(sp.neg(x) for x in sp.apply(turn, part)) for part in wrench)
     return Reaction(force, sp.minus(torque, sp.cross(pose.translation, force)))

@@ -1,7 +1,5 @@
 """What is told of a joint that touches all the time, from its reaction and its friction."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 
@@ -9,7 +7,7 @@ from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.formulations.base import ContactReport
 from jaxclear.formulations.model import Instant
-from jaxclear.formulations.permanent_reactions import PermanentJoint, Reaction, speed_of
+from jaxclear.formulations.permanent_reactions import PermanentJoint, Reaction, slid, speeds_of
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 
@@ -19,20 +17,22 @@ PASSES = 40
 
 
 def report(
-    instant: Instant, held: PermanentJoint, reaction: Reaction, friction: Any
+    instant: Instant, held: PermanentJoint, reaction: Reaction, friction: tuple
 ) -> ContactReport:
-    """How a joint carries its reaction and friction [N] at an instant."""
+    """How a joint carries its reaction and the components of its friction [N] at an instant."""
     joint = held.joint
     ends = _ends(joint, reaction, friction)
     found = sorted((c for end in ends for c in end.contacts), key=lambda c: c.number)
-    speed = speed_of(instant.model.system, instant.motions, held, instant.speeds)
+    speeds = speeds_of(instant.model.system, instant.motions, held, instant.speeds)
+    slips = tuple(sp.mul(joint.arm, x) for x in speeds)
+    sliding = [slid(joint, slips if len(slips) > 1 else slips[0], c.place) for c in found]
     offset, axis = _offset_and_axis(ends)
     return ContactReport(
         offset,
         axis,
         jnp.zeros(len(found)),
         sp.stack([contact.normal_force for contact in found]),
-        jnp.full(len(found), jnp.abs(joint.arm * speed)),
+        sp.stack(sliding),
         jnp.abs(sp.stack([contact.friction for contact in found])),
         jnp.stack([sp.stack(contact.place) for contact in found]),
         sp.stack(reaction.force),
@@ -42,18 +42,21 @@ def report(
 
 
 def _ends(
-    joint: AbstractRubbingJoint, reaction: Reaction, friction: Any
+    joint: AbstractRubbingJoint, reaction: Reaction, friction: tuple
 ) -> tuple[CarryingEnd, ...]:
     """Where a joint's reaction and friction are carried."""
 
     def improve(_, ratio):
         # Half the way: friction that adds to the forces more than the forces to friction would
         # overshoot.
-        load = carried_load(joint.carrying_ends(*reaction, ratio))
-        return 0.5 * (ratio + safe_divide(friction, load))
+        load = carried_load(joint.carrying_ends(*reaction, shares(ratio)))
+        return 0.5 * (ratio + safe_divide(rubbed, load))
 
-    ratio = jax.lax.fori_loop(0, PASSES, improve, jnp.zeros(()))
-    return joint.carrying_ends(*reaction, ratio)
+    # A ball's has three components.
+    shares = lambda ratio: ratio[0] if len(friction) == 1 else tuple(ratio)
+    rubbed = sp.stack(friction)
+    ratio = jax.lax.fori_loop(0, PASSES, improve, jnp.zeros(len(friction)))
+    return joint.carrying_ends(*reaction, shares(ratio))
 
 
 def _offset_and_axis(ends: tuple[CarryingEnd, ...]) -> tuple:

@@ -9,7 +9,14 @@ import jax.numpy as jnp
 
 from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.formulations.model import Model
-from jaxclear.formulations.permanent_reactions import Answer, PermanentJoint, touching
+from jaxclear.formulations.permanent_reactions import (
+    Answer,
+    PermanentJoint,
+    own_part,
+    placed,
+    slid,
+    touching,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody import kinematics
@@ -28,11 +35,11 @@ def wear_rates(
     coordinates `q`; the joints slide at the speeds `slips` [m/s]. Nothing where nothing wears."""
     system, rates = model.system, []
     at = {held.name: k for k, held in enumerate(touching(system))}
+    places = placed(touching(system))
     carried = {}
     for held, k in zip(touching(system), at.values(), strict=True):
         if held.joint.maps():
-            rubbing = friction[k]
-            ends = _ends(held, found.reactions[k], rubbing)
+            ends = _ends(held, found.reactions[k], own_part(friction, places[k]))
             carried[held.name] = (*_pose_in_gap(system, motions, q, held, ends), ends)
     for slot in model.layout.wear:
         if slot.bearing not in at:
@@ -42,7 +49,7 @@ def wear_rates(
         offset, axes, ends = carried[slot.bearing]
         (contact,) = (c for end in ends for c in end.contacts if c.number == slot.contact)
         _, wearing = joint.maps()[slot.surface]
-        speed = jnp.abs(slips[k])
+        speed = slid(joint, own_part(slips, places[k]), contact.place)
         volume = wearing.acceleration * wearing.law.volume_rate(
             contact.normal_force, speed, jnp.abs(contact.friction)
         )
@@ -54,6 +61,10 @@ def wear_rates(
 def _ends(held: PermanentJoint, reaction: Any, friction: Any) -> tuple[CarryingEnd, ...]:
     """Where a reaction and friction are carried; a journal's load does not depend on friction's
     share of it."""
+    if held.joint.components > 1:
+        none = (0.0,) * held.joint.components
+        load = carried_load(held.joint.carrying_ends(*reaction, none))
+        return held.joint.carrying_ends(*reaction, tuple(safe_divide(x, load) for x in friction))
     load = carried_load(held.joint.carrying_ends(*reaction, 0.0 * friction))
     return held.joint.carrying_ends(*reaction, safe_divide(friction, load))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from jaxclear.formulations.joint_friction import friction_losses, rubbing
 from jaxclear.formulations.model import Model
-from jaxclear.formulations.permanent_reactions import slip_of, touching
+from jaxclear.formulations.permanent_reactions import slips_of, touching
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.forces import applied_forces, contact_reports
@@ -52,8 +52,9 @@ def energy_rates(model: Model, time: Any, entries: list, mean: list) -> list:
         q, _ = unpack_motion(system, entries)
         begun = rubbing(model, start, q, entries[layout.coordinates : layout.memory_start])
         slips = [
-            sp.mul(one.joint.arm, slip_of(system, start.motions, one, mean).at(mean))
+            sp.mul(one.joint.arm, slip.at(mean))
             for one in held
+            for slip in slips_of(system, start.motions, one, mean)
         ]
         rubbed = sp.add(rubbed, friction_losses(held, begun.friction, slips)[0])
     # What a damper takes is of second degree: the mean is right to the square of the change.

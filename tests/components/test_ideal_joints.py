@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.components.clearance import PermanentPrismatic, PermanentRevolute
+from jaxclear.components.clearance import PermanentPrismatic, PermanentRevolute, PermanentSpherical
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
@@ -32,6 +32,7 @@ def members(abstract):
 GAPS = {
     PermanentRevolute: jc.clearance.JournalBearing(jc.contact.Rigid()),
     PermanentPrismatic: jc.clearance.SliderGuide(jc.contact.Rigid()),
+    PermanentSpherical: jc.clearance.BallSocket(jc.contact.Rigid()),
 }
 JOINTS = sorted(members(AbstractJoint), key=lambda kind: kind.__name__)
 

@@ -42,16 +42,33 @@ class Wall(jc.clearance.AbstractClearance):
         return (jc.clearance.ContactCandidate(offset, (1, 0, 0), ()),)
 
 
-WEARING = jc.Wearing(jc.wear.Archard())
+class Worn(jc.clearance.AbstractClearance):
+    """A joint that wears, and knows the joint that it becomes, but not what that wears."""
+
+    ideal_rows: ClassVar = ("x", "y")
+
+    @property
+    def axes(self):
+        return ()
+
+    def contact_laws(self):
+        return ()
+
+    def indentations(self, offset, axes, worn):
+        return ()
+
+    def contact_candidates(self, offset, axes, indentations):
+        return ()
+
+    def maps(self):
+        return {"bearing": None}
+
+    def permanent_form(self):
+        return jc.joint.Revolute()
+
+
 REFUSED = {
-    "wears": (
-        jc.clearance.BallSocket(RIGID, socket_wear=WEARING),
-        'joint "B" is a BallSocket that wears, which integrator.NonColliding follows in journals',
-    ),
-    "ball with friction": (
-        jc.clearance.BallSocket(RIGID, COULOMB),
-        'joint "B" is a BallSocket with friction',
-    ),
+    "wears": (Worn(), 'joint "B" is a Worn that wears, whose form in permanent contact, Revolute'),
     "none of its own": (Wall(), 'joint "B" is a Wall, which has no form in permanent contact'),
 }
 

@@ -26,7 +26,9 @@ ORDERS = (1, 2, 3, 4)
 # turn, and beyond a turn.
 ANGLES = (0.0, 1e-160, 1e-9, 1e-4, 0.4999, 0.5001, 1.0, np.pi, 7.0)
 MEMBERS = [
-    kind for kind in AbstractGroupJoint.__subclasses__() if kind.__module__.startswith("jaxclear")
+    kind
+    for kind in AbstractGroupJoint.__subclasses__()
+    if kind.__module__.startswith("jaxclear") and not kind.__name__.startswith("Abstract")
 ]
 GROUPS = sorted(MEMBERS, key=lambda kind: kind.__name__)
 

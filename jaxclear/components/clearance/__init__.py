@@ -5,7 +5,7 @@ A joint of one's own derives from `AbstractClearance`; with a permanent form of 
 `AbstractPermanentJoint`.
 """
 
-from jaxclear.components.clearance.ball import BallSocket
+from jaxclear.components.clearance.ball import BallSocket, PermanentSpherical
 from jaxclear.components.clearance.base import AbstractClearance, ContactCandidate, ContactLaws
 from jaxclear.components.clearance.guide import PermanentPrismatic, SliderGuide
 from jaxclear.components.clearance.journal import Flange, JournalBearing, PlanarJournalBearing
@@ -34,6 +34,7 @@ __all__ = [
     "Lobes",
     "PermanentPrismatic",
     "PermanentRevolute",
+    "PermanentSpherical",
     "PlanarJournalBearing",
     "SliderGuide",
     "carried_load",

@@ -1,8 +1,10 @@
-"""Ball and socket: one contact, at the point of the socket towards which the ball lies."""
+"""Ball and socket: one contact, at the point of the socket towards which the ball lies; and what it
+is while it always touches."""
 
 from typing import ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jaxclear.components.clearance.base import (
     AbstractClearance,
@@ -12,7 +14,7 @@ from jaxclear.components.clearance.base import (
     direction,
     flattening,
 )
-from jaxclear.components.joint import Spherical
+from jaxclear.components.joint import AbstractRubbingBall, Spherical
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp
@@ -76,12 +78,41 @@ class BallSocket(AbstractClearance):
         return sp.scale(-self.clearance, direction(force, 3)), (0, 0)
 
     def permanent_form(self):
-        if self.friction is not None:
-            raise ValueError(
-                "is a BallSocket with friction, which has no form in permanent contact; leave the "
-                "friction out, or take an integrator that lets parts separate."
-            )
-        return Spherical()
+        if self.friction is None and self.socket_wear is None:
+            return Spherical()
+        return PermanentSpherical(self)
 
     def coordinate_form(self):
         return Spherical()
+
+
+class PermanentSpherical(AbstractRubbingBall):
+    """A ball that always touches its socket, where its reaction presses it."""
+
+    gap: BallSocket
+
+    @property
+    def friction(self):
+        return self.gap.friction
+
+    @property
+    def arm(self):
+        return self.gap.socket_radius
+
+    @property
+    def play(self):
+        return self.gap.clearance
+
+    @property
+    def gap_axes(self):
+        return ()
+
+    def maps(self):
+        return self.gap.maps()
+
+    def wearing_contacts(self):
+        return (0,)
+
+    def wear_place(self, surface, offset, axes, contact):
+        # What carries overlaps by nothing that is known of.
+        return self.gap.features(surface, offset, axes, (jnp.zeros(()),), contact)

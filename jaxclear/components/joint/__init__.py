@@ -1,5 +1,6 @@
 """Ideal joints, those that rub among them, and what a joint of one's own derives from."""
 
+from jaxclear.components.joint.ball import AbstractRubbingBall, BallJoint
 from jaxclear.components.joint.base import (
     AbstractDrivenJoint,
     AbstractGroupJoint,
@@ -18,8 +19,10 @@ __all__ = [
     "AbstractDrivenJoint",
     "AbstractGroupJoint",
     "AbstractJoint",
+    "AbstractRubbingBall",
     "AbstractRubbingJoint",
     "AbstractVectorJoint",
+    "BallJoint",
     "Cylindrical",
     "Fixed",
     "Free",

@@ -38,7 +38,13 @@ class CarryingEnd(NamedTuple):
 
 
 class AbstractRubbingJoint(AbstractJoint):
-    """An ideal joint of one coordinate whose parts touch all the time and rub."""
+    """An ideal joint whose parts touch all the time and rub: one of one coordinate, or a ball
+    (`AbstractRubbingBall`), whose friction and sliding velocity have three components."""
+
+    @property
+    def components(self) -> int:
+        """How many components friction has."""
+        return 1
 
     @property
     @abstractmethod
@@ -60,7 +66,7 @@ class AbstractRubbingJoint(AbstractJoint):
     @abstractmethod
     def carrying_ends(self, force: sp.Vec, torque: sp.Vec, ratio: Any) -> tuple[CarryingEnd, ...]:
         """Where a reaction is carried; `ratio`: (signed) friction over the sum of the carried
-        forces' sizes.
+        forces' sizes, of a ball its three components.
         """
 
     @abstractmethod
@@ -118,3 +124,18 @@ def pressed_end(
     place = (*sp.scale(radius, lean), height)
     offset = (*sp.scale(clearance, lean), 0)
     return CarryingEnd(height, force, offset, (CarriedContact(index, normal, friction, place),))
+
+
+def ball_end(force: sp.Vec, ratio: tuple, radius: Any, clearance: Any) -> CarryingEnd:
+    r"""A ball that carries a force, with friction so that its torque is radius times force size
+    times `ratio`, across the force: :math:`F = -N n + m \times n`, with m the friction's torque
+    over the radius, so that :math:`n = -(N F + m \times F) / |F|^2`."""
+    size = sp.norm(force)
+    share = sp.norm(ratio)
+    normal = safe_sqrt(1 - share * share) * size
+    along = sp.scale(safe_divide(1.0, size), force)
+    turned = sp.plus(sp.scale(safe_divide(normal, size), along), sp.cross(ratio, along))
+    towards = tuple(sp.neg(x) for x in turned)
+    place = sp.scale(radius, towards)
+    contact = CarriedContact(0, normal, share * size, place)
+    return CarryingEnd(0, force, sp.scale(clearance, towards), (contact,))
