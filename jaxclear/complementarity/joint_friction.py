@@ -54,7 +54,7 @@ class JointFriction(AbstractProblem):
 
     delassus: Sequence[Any]
     free_velocity: Any
-    ratios: tuple[tuple[Any, Any] | None, ...]
+    ratios: tuple[Any, ...]
     carried: Callable[[int, Array, Any], Sequence[sp.Vec]]
     softest: Any
     places: tuple[slice, ...] | None = None

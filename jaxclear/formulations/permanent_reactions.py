@@ -127,8 +127,8 @@ def slips_of(
         start = system.topology.branches[held.link].speeds.start
         if len(now) == 1:
             return (Slip({start: 1}, 0),)
-        rows = _turn(system, motions, held)
-        kept = [{start + j: x for j, x in enumerate(r) if not sp.is_zero(x)} for r in rows]
+        turn = _turn(system, motions, held)
+        kept = [{start + j: x for j, x in enumerate(r) if not sp.is_zero(x)} for r in turn]
         return tuple(Slip(row, 0) for row in kept)
     closure = system.closures[held.loop]
     pose = kinematics.relative_motion(closure, motions)[1]
