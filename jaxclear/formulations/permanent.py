@@ -116,11 +116,7 @@ class PermanentContact(AbstractFormulation):
         found = response.at(friction)
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
-        sliding = [
-            one.joint.arm * slip.at(mean)
-            for one, own in zip(held, slips, strict=True)
-            for slip in own
-        ]
+        sliding = _sliding(held, slips, mean)
         worn = wear_rates(model, motions, motion[0], found, friction, sliding)
         gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
         gained += [
@@ -144,6 +140,15 @@ def displace(system: System, q: list, speeds: list, h: Any) -> list:
         if place:
             out.extend(link.joint.moved(place, tuple(h * x for x in v)))
     return out
+
+
+def _sliding(held: tuple, slips: list, speeds: list) -> list:
+    """Sliding speeds [m/s] of the joints at these speeds, of a ball three components."""
+    return [
+        one.joint.arm * slip.at(speeds)
+        for one, own in zip(held, slips, strict=True)
+        for slip in own
+    ]
 
 
 def _powers(model: Model, forces: Forces, found: Answer, friction: Any, slips: list) -> list:
