@@ -89,6 +89,10 @@ class BallSocket(AbstractClearance):
 class PermanentSpherical(AbstractRubbingBall):
     """A ball that always touches its socket, where its reaction presses it."""
 
+    home: ClassVar = Spherical.home
+    units: ClassVar = Spherical.units
+    rows: ClassVar = Spherical.rows
+    reversal: ClassVar = Spherical.reversal
     gap: BallSocket
 
     @property

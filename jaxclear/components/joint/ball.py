@@ -24,11 +24,6 @@ from jaxclear.laws.friction import AbstractFrictionLaw
 class AbstractRubbingBall(AbstractRubbingJoint, AbstractGroupJoint):
     """A ball in a socket that touches all the time."""
 
-    home: ClassVar = Spherical.home
-    units: ClassVar = Spherical.units
-    rows: ClassVar = Spherical.rows
-    reversal: ClassVar = Spherical.reversal
-
     @property
     @abstractmethod
     def play(self) -> Any:
@@ -84,6 +79,10 @@ class BallJoint(AbstractRubbingBall):
     Set-valued friction sticks, for `NonColliding`; laws that are functions of the sliding speed
     serve `Adaptive` and `FixedStep` too."""
 
+    home: ClassVar = Spherical.home
+    units: ClassVar = Spherical.units
+    rows: ClassVar = Spherical.rows
+    reversal: ClassVar = Spherical.reversal
     gap_axes: ClassVar = ()
     play: ClassVar = 0
     friction: AbstractFrictionLaw | None = None
