@@ -21,7 +21,7 @@ from jaxclear.ground.wording import listed
 __all__ = ["Positions"]
 
 
-class Standings(eqx.Module):
+class BodyPoses(eqx.Module):
     """Bodies in the ground frame at each position: `com` place [m] of the centre of mass,
     `rotation` the body's axes in the ground's, `origin` place of the body frame [m]."""
 
@@ -58,7 +58,7 @@ class Positions(eqx.Module):
             )
         return self.other
 
-    def body(self, name: str) -> Standings:
+    def body(self, name: str) -> BodyPoses:
         """Where a body stands."""
         check_known("body", name, self.scene.mechanism.bodies, " in this mechanism")
         com = sp.vec3(self.scene.mechanism.bodies[name].com)
@@ -68,7 +68,7 @@ class Positions(eqx.Module):
             pose = now.motions[index].pose.after(now.system.links[index].frame)
             return sp.stack(pose.point(com)), _dense(pose.rotation), sp.stack(pose.translation)
 
-        return Standings(*self._over(one))
+        return BodyPoses(*self._over(one))
 
     def marker(self, body: str, at: Any) -> Float[Array, "positions 3"]:
         """Place of a point of a body, given in the body frame [m], in the ground frame."""
