@@ -75,7 +75,7 @@ SAID = {Verdict.WRONG: Verdict.SAID, Verdict.UNSAID: Verdict.UNDECIDABLE}
 DRAWN_FROM: dict[str, str] = dict(
     zip(
         RESPONSES,
-        ("motion", "motion", "forces", "peak forces", "wear", "wear", "wear", "motion"),
+        ("motion", "places in gaps", "forces", "peak forces", "wear", "wear", "wear", "motion"),
         strict=True,
     )
 )

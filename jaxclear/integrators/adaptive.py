@@ -22,6 +22,8 @@ from jaxclear.integrators.impacts import TakingImpactSpeeds
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.state_group import state_group
+from jaxclear.multibody.reach import narrowest_gap
+from jaxclear.multibody.system import longest_arm
 from jaxclear.native import with_fast_loops
 
 # Share of the time at which a step is given up: a few roundings, below which time stands still.
@@ -32,6 +34,9 @@ FINER_TOLERANCE = 4
 # grow, and looser runs lost a journal's place in its gap for a few percent of time
 # (benchmarks/attack.py).
 LOOSEST = 3e-7
+# The same as a place, beside the narrowest gap: what a tolerance of coordinates allows a body must
+# be little in the gap, or where it touches is lost (the same runs, gaps of 16 to 100 um).
+LOOSEST_IN_GAP = 4e-4
 
 
 class Adaptive(AbstractIntegrator):
@@ -40,7 +45,8 @@ class Adaptive(AbstractIntegrator):
     Use as reference and for single runs. Local error per step below rtol |y| + atol in every
     coordinate and speed; memories of laws are held a hundred times looser, worn volumes and
     energies follow the motion. Where joints have clearance both tolerances count as at rtol 3e-7
-    at the loosest: impacts make errors grow, and looser runs save next to no time. In a batch all
+    at the loosest (4e-4 of the narrowest gap beside the longest arm, where that is less): impacts
+    make errors grow, and looser runs save next to no time. In a batch all
     samples wait for the slowest. A derivative through contacts is not to be trusted (off by 52 %
     in a measurement) and is refused; see `jaxclear.sensitivity`. Stiff scenes (large friction over
     tiny transition speeds) may prefer an implicit solver, best with a full Newton iteration:
@@ -108,7 +114,9 @@ class Adaptive(AbstractIntegrator):
             longest = jnp.minimum(longest, self.largest_step)
         finer = interval.share**FINER_TOLERANCE
         if model.system.bearings:
-            finer = finer * LOOSEST / jnp.maximum(self.rtol, LOOSEST)
+            narrow = narrowest_gap(model.system) / longest_arm(model.system)
+            loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * narrow)
+            finer = finer * loosest / jnp.maximum(self.rtol, loosest)
         return diffrax.PIDController(
             rtol=self.rtol * finer,
             atol=self.atol * finer,

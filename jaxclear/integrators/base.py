@@ -93,6 +93,16 @@ class AbstractIntegrator(AbstractQuantified):
         """Their number, where it is fixed."""
         return None
 
+    def with_finer_steps(self, share: Scalar) -> "AbstractIntegrator | None":
+        """Itself with steps of this share of their length; None where it finds their length itself,
+        or where they are counted."""
+        return None
+
+    @property
+    def places_in_gaps(self) -> bool:
+        """Whether it is meant to tell where in their gaps parts are at an instant."""
+        return False
+
     @property
     def usual_step(self) -> Scalar | None:
         """Length [s] of its steps, which heed `Interval.share`, so that a run can check itself with

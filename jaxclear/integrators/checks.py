@@ -17,15 +17,15 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.integrators.outcome import Outcome
 
-# What a figure is told for: joints that close loops, speeds of the tree, possible contacts, worn
-# surfaces, or the mechanism.
+# What a figure is told for.
 LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
+NEVER = (np.inf, Outcome.REACHED)
 
 
 class Check(enum.IntEnum):
     """A figure by which a run is judged: its `label` in tables, `unit`, `limit`, what the limit
-    `concerns` (motion, forces, peak forces, wear), whose it is (`of`), and the `sentence` said
-    beyond the limit. Beyond `ends_at` the run ends, by `outcome`.
+    `concerns` (motion, forces, peak forces, wear, places in gaps), whose it is (`of`), and the
+    `sentence` said beyond the limit. Beyond `ends_at` the run ends, by `outcome`.
     """
 
     label: str
@@ -37,17 +37,7 @@ class Check(enum.IntEnum):
     ends_at: float
     outcome: Outcome
 
-    def __new__(
-        cls,
-        code: int,
-        label: str,
-        unit: str,
-        limit: float,
-        concerns: str,
-        of: str,
-        sentence: str,
-        ends: tuple[float, Outcome] = (np.inf, Outcome.REACHED),
-    ):
+    def __new__(cls, code, label, unit, limit, concerns, of, sentence, ends=NEVER):
         member = int.__new__(cls, code)
         member._value_ = code
         member.label, member.unit, member.limit = label, unit, limit
@@ -87,7 +77,7 @@ class Check(enum.IntEnum):
         0.02,
         "motion",
         WHOLE,
-        "with steps of half the length bodies would end elsewhere by about {figure:.2g} of their "
+        "with steps of half the length or less bodies would be elsewhere by {figure:.2g} of their "
         "way (limit {limit:g}), so the motion is off: take shorter steps",
     )
     HALVED_FORCES = (
@@ -108,8 +98,19 @@ class Check(enum.IntEnum):
         0.05,
         "wear",
         SURFACES,
-        'with steps of half the length the wear of joint "{place}" changes by {figure:.2g} of '
-        "itself (limit {limit:g}), so worn volumes and depths are off: take shorter steps",
+        'with steps of half the length or less the wear of joint "{place}" changes by {figure:.2g} '
+        "(limit {limit:g}), so worn volumes and depths are off: take shorter steps",
+    )
+    PLACE_IN_GAP = (
+        12,
+        "second look: place in gap",
+        "1",
+        0.03,
+        "places in gaps",
+        CONTACTS,
+        'with steps a quarter as long the parts of joint "{place}" are elsewhere in their gap by '
+        "{figure:.2g} of the clearance (limit {limit:g}), so places in it at an instant and wear "
+        "are off, though mean forces may be right: take shorter steps or integrator.Adaptive",
     )
     # Largest rise of a contact's indentation within a step beside the largest that was met: of
     # steps in which a contact does the work of its law whatever their length.

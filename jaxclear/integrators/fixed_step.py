@@ -36,6 +36,7 @@ CHAINS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
 }
 # Methods on the group of the coordinates, by their order.
 ON_GROUPS = {f"munthe_kaas{order}": order for order in munthe_kaas.TABLEAUS}
+FIRST_ORDER = ("euler", "semi_implicit", "munthe_kaas1")
 
 
 class FixedStep(AbstractIntegrator):
@@ -98,8 +99,17 @@ class FixedStep(AbstractIntegrator):
         return True
 
     @property
+    def places_in_gaps(self):
+        return self.method not in FIRST_ORDER
+
+    @property
     def usual_step(self):
         return self.asked_step()
+
+    def with_finer_steps(self, share):
+        if self.steps_per_save is not None:
+            return None
+        return eqx.tree_at(lambda own: own.step, self, share * self.step)
 
     @property
     def formulation(self):

@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -9,7 +10,7 @@ from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.ground.numerics import positive_part
-from jaxclear.ground.quantity import Scalar, count, quantity
+from jaxclear.ground.quantity import Scalar, concrete, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import watch_from, watched
@@ -69,8 +70,17 @@ class ImplicitStep(AbstractIntegrator):
     steps_per_save: int | None = count(None, "steps between two saving times", kw_only=True)
 
     @property
+    def places_in_gaps(self):
+        return concrete(self.rebound) == 1
+
+    @property
     def usual_step(self):
         return self.asked_step()
+
+    def with_finer_steps(self, share):
+        if self.steps_per_save is not None:
+            return None
+        return eqx.tree_at(lambda own: own.step, self, share * self.step)
 
     @property
     def formulation(self):

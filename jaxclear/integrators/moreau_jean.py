@@ -72,6 +72,9 @@ class MoreauJean(AbstractIntegrator):
     def usual_step(self):
         return self.asked_step()
 
+    def with_finer_steps(self, share):
+        return eqx.tree_at(lambda own: own.step, self, share * self.step)
+
     @property
     def formulation(self):
         return RigidContact()

@@ -64,6 +64,9 @@ class NonColliding(AbstractIntegrator):
     def usual_step(self):
         return self.asked_step()
 
+    def with_finer_steps(self, share):
+        return eqx.tree_at(lambda own: own.step, self, share * self.step)
+
     @property
     def formulation(self):
         return PermanentContact()

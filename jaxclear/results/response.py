@@ -42,10 +42,11 @@ __getattr__ = nothing_else("jaxclear.response", __all__)
 
 # What is off in a run where one part of it is: forces follow the motion, wear follows forces.
 REACHES = {
-    "motion": ("motion", "forces", "peak forces", "wear"),
+    "motion": ("motion", "forces", "peak forces", "wear", "places in gaps"),
     "forces": ("forces", "peak forces", "wear"),
     "peak forces": ("peak forces",),
     "wear": ("wear",),
+    "places in gaps": ("places in gaps", "wear"),
 }
 
 
@@ -55,8 +56,9 @@ class AbstractResponse(AbstractQuantified):
     unit: eqx.AbstractVar[str]
 
     def drawn_from(self) -> str:
-        """What of a run it needs to be right: its "motion", "forces", "peak forces" or "wear", or
-        "anything". A warning that concerns something else does not concern it."""
+        """What of a run it needs to be right: its "motion", "forces", "peak forces", "wear",
+        "places in gaps" (at an instant) or "anything". A warning that concerns something else does
+        not concern it."""
         return "anything"
 
     @abstractmethod

@@ -27,6 +27,11 @@ class Looks(NamedTuple):
     seen: StateHistory
     model: Model
 
+    @property
+    def rows(self) -> np.ndarray:
+        """Their places among the saving times, the start in front."""
+        return np.concatenate([[0], 1 + self.intervals])
+
     def of(self, function: Callable[[Instant], dict[str, Array]]) -> dict[str, Array]:
         """What a function says of every state seen, the run's start in front. No derivatives."""
         return over_time(self.seen, function, self.model)

@@ -16,6 +16,7 @@ from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.ground.pose import REST
 from jaxclear.integrators.checks import (
     CONTACTS,
     LOOPS,
@@ -27,12 +28,13 @@ from jaxclear.integrators.checks import (
     Figure,
 )
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.multibody import energy, kinematics, loops
+from jaxclear.multibody import contact_point, energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubs
 from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.rebound import rebound_steps
+from jaxclear.simulation.spot_checks import beside_way
 
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
@@ -54,7 +56,10 @@ def refereed(
     steps = {check: figures[check][looks.intervals] for check in KINDS if check in figures}
     kept = {check: each for check, each in figures.items() if check not in KINDS}
     rebound = kept.pop(Check.REBOUND_STEP, None)
-    seen, rubbed = _of_saved_states(looks, steps, kept.get(Check.INDENTATION))
+    seen, rubbed, inside = _of_saved_states(looks, steps, kept.get(Check.INDENTATION))
+    if inside is None:
+        inside = beside_way(model, history.states)[looks.rows]
+    trajectory = dataclasses.replace(trajectory, places=jax.lax.stop_gradient(inside))
     of_run = {check: each[None] for check, each in (windows | rubbed).items()}
     if rebound is not None:
         rises = kept[Check.CONTACT_STEP], kept[Check.INDENTATION]
@@ -151,10 +156,14 @@ def _places(model: Model) -> dict[str, tuple[str, ...]]:
 
 def _of_saved_states(
     looks: Looks, steps: dict[Check, Array], depths: Array | None
-) -> tuple[dict[Check, Float[Array, "looks places"]], dict[Check, Float[Array, " contacts"]]]:
+) -> tuple[
+    dict[Check, Float[Array, "looks places"]],
+    dict[Check, Float[Array, " contacts"]],
+    Float[Array, "looks places"] | None,
+]:
     """Figures that the looks tell, and those of friction, of the run as a whole, also from the
     lengths [s] of `steps` there and the largest indentations [m] in every saving interval (None:
-    those seen count)."""
+    those seen count); and where parts were in their gaps (None: there are none)."""
     model, formulation = looks.model, looks.seen.formulation
     system = model.system
     driven = looks.seen.mechanism.driven
@@ -167,6 +176,7 @@ def _of_saved_states(
             | ({} if driven else _energies(now, formulation))
             | ({"contacts": contacts(now, formulation)} if rubbing else {})
             | ({"depths": _depths(now, formulation)} if sinking else {})
+            | ({"places": _in_gaps(now)} if system.bearings else {})
         )
 
     said = looks.of(judged)
@@ -178,10 +188,26 @@ def _of_saved_states(
     if "energies" in said:
         gains = _gains(_small_energy(system), said["energies"], formulation.forces_are_means)
         found[Check.ENERGY_GAIN] = gains[1:, None]
+    inside = said.get("places")
     if not rubbing:
-        return found, {}
+        return found, {}, inside
     deepest = None if depths is None else depths[looks.intervals]
-    return found, friction_steps(model, said["contacts"][1:], deepest, steps)
+    return found, friction_steps(model, said["contacts"][1:], deepest, steps), inside
+
+
+def _in_gaps(now: Instant) -> Float[Array, " components"]:
+    """Where each contact's parts are in their gap, beside its width: the vector from the middle
+    along which it closes, in the bearing's axes (3 components a contact)."""
+    places: list[Any] = []
+    for name, bearing in now.model.system.bearings.items():
+        _, pose, _ = kinematics.relative_motion(bearing.closure, now.motions)
+        rooms = contact_point.depths(bearing.joint, REST, {})
+        contacts = contact_point.gap_function(bearing.joint, pose, now.model.worn.get(name, {}))
+        for room, contact in zip(rooms, contacts, strict=True):
+            width = abs(room)
+            share = safe_divide(contact.indentation + width, width)
+            places += sp.scale(share, contact.slope)
+    return sp.stack(places)
 
 
 def _depths(now: Instant, formulation: AbstractFormulation) -> Float[Array, " contacts"]:

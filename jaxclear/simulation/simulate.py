@@ -27,6 +27,7 @@ from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import guarded
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.saving import checked_saving
+from jaxclear.simulation.second_look import looked_at_again
 from jaxclear.simulation.step_lengths import check_steps
 
 
@@ -140,9 +141,11 @@ def simulate(
     state = State() if state is None else state
     mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state)
     with stoppable(), progress.bar(progress_bar, "simulating"):
-        ready = mechanism, start.coordinates, start.speeds, begins + times, integrator
-        trajectory = _run(*ready, Extras(balance, progress_bar, saving.events), past)
-        trajectory = diagnosed(guarded(jax.block_until_ready(trajectory), integrator))
+        ready = mechanism, start.coordinates, start.speeds, begins + times
+        extras = Extras(balance, progress_bar, saving.events)
+        again = lambda finer: _run(*ready, finer, extras, past)
+        trajectory = diagnosed(guarded(jax.block_until_ready(again(integrator)), integrator))
+        trajectory = looked_at_again(trajectory, integrator, again)
     if throw and isinstance(trajectory.outcome, jax.core.Tracer):
         raise ValueError(
             "simulate is being traced (by jax.jit, vmap or a derivative) and cannot raise: give "

@@ -176,15 +176,10 @@ def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) 
     clearances; speeds beside the usual ones, where no contact vibrates.
     """
     system, layout = model.system, model.layout
-    count, reach = layout.coordinates, reaches(system, longest_arm(system))
+    count = layout.coordinates
     share = safe_divide(_length(plan, states), jnp.sum(_durations(plan, 0)))
     total = share * jnp.sum(abs(off), axis=0)
-    way = jnp.max(abs(states[:, :count] - states[0, :count]), axis=0)
-    turned = jnp.where(turning(system), jnp.minimum(way, ACROSS), way)
-    longest = jnp.max(turned * reach, initial=0.0)
-    if system.bearings:
-        longest = jnp.maximum(longest, GAPS * narrowest_gap(system))
-    places = safe_divide(jnp.max(total[:count] * reach, initial=0.0), longest)
+    places = jnp.max(total[:count] * _shares_of_way(model, states), initial=0.0)
     if system.bearings:
         return places
     speeds = slice(count, layout.memory_start)
@@ -192,6 +187,23 @@ def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) 
     usual = jnp.max(safe_sqrt(squares) * scales, initial=0.0)
     faster = safe_divide(jnp.max(total[speeds] * scales, initial=0.0), usual)
     return jnp.maximum(places, faster)
+
+
+def _shares_of_way(model: Model, states: Array) -> Float[Array, " coordinates"]:
+    """What a unit of each coordinate is beside the longest way of one."""
+    system, count = model.system, model.layout.coordinates
+    reach = reaches(system, longest_arm(system))
+    way = jnp.max(abs(states[:, :count] - states[0, :count]), axis=0)
+    turned = jnp.where(turning(system), jnp.minimum(way, ACROSS), way)
+    longest = jnp.max(turned * reach, initial=0.0)
+    if system.bearings:
+        longest = jnp.maximum(longest, GAPS * narrowest_gap(system))
+    return safe_divide(reach, longest)
+
+
+def beside_way(model: Model, states: Float[Array, "time n"]) -> Float[Array, "time coordinates"]:
+    """The coordinates beside the longest way of one."""
+    return states[:, : model.layout.coordinates] * _shares_of_way(model, states)
 
 
 def _length(plan: Plan, states: Array) -> Scalar:

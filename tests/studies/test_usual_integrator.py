@@ -8,6 +8,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.commands import four_bar
 from jaxclear.formulations.contact_rates import contact_rates
+from jaxclear.integrators import Check
 from jaxclear.studies.usual_integrator import usual_integrator
 from tests.rigs.loaded_bearing import loaded_bearing, losses
 
@@ -74,14 +75,16 @@ def test_steps_stay_as_usual_where_contacts_answer_slowly():
 
 
 def test_impacts_shorter_than_usual_steps_get_shorter_ones():
-    """The usual steps of 2e-5 s said that they did not resolve the impacts."""
+    """The usual steps of 2e-5 s said that they did not resolve the impacts. These do; after two
+    dozen of them the journal is a tenth of the clearance elsewhere all the same, and that is said.
+    """
     rig = jc.scenes.slider_crank(friction=False)
     asked = problem(rig)
     assert isinstance(asked.integrator, jc.integrator.FixedStep)
     assert float(asked.integrator.step) < float(jc.integrator.FixedStep().step)
     assert 'an impact in joint "B" is over within' in asked.why_integrator
     run = jc.simulate(rig, 0.05, integrator=asked.integrator, save=51)
-    assert run.warnings == ()
+    assert {check for check, flag in run.checks.beyond().items() if flag} <= {Check.PLACE_IN_GAP}
 
 
 def test_rates_of_a_driven_mechanism_are_those_of_its_start():

@@ -1,0 +1,98 @@
+"""Whether what a run says stands where no short window can tell: a run in doubt is gone through
+once more with steps a quarter as long, and what both end with is compared.
+
+What an impact is off by grows until the next, and every one adds its own: after a dozen a journal
+may be elsewhere in its gap though each was nearly right, and how fast that grows is the motion's
+own affair. So the run itself is asked. In doubt is what has steps of a fixed length in which
+contacts rise or creep, or bodies drift, by more than a little. Runs of many steps, and those of a
+study, are not gone through again.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.ground.quantity import is_traced
+from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.checks import Check, Checks, Figure
+from jaxclear.results.trajectory import Trajectory
+
+# Length of the steps beside those of the run.
+FINER = 0.25
+# Figures from which on a run is in doubt: of mechanisms drawn at random every one whose places in
+# gaps were off by more than promised was beyond one of them (benchmarks/attack.py).
+DOUBTS = {
+    Check.IMPACT_STEP: 0.1,
+    Check.CONTACT_STEP: 0.05,
+    Check.CREEP_STEP: 0.01,
+    Check.HALVED_MOTION: 0.005,
+}
+# Steps of a run beyond which it is not gone through again: seconds in any mechanism.
+MOST_STEPS = 100_000
+
+
+def looked_at_again(
+    run: Trajectory, integrator: AbstractIntegrator, again: Callable[[Any], Trajectory]
+) -> Trajectory:
+    """The run with what a second look at it tells, where it is in doubt; `again`: the same run with
+    another integrator. Its numbers stay as they are."""
+    if is_traced((run.outcome, run.states)) or not run.succeeded:
+        return run
+    finer = integrator.with_finer_steps(FINER)
+    if finer is None or run.accepted_steps > MOST_STEPS or not _in_doubt(run.checks):
+        return run
+    other = again(finer)
+    if not other.succeeded:
+        return run
+    figures = dict(run.checks.figures)
+    for check, (found, places) in _apart(run, other, integrator.places_in_gaps).items():
+        figure = Figure(jnp.asarray(found), jnp.full(len(places), run.ended), places)
+        figures[check] = _worse(figure, figures.get(check))
+    return dataclasses.replace(run, checks=Checks(figures))
+
+
+def _in_doubt(checks: Checks) -> bool:
+    known = checks.figures
+    return any(
+        np.any(known[check].worst > least) for check, least in DOUBTS.items() if check in known
+    )
+
+
+def _apart(
+    run: Trajectory, other: Trajectory, gaps: bool
+) -> dict[Check, tuple[np.ndarray, tuple[str, ...]]]:
+    """By check how far two runs are apart, by place, and the names of these; `gaps`: whether places
+    in gaps count."""
+    found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
+    off = np.abs(np.asarray(run.places) - np.asarray(other.places)).max(axis=0)
+    sunk = run.checks.figures.get(Check.INDENTATION)
+    if sunk is None:
+        found[Check.HALVED_MOTION] = (off.max(keepdims=True), ("",))
+    elif gaps:
+        found[Check.PLACE_IN_GAP] = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)
+    if run.worn:
+        wears = [_worn_apart(run.worn[joint], other.worn[joint]) for joint in run.worn]
+        found[Check.HALVED_WEAR] = (np.array(wears), tuple(run.worn))
+    return found
+
+
+def _worn_apart(maps: dict[str, Any], others: dict[str, Any]) -> float:
+    """Largest difference of what surfaces have lost and of their largest depths, beside these."""
+    shares = [0.0]
+    for surface in maps:
+        for one, other in (
+            (np.sum(maps[surface]), np.sum(others[surface])),
+            (np.max(maps[surface]), np.max(others[surface])),
+        ):
+            shares.append(abs(one - other) / max(one, other) if max(one, other) > 0 else 0.0)
+    return float(max(shares))
+
+
+def _worse(figure: Figure, known: Figure | None) -> Figure:
+    """The one with the larger worst; a second look tells of fewer places than a run's windows."""
+    if known is None or np.max(figure.worst) > np.max(known.worst):
+        return figure
+    return known

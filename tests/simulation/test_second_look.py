@@ -1,0 +1,74 @@
+"""A run in doubt is gone through again with shorter steps, and says where they change it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from benchmarks.attacks.structures import structures
+from jaxclear.integrators import Check, Checks
+from jaxclear.results.response import concerned
+from jaxclear.simulation import second_look
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """A slider pushed to and fro in its guide: forty impacts, each of them resolved."""
+    case = structures()[23].case(8)
+    return lambda step: jc.simulate(
+        case.mechanism,
+        case.duration,
+        integrator=jc.integrator.FixedStep(step),
+        save=201,
+        state=jc.State(concentric=case.concentric),
+    )
+
+
+def offset(run):
+    """Across the guide, beside the clearance."""
+    (name,) = run.mechanism.topology.clearances
+    joint = run.mechanism.connections[name].joint
+    return np.asarray(run.contact(name).offset)[:, 0] / float(joint.clearance)
+
+
+def test_a_body_that_is_elsewhere_in_its_gap_is_said_and_mean_forces_stand(pushed):
+    """Beside steps an eighth as long it is a tenth of the clearance off; steps of a third are
+    right, and say nothing. No other figure tells."""
+    exact = offset(pushed(2.5e-6))
+    found, right = pushed(2e-5), pushed(5e-6)
+    assert np.abs(offset(found) - exact).max() > 0.05
+    assert np.abs(offset(right) - exact).max() < 0.02
+    assert {check for check, flag in found.checks.beyond().items() if flag} == {Check.PLACE_IN_GAP}
+    assert "elsewhere in their gap" in found.result and right.warnings == ()
+    concerns = Check.PLACE_IN_GAP.concerns
+    assert not concerned(jc.response.MeanContactForce("G"), concerns)
+    assert concerned(jc.response.PeakWornDepth("G"), concerns)
+
+
+def test_a_second_look_leaves_the_numbers_and_comes_only_in_doubt(pushed, monkeypatch):
+    found = pushed(2e-5)
+    monkeypatch.setattr(second_look, "DOUBTS", {Check.IMPACT_STEP: 2.0})
+    once = pushed(2e-5)
+    assert Check.PLACE_IN_GAP not in once.checks.figures
+    np.testing.assert_array_equal(found.states, once.states)
+
+
+def test_runs_of_many_steps_and_steps_that_are_counted_are_not_gone_through_again(pushed):
+    run = pushed(2e-5)
+    stats = dataclasses.replace(run.stats, accepted_steps=10**9)
+
+    def again(finer):
+        raise AssertionError("gone through again")
+
+    step = jc.integrator.FixedStep(2e-5)
+    counted = jc.integrator.FixedStep(steps_per_save=3)
+    for one, integrator in (
+        (dataclasses.replace(run, stats=stats), step),
+        (run, counted),
+        (run, jc.integrator.Adaptive()),
+        (dataclasses.replace(run, checks=Checks()), step),
+    ):
+        assert second_look.looked_at_again(one, integrator, again) is one
+    with pytest.raises(AssertionError, match="again"):
+        second_look.looked_at_again(run, step, again)
