@@ -72,3 +72,17 @@ def test_runs_of_many_steps_and_steps_that_are_counted_are_not_gone_through_agai
         assert second_look.looked_at_again(one, integrator, again) is one
     with pytest.raises(AssertionError, match="again"):
         second_look.looked_at_again(run, step, again)
+
+
+def test_impacts_that_a_second_look_finds_right_are_not_accused_of_their_steps():
+    """Indentations rise by more than the limit within a step, and the few impacts are right."""
+    case = structures()[16].case(2)
+    run = jc.simulate(
+        case.mechanism,
+        case.duration,
+        integrator=jc.integrator.FixedStep(),
+        save=201,
+        state=jc.State(concentric=case.concentric),
+    )
+    assert run.warnings == () and Check.IMPACT_STEP not in run.checks.figures
+    assert run.checks.figures[Check.PLACE_IN_GAP].worst.max() < 0.01
