@@ -45,6 +45,7 @@ from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.positions import positions
 from jaxclear.simulation.saving import Saving
+from jaxclear.simulation.seated import seated
 from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution, limit_state
 from jaxclear.studies.advice.choice import advise
@@ -132,6 +133,7 @@ __all__ = [
     "reliability",
     "response",
     "scenes",
+    "seated",
     "sensitivity",
     "settled",
     "simulate",

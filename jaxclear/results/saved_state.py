@@ -43,7 +43,8 @@ class State(AbstractQuantified):
     `worn`: depths [m] by joint and surface, such as `run.worn`; new surfaces by default, and where
     nothing is given. `concentric`: at the mechanism's own start journals lie in the middle of their
     bearings and move with them, as far as `start` and `speeds` of the mechanism let them; False
-    closes ideal loops only. `motion`: as a run has saved it; None for the mechanism's own start.
+    closes ideal loops only. `jaxclear.seated` gives a state in which they lie where reactions press
+    them. `motion`: as a run has saved it; None for the mechanism's own start.
     """
 
     worn: dict[str, dict[str, Array]] | None = None

@@ -76,11 +76,12 @@ def oscillator(**numbers):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "integrator"),
     [
         pytest.param(STICKS, jc.integrator.NonColliding(1e-4), id="NonColliding"),
-        pytest.param(FAST, ADAPTIVE, id="Adaptive", marks=pytest.mark.slow),
+        pytest.param(FAST, ADAPTIVE, id="Adaptive"),
     ],
 )
 def test_constant_friction_takes_the_same_from_every_half_swing(law, integrator):
@@ -183,6 +184,7 @@ def slider(friction, arm, **numbers):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", [0.5, 1.1])
 def test_a_carriage_pulled_beside_its_guide_jams_beyond_half_its_length_over_mu(arm):
     """Two ends carry F a / l each: friction 2 mu F a / l, and no motion from a = l / (2 mu) on."""

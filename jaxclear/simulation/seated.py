@@ -1,0 +1,155 @@
+"""A start at which journals lie in their bearings as their reactions press them, instead of in the
+middle, from where they would fall through their play.
+"""
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.components.body import Connection, Marker
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.formulations import CompliantContact, model_of
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.pose import frame_with_axis, quaternion_from_rotation
+from jaxclear.ground.precision import check_double_precision
+from jaxclear.integrators import NonColliding
+from jaxclear.multibody.assembly import ready
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import names
+from jaxclear.multibody.system import System, prepare, readings
+from jaxclear.results.saved_state import SavedMotion, State
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.simulate import simulate
+from jaxclear.simulation.wear import worn_as_given
+
+__all__ = ["seated"]
+
+# Step [s] over which the first reactions are taken: a motion does not change in it.
+FIRST = 1e-7
+# Turns of a bisection, each of which halves what is left of an indentation.
+HALVINGS = 60
+
+
+@answering
+def seated(mechanism: Mechanism, worn: Any = None) -> State:
+    """Where a run may begin without a fall: the mechanism's own start, with every journal pressed
+    into its bearing by the reaction that the joint has there while all of them touch
+    (`NonColliding`), as deep as its law carries that reaction, and resting in it.
+
+    Loads, drives and inertia forces of the start count; friction leans a journal sideways. Journals
+    without a reaction stay in the middle. `worn`: depths [m] by joint and surface, such as
+    `run.worn`. Give the state to `simulate`, `settled`, `wear_life` or a `Problem`. What `start`
+    holds is held. Raises `ValueError` with a sentence for a joint of which it is not known where a
+    load presses it.
+    """
+    check_double_precision()
+    expect(mechanism, Mechanism, "what is seated", "a jaxclear.Mechanism")
+    surfaces = worn_as_given(mechanism, worn)
+    if not mechanism.topology.clearances:
+        return State(surfaces)
+    first = simulate(mechanism, FIRST, save=2, integrator=NonColliding(FIRST))
+    system = prepare(mechanism)
+    read = {} if surfaces is None else readings(system, surfaces)
+    connections = dict(mechanism.connections)
+    for name in mechanism.topology.clearances:
+        offset, slope, load = _pressed(first, mechanism, name)
+        share = _share(system, name, (offset, slope), load, read.get(name, {}))
+        moved = _moved(connections[name].parent, share * offset, share * slope)
+        connections[name] = Connection(connections[name].joint, moved, connections[name].child)
+    put = Mechanism(
+        mechanism.bodies,
+        connections,
+        mechanism.loads,
+        **mechanism.given,
+        stabilisation=mechanism.stabilisation,
+    )
+    known, start = ready(put)
+    model = model_of(mechanism, CompliantContact())
+    own = names(model.system, model.layout)
+    parts = own[: model.layout.memory_start], own[model.layout.remembered]
+    motion = SavedMotion(
+        jnp.zeros(()),
+        start.coordinates,
+        start.speeds,
+        jnp.zeros(len(parts[1])),
+        tuple(parts[0]),
+        tuple(parts[1]),
+        known.topology.redundancy,
+    )
+    return State(surfaces, motion=motion)
+
+
+def _pressed(
+    first: Trajectory, mechanism: Mechanism, name: str
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """(offset [m] of a journal that its reaction presses to the wall, slope of its axis, sum of the
+    forces [N] that its contacts carry)."""
+    if name in first.formulation.contact_joints(first.mechanism):
+        contact = first.contact(name)
+        axis = np.asarray(contact.axis[0])
+        load = float(np.sum(contact.normal_force[0]))
+        return np.asarray(contact.offset[0]), axis[:2] / axis[2], load
+    connection = mechanism.connections[name]
+    body, pose = connection.parent.body, connection.parent.pose()
+    turn = np.asarray(sp.dense(pose.rotation), float).reshape(3, 3)
+    if body in mechanism.bodies:
+        turn = np.asarray(first.body(body).rotation[0]) @ turn
+    reaction = first.reaction(name)
+    force, torque = (turn.T @ np.asarray(x[0]) for x in (reaction.force, reaction.torque))
+    try:
+        offset, slope = connection.joint.seat(tuple(force), tuple(torque))
+    except ValueError as error:
+        raise ValueError(f'joint "{name}" {error}') from None
+    return np.array(offset, float), np.array(slope, float), float(np.linalg.norm(force))
+
+
+def _share(system: System, name: str, seat: tuple, load: float, worn: dict) -> float:
+    """By how much a seat is to be stretched so that the contacts carry the `load` [N]."""
+    if load == 0.0:
+        return 1.0
+    bearing = system.bearings[name]
+    force = eqx.filter_jit(lambda share: _carried(bearing, seat, share, worn))
+    low, high = 0.0, 1.0
+    while float(force(high)) < load:
+        low, high = high, 2.0 * high
+        if not math.isfinite(high):
+            return 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if float(force(middle)) < load else (low, middle)
+    return high
+
+
+def _carried(bearing: Any, seat: tuple, share: Any, worn: dict) -> Any:
+    """Sum of the elastic forces [N] of the contacts of a journal in a stretched seat."""
+    joint: AbstractClearance = bearing.joint
+    offset, slope = (share * jnp.asarray(x) for x in seat)
+    axis = (slope[0], slope[1], 1.0)
+    axes = {2: tuple(x / sp.norm(axis) for x in axis), 0: (1.0, 0.0, -slope[0])}
+    depths = joint.indentations(tuple(offset), tuple(axes[k] for k in joint.axes), worn)
+    forces = [
+        jnp.where(depth > 0, laws.contact.elastic_force(jnp.maximum(depth, 0.0)), 0.0)
+        for laws, depth in zip(bearing.contact_laws, depths, strict=True)
+    ]
+    return sum(forces)
+
+
+def _moved(marker: Marker, offset: np.ndarray, slope: np.ndarray) -> Marker:
+    """A bearing's marker where the journal's is when it lies in its seat."""
+    pose = marker.pose()
+    turn = np.asarray(sp.dense(pose.rotation), float).reshape(3, 3)
+    at = np.asarray(sp.dense(pose.translation), float).ravel() + turn @ offset
+    place = at if np.any(at[2]) else at[:2]
+    if not np.any(slope):
+        # Planar markers stay so.
+        if marker.quaternion is not None:
+            return Marker(marker.body, place, quaternion=marker.quaternion)
+        axis = marker.named_axis if marker.axis is None else marker.axis
+        return Marker(marker.body, place, axis=axis)
+    lean = np.asarray(sp.dense(frame_with_axis((*slope, 1.0))), float).reshape(3, 3)
+    return Marker(marker.body, place, quaternion=quaternion_from_rotation(turn @ lean))

@@ -1,0 +1,89 @@
+"""A start in contact: journals lie where their reactions press them, and do not fall."""
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+
+TURN = 0.1
+LAW = jc.contact.CarvalhoMartins(stiffness=1e10, restitution=0.5)
+
+
+def slider_crank(kind=jc.clearance.PlanarJournalBearing, wear=True, push=-400.0):
+    """A crank that is driven, and a slider that a force pushes towards it."""
+    numbers = {"bearing_radius": 10e-3, "clearance": 0.1e-3, "length": 20e-3}
+    if wear:
+        numbers["bearing_wear"] = jc.Wearing(jc.wear.Archard(), (36, 1))
+    pin = kind(LAW, jc.friction.CoulombTanh(mu_kinetic=0.1), **numbers)
+    turning = jc.joint.Revolute(drive=jc.drive.ConstantSpeed(2 * np.pi / TURN))
+    return jc.Mechanism(
+        {
+            "crank": jc.Body(0.2, 1e-4, com=(0.02, 0.0)),
+            "rod": jc.Body(0.3, 5e-4, com=(0.1, 0.0)),
+            "slider": jc.Body(0.5, 1e-4),
+        },
+        {
+            "O": jc.Connection(turning, "ground", "crank"),
+            "A": jc.Connection(pin, jc.Marker("crank", (0.04, 0.0)), "rod"),
+            "B": jc.Connection(jc.joint.Revolute(), jc.Marker("rod", (0.2, 0.0)), "slider"),
+            "G": jc.Connection(jc.joint.Prismatic(), "ground", "slider", axis="x"),
+        },
+        {"g": jc.load.Gravity(), "push": jc.load.Force(jc.Marker("slider"), (push, 0.0))},
+    )
+
+
+def test_a_seated_journal_carries_its_reaction_from_the_first_instant_on():
+    """That of the joint which always touches; from the middle it falls through its play first."""
+    rig = slider_crank(wear=False)
+    integrator = jc.integrator.Adaptive(rtol=1e-6, atol=1e-9)
+    wanted = jc.simulate(rig, 1e-3, save=2, integrator=jc.integrator.NonColliding(1e-5))
+    force = wanted.contact("A").normal_force[0, 0]
+    assert force > 100.0
+    runs = [
+        jc.simulate(rig, 1e-3, save=21, integrator=integrator, state=state).contact("A")
+        for state in (jc.seated(rig), None)
+    ]
+    # it rocks a little about its seat: the bearing gives way, which the ideal joint does not
+    np.testing.assert_allclose(runs[0].normal_force[:, 0], force, rtol=0.03)
+    np.testing.assert_allclose(runs[0].normal_force[0, 0], force, rtol=1e-3)
+    assert float(runs[1].normal_force[:5].max()) == 0.0
+
+
+@pytest.mark.slow
+def test_the_first_cycle_of_a_seated_start_wears_as_the_settled_one():
+    """From the middle ten times as far from it."""
+    rig = slider_crank()
+    problem = lambda state: jc.settled(rig, TURN, state=state, cycles=8, throw=False)
+    lost = [
+        [float(one.lost["A"]["bearing"]) for one in problem(state).settling.cycles]
+        for state in (None, jc.seated(rig))
+    ]
+    settled = np.mean([own[-1] for own in lost])
+    fallen, seated = (abs(own[0] / settled - 1) for own in lost)
+    assert seated < 2e-4 and fallen > 5 * seated
+
+
+@pytest.mark.slow
+def test_a_journal_in_a_worn_hole_is_seated_on_its_wall():
+    rig = slider_crank()
+    deep = {"A": {"bearing": np.full((36, 1), 5e-5)}}
+    new, worn = (jc.seated(rig, worn) for worn in (None, deep))
+    away = [
+        np.linalg.norm(jc.simulate(rig, 1e-6, save=2, state=one).contact("A").offset[0])
+        for one in (new, worn)
+    ]
+    np.testing.assert_allclose(away[1] - away[0], 5e-5, rtol=1e-3)
+
+
+def test_a_mechanism_without_play_is_seated_as_it_starts():
+    rig = slider_crank()
+    ideal = jc.Mechanism(
+        rig.bodies,
+        rig.connections | {"A": jc.Connection(jc.joint.Revolute(), *_ends(rig, "A"))},
+        rig.loads,
+    )
+    assert jc.seated(ideal).motion is None
+
+
+def _ends(rig, name):
+    return rig.connections[name].parent, rig.connections[name].child
