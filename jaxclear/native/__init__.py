@@ -17,7 +17,8 @@ The boundary is four functions, three that tell of the program, and two for Ctrl
 
 On its way a loop passes through these files:
 
-- `loop`: the loop as a primitive of JAX: how it batches, differentiates and is lowered.
+- `while_loops`: loops as they are written; `loop`: the primitive of JAX that they become, how it
+  batches and is lowered; `differentiation`, `tangent`: its derivative, a loop again.
 - `rows`: functions as loops of one turn.
 - `control`, `arithmetic`, `elementary`, `shapes`, `indexing`, `reductions`: one rule for each of
   JAX's primitives, in the registry of `rules`: what it becomes as LLVM code.
@@ -30,8 +31,9 @@ On its way a loop passes through these files:
 - `verdicts`: which loops became kernels, and why others did not.
 
 JAX's own loop is taken instead where a primitive has no rule, where the program is long, where the
-check fails, on an accelerator, for derivatives, and with JAXCLEAR_PLAIN_LOOPS=1. Of time loops the
-first three warn, once for each reason; all reasons are in the verdict.
+check fails, on an accelerator, for derivatives of the loops of a library and of functions of one
+turn, and with JAXCLEAR_PLAIN_LOOPS=1. Of time loops the first three warn, once for each reason;
+all reasons are in the verdict.
 
 What a kernel holds of its arguments: constants and the first state as one packed row of floats for
 each sample (whole numbers and truth values as floats, exact to 2^53); constant arrays of more than
@@ -46,10 +48,10 @@ To add a rule: write the function in the file of its subject, decorate it with `
 give it a case in tests/native/test_rules.py.
 """
 
-from jaxclear.native.loop import while_loop, with_fast_loops
 from jaxclear.native.rows import one_row, over_rows
 from jaxclear.native.stopping import stop, stoppable
 from jaxclear.native.verdicts import calls_lapack, explain, verdict
+from jaxclear.native.while_loops import while_loop, with_fast_loops
 
 __all__ = [
     "calls_lapack",

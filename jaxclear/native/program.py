@@ -16,7 +16,9 @@ from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 class Program(NamedTuple):
     """A while loop as two programs: condition over (its constants, state), body over (its
-    constants, state). `once`: it always takes one turn, and so is a function.
+    constants, state). `once`: it always takes one turn, and so is a function. `tangents`: inputs of
+    the body that nothing but other tangents depends on; `motion`: the loop without the last of
+    them.
     """
 
     condition: ClosedJaxpr
@@ -24,6 +26,8 @@ class Program(NamedTuple):
     condition_constants: int
     body_constants: int
     once: bool = False
+    tangents: frozenset[int] = frozenset()
+    motion: "Program | None" = None
 
 
 def avals_of(program: Program) -> tuple[list, list]:

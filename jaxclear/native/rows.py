@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from jaxclear.native.loop import once
+from jaxclear.native.while_loops import once
 
 # Operations up to which a function is short: a body's place has some 100, the reactions of a
 # slider-crank have 456.

@@ -16,7 +16,10 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 KERNELS = "The time loops ran as machine code."
-NO_LOOPS = "No time loop asked for machine code: derivatives and fixed numbers of steps do not."
+NO_LOOPS = (
+    "No time loop asked for machine code: fixed numbers of steps do not, nor do derivatives of "
+    "adaptive ones."
+)
 SWITCHED_OFF = "the kernels are switched off by JAXCLEAR_PLAIN_LOOPS"
 NOT_A_CPU = "kernels are for CPUs"
 # Under this name loops leave their words in the dictionary of the module that is being lowered.

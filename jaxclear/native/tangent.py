@@ -1,0 +1,205 @@
+"""The derivative of a loop, forwards, is a loop: its body carries the state and the state's
+tangent. So it becomes a kernel as every other loop does.
+
+The condition asks for the state alone. Of the state only those numbers get a tangent that depend on
+what moves: times, indices and whole numbers do not. Of several tangents at once some stand side by
+side in one body, which goes through the motion itself once for all of them.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
+
+from jaxclear.native.control import CALLS
+from jaxclear.native.program import Program, avals_of
+
+# Tangents in one body: more of them outgrow the registers.
+SIDE_BY_SIDE = 2
+# Samples that a kernel goes through at a time, where there is but one motion.
+LANES = 8
+
+
+def moving_state(
+    program: Program, constants: Sequence[bool], state: Sequence[bool]
+) -> tuple[bool, ...]:
+    """Which parts of the state ever move, where these of the body's constants and of the first
+    state do."""
+    return _settled(program.body, constants, state)[0]
+
+
+def _settled(
+    body: ClosedJaxpr, fixed: Sequence[bool], first: Sequence[bool], rows: Sequence[bool] = ()
+) -> tuple[tuple[bool, ...], list[bool]]:
+    """(which parts of what a body hands on to itself ever move, which of its results do)."""
+    now = tuple(first)
+    while True:
+        out = _moved(body, [*fixed, *now, *rows])
+        after = tuple(a or b for a, b in zip(now, out, strict=False))
+        if after == now:
+            return now, out
+        now = after
+
+
+def _moved(program: ClosedJaxpr, inputs: Sequence[bool]) -> list[bool]:
+    """Which results depend on the inputs that move."""
+    jaxpr = getattr(program, "jaxpr", program)
+    moving = {v for v, moves in zip(jaxpr.invars, inputs, strict=True) if moves}
+
+    def moves(atom):
+        return not isinstance(atom, Literal) and atom in moving
+
+    for equation in jaxpr.eqns:
+        asked = [moves(atom) for atom in equation.invars]
+        if any(asked):
+            found = zip(equation.outvars, _moved_by(equation, asked), strict=True)
+            moving |= {v for v, m in found if m and np.issubdtype(v.aval.dtype, np.floating)}
+    return [moves(atom) for atom in jaxpr.outvars]
+
+
+def _moved_by(equation: Any, inputs: list[bool]) -> list[bool]:
+    """Which results of an operation depend on its inputs that move."""
+    name, p = equation.primitive.name, equation.params
+    if name == "stop_gradient":
+        return [False]
+    if name in CALLS:
+        return _moved(next(p[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in p), inputs)
+    if name == "cond":
+        branches = [_moved(branch, inputs[1:]) for branch in p["branches"]]
+        return [any(each) for each in zip(*branches, strict=True)]
+    if name == "while":
+        c, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
+        return list(_settled(p["body_jaxpr"], inputs[c:b], inputs[b:])[0])
+    if name == "scan":
+        fixed, carried = p["num_consts"], p["num_consts"] + p["num_carry"]
+        parts = inputs[:fixed], inputs[fixed:carried], inputs[carried:]
+        now, out = _settled(p["jaxpr"], *parts)
+        return [*now, *out[len(now) :]]
+    return [True] * len(equation.outvars)
+
+
+def tangent_program(program: Program, constants: Sequence[bool], state: Sequence[bool]) -> Program:
+    """The loop with tangents: behind the body's constants stand the tangents of those that move,
+    behind the state those of its parts that move."""
+    c, b = program.condition_constants, program.body_constants
+    fixed, first = avals_of(program)
+    fixed, n = fixed[c:], len(first)
+    of_constants, of_state = np.flatnonzero(constants), np.flatnonzero(state)
+    turns, tests = jaxpr_as_fun(program.body), jaxpr_as_fun(program.condition)
+    known = b + len(of_constants)
+
+    def turn(*numbers):
+        k, dk, s, ds = numbers[:b], numbers[b:known], numbers[known:][:n], numbers[known + n :]
+
+        def moved(*moving):
+            inputs = [*k, *s]
+            for place, value in zip([*of_constants, *(b + of_state)], moving, strict=True):
+                inputs[place] = value
+            out = turns(*inputs)
+            return [out[i] for i in of_state], out
+
+        moving = [*(k[i] for i in of_constants), *(s[i] for i in of_state)]
+        _, tangents, out = jax.jvp(moved, moving, [*dk, *ds], has_aux=True)
+        return [*out, *tangents]
+
+    behind = [first[i] for i in of_state]
+    body = _traced(turn, [*fixed, *(fixed[i] for i in of_constants), *first, *behind])
+    condition = _traced(
+        lambda *numbers: tests(*numbers[: c + n]), [*program.condition.in_avals, *behind]
+    )
+    earlier = {i if i < b else i + len(of_constants) for i in program.tangents}
+    tangents = earlier | {*range(b, known), *range(known + n, known + n + len(behind))}
+    return Program(condition, body, c, known, tangents=frozenset(tangents), motion=program)
+
+
+class Bundle(NamedTuple):
+    """Several tangents of one motion: the loop that takes them and its `values`, whose leading axes
+    are `rank` in number; `moving`: which parts of the state are tangents that differ;
+    `tangents`: how many there are."""
+
+    program: Program
+    values: list[Any]
+    rank: int
+    moving: tuple[bool, ...]
+    tangents: int
+
+    def results(self, out: Sequence[Any], rank: int) -> tuple[list[Any], list[int | None]]:
+        """(parts of the last state, the axis of the tangents in each) for the loop of this rank
+        that was asked for all of them."""
+        apart = self.rank > rank
+        found: list[Any] = []
+        for part, moves in zip(out, self.moving, strict=True):
+            if moves:
+                ahead = jnp.moveaxis(part, self.rank, 1 if apart else 0)
+                ahead = ahead.reshape(-1, *ahead.shape[2:]) if apart else ahead
+                found.append(ahead[: self.tangents])
+            else:
+                found.append(part[0] if apart else part)
+        return found, [0 if moves else None for moves in self.moving]
+
+
+def bundled(
+    program: Program, values: Sequence[Any], dims: Sequence[int | None], rank: int
+) -> Bundle | None:
+    """Several tangents at once, where they are all that differs (None: other numbers do too)."""
+    c, b = program.condition_constants, program.body_constants
+    batched = [d is not None for d in dims]
+    differing = {i for i, d in enumerate(batched[c:]) if d}
+    if any(batched[:c]) or not differing <= program.tangents:
+        return None
+    values = list(map(jnp.asarray, values))
+    moving = moving_state(program, batched[c : c + b], batched[c + b :])
+    batched = [*batched[: c + b], *moving]
+    count = next(v.shape[d] for v, d in zip(values, dims, strict=True) if d is not None)
+    side_by_side = min(SIDE_BY_SIDE, count if rank else -(-count // LANES))
+    portions = -(-count // side_by_side)
+    wide = _widened(program, batched, side_by_side)
+
+    def arranged(value, dim, differs):
+        if not differs:
+            return jnp.broadcast_to(value, (portions, *value.shape)) if portions > 1 else value
+        if dim is None:
+            value = jnp.broadcast_to(value, (count, *value.shape))
+        else:
+            value = jnp.moveaxis(value, dim, 0)
+        # The last one stands in for those that the last portion lacks.
+        value = value[np.arange(portions * side_by_side).clip(max=count - 1)]
+        value = value.reshape(portions, side_by_side, *value.shape[1:])
+        value = jnp.moveaxis(value, 1, 1 + rank)
+        return value if portions > 1 else value[0]
+
+    arranged_values = [arranged(*each) for each in zip(values, dims, batched, strict=True)]
+    return Bundle(wide, arranged_values, rank + (portions > 1), moving, count)
+
+
+def _widened(program: Program, batched: Sequence[bool], count: int) -> Program:
+    """The loop whose batched inputs have a leading axis of so many tangents."""
+    c, b = program.condition_constants, program.body_constants
+    axes = [0 if each else None for each in batched[c:]]
+    turns, tests = jaxpr_as_fun(program.body), jaxpr_as_fun(program.condition)
+
+    def wide(aval, axis):
+        return jax.ShapeDtypeStruct(
+            aval.shape if axis is None else (count, *aval.shape), aval.dtype
+        )
+
+    body = _traced(
+        lambda *numbers: jax.vmap(lambda *own: turns(*own), axes, axes[b:])(*numbers),
+        list(map(wide, program.body.in_avals, axes)),
+    )
+    asked = [*program.condition.in_avals[:c]]
+    asked += map(wide, program.condition.in_avals[c:], axes[b:])
+
+    def test(*numbers):
+        # It reads no tangent: any of them will do.
+        places = [*[None] * c, *axes[b:]]
+        return tests(*(n if a is None else n[0] for n, a in zip(numbers, places, strict=True)))
+
+    return program._replace(condition=_traced(test, asked), body=body, motion=None)
+
+
+def _traced(function, avals) -> ClosedJaxpr:
+    return jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals))

@@ -1,0 +1,119 @@
+"""Loops as a user of this room writes them: `while_loop` in the place of `jax.lax.while_loop`,
+functions as loops of one turn, and the loops that a library has written."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
+
+from jaxclear.native import differentiation  # noqa: F401  (its rules)
+from jaxclear.native.control import CALLS
+from jaxclear.native.loop import loop_p
+from jaxclear.native.program import Program
+from jaxclear.native.writer import LONGEST_IN_REGISTERS
+
+
+def while_loop(condition: Callable[[Any], Any], body: Callable[[Any], Any], first: Any) -> Any:
+    """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over
+    batches.
+    """
+    return _loop(condition, body, first, False)
+
+
+def once(function: Callable, *numbers: Any) -> Any:
+    """A function of few numbers as a kernel: a loop of one turn. Differentiable as the function is;
+    where there is no kernel, samples of a batch are gone through one after the other.
+    """
+    traced = jax.jit(function)
+    shapes = jax.eval_shape(traced, *numbers)
+    nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shapes)
+    turn = lambda carry: (carry[0] + 1, traced(*numbers))
+    return _loop(lambda carry: carry[0] < 1, turn, (jnp.zeros((), int), nothing), True)[1]
+
+
+def _loop(condition: Callable, body: Callable, first: Any, once: bool) -> Any:
+    first = jax.tree.map(jnp.asarray, first)
+    leaves, structure = jax.tree.flatten(first)
+    tests, fixed_tests = _open(jax.make_jaxpr(condition)(first))
+    turns, fixed_turns = _open(jax.make_jaxpr(body)(first))
+    if [(a.shape, a.dtype) for a in turns.out_avals] != [(v.shape, v.dtype) for v in leaves]:
+        raise TypeError(
+            f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
+        )
+    program = Program(tests, turns, len(fixed_tests), len(fixed_turns), once)
+    out = loop_p.bind(*fixed_tests, *fixed_turns, *leaves, program=program, rank=0)
+    return jax.tree.unflatten(structure, out)
+
+
+def with_fast_loops(function: Callable) -> Callable:
+    """The function, its outermost `jax.lax.while_loop`s run as by `while_loop`: for the loops that
+    a library writes.
+    """
+
+    def wrapped(*arguments):
+        leaves, structure = jax.tree.flatten(arguments)
+        kept: dict[str, Any] = {}
+
+        def flat(*values):
+            out, kept["structure"] = jax.tree.flatten(
+                function(*jax.tree.unflatten(structure, values))
+            )
+            return out
+
+        found = jax.make_jaxpr(flat)(*leaves)
+        program = ClosedJaxpr(
+            found.jaxpr.replace(constvars=[], invars=[*found.jaxpr.constvars, *found.jaxpr.invars]),
+            [],
+        )
+        fast = jax.custom_jvp(lambda *values: _replay(program, values))
+        fast.defjvp(lambda values, tangents: jax.jvp(jaxpr_as_fun(program), values, tangents))
+        return jax.tree.unflatten(kept["structure"], fast(*found.consts, *leaves))
+
+    return wrapped
+
+
+def _replay(program: ClosedJaxpr, arguments: list) -> list:
+    jaxpr = program.jaxpr
+    values = dict(
+        zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True)
+    )
+
+    def get(atom):
+        return jnp.asarray(atom.val, atom.aval.dtype) if isinstance(atom, Literal) else values[atom]
+
+    for equation in jaxpr.eqns:
+        inputs, p = [get(atom) for atom in equation.invars], equation.params
+        if equation.primitive.name == "while":
+            counts = p["cond_nconsts"], p["body_nconsts"]
+            out = loop_p.bind(
+                *inputs, program=Program(p["cond_jaxpr"], p["body_jaxpr"], *counts), rank=0
+            )
+        elif equation.primitive.name in CALLS:
+            inner = next(p[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in p)
+            out = _replay(
+                inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, []), inputs
+            )
+        else:
+            out = equation.primitive.bind(*inputs, **p)
+            out = out if equation.primitive.multiple_results else [out]
+        values |= dict(zip(equation.outvars, out, strict=True))
+    return [get(atom) for atom in jaxpr.outvars]
+
+
+def _open(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:
+    """Constants that are not yet known as leading arguments, and these; known numbers stay
+    inside."""
+    pairs = list(zip(program.jaxpr.constvars, program.consts, strict=True))
+    known = [
+        p
+        for p in pairs
+        if not isinstance(p[1], jax.core.Tracer) and np.size(p[1]) <= LONGEST_IN_REGISTERS
+    ]
+    others = [p for p in pairs if not any(p[0] is k[0] for k in known)]
+    jaxpr = program.jaxpr.replace(
+        constvars=[k[0] for k in known], invars=[*[o[0] for o in others], *program.jaxpr.invars]
+    )
+    return ClosedJaxpr(jaxpr, [k[1] for k in known]), [o[1] for o in others]
