@@ -46,7 +46,7 @@ def looked_at_again(
     if is_traced((run.outcome, run.states)) or not run.succeeded:
         return run
     finer = integrator.with_finer_steps(FINER)
-    if finer is None or run.accepted_steps > MOST_STEPS or not _in_doubt(run.checks):
+    if finer is None or run.accepted_steps > MOST_STEPS or not _in_doubt(run):
         return run
     other = again(finer)
     if not other.succeeded:
@@ -61,11 +61,19 @@ def looked_at_again(
     return dataclasses.replace(run, checks=Checks(figures))
 
 
-def _in_doubt(checks: Checks) -> bool:
-    known = checks.figures
+def _in_doubt(run: Trajectory) -> bool:
+    """Whether a figure tells so; wear in rigid contact, which has none of these, always is."""
+    known = run.checks.figures
+    if _opens(run) and Check.INDENTATION not in known:
+        return bool(run.worn)
     return any(
         np.any(known[check].worst > least) for check, least in DOUBTS.items() if check in known
     )
+
+
+def _opens(run: Trajectory) -> bool:
+    """Whether contacts may open and close."""
+    return bool(run.mechanism.topology.clearances)
 
 
 def _impacts_are_right(checks: Checks, worst: dict[Check, float]) -> bool:
@@ -87,9 +95,9 @@ def _apart(
     found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
     off = np.abs(np.asarray(run.places) - np.asarray(other.places)).max(axis=0)
     sunk = run.checks.figures.get(Check.INDENTATION)
-    if sunk is None:
+    if not _opens(run):
         found[Check.HALVED_MOTION] = (off.max(keepdims=True), ("",))
-    elif gaps:
+    elif gaps and sunk is not None:
         found[Check.PLACE_IN_GAP] = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)
     if run.worn:
         wears = [_worn_apart(run.worn[joint], other.worn[joint]) for joint in run.worn]

@@ -86,3 +86,17 @@ def test_impacts_that_a_second_look_finds_right_are_not_accused_of_their_steps()
     )
     assert run.warnings == () and Check.IMPACT_STEP not in run.checks.figures
     assert run.checks.figures[Check.PLACE_IN_GAP].worst.max() < 0.01
+
+
+@pytest.mark.slow
+def test_wear_of_rigid_contact_that_hangs_on_the_step_is_said():
+    """The windows see nothing; the deepest wear is off by two fifths."""
+    case = structures()[14].case(0)
+    run = jc.simulate(
+        case.mechanism,
+        case.duration,
+        integrator=jc.integrator.MoreauJean(1e-4),
+        save=201,
+        state=jc.State(concentric=case.concentric),
+    )
+    assert run.checks.beyond()[Check.HALVED_WEAR] and Check.PLACE_IN_GAP not in run.checks.figures
