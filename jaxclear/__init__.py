@@ -65,9 +65,11 @@ from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.reliability.reliability import reliability
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
+from jaxclear.studies.statistics.sobol_indices import sobol_indices
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.variable import AbstractMechanismVariable, Variable
+from jaxclear.studies.worst_case import worst_case
 
 from jaxclear import scenes  # isort: skip
 
@@ -138,6 +140,7 @@ __all__ = [
     "sensitivity",
     "settled",
     "simulate",
+    "sobol_indices",
     "stiffness",
     "surface",
     "vector",
@@ -145,5 +148,6 @@ __all__ = [
     "wear_life",
     "wear_life_derivatives",
     "wear_lives",
+    "worst_case",
 ]
 __getattr__ = nothing_else("jaxclear", __all__)

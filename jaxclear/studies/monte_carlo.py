@@ -3,10 +3,9 @@ every statistic, and which sample failed and why.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -18,10 +17,12 @@ from jaxclear.ground.arguments import (
     check_number,
 )
 from jaxclear.integrators import Checks, Outcome
-from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import chunk_size, evaluate_all
-from jaxclear.studies.sampling import check_sampled, draw, extended, groups, usual_scramblings
-from jaxclear.studies.statistics.accuracy import Asked, asked_of, told, unreached
+from jaxclear.studies.growing import Plan, responses_of, until_accurate
+from jaxclear.studies.sampling import check_sampled, draw, groups, usual_scramblings
+from jaxclear.studies.statistics.accuracy import asked_of
+from jaxclear.studies.statistics.error_budget import error_budget
 from jaxclear.studies.statistics.limits import Limits, check_limits, yield_of
 from jaxclear.studies.statistics.scrambled import (
     Statistic,
@@ -201,6 +202,13 @@ class MonteCarlo(eqx.Module):
         kind = normal_interval if normal else free_interval
         return kind(*self.good(response), content, confidence, side)
 
+    def error_budget(self, response: str) -> dict[str, Statistic]:
+        """What each variable contributes to the variance of a response [its unit squared], and what
+        no plane through the sample explains; the parts sum to the variance."""
+        responses, group = self.good(response)
+        values = np.delete(self.values, self.failed, axis=0)
+        return error_budget(values, responses, group, self.problem.names)
+
     def summary(self, limits: Mapping[str, Limits] | None = None) -> Any:
         """Mean, standard deviation and percentiles of each response as a pandas table, each with
         its error: half of its 95 % interval, from the differences between the scramblings (or the
@@ -257,41 +265,7 @@ def monte_carlo(
         found, short = run(values), ""
     else:
         plan = Plan(problem, samples, seed, sampling, parts)
-        values, group, found, short = _until_accurate(plan, first, asked, run)
+        values, group, found, short = until_accurate(plan, first, asked, run)
     ends = (np.asarray(found.outcome), np.asarray(found.ended))
-    responses = _responses(problem, found)
+    responses = responses_of(problem, found)
     return MonteCarlo(problem, values, responses, *ends, seed, chunk, found.checks, group, short)
-
-
-class Plan(NamedTuple):
-    """What is sampled, at most how often, and how."""
-
-    problem: AbstractProblem
-    most: int
-    seed: int
-    sampling: str
-    scramblings: int
-
-
-def _until_accurate(plan: Plan, first: int, asked: Asked, run: Callable) -> tuple:
-    """Values, scramblings and outcomes of as many samples as the accuracy takes, and a sentence
-    where it takes more than the most."""
-    problem, parts = plan.problem, plan.scramblings
-    # All scramblings are of one length, a power of two, so that they can be doubled.
-    first = parts * 2 ** int(np.log2(first // parts))
-    values, group = draw(problem, first, plan.seed, plan.sampling, parts), groups(first, parts)
-    found = run(values)
-    while True:
-        short = told(asked, _responses(problem, found), group)
-        if not short or 2 * len(values) > plan.most:
-            return values, group, found, unreached(short)
-        more = extended(problem, len(values) // parts, parts, plan.seed, plan.sampling)
-        values = np.concatenate([values, more])
-        group = np.concatenate([group, groups(len(more), parts)])
-        found = jax.tree.map(lambda *both: np.concatenate(both), found, run(more))
-
-
-def _responses(problem: AbstractProblem, found: SampleResult) -> dict[str, np.ndarray]:
-    """Responses of the samples, nan of those that failed."""
-    good = found.outcome == Outcome.REACHED
-    return {name: np.where(good, found.responses[name], np.nan) for name in problem.response_names}

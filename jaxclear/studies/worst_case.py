@@ -1,0 +1,215 @@
+"""The worst that tolerances allow: `jaxclear.worst_case`, the extremes of a response over the box
+of all its variables, beside the bound of first order.
+
+From the corner to which the slopes at nominal point, and from the worst points of a few hundred
+spread over the box, each extreme is climbed to by its gradient (L-BFGS-B). Where a derivative is
+refused, because contacts open and close, steps along the variables serve (compass search). What
+is found is a value that occurs: the true extreme is at least as far out.
+
+Source: Byrd, Lu, Nocedal & Zhu 1995, SIAM J. Sci. Comput. 16, 1190, doi:10.1137/0916069; compass
+search: Kolda, Lewis & Torczon 2003, SIAM Rev. 45, 385, doi:10.1137/S003614450242889.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import optimize
+from scipy.stats import qmc
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags, check_number
+from jaxclear.integrators import Outcome
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.distribution.base import END_SCORE
+from jaxclear.studies.sampling import check_sampled
+
+# Points from which each extreme is climbed to, the corner of the slopes apart.
+STARTS = 4
+# A compass search ends when its steps are this share of the box, or after so many rounds.
+SHORTEST, MOST_ROUNDS = 1e-3, 60
+
+
+class Extreme(eqx.Module):
+    """The least or largest value found of a response [its unit], `values` (variables,) where it
+    occurs, and the value of first order there: nominal and slopes times deviations, nan where
+    there are no slopes."""
+
+    value: float
+    values: np.ndarray
+    first_order: float
+
+
+class WorstCase(eqx.Module):
+    """The extremes of every response over the box from `low` to `high` (variables,), and its
+    `nominal` values."""
+
+    problem: AbstractProblem
+    low: np.ndarray
+    high: np.ndarray
+    nominal: dict[str, float]
+    least: dict[str, Extreme]
+    largest: dict[str, Extreme]
+    runs: int = eqx.field(static=True)
+
+    def table(self) -> Any:
+        """A pandas table, a row a response: nominal, least and largest, of first order and found,
+        and where."""
+        import pandas
+
+        rows = []
+        for name, nominal in self.nominal.items():
+            row = {"response": name, "unit": self.problem.units()[name], "nominal": nominal}
+            for label, found in (("least", self.least[name]), ("largest", self.largest[name])):
+                row[label] = found.value
+                row[f"{label} of first order"] = found.first_order
+                places = zip(self.problem.names, found.values, strict=True)
+                row |= {f"{label}: {variable}": value for variable, value in places}
+            rows.append(row)
+        return pandas.DataFrame(rows)
+
+
+@answering
+def worst_case(
+    problem: AbstractProblem,
+    *,
+    samples: int = 256,
+    sigmas: float = 3.0,
+    seed: int = 0,
+    progress_bar: bool = False,
+) -> WorstCase:
+    """The least and largest value of every response over the box of the variables: to the ends of
+    distributions that have ends, and to `sigmas` [1] normal scores of others. `samples`: points
+    spread over the box to begin with.
+
+    It says nothing of how likely the worst is, which `jaxclear.monte_carlo` does.
+    """
+    check_sampled(problem, samples, seed)
+    check_number("sigmas of worst_case", sigmas, above=0)
+    check_flags("worst_case", progress_bar=progress_bar)
+    check_count("samples of worst_case", samples)
+    low, high = box(problem, sigmas)
+    count = len(low)
+    sequence = qmc.Sobol(count, scramble=True, rng=np.random.default_rng(seed))
+    spread = sequence.random_base2(int(np.ceil(np.log2(samples))))[:samples]
+    nominal = np.asarray(problem.nominal())
+    search = Search(problem, low, high, progress_bar)
+    points = np.concatenate([nominal[None], low + spread * (high - low)])
+    responses = search.responses(points)
+    extremes: dict[int, dict] = {-1: {}, 1: {}}
+    for name in problem.response_names:
+        slopes = search.slopes(name, nominal)
+        for sign, found in extremes.items():
+            corner = np.where(sign * slopes > 0, high, np.where(sign * slopes < 0, low, nominal))
+            first = float(responses[name][0] + slopes @ (corner - nominal))
+            order = np.argsort(np.where(np.isnan(responses[name]), np.inf, -sign * responses[name]))
+            starts = [corner, *points[order[:STARTS]]]
+            found[name] = search.climbed(name, sign, starts, first)
+    at_nominal = {name: float(responses[name][0]) for name in problem.response_names}
+    return WorstCase(problem, low, high, at_nominal, extremes[-1], extremes[1], search.runs)
+
+
+def box(problem: AbstractProblem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest value of each variable, (variables,) each."""
+    nominal, ends = np.asarray(problem.nominal()), []
+    for own in problem.inputs.distributions:
+        cut = np.array(own.end_densities()) > 0
+        scores = np.where(cut | (not own.is_continuous()), END_SCORE, sigmas)
+        ends.append(np.asarray(own.of_score(jnp.asarray(np.array([-1.0, 1.0]) * scores))))
+    low, high = np.array(ends).T
+    return nominal + low, nominal + high
+
+
+@eqx.filter_jit
+def _value_and_slopes(problem, name, values):
+    def response(values):
+        found = problem.evaluate(values)
+        return found.responses[name], found.outcome
+
+    slopes, outcome = jax.jacfwd(response, has_aux=True)(values)
+    return response(values)[0], slopes, outcome
+
+
+class Search:
+    """Runs a problem in search of extremes, and counts the runs."""
+
+    def __init__(self, problem: AbstractProblem, low, high, progress_bar: bool):
+        self.problem, self.low, self.high, self.bar = problem, low, high, progress_bar
+        self.runs = 0
+        self.differentiable = not any(problem.pathwise_limits())
+
+    def responses(self, points: np.ndarray) -> dict[str, np.ndarray]:
+        """By name at points (points, variables); nan where one failed."""
+        self.runs += len(points)
+        found = evaluate_all(
+            self.problem, jnp.asarray(points), progress_bar=self.bar, label="worst case"
+        )
+        good = found.outcome == Outcome.REACHED
+        return {name: np.where(good, r, np.nan) for name, r in found.responses.items()}
+
+    def slopes(self, name: str, at: np.ndarray) -> np.ndarray:
+        """Of a response at a point (variables,): derivatives, or differences across the box where
+        these are refused."""
+        if self.differentiable:
+            self.runs += 1
+            found = np.asarray(_value_and_slopes(self.problem, name, jnp.asarray(at))[1])
+            return np.where(np.isfinite(found), found, 0.0)
+        both = np.stack([np.where(np.eye(len(at)), end, at) for end in (self.low, self.high)])
+        ends = self.responses(both.reshape(-1, len(at)))[name].reshape(2, -1)
+        width = self.high - self.low
+        return np.nan_to_num((ends[1] - ends[0]) / np.where(width > 0, width, 1.0))
+
+    def climbed(self, name: str, sign: int, starts: list, first: float) -> Extreme:
+        """The farthest that is climbed to from starts (variables,)."""
+        climb = self._by_gradient if self.differentiable else self._by_compass
+        ends = [climb(name, sign, np.asarray(start)) for start in starts]
+        ends = [(value, at) for value, at in ends if np.isfinite(value)]
+        if not ends:
+            return Extreme(np.nan, np.full(len(self.low), np.nan), first)
+        value, at = max(ends, key=lambda end: sign * end[0])
+        return Extreme(float(value), at, first)
+
+    def _by_gradient(self, name, sign, start):
+        width = np.where(self.high > self.low, self.high - self.low, 1.0)
+        size = 1.0
+        best = (np.nan, start)
+
+        def asked(share):
+            nonlocal best
+            at = np.clip(self.low + share * width, self.low, self.high)
+            value, slopes, outcome = _value_and_slopes(self.problem, name, jnp.asarray(at))
+            self.runs += 1
+            if outcome != Outcome.REACHED or not np.isfinite(value):
+                return np.inf, np.zeros(len(at))
+            if not sign * value <= sign * best[0]:
+                best = (float(value), at)
+            return -sign * float(value) / size, -sign * np.asarray(slopes) * width / size
+
+        begun, slope = asked((start - self.low) / width)
+        # Numbers of any unit: what the box can change is 1.
+        size = float(np.sum(np.abs(slope))) or 1.0
+        if np.isfinite(begun):
+            bounds = [(0.0, float(above)) for above in self.high > self.low]
+            optimize.minimize(
+                asked, (start - self.low) / width, jac=True, method="L-BFGS-B", bounds=bounds
+            )
+        return best
+
+    def _by_compass(self, name, sign, start):
+        value = float(self.responses(start[None])[name][0])
+        step, count = 0.25, len(start)
+        for _ in range(MOST_ROUNDS):
+            if step < SHORTEST:
+                break
+            moves = step * (self.high - self.low) * np.concatenate([np.eye(count), -np.eye(count)])
+            around = np.clip(start + moves, self.low, self.high)
+            found = self.responses(around)[name]
+            best = int(np.nanargmax(sign * found)) if np.isfinite(found).any() else 0
+            if np.isnan(value) or sign * found[best] > sign * value:
+                value, start = float(found[best]), around[best]
+            else:
+                step *= 0.5
+        return value, start

@@ -1,0 +1,124 @@
+"""Which variable matters, and the worst case, against closed forms, scipy, SALib and OpenTURNS."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import jaxclear as jc
+
+D = jc.distribution
+# Ishigami & Homma 1990 with a = 7, b = 0.1.
+A, B = 7.0, 0.1
+VARIANCE = 0.5 + A**2 / 8 + B * np.pi**4 / 5 + B**2 * np.pi**8 / 18
+FIRST = np.array([0.5 * (1 + B * np.pi**4 / 5) ** 2, A**2 / 8, 0.0]) / VARIANCE
+TOTAL = FIRST + np.array([1, 0, 1]) * (8 * B**2 * np.pi**8 / 225) / VARIANCE
+ISHIGAMI = jc.FunctionProblem(
+    lambda x, y, z: jnp.sin(x) + A * jnp.sin(y) ** 2 + B * z**4 * jnp.sin(x),
+    {name: jc.Dimension(0.0, D.Uniform(np.pi)) for name in "xyz"},
+)
+
+
+@pytest.fixture(scope="module")
+def indices():
+    return jc.sobol_indices(ISHIGAMI, 1024)
+
+
+def test_indices_are_the_closed_form_within_their_errors(indices):
+    for i, name in enumerate("xyz"):
+        for found, exact in ((indices.first, FIRST), (indices.total, TOTAL)):
+            told = found["response", name]
+            assert abs(told.value - exact[i]) < 1.5 * told.error and told.error < 0.12
+    assert indices.runs == 5 * 1024
+    assert list(indices.table().columns)[::2] == ["first order", "total"]
+
+
+def test_indices_are_those_of_scipy_and_of_openturns(indices):
+    def function(x):
+        return np.sin(x[0]) + A * np.sin(x[1]) ** 2 + B * x[2] ** 4 * np.sin(x[0])
+
+    theirs = stats.sobol_indices(
+        func=function, n=8192, dists=[stats.uniform(-np.pi, 2 * np.pi)] * 3
+    )
+    mine = lambda found: [found["response", name].value for name in "xyz"]
+    np.testing.assert_allclose(mine(indices.first), theirs.first_order, atol=0.05)
+    np.testing.assert_allclose(mine(indices.total), theirs.total_order, atol=0.05)
+    import openturns
+
+    ishigami = openturns.SymbolicFunction(
+        ["x", "y", "z"], [f"sin(x) + {A} * sin(y)^2 + {B} * z^4 * sin(x)"]
+    )
+    inputs = openturns.JointDistribution([openturns.Uniform(-np.pi, np.pi)] * 3)
+    algorithm = openturns.SaltelliSensitivityAlgorithm(inputs, 16384, ishigami, False)
+    np.testing.assert_allclose(
+        mine(indices.total), np.array(algorithm.getTotalOrderIndices()), atol=0.08
+    )
+
+
+def test_intervals_of_indices_hold():
+    """Three linear parts in a ratio of 1, 4, 9: of 40 studies fewer than 32 by chance never."""
+    stack = jc.FunctionProblem(
+        lambda a, b, c: a + 2 * b + 3 * c, {n: jc.Dimension(0.0, D.Normal(1.0)) for n in "abc"}
+    )
+    held = np.zeros(6)
+    for seed in range(40):
+        found = jc.sobol_indices(stack, 256, seed=seed)
+        told = [found.first["response", n] for n in "abc"]
+        told += [found.total["response", n] for n in "abc"]
+        exact = np.tile(np.array([1, 4, 9]) / 14, 2)
+        held += [one.low <= e <= one.high for one, e in zip(told, exact, strict=True)]
+    assert held.min() >= 32
+
+
+def test_indices_of_correlated_variables_are_refused():
+    both = jc.FunctionProblem(
+        lambda x, y: x + y,
+        {name: jc.Dimension(0.0, D.Normal(1.0)) for name in "xy"},
+        correlation={("x", "y"): 0.5},
+    )
+    with pytest.raises(ValueError, match="correlated.*Shapley effects"):
+        jc.sobol_indices(both)
+    budget = jc.monte_carlo(both, 1024).error_budget("response")
+    # Var(x + y) = 3, of which each has half.
+    assert budget["x"].value == pytest.approx(1.5, rel=0.02)
+    assert budget["what no plane explains"].value == pytest.approx(0.0, abs=1e-12)
+
+
+def test_an_error_budget_adds_up_and_names_what_no_plane_explains():
+    curved = jc.FunctionProblem(
+        lambda a, b: 3 * a + 0.5 * b**2, {n: jc.Dimension(0.0, D.Normal(1.0)) for n in "ab"}
+    )
+    study = jc.monte_carlo(curved, 1024)
+    budget = study.error_budget("response")
+    total = sum(part.value for part in budget.values())
+    assert total == pytest.approx(study.standard_deviation("response").value ** 2)
+    exact = {"a": 9.0, "b": 0.0, "what no plane explains": 0.5}
+    for name, value in exact.items():
+        assert abs(budget[name].value - value) < 1.5 * budget[name].error
+
+
+def test_the_worst_case_is_at_the_corner_or_within():
+    stack = jc.FunctionProblem(
+        lambda a, b: {"gap": 10 - 2 * a - b, "dip": (a - 1.02) ** 2 + b},
+        {"a": jc.Dimension(1.0, tolerance=0.1), "b": jc.Dimension(2.0, D.Normal(0.05))},
+    )
+    found = jc.worst_case(stack)
+    np.testing.assert_allclose(found.largest["gap"].value, 6.0 + 0.2 + 0.15, rtol=1e-6)
+    np.testing.assert_allclose(found.largest["gap"].first_order, 6.35, rtol=1e-6)
+    # Between the corners: of first order a would go to its end.
+    np.testing.assert_allclose(found.least["dip"].value, 2.0 - 0.15, rtol=1e-6)
+    np.testing.assert_allclose(found.least["dip"].values[0], 1.02, atol=1e-3)
+    assert found.least["dip"].first_order < found.least["dip"].value
+    assert found.table()["largest: a"][0] == pytest.approx(0.9)
+
+
+def test_the_worst_case_of_what_has_no_derivative_is_searched():
+    rough = jc.FunctionProblem(
+        lambda a, b: jnp.floor(20 * a) + b, {n: jc.Dimension(0.0, D.Uniform(1.0)) for n in "ab"}
+    )
+    from jaxclear.studies.worst_case import Search, box
+
+    search = Search(rough, *box(rough, 3.0), False)
+    search.differentiable = False
+    found = search.climbed("response", 1, [np.zeros(2)], 0.0)
+    assert found.value == pytest.approx(20.0, abs=1.01)
