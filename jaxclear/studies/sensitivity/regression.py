@@ -13,6 +13,7 @@ Wiley; L'Ecuyer 1990, Manage. Sci. 36, 1364, doi:10.1287/mnsc.36.11.1364.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy import stats
@@ -21,6 +22,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.distribution.base import END_SCORE
+from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sampling import draw
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
@@ -143,7 +145,7 @@ def regressions(
     if why:
         return {one.label: refused(why) for one in wanted}
     fit = Fit(problem, i, len(values))
-    normal = np.asarray(problem.inputs.normal(jnp.asarray(values)))
+    normal = np.asarray(_normal(problem.inputs, jnp.asarray(values)))
     weight = weights(problem, direction, normal)
     many = Many.drawn(problem, direction, fit, len(np.unique(group)), MANY_SEED + sample.seed)
     answers = {}
@@ -194,6 +196,18 @@ def ending_of(ends: Ends, fit: Fit, direction: Direction, response: str) -> Endi
     return Ending(factors, basis, ends.responses[response], ends.scrambling)
 
 
+@eqx.filter_jit
+def _normal(inputs: Inputs, values):
+    """Independent standard normal numbers of a sample; compiled once for a problem."""
+    return inputs.normal(values)
+
+
+def fitted(basis: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Coefficients (terms,) of the least squares; terms of deviations are well conditioned, so the
+    normal equations serve, which are small."""
+    return np.linalg.lstsq(basis.T @ basis, basis.T @ target, rcond=None)[0]
+
+
 class Slope:
     """The derivative of a statistic from any selection of the sample's scramblings.
 
@@ -205,7 +219,7 @@ class Slope:
     def __init__(self, one: Functional, responses, basis, weight, many: Many):
         self.one, self.responses, self.basis, self.weight = one, responses, basis, weight
         self.many, self.last = many, np.zeros(len(many.basis))
-        surface = np.linalg.lstsq(basis, responses, rcond=None)[0]
+        surface = fitted(basis, responses)
         larger = self._larger(surface)
         self.place, self.unknown = one.place(larger), one.unknown(larger)
         self.whole = one.influence(larger)
@@ -213,11 +227,11 @@ class Slope:
     def of(self, kept: np.ndarray, group: np.ndarray, ending: Ending | None) -> float:
         """From the samples `kept` (samples,)."""
         y, basis = self.responses[kept], self.basis[kept]
-        surface = np.linalg.lstsq(basis, y, rcond=None)[0]
+        surface = fitted(basis, y)
         influence = self.one.influence(y) if self.place is None else self.whole
         step = self._step(y, basis, surface)
         target, own = influence(y), step(basis)
-        found = np.linalg.lstsq(own, target, rcond=None)[0]
+        found = fitted(own, target)
         each = np.array([np.mean(step(b, d) @ found) for b, d in zip(*self.many, strict=True)])
         if kept.all():
             self.last = each - each.mean()

@@ -64,7 +64,8 @@ def sensitivity(
     else:
         drawn = monte_carlo(problem, drawn, seed=seed, progress_bar=progress_bar)
     bar = {"progress_bar": progress_bar}
-    ends, found = {}, {}
+    ends: dict[int, Any] = {}
+    found: dict[Direction, dict] = {}
     for direction in wanted:
         answers = found[direction] = {}
         place = direction.variable
