@@ -12,11 +12,17 @@ pytest.importorskip("numba")
 
 from benchmarks.attacks import verdicts
 from benchmarks.by_hand import evaluation
-from benchmarks.claims import equations, work_precision
+from benchmarks.claims import equations, work_precision, worn_depth
 from benchmarks.claims import four_bar_variants as scenes
 
 ROOT = Path(__file__).resolve().parents[1]
 BOOK, RESULTS = ROOT / "notebooks", ROOT / "benchmarks" / "results"
+
+
+def test_an_order_is_told_where_three_numbers_show_it():
+    rows = [{"cells": n, "depth [um]": 10.0 - 2.0**-k} for k, n in enumerate((24, 48, 96, 192))]
+    orders = [row["order, depth"] for row in worn_depth.with_orders(rows, ["depth [um]"])]
+    assert orders == [None, None, 1.0, 1.0]
 
 
 @pytest.mark.slow

@@ -38,12 +38,13 @@ def deepest(wear_map: AbstractWearMap, volume: float, place: tuple) -> float:
 
 
 def with_orders(rows: list[dict[str, Any]], names: list[str]) -> list[dict[str, Any]]:
-    """The rows with the orders that the last three of each figure show."""
+    """The rows with the orders that the last three of each figure show; none where there are not
+    three yet."""
     for name in names:
         changes = np.abs(np.diff([row[name] for row in rows]))
-        orders = [math.nan, math.nan, *np.log2(changes[:-1] / changes[1:])]
+        orders = [None, None, *np.log2(changes[:-1] / changes[1:]).tolist()]
         for row, order in zip(rows, orders, strict=True):
-            row[f"order, {name.split(' [')[0]}"] = float(order)
+            row[f"order, {name.split(' [')[0]}"] = order
     return rows
 
 
