@@ -50,7 +50,7 @@ from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution, limit_state
 from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
-from jaxclear.studies.base import AbstractProblem, AbstractVariable, SampleResult
+from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.condition import Condition
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
@@ -96,7 +96,6 @@ __all__ = [
     "PositionProblem",
     "Problem",
     "Projection",
-    "SampleResult",
     "Saving",
     "Scalar",
     "SimulationError",

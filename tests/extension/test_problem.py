@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.studies.base import SampleResult
 
 
 class Cantilever(jc.AbstractProblem):
@@ -31,7 +32,7 @@ class Cantilever(jc.AbstractProblem):
             stress < 250e6, jc.integrator.Outcome.REACHED, jc.integrator.Outcome.OUT_OF_RANGE
         )
         deflection = 4 * 100.0 * length**3 / (210e9 * 0.01 * height**3)
-        return jc.SampleResult({"deflection": deflection}, outcome, jnp.zeros(()))
+        return SampleResult({"deflection": deflection}, outcome, jnp.zeros(()))
 
     def sample_memory(self):
         return 64
