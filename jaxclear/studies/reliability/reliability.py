@@ -1,7 +1,7 @@
 """How often a limit is broken, however rarely: `jaxclear.reliability`.
 
-Design points are found on exact slopes of the runs where these are right, else on a surface that is
-mended where parts fail. From there FORM and SORM answer at once, and importance sampling says how
+Design points are found on the exact slopes of functions, else on a surface that is mended where
+parts fail. From there FORM and SORM answer at once, and importance sampling says how
 far they are right; where it does not reach the accuracy, subset simulation takes its place.
 """
 
@@ -28,6 +28,9 @@ from jaxclear.studies.surface.response_surface import ResponseSurface
 METHODS = ("form", "sorm", "importance", "subset")
 # Without a wish: subset simulation only where importance sampling does not do.
 USUAL = ("form", "sorm", "importance")
+# A problem of which so many samples are best computed together costs so little that its own slopes
+# are searched; of others a surface takes fewer runs.
+CHEAP = 1024
 
 
 @answering
@@ -47,9 +50,10 @@ def reliability(
     `limit`: of `jaxclear.limit_state`: `Above("response", threshold)`, `Below`, or several in
     `Series` or `Parallel`. `methods`: some of "form", "sorm", "importance" and "subset"; by default
     the first three, and the last where importance sampling does not reach the `accuracy`, a
-    coefficient of variation. `most_runs` bounds the runs of each sampling. `surface`: of
+    coefficient of variation. `most_runs` bounds the runs of each sampling
+    (subset simulation begins with six repetitions whatever they cost). `surface`: of
     `jaxclear.surface`, on which design points are then found, and which takes up what it explains
-    of importance sampling; by default one is fitted where the problem has no exact slopes.
+    of importance sampling; by default one is fitted where runs are dear or have no exact slopes.
     Raises `ValueError` for what cannot be asked.
     """
     expect(problem, AbstractProblem, "what reliability is asked of", "a problem of jaxclear")
@@ -103,10 +107,13 @@ def _searched(
     if set(wanted) <= {"subset"}:
         return [], None, []
     cuts, variables = model.limit.cut_sets(), len(model.problem.names)
-    if surface is None and not any(model.problem.pathwise_limits()):
+    exact = not any(model.problem.pathwise_limits())
+    if surface is None and exact and model.problem.most_together() >= CHEAP:
         return design_points(model, cuts, variables, seed), None, []
     if surface is None:
         found, points, right = surface_where_it_fails(model, seed)
+        if exact and not points:
+            return design_points(model, cuts, variables, seed), None, [found.sentence()]
     else:
         trusted = all(surface.trusted(own.response) for own in model.limit.limits())
         searched = SurfaceModel(surface, model.limit)

@@ -14,8 +14,9 @@ from jaxclear.studies.limit_state import system_margin
 from jaxclear.studies.reliability.estimate import Probability, refused
 from jaxclear.studies.reliability.models import RunModel
 
-# Share of the samples that a level keeps, samples of a level, repetitions at the least and added.
-SHARE, LEVEL, FIRST, MORE = 0.1, 500, 8, 4
+# Share of the samples that a level keeps, samples of a level at first and at the most, repetitions
+# at first and added.
+SHARE, LEVEL, LARGEST, FIRST, MORE = 0.1, 1000, 8000, 6, 4
 # Share of steps that are to be taken, and the correlation of a chain's first steps.
 ACCEPTED, FIRST_SPREAD = 0.44, 0.6
 # Levels at the most: rarer than one in 1e12 is not looked for.
@@ -24,40 +25,43 @@ MOST_LEVELS = 12
 
 def subset(model: RunModel, accuracy: float, most_runs: int, seed: int) -> Probability:
     """Probability of failing to a coefficient of variation of `accuracy`, in `most_runs` at the
-    most; each repetition begins with samples about the middle."""
-    before, failed = model.runs, model.failed
-    values, unknown = np.zeros(0), np.zeros(0)
+    most, the first repetitions aside.
+
+    An answer is too high by up to half the square of a single repetition's coefficient of
+    variation, because its levels are its own samples'. That is part of the error, and where it is
+    most of it the levels are doubled and the repetitions begin anew.
+    """
+    before, failed, level = model.runs, model.failed, LEVEL
+    values, unknown, cost = np.zeros(0), np.zeros(0), 0
     while True:
         new = MORE if len(values) else FIRST
-        rng = np.random.default_rng([seed, 5, len(values)])
-        own, lost = _repetitions(model, new, rng)
+        start, rng = model.runs, np.random.default_rng([seed, 5, level, len(values)])
+        own, lost = _repetitions(model, new, level, rng)
         values, unknown = np.concatenate([values, own]), np.concatenate([unknown, lost])
-        runs, mean = model.runs - before, values.mean()
-        error = values.std(ddof=1) / np.sqrt(len(values))
-        if error <= accuracy * mean or runs * (1 + MORE / len(values)) > most_runs:
+        cost += model.runs - start
+        mean = values.mean()
+        single = values.std(ddof=1) / mean if mean > 0 else np.inf
+        error = np.hypot(single / np.sqrt(len(values)), 0.5 * single**2)
+        left = most_runs - (model.runs - before)
+        if error <= accuracy or left < cost * MORE / len(values):
             break
+        if single**2 > accuracy and level < LARGEST and left > 2 * cost / len(values) * FIRST:
+            values, unknown, cost, level = np.zeros(0), np.zeros(0), 0, 2 * level
+    runs, failed = model.runs - before, model.failed - failed
     if mean == 0.0:
-        return refused(
-            f"subset simulation finds nothing that fails in {runs} runs, down to "
-            f"{SHARE**MOST_LEVELS:.0e}.",
-            runs,
-            model.failed - failed,
-        )
-    return Probability(
-        float(mean),
-        float(error / mean),
-        runs,
-        model.failed - failed,
-        float(unknown.mean() / mean),
-        len(values),
-    )
+        nothing = f"subset simulation finds nothing that fails in {runs} runs, down to "
+        return refused(f"{nothing}{SHARE**MOST_LEVELS:.0e}.", runs, failed)
+    share = float(unknown.mean() / mean)
+    return Probability(float(mean), float(error), runs, failed, share, len(values))
 
 
-def _repetitions(model: RunModel, repetitions: int, rng) -> tuple[np.ndarray, np.ndarray]:
-    """Probabilities (repetitions,) of independent simulations, and how much of them are runs that
-    did not reach their end."""
+def _repetitions(
+    model: RunModel, repetitions: int, count: int, rng
+) -> tuple[np.ndarray, np.ndarray]:
+    """Probabilities (repetitions,) of independent simulations with `count` samples a level, and how
+    much of them are runs that did not reach their end."""
     variables, cuts = len(model.problem.names), model.limit.cut_sets()
-    normal = rng.normal(size=(repetitions, LEVEL, variables))
+    normal = rng.normal(size=(repetitions, count, variables))
     scales = np.ones(len(model.limit.limits()))
 
     def worst(at):
@@ -71,8 +75,8 @@ def _repetitions(model: RunModel, repetitions: int, rng) -> tuple[np.ndarray, np
     scales = np.maximum(np.nanstd(margins, axis=0), np.finfo(float).tiny)
     lost = np.isnan(margins).any(axis=1)
     margins = system_margin(np.where(lost[:, None], 0.0, margins / scales), cuts)
-    margins = np.where(lost, -np.inf, margins).reshape(repetitions, LEVEL)
-    found, unknown, kept = np.zeros(repetitions), np.zeros(repetitions), int(SHARE * LEVEL)
+    margins = np.where(lost, -np.inf, margins).reshape(repetitions, count)
+    found, unknown, kept = np.zeros(repetitions), np.zeros(repetitions), int(SHARE * count)
     share, open_ = np.ones(repetitions), np.ones(repetitions, bool)
     for _ in range(MOST_LEVELS):
         order = np.argsort(margins, axis=1, kind="stable")
@@ -97,8 +101,8 @@ def _repetitions(model: RunModel, repetitions: int, rng) -> tuple[np.ndarray, np
 
 def _conditioned(worst, seeds, margins, levels, rng) -> tuple[np.ndarray, np.ndarray]:
     """Chains from `seeds` (repetitions, chains, variables) with their `margins` that stay at or
-    below the levels (repetitions,): (repetitions, `LEVEL`, variables) and their margins."""
-    steps = round(LEVEL / seeds.shape[1])
+    below the levels (repetitions,): (repetitions, samples, variables) and their margins."""
+    steps = round(1 / SHARE)
     spread = np.full(len(seeds), FIRST_SPREAD)
     places, found = [seeds], [margins]
     for step in range(1, steps):

@@ -1,0 +1,206 @@
+"""How many runs a rare failure takes: published limit states, the four-bar and the antenna.
+
+Limit states: all cases of tests/rigs/limit_states.py, to a coefficient of variation of 10 %. The
+runs are all of them, those of the search for design points too (a run with slopes counts as one for
+each variable more), beside those of plain Monte Carlo to the same error, (1 - P) / (P 0.1^2), and
+those of OpenTURNS' subset sampling on the same limits where it is installed. "off" is the distance
+from the reference in standard errors.
+
+Mechanisms: the four-bar (two turns' error of the follower, clearance and four lengths with standard
+deviations of a third of 20 um) and the antenna (four clearances, two joints radial and axial). A
+threshold that fails often is asked as well and compared with plain Monte Carlo, for nobody can run
+that of the rare one.
+"""
+
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxclear as jc
+from benchmarks.measure import arguments, report
+from jaxclear.scenes.antenna import BASE, TIP, antenna
+from jaxclear.scenes.four_bar import four_bar
+from tests.rigs.limit_states import CASES, case
+
+ACCURACY = 0.1
+QUICK = ("RP8", "RP22", "RP57", "RP89", "RP111", "Four-branch serial system", "R-S")
+MOST_RUNS = 400_000
+TURN = 2 * np.pi / 10.0
+DEVIATION = 20e-6 / 3
+Normal, Above = jc.distribution.Normal, jc.limit_state.Above
+# Rare thresholds [m, rad].
+FOLLOWER, POINTING = 190e-6, 10.29e-3
+# The frequent threshold is that which this share of plain samples stays below.
+OFTEN, PLAIN = 0.98, 2048
+# Repetitions that tell the true error of OpenTURNS' sampling.
+REPEATS = 10
+STEP, SECONDS, SAVES = 1e-3, 0.5, 51
+
+
+def plain_runs(probability: float) -> float:
+    return (1 - probability) / (probability * ACCURACY**2)
+
+
+def limit_states(names) -> list[dict]:
+    rows = []
+    for name in names:
+        problem, limit, reference = case(name)
+        begun = time.process_time()
+        found = jc.reliability(problem, limit, accuracy=ACCURACY, most_runs=MOST_RUNS)
+        spent = time.process_time() - begun
+        print(f"{name}: {found.sentence()}", flush=True)
+        nearest = np.clip(found.probability, reference["low"], reference["high"])
+        form = found.estimates["form"].value
+        rows.append(
+            {
+                "case": name,
+                "variables": len(problem.names),
+                "reference": reference["published"],
+                "probability": found.probability,
+                "coefficient of variation": found.variation,
+                "off [standard errors]": float(
+                    (found.probability - nearest) / (found.variation * found.probability)
+                ),
+                "within 95 %": bool(
+                    found.interval[0] <= reference["high"] and reference["low"] <= found.interval[1]
+                ),
+                "method": found.method,
+                "design points": len(found.points),
+                "FORM": form,
+                "runs": found.runs,
+                "plain Monte Carlo": round(plain_runs(reference["published"])),
+                "times fewer": plain_runs(reference["published"]) / found.runs,
+                "OpenTURNS subset": openturns_runs(problem, limit),
+                "CPU [s]": spent,
+            }
+        )
+    return rows
+
+
+def openturns_runs(problem: jc.FunctionProblem, limit) -> float:
+    """Runs that OpenTURNS' subset sampling takes to the same coefficient of variation, by the
+    spread of repetitions with 1000 samples a level, whatever it says of itself; nan where it is not
+    installed or ends with an error."""
+    try:
+        import openturns
+    except ImportError:
+        return np.nan
+    cuts, count = limit.cut_sets(), len(problem.names)
+
+    @jax.jit
+    def margins(normal):
+        responses = jax.vmap(lambda z: problem.evaluate(problem.inputs.values(z)).responses)(normal)
+        own = jax.vmap(limit.margins)(responses)
+        worst = jnp.stack([own[:, jnp.array(sorted(cut))].max(axis=1) for cut in cuts])
+        return worst.min(axis=0)[:, None]
+
+    asked = []
+
+    def sampled(normal):
+        asked.append(len(normal))
+        return np.asarray(margins(jnp.asarray(np.asarray(normal))))
+
+    openturns.RandomGenerator.SetSeed(0)
+    function = openturns.Function(openturns.PythonFunction(count, 1, func_sample=sampled))
+    inputs = openturns.RandomVector(openturns.Normal(count))
+    output = openturns.CompositeRandomVector(function, inputs)
+    answers = []
+    for _ in range(REPEATS):
+        sampling = openturns.SubsetSampling(openturns.ThresholdEvent(output, openturns.Less(), 0.0))
+        sampling.setMaximumOuterSampling(10)
+        sampling.setBlockSize(100)
+        try:
+            sampling.run()
+        except TypeError:  # it refuses some of its own variances where failing is frequent
+            return np.nan
+        answers.append(sampling.getResult().getProbabilityEstimate())
+    spread = np.std(answers, ddof=1) / np.mean(answers)
+    return float(sum(asked) / REPEATS * (spread / ACCURACY) ** 2)
+
+
+def four_bar_problem() -> jc.Problem:
+    saves = 201
+    ideal = jc.simulate(four_bar("ideal"), 2 * TURN, save=saves)
+    places = {
+        "clearance": lambda rig: rig.connections["B"].joint.clearance,
+        "crank length": lambda rig: rig.connections["A"].parent.at[0],
+        "coupler length": lambda rig: rig.connections["B"].parent.at[0],
+        "follower length": lambda rig: rig.connections["B"].child.at[0],
+        "ground length": lambda rig: rig.connections["D"].parent.at[0],
+    }
+    error = jc.response.PositionError("follower", ideal.body("follower").com, axes=(0, 1))
+    return jc.Problem(
+        four_bar("spatial", 0.2e-3, wear=False),
+        {"follower error": error},
+        {name: jc.Variable(where, Normal(DEVIATION)) for name, where in places.items()},
+        duration=2 * TURN,
+        save=saves,
+        integrator=jc.integrator.FixedStep(2e-5, "semi_implicit"),
+    )
+
+
+def antenna_problem() -> jc.Problem:
+    places = {}
+    for joint in ("J1", "J2"):
+        places[f"{joint} radial"] = lambda rig, joint=joint: rig.connections[joint].joint.clearance
+        places[f"{joint} axial"] = lambda rig, joint=joint: (
+            rig.connections[joint].joint.flange.clearance
+        )
+    return jc.Problem(
+        antenna(),
+        {"pointing error": jc.response.PointingAngle(TIP, BASE, through=("J1", "J2"))},
+        {name: jc.Variable(where, Normal(DEVIATION)) for name, where in places.items()},
+        duration=SECONDS,
+        save=SAVES,
+        integrator=jc.integrator.NonColliding(STEP),
+    )
+
+
+def mechanism(name: str, problem: jc.Problem, rare: float) -> list[dict]:
+    """The rare threshold, and one that fails often beside plain Monte Carlo."""
+    (response,) = problem.response_names
+    drawn = jc.monte_carlo(problem, PLAIN, seed=7, sampling="random").responses[response]
+    often = float(f"{np.nanquantile(drawn, OFTEN):.4g}")
+    rows = []
+    for threshold in (rare, often):
+        begun = time.process_time()
+        found = jc.reliability(problem, Above(response, threshold), accuracy=ACCURACY)
+        spent = time.process_time() - begun
+        share = np.mean(drawn > threshold)
+        spread = np.sqrt((1 - share) / (share * PLAIN)) if share > 0 else np.nan
+        rows.append(
+            {
+                "mechanism": name,
+                f"{response} above": threshold,
+                "probability": found.probability,
+                "coefficient of variation": found.variation,
+                "method": found.method,
+                "runs": found.runs,
+                "FORM": found.estimates["form"].value,
+                "SORM (Tvedt)": found.estimates["tvedt"].value,
+                "leave-one-out R2": found.surface.quality[response] if found.surface else np.nan,
+                f"plain Monte Carlo, {PLAIN} runs": share,
+                "its coefficient of variation": spread,
+                "plain Monte Carlo's runs to 10 %": round(plain_runs(found.probability)),
+                "CPU [s]": spent,
+            }
+        )
+        print(found.sentence(), flush=True)
+    return rows
+
+
+def main() -> None:
+    options = arguments(__doc__)
+    report("reliability: limit states", limit_states(QUICK if options.quick else CASES), options)
+    if options.quick:
+        return
+    rows = mechanism("four-bar", four_bar_problem(), FOLLOWER)
+    report("reliability: four-bar", rows, options)
+    rows = mechanism("antenna", antenna_problem(), POINTING)
+    report("reliability: antenna", rows, options)
+
+
+if __name__ == "__main__":
+    main()
