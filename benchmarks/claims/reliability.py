@@ -79,14 +79,14 @@ def limit_states(names) -> list[dict]:
     return rows
 
 
-def openturns_runs(problem: jc.FunctionProblem, limit) -> float:
+def openturns_runs(problem: jc.FunctionProblem, limit) -> float | None:
     """Runs that OpenTURNS' subset sampling takes to the same coefficient of variation, by the
-    spread of repetitions with 1000 samples a level, whatever it says of itself; nan where it is not
-    installed or ends with an error."""
+    spread of repetitions with 1000 samples a level, whatever it says of itself; None where it is
+    not installed or ends with an error."""
     try:
         import openturns
     except ImportError:
-        return np.nan
+        return None
     cuts, count = limit.cut_sets(), len(problem.names)
 
     @jax.jit
@@ -114,7 +114,7 @@ def openturns_runs(problem: jc.FunctionProblem, limit) -> float:
         try:
             sampling.run()
         except TypeError:  # it refuses some of its own variances where failing is frequent
-            return np.nan
+            return None
         answers.append(sampling.getResult().getProbabilityEstimate())
     spread = np.std(answers, ddof=1) / np.mean(answers)
     return float(sum(asked) / REPEATS * (spread / ACCURACY) ** 2)
@@ -169,7 +169,7 @@ def mechanism(name: str, problem: jc.Problem, rare: float) -> list[dict]:
         found = jc.reliability(problem, Above(response, threshold), accuracy=ACCURACY)
         spent = time.process_time() - begun
         share = np.mean(drawn > threshold)
-        spread = np.sqrt((1 - share) / (share * PLAIN)) if share > 0 else np.nan
+        spread = np.sqrt((1 - share) / (share * PLAIN)) if share > 0 else None
         rows.append(
             {
                 "mechanism": name,
@@ -180,7 +180,7 @@ def mechanism(name: str, problem: jc.Problem, rare: float) -> list[dict]:
                 "runs": found.runs,
                 "FORM": found.estimates["form"].value,
                 "SORM (Tvedt)": found.estimates["tvedt"].value,
-                "leave-one-out R2": found.surface.quality[response] if found.surface else np.nan,
+                "leave-one-out R2": found.surface.quality[response] if found.surface else None,
                 f"plain Monte Carlo, {PLAIN} runs": share,
                 "its coefficient of variation": spread,
                 "plain Monte Carlo's runs to 10 %": round(plain_runs(found.probability)),

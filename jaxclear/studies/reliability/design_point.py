@@ -32,6 +32,8 @@ APART = 0.5
 NEGLIGIBLE = 1e-3
 # Radius and steepness of a bulge, in shares of beta.
 RADIUS, STEEPNESS = 1.1, 0.75
+# Slopes of a plane differ by no more than this share of themselves.
+FLAT = 1e-6
 # Starts of a search, of one among bulges, and how far from the middle they are [deviations].
 STARTS, AGAIN, START_RADIUS, OFF_MIDDLE = 6, 3, 2.5, 0.3
 
@@ -93,7 +95,8 @@ def _of_cut(model, cut, variables, rng) -> list[DesignPoint]:
         if first is not None and (first.beta > 0) == safe:
             found.append(first)
             break
-    while 0 < len(found) < MOST_POINTS and safe:
+    flat = bool(found) and _plane(model, cut, found[0], directions[1])
+    while 0 < len(found) < MOST_POINTS and safe and not flat:
         last = found[-1]
         height = STEEPNESS * last.beta * last.slopes.max()
         height /= (RADIUS**2 - STEEPNESS**2) ** 2 * last.beta**4
@@ -111,6 +114,19 @@ def _of_cut(model, cut, variables, rng) -> list[DesignPoint]:
         if ndtr(-found[-1].beta) < NEGLIGIBLE * sum(ndtr(-own.beta) for own in found):
             break
     return found
+
+
+def _plane(model, cut, point: DesignPoint, direction: np.ndarray) -> bool:
+    """Whether limits have one slope at the point, opposite it and in another direction: planes have
+    no other point."""
+    own = -point.directions * point.slopes[:, None]
+    for at in (-point.normal, START_RADIUS * direction):
+        margins, slopes = _seen(model, cut, at, [])
+        beside = margins + own @ (point.normal - at)
+        flat = np.allclose(slopes, own, rtol=0, atol=FLAT * point.slopes.max())
+        if not flat or not np.all(abs(beside) < NEAR * point.slopes):
+            return False
+    return True
 
 
 def _new(point: DesignPoint, other: DesignPoint) -> bool:

@@ -51,7 +51,7 @@ def reliability(
     `Series` or `Parallel`. `methods`: some of "form", "sorm", "importance" and "subset"; by default
     the first three, and the last where importance sampling does not reach the `accuracy`, a
     coefficient of variation. `most_runs` bounds the runs of each sampling
-    (subset simulation begins with six repetitions whatever they cost). `surface`: of
+    (subset simulation begins with eight repetitions whatever they cost). `surface`: of
     `jaxclear.surface`, on which design points are then found, and which takes up what it explains
     of importance sampling; by default one is fitted where runs are dear or have no exact slopes.
     Raises `ValueError` for what cannot be asked.
@@ -140,6 +140,8 @@ def _second_order(
     if any(len(point.cut) > 1 for point in points):
         why = "it has no formula for limits that are broken together."
         return dict.fromkeys(names, refused(why))
+    if any(point.beta <= 0.0 for point in points):
+        return dict.fromkeys(names, refused("parts in the middle fail."))
     start = model.runs
     answers = sorm(points, [curvatures(search, point) for point in points])
     runs = before + model.runs - start

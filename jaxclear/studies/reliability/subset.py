@@ -16,7 +16,7 @@ from jaxclear.studies.reliability.models import RunModel
 
 # Share of the samples that a level keeps, samples of a level at first and at the most, repetitions
 # at first and added.
-SHARE, LEVEL, LARGEST, FIRST, MORE = 0.1, 1000, 8000, 6, 4
+SHARE, LEVEL, LARGEST, FIRST, MORE = 0.1, 1000, 8000, 8, 4
 # Share of steps that are to be taken, and the correlation of a chain's first steps.
 ACCEPTED, FIRST_SPREAD = 0.44, 0.6
 # Levels at the most: rarer than one in 1e12 is not looked for.
@@ -40,7 +40,7 @@ def subset(model: RunModel, accuracy: float, most_runs: int, seed: int) -> Proba
         values, unknown = np.concatenate([values, own]), np.concatenate([unknown, lost])
         cost += model.runs - start
         mean = values.mean()
-        single = values.std(ddof=1) / mean if mean > 0 else np.inf
+        single = _single(values, level)
         error = np.hypot(single / np.sqrt(len(values)), 0.5 * single**2)
         left = most_runs - (model.runs - before)
         if error <= accuracy or left < cost * MORE / len(values):
@@ -53,6 +53,16 @@ def subset(model: RunModel, accuracy: float, most_runs: int, seed: int) -> Proba
         return refused(f"{nothing}{SHARE**MOST_LEVELS:.0e}.", runs, failed)
     share = float(unknown.mean() / mean)
     return Probability(float(mean), float(error), runs, failed, share, len(values))
+
+
+def _single(values: np.ndarray, level: int) -> float:
+    """Coefficient of variation of one repetition: by the spread of `values` (repetitions,), but no
+    less than that of independent samples at each level, which a few may be by chance."""
+    mean = values.mean()
+    if not mean > 0:
+        return np.inf
+    levels = max(np.log(mean) / np.log(SHARE), 0.0)
+    return float(max(values.std(ddof=1) / mean, np.sqrt(levels * (1 - SHARE) / (SHARE * level))))
 
 
 def _repetitions(
