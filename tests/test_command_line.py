@@ -124,3 +124,13 @@ def test_a_slip_of_the_pen_is_answered_without_jax():
     # 0.1 s alone; a machine under load may take some times that
     assert time.perf_counter() - begun < 1.0 or os.getloadavg()[0] > 2
     assert answered.stdout.strip() == "False False" and "four-bar" in answered.stderr
+
+
+@pytest.mark.slow
+def test_design_study_writes_figures_and_goes_on(tmp_path, capsys, keep_settings):
+    asked = ["design", "--out", str(tmp_path), "--accuracy", "0.02", "--quiet"]
+    main(asked)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"antenna_design.csv", "antenna_limits.csv", "antenna_history.csv"} <= names
+    assert sum(name.endswith(".png") for name in names) == 2
+    assert "All limits hold" in capsys.readouterr().out

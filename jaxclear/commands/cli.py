@@ -1,5 +1,5 @@
-"""Answers the command line: `jaxclear four-bar`, `antenna`, `guide`, `flap`, `3rsr` and `wear-life`
-run studies, `jaxclear parameters` lists a scene's numbers with units.
+"""Answers the command line: `jaxclear four-bar`, `antenna`, `guide`, `flap`, `3rsr`, `wear-life`
+and `design` run studies, `jaxclear parameters` lists a scene's numbers with units.
 
 What may be asked stands in `jaxclear_command`, which answers mistakes before this package is
 loaded. A new study is a module with a function `run`, a line here and an entry there.
@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 
 import jaxclear as jc
-from jaxclear.commands import antenna, flap, four_bar, guide, parallel_3rsr, wear_life
+from jaxclear.commands import antenna, design, flap, four_bar, guide, parallel_3rsr, wear_life
 
 __all__ = ["answer"]
 
@@ -23,6 +23,7 @@ STUDIES = {
     "flap": flap,
     "3rsr": parallel_3rsr,
     "wear-life": wear_life,
+    "design": design,
 }
 # Programs that compile faster than this are not kept [s].
 WORTH_KEEPING = 0.5

@@ -3,6 +3,7 @@ neither shows nor saves it.
 """
 
 from jaxclear.ground.answering import nothing_else
+from jaxclear.plot.design import design, design_front
 from jaxclear.plot.life import wear_life
 from jaxclear.plot.modes import modes
 from jaxclear.plot.motion import angular_velocity, displacement, end_centres, journal_ends
@@ -12,6 +13,8 @@ from jaxclear.plot.wear import wear_surface, wear_unrolled
 
 __all__ = [
     "angular_velocity",
+    "design",
+    "design_front",
     "displacement",
     "end_centres",
     "journal_ends",

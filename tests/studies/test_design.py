@@ -65,7 +65,7 @@ def test_reciprocal_costs_meet_the_closed_form_and_its_price(plain):
     np.testing.assert_allclose(plain.cost, cost, rtol=1e-4)
     np.testing.assert_allclose(plain.prices, [price], rtol=1e-2)
     np.testing.assert_allclose(list(plain.tolerances.values()), best, rtol=2e-3)
-    assert plain.holds and plain.runs >= 4096
+    assert plain.holds and plain.runs >= 8192
     assert "All limits hold" in plain.sentence() and "1 µm more saves" in plain.sentence()
 
 
@@ -127,11 +127,11 @@ def test_sixty_tolerances_are_left_to_optax():
     middle = float(slopes.sum() * 0.01)
     limit = jc.limit.MeanAndDeviation("response", at_most=middle + 1e-4, deviations=3)
     costs = {n: jc.cost.Reciprocal(b) for n, b in zip(names, priced, strict=True)}
-    wide, settings = dict.fromkeys(names, (1e-6, 1e-4)), jc.DesignSettings(samples=1024)
+    wide, settings = dict.fromkeys(names, (1e-6, 1e-4)), jc.DesignSettings(samples=256)
     found = jc.design(many, costs, limit, tolerance=wide, settings=settings)
     shape = (priced / slopes**2) ** (1 / 3)
     best = shape * 1e-4 / (3 * SPREAD * np.linalg.norm(slopes * shape))
-    np.testing.assert_allclose(found.cost, (priced / best).sum(), rtol=1e-3)
+    np.testing.assert_allclose(found.cost, (priced / best).sum(), rtol=3e-3)
     assert found.holds
 
 
@@ -167,7 +167,7 @@ def test_a_surface_stands_in_for_the_problem():
 @pytest.mark.slow
 def test_nominal_values_move_away_from_a_one_sided_limit():
     """With the gap's nominal free nothing limits the tolerances: they end at their widest."""
-    found = jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE, nominal={"a": (0.0198, 0.02)})
+    found = jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE, nominal={"a": (0.019, 0.02)})
     np.testing.assert_allclose(found.cost, (PRICED / 1e-4).sum(), rtol=1e-6)
     np.testing.assert_allclose(list(found.tolerances.values()), 1e-4, rtol=1e-6)
     assert found.holds

@@ -21,6 +21,7 @@ __all__ = ["AbstractModel", "Direct", "Surface", "surface_through"]
 class AbstractModel(eqx.Module):
     """Responses by name, (samples,), of values (samples, variables); differentiable."""
 
+    @eqx.filter_jit
     def __call__(self, values: Float[Array, "samples variables"]) -> dict[str, Array]:
         """The responses of all samples."""
         return jax.vmap(self.one)(values)

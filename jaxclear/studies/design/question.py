@@ -42,6 +42,7 @@ class Question(eqx.Module):
         parts = [cost(tolerance[names.index(name)]) for name, cost in self.cost.items()]
         return jnp.sum(jnp.stack(parts))
 
+    @eqx.filter_jit
     def values(self, place: Float[Array, " free"], normal: Any) -> Array:
         """Values (samples, variables) of the parts of a candidate."""
         nominal, tolerance = self.freedom.decoded(place)
@@ -74,6 +75,12 @@ class Question(eqx.Module):
     def measured_by(self, sizes: np.ndarray) -> "Question":
         """The same with other sizes."""
         return eqx.tree_at(lambda q: q.sizes, self, sizes)
+
+    @eqx.filter_jit
+    def one_each(self, places: Any, normal: Any) -> Array:
+        """Values (samples, variables) of one part, at `normal` (samples, variables), of each of the
+        candidates `places` (samples, free)."""
+        return jax.vmap(lambda place, own: self.values(place, own))(places, normal)
 
     def with_limits(self, limits: tuple[AbstractLimit, ...]) -> "Question":
         """The same with other limits."""

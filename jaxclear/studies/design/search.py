@@ -25,9 +25,9 @@ from jaxclear.studies.design.verification import Check, Verifier
 
 # Starts of the first search, and least runs for each term of a quadratic surface.
 STARTS, RUNS_PER_TERM = 3, 2
-# Verifications are repeated with so many times the runs, up to so often, while they are less sure
-# than is asked.
-MORE, TIMES = 4, 1
+# A problem that answers at once is asked at so many times the points. Verifications are repeated
+# with so many times the runs, up to so often, while they are less sure than is asked.
+MORE, TIMES, MOST_TIMES = 4, 1, 2
 
 
 class Round(NamedTuple):
@@ -78,6 +78,7 @@ class _Seeking:
         self.model: AbstractModel = Direct(runs.problem)
         self.points = points(len(freedom.names), 1, settings.seed)
         self.quality: dict[str, float] = {}
+        self.drawn_about: tuple[np.ndarray, ...] = ()
 
     def go(self) -> None:
         """Round after round."""
@@ -88,14 +89,14 @@ class _Seeking:
             self.place = candidate.place
             # Kept before it is verified: an interrupt may come in between.
             self.rounds.append(self._round(candidate, None))
-            if candidate.broken > self.settings.accuracy:
-                self.ended = "infeasible"
-                if self.region < 1 or self.direct:
-                    return
+            infeasible = candidate.broken > self.settings.accuracy
+            self.ended = "infeasible" if infeasible else "rounds"
             check = self._checked(number, candidate)
             self.rounds[-1] = self._round(candidate, check)
             if self._good(candidate, check):
                 self.ended = "holds"
+                return
+            if infeasible and self.direct:
                 return
             wrong = check.excess - (candidate.excess - self.shift)
             self.shift = np.where(np.isfinite(wrong), wrong, self.shift)
@@ -127,13 +128,12 @@ class _Seeking:
         """Parts of designs that fill the region, (count, variables)."""
         size, variables = len(low), len(self.question.freedom.names)
         rng = np.random.default_rng([self.settings.seed, number])
-        share = qmc.Sobol(size + variables, scramble=True, rng=rng).random(count)
+        power = int(np.ceil(np.log2(count)))
+        share = qmc.Sobol(size + variables, scramble=True, rng=rng).random_base2(power)[:count]
         places = low + share[:, :size] * (high - low)
         # Evenly between three standard deviations: a surface wants its edges.
         normal = 3.0 * (2.0 * share[:, size:] - 1.0)
-        rows = zip(places, normal, strict=True)
-        values = [self.question.values(jnp.asarray(p), n[None])[0] for p, n in rows]
-        return np.stack([np.asarray(own) for own in values])
+        return np.asarray(self.question.one_each(jnp.asarray(places), jnp.asarray(normal)))
 
     def _box(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest values (variables,) of parts of designs in the region."""
@@ -146,35 +146,46 @@ class _Seeking:
 
     def _candidate(self, number: int) -> Candidate:
         """The cheapest of the region, on the catalogues where there are some."""
-        settings, count = self.settings, len(self.question.freedom.names)
-        shifts = rare_regions(self.question, self.place, self.model)
-        self.points = points(count, settings.samples, settings.seed, shifts, matched=True)
-        if number == 0:
-            sizes = sizes_of(self.question, self.place, self.model, self.points)
-            self.question = self.question.measured_by(sizes)
         low, high = self._low_high()
-        search = Search(self.question, self.model, self.points, self.shift, low, high)
         starts = [self.place]
         if number == 0:
-            rng = np.random.default_rng(settings.seed)
-            starts += list(qmc.Sobol(len(low), rng=rng).random(STARTS - 1))
-        if settings.uses_steps(len(low)):
-            best = cheapest_by_steps(search, starts[0])
-        else:
-            best = cheapest(search, starts)
-        return chosen_from_catalogues(search, best)
+            rng = np.random.default_rng(self.settings.seed)
+            starts += list(rng.random((STARTS - 1, len(low))))
+            self._draw(self.place)
+            sizes = sizes_of(self.question, self.place, self.model, self.points)
+            self.question = self.question.measured_by(sizes)
+        best = self._best(starts, self._draw(self.place), low, high)
+        if self.drawn_about:
+            # Where rare parts lie depends on the design: once more, about those of this one.
+            best = self._best([best.place], self._draw(best.place), low, high)
+        return best
+
+    def _draw(self, place: np.ndarray) -> Points:
+        """The points of the population, about the rare parts that decide at a place."""
+        settings, count = self.settings, len(self.question.freedom.names)
+        self.drawn_about = rare_regions(self.question, place, self.model)
+        samples = settings.samples * (MORE if self.direct else 1)
+        self.points = points(count, samples, settings.seed, self.drawn_about, matched=True)
+        return self.points
+
+    def _best(self, starts: list, drawn: Points, low: np.ndarray, high: np.ndarray) -> Candidate:
+        search = Search(self.question, self.model, drawn, self.shift, low, high)
+        if self.settings.uses_steps(len(low)):
+            return chosen_from_catalogues(search, cheapest_by_steps(search, starts[0]))
+        return chosen_from_catalogues(search, cheapest(search, starts))
 
     def _checked(self, number: int, candidate: Candidate) -> Check:
         """The candidate by new runs; by more where they are less sure than is asked."""
         shifts = rare_regions(self.question, candidate.place, self.model)
         verifier = Verifier(self.question, self.runs, self.points, not self.direct)
-        samples = self.settings.samples if self.direct else self.settings.check
-        for again in range(TIMES + 1):
+        samples = MORE * self.settings.samples if self.direct else self.settings.check
+        times = MOST_TIMES if self.direct else TIMES
+        for again in range(times + 1):
             # Seeds apart from those of surfaces and of the search.
-            seed = 1000 * (self.settings.seed + 1) + (TIMES + 1) * number + again
+            seed = 1000 * (self.settings.seed + 1) + (times + 1) * number + again
             check = verifier.check(candidate.place, self.model, samples, seed, shifts)
             unsure = check.excess_errors.max() > self.settings.accuracy
-            if not unsure or self.direct:
+            if not unsure:
                 return check
             samples *= MORE
         return check

@@ -20,7 +20,7 @@ class DesignSettings(AbstractQuantified):
     are free. `surface`: whether one stands in for the problem (None: unless it answers at once)."""
 
     accuracy: Scalar = quantity(5e-3, "1", "miss of a limit that is let pass", above=0, below=1)
-    samples: int = count(4096, "points of a population", at_least=64)
+    samples: int = count(2048, "points of a population", at_least=64)
     check: int = count(128, "runs of a verification", at_least=16)
     runs: int | None = eqx.field(static=True, default=None)
     rounds: int = count(6, "verifications at the most")

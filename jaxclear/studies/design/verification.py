@@ -84,14 +84,16 @@ class Verifier(NamedTuple):
         """What a limit sees of runs with weights, of which some may be 0."""
         question, names = self.question, self.runs.problem.response_names
         if limit.extreme():
-            corner = question.corner(limit, place, model)[None]
-            told = dict(zip(names, self.runs.ask(corner, "worst case").T, strict=True))
+            corner, told = question.corner(limit, place, model)[None], {}
+            if limit.response in names:
+                told = dict(zip(names, self.runs.ask(corner, "worst case").T, strict=True))
             ends = jnp.tile(jnp.asarray(question.of(limit, corner, told)), 2)
             return lambda weights: Sample(jnp.zeros(1), jnp.ones(1), ends)
         own = np.asarray(question.of(limit, values, dict(zip(names, responses.T, strict=True))))
         own = np.where(np.isfinite(own), own, 0.0)
         parts, before = [own], []
-        if self.corrected:
+        corrected = self.corrected and limit.response in names
+        if corrected:
             large = question.values(jnp.asarray(place), self.wide.normal)
             surface = question.of(limit, large, model(large))
             here = question.of(limit, values, model(jnp.asarray(values)))
@@ -100,7 +102,7 @@ class Verifier(NamedTuple):
 
         def seen(weights):
             share = weights / weights.sum()
-            scale = [*before, share, -share] if self.corrected else [share]
+            scale = [*before, share, -share] if corrected else [share]
             return Sample(joined, jnp.asarray(np.concatenate(scale)), jnp.zeros(2))
 
         return seen

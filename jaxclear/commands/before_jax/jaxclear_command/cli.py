@@ -1,5 +1,5 @@
-"""Reads the command line: `jaxclear four-bar`, `antenna`, `guide`, `flap`, `3rsr` and `wear-life`
-run studies, `jaxclear parameters` lists a scene's numbers with units.
+"""Reads the command line: `jaxclear four-bar`, `antenna`, `guide`, `flap`, `3rsr`, `wear-life` and
+`design` run studies, `jaxclear parameters` lists a scene's numbers with units.
 
 A study is an entry in STUDIES, which declares its arguments, and a module of `jaxclear.commands`
 with a function `run`, which answers them.
@@ -73,6 +73,15 @@ def _wear_life(parser: Parser) -> None:
     add_quiet(parser)
 
 
+def _design(parser: Parser) -> None:
+    scene = "antenna (pointing error) or four-bar (worn depth and follower error); default antenna"
+    parser.flag("--scene", scene, choices=("antenna", "four-bar"), default="antenna")
+    add_out(parser, "design_study")
+    accuracy = "by how much of itself a limit may be missed (default 0.005)"
+    parser.flag("--accuracy", accuracy, type=number(0.0, "", above=True), default=5e-3)
+    add_quiet(parser)
+
+
 STUDIES = {
     "four-bar": Study(
         "four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives",
@@ -96,6 +105,9 @@ STUDIES = {
     "wear-life": Study(
         "wear of a bearing over a life: settled cycle, depth and forces over cycles, groove",
         _wear_life,
+    ),
+    "design": Study(
+        "tolerances and clearances that cost least and keep limits on error and wear", _design
     ),
     "parameters": Study("all numbers of the four-bar with unit and meaning", lambda parser: None),
 }

@@ -1,0 +1,150 @@
+"""The cheapest tolerances and clearances of two machines from one command: the antenna's four
+clearances against its pointing error, the four-bar's clearance and links against worn depth and
+follower error at once.
+
+Writes figures (PNG), tables (CSV) and stores (Zarr) into a folder, from which an interrupted design
+goes on, and prints what it found.
+"""
+
+import argparse
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import jaxclear as jc
+from jaxclear import plot
+from jaxclear.scenes.antenna import BASE, JOINTS, TIP, antenna
+from jaxclear.scenes.four_bar import four_bar
+
+__all__ = ["QUESTIONS", "Asked", "antenna_question", "four_bar_question", "run", "study"]
+
+# Clearances may be no smaller than this [m] in the worst case: room for oil and heat; assumed.
+LEAST_CLEARANCE = 10e-6
+# Costs are b/t (Chase & Greenwood 1988), with b [cost x m] assumed: a bore that is tight to 10 um
+# costs 2 to 3, a link as long 0.5 to 1. Bounds [m] of tolerances and clearances are assumed too.
+RADIAL, AXIAL, BORE, LINK = (2e-5, 3e-5), 1e-5, 2e-5, (0.5e-5, 1e-5, 1e-5, 1e-5)
+TOLERANCES, CLEARANCES = (2e-6, 50e-6), (12e-6, 200e-6)
+# Limits: boresight [rad], worn depth of a turn [m] and follower error [m].
+POINTING, DEPTH, FOLLOWER = 1.5e-3, 20.2e-9, 85e-6
+POINTING_STEP, SAVES = 1e-3, 101
+TURN = 2 * math.pi / 10.0
+# Bounds of the first limit at which the front is drawn, as shares of it.
+FRONT = (0.85, 0.92, 1.0, 1.1, 1.25)
+
+
+class Asked(NamedTuple):
+    """What `jaxclear.design` is asked: the problem, cost, limits, and what may be chosen."""
+
+    problem: jc.Problem
+    cost: dict[str, Any]
+    limits: list[Any]
+    choices: dict[str, Any]
+
+    def designed(self, **options: Any) -> Any:
+        """The design."""
+        return jc.design(self.problem, self.cost, self.limits, **self.choices, **options)
+
+
+def antenna_question() -> Asked:
+    """Radial and axial clearance of both joints, and their tolerances, against the boresight's
+    error over a period of the drive, mean and three deviations."""
+    places: dict[str, Callable] = {}
+    for name in JOINTS:
+        places[f"{name} radial"] = lambda rig, name=name: rig.connections[name].joint.clearance
+        places[f"{name} axial"] = lambda rig, name=name: (
+            rig.connections[name].joint.flange.clearance
+        )
+    problem = jc.Problem(
+        antenna("spatial", 100e-6),
+        {"pointing error": jc.response.PointingAngle(TIP, BASE)},
+        {name: jc.Variable(where, tolerance=10e-6) for name, where in places.items()},
+        duration=1.0,
+        save=SAVES,
+        integrator=jc.integrator.NonColliding(POINTING_STEP),
+    )
+    scales = (RADIAL[0], AXIAL, RADIAL[1], AXIAL)
+    cost = {n: jc.cost.Reciprocal(b) for n, b in zip(places, scales, strict=True)}
+    limits = [jc.limit.MeanAndDeviation("pointing error", at_most=POINTING, deviations=3)]
+    limits += [jc.limit.WorstCase(name, at_least=LEAST_CLEARANCE) for name in places]
+    choices = {
+        "tolerance": dict.fromkeys(places, TOLERANCES),
+        "nominal": dict.fromkeys(places, CLEARANCES),
+    }
+    return Asked(problem, cost, limits, choices)
+
+
+def four_bar_question() -> Asked:
+    """The clearance of the coupler's bearing with its tolerance, and the tolerances of four links,
+    against worn depth and follower error after a turn, mean and two deviations of both. Contact is
+    compliant, so that depth comes from forces."""
+    ideal = jc.simulate(four_bar("ideal"), TURN, save=SAVES).body("follower").com
+    places: dict[str, Callable] = {
+        "clearance": lambda rig: rig.connections["B"].joint.clearance,
+        "crank length": lambda rig: rig.connections["A"].parent.at[0],
+        "coupler length": lambda rig: rig.connections["B"].parent.at[0],
+        "follower length": lambda rig: rig.connections["B"].child.at[0],
+        "ground length": lambda rig: rig.connections["D"].parent.at[0],
+    }
+    problem = jc.Problem(
+        four_bar("planar", 100e-6),
+        {
+            "worn depth": jc.response.PeakWornDepth("B"),
+            "follower error": jc.response.PositionError("follower", ideal, axes=(0, 1)),
+        },
+        {name: jc.Variable(where, tolerance=20e-6) for name, where in places.items()},
+        duration=TURN,
+        save=SAVES,
+    )
+    cost = {n: jc.cost.Reciprocal(b) for n, b in zip(places, (BORE, *LINK), strict=True)}
+    limits = [
+        jc.limit.MeanAndDeviation("worn depth", at_most=DEPTH, deviations=2),
+        jc.limit.MeanAndDeviation("follower error", at_most=FOLLOWER, deviations=2),
+        jc.limit.WorstCase("clearance", at_least=LEAST_CLEARANCE),
+    ]
+    choices = {
+        "tolerance": dict.fromkeys(places, TOLERANCES),
+        "nominal": {"clearance": CLEARANCES},
+    }
+    return Asked(problem, cost, limits, choices)
+
+
+QUESTIONS = {"antenna": antenna_question, "four-bar": four_bar_question}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Answers `jaxclear design`."""
+    study(options.scene, options.out, options.accuracy, not options.quiet)
+
+
+def study(scene: str, folder: Path, accuracy: float = 5e-3, show: bool = True) -> None:
+    """Designs a scene and writes what it finds to `folder`; `accuracy` [1] of its limits, `show`:
+    progress bars."""
+    begun = time.perf_counter()
+    folder.mkdir(parents=True, exist_ok=True)
+    asked = QUESTIONS[scene]()
+    options = {"settings": jc.DesignSettings(accuracy=accuracy), "progress_bar": show}
+    found = asked.designed(store=folder / f"{scene}_store", **options)
+    print(f"{scene}: {found}\n", flush=True)
+    tables = {"design": found.table(), "limits": found.limit_table(), "history": found.history()}
+    for name, table in tables.items():
+        table.to_csv(folder / f"{scene}_{name}.csv", index=False)
+        print(f"{table.to_string(index=False, float_format=lambda x: f'{x:.4g}')}\n")
+    bounds = [share * float(asked.limits[0].bound()) for share in FRONT]
+    front = jc.design_front(
+        asked.problem, asked.cost, asked.limits, bounds, **asked.choices, **options
+    )
+    for bound, one in zip(bounds, front, strict=True):
+        kept = "holds" if one.holds else "does not hold"
+        print(f"{asked.limits[0].words()} {bound:.4g}: cost {one.cost:.4g}, {kept}")
+    figures = {"design": plot.design(found), "front": plot.design_front(front)}
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{scene}_{name}.png", dpi=130)
+    spared = np.ptp([one.cost for one in front])
+    print(
+        f"\nBetween the ends of the front lies {spared:.3g} of cost. {len(figures)} figures and "
+        f"{len(tables)} tables in {folder.resolve()}, {time.perf_counter() - begun:.0f} s"
+    )
