@@ -68,7 +68,9 @@ def antenna_question() -> Asked:
     )
     scales = (RADIAL[0], AXIAL, RADIAL[1], AXIAL)
     cost = {n: jc.cost.Reciprocal(b) for n, b in zip(places, scales, strict=True)}
-    limits = [jc.limit.MeanAndDeviation("pointing error", at_most=POINTING, deviations=3)]
+    limits: list[Any] = [
+        jc.limit.MeanAndDeviation("pointing error", at_most=POINTING, deviations=3)
+    ]
     limits += [jc.limit.WorstCase(name, at_least=LEAST_CLEARANCE) for name in places]
     choices = {
         "tolerance": dict.fromkeys(places, TOLERANCES),
