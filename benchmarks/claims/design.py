@@ -26,7 +26,7 @@ CANDIDATES = 24
 GENERATIONS = {"antenna": 80, "four-bar": 30}
 EQUAL_CANDIDATES, EQUAL_GENERATIONS = 12, 20
 # What a broken limit adds, in costs for each part of it.
-PENALTY, FRESH = 20.0, 1024
+PENALTY, FRESH = 20.0, 2048
 
 
 class Evolution:
@@ -102,9 +102,9 @@ class Evolution:
 
 
 def fresh_excess(found: Any) -> float:
-    """The largest excess [%] of the limits on spreads, by plain Monte Carlo with other numbers."""
+    """The largest excess [%] of the limits on spreads, at fresh quasi-random points, by runs alone."""
     place = found.rounds[-1].candidate.place
-    normal = np.random.default_rng(99).standard_normal((FRESH, len(found.problem.names)))
+    normal = points(len(found.problem.names), FRESH, 99).normal
     values = np.asarray(found.question.values(jnp.asarray(place), normal))
     runs = evaluate_all(found.problem, jnp.asarray(values), chunk=32)
     shares = []

@@ -29,7 +29,7 @@ LEAST_CLEARANCE = 10e-6
 RADIAL, AXIAL, BORE, LINK = (2e-5, 3e-5), 1e-5, 2e-5, (0.5e-5, 1e-5, 1e-5, 1e-5)
 TOLERANCES, CLEARANCES = (2e-6, 50e-6), (12e-6, 200e-6)
 # Limits: boresight [rad], worn depth of a turn [m] and follower error [m].
-POINTING, DEPTH, FOLLOWER = 1.5e-3, 20.2e-9, 85e-6
+POINTING, DEPTH, FOLLOWER = 1.5e-3, 19.9e-9, 64.5e-6
 POINTING_STEP, SAVES = 1e-3, 101
 TURN = 2 * math.pi / 10.0
 # Bounds of the first limit at which the front is drawn, as shares of it.

@@ -13,6 +13,9 @@ from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.search import Round
 from jaxclear.studies.surface.response_surface import TRUSTED
 
+# Limits of lengths and angles below this are priced by the thousandth of a millionth, others by the
+# millionth [m, rad].
+SMALL = 1e-6
 ENDINGS = {
     "rounds": "The rounds that were allowed are used up.",
     "interrupted": "Interrupted: this is the best so far.",
@@ -125,7 +128,8 @@ class Design(eqx.Module):
 
     def _priced(self, i):
         limit, price = self.limits[i], self.prices[i]
-        step, named = 1e-6, f"1 µ{self.unit(i)}"
+        small = self.question.sizes[i] < SMALL
+        step, named = (1e-9, f"1 n{self.unit(i)}") if small else (1e-6, f"1 µ{self.unit(i)}")
         if self.unit(i) not in ("m", "rad"):
             step = 0.01 * abs(float(limit.bound())) or 1.0
             named = f"{step:.3g} {self.unit(i)}".removesuffix(" 1")
