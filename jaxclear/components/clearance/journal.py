@@ -257,10 +257,12 @@ class JournalBearing(AbstractJournalBearing):
         sizes = lambda own: (own.flange.clearance, own.flange.radius)
         return eqx.tree_at(sizes, joint, (gap, inner * self.flange.radius))
 
-    def axial_seat(self, force):
+    def axial_seat(self, force, slope):
         if self.flange is None or sp.is_zero(force):
             return 0
-        return -jnp.sign(force) * self.flange.clearance
+        # The rim of a tilted collar comes first; the moment that it adds is left out.
+        lean = sp.mul(self.flange.radius, sp.norm(slope))
+        return -jnp.sign(force) * sp.sub(self.flange.clearance, lean)
 
 
 def _slope(axis) -> tuple:

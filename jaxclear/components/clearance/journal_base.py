@@ -71,13 +71,14 @@ class AbstractJournalBearing(AbstractClearance):
         ]
         (first, low), (last, high) = ends[0], ends[-1]
         if len(ends) == 1 or all(map(sp.is_zero, torque[:2])):
-            return (*first, self.axial_seat(force[2])), (0, 0)
+            return (*first, self.axial_seat(force[2], (0, 0))), (0, 0)
         slope = sp.scale(1 / sp.sub(high, low), tuple(map(sp.sub, last, first)))
-        return (*sp.scale(0.5, tuple(map(sp.add, first, last))), self.axial_seat(force[2])), slope
+        middle = sp.scale(0.5, tuple(map(sp.add, first, last)))
+        return (*middle, self.axial_seat(force[2], slope)), slope
 
-    def axial_seat(self, force: Any) -> Any:
-        """Where along the bearing [m] a force [N] presses the journal; nowhere, unless overridden,
-        because nothing stops it."""
+    def axial_seat(self, force: Any, slope: tuple) -> Any:
+        """Where along the bearing [m] a force [N] presses the journal whose axis has a slope [1];
+        nowhere, unless overridden, because nothing stops it."""
         return 0
 
 
