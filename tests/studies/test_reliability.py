@@ -216,10 +216,12 @@ def test_design_points_are_those_of_openturns(name):
         search = openturns.FORM(solver, event)
     search.run()
     answer = search.getResult()
-    assert found.points[0].beta == pytest.approx(answer.getHasoferReliabilityIndex(), abs=2e-3)
     theirs = np.asarray(answer.getStandardSpaceDesignPoint())
-    nearest = min(np.linalg.norm(theirs - point.normal) for point in found.points)
-    assert nearest < 0.05
+    nearest = min(found.points, key=lambda point: np.linalg.norm(theirs - point.normal))
+    assert np.linalg.norm(theirs - nearest.normal) < 0.05
+    assert nearest.beta == pytest.approx(answer.getHasoferReliabilityIndex(), abs=2e-3)
+    # It may stop at a saddle where several points are nearer (RP28).
+    assert found.points[0].beta < nearest.beta + 1e-6
 
 
 @pytest.mark.parametrize(
