@@ -41,7 +41,13 @@ def exact(reference):
     return np.where(SCORES < 0, reference.ppf(low), reference.isf(high))
 
 
-@pytest.mark.parametrize("name", CASES)
+# Those whose formulas differ most; each compiles its own.
+QUICK = ("truncated", "weibull", "triangular")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in CASES]
+)
 def test_deviations_slopes_and_scores_are_scipys(name):
     distribution, reference = CASES[name]
     wanted = exact(reference)
@@ -64,6 +70,7 @@ def test_a_distribution_about_the_number_itself_gives_deviations():
     np.testing.assert_allclose(2e-4 + found.quantile(0.9), clearance.ppf(0.9), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_densities_end_where_parts_are_cut_off():
     ends = {name: CASES[name][0].end_densities() for name in ("student", "uniform", "truncated")}
     assert ends["student"] == (0, 0)
@@ -80,6 +87,7 @@ def test_discrete_parts_come_in_their_shares():
     assert not shims.is_continuous() and D.Normal(1.0).is_continuous()
 
 
+@pytest.mark.slow
 def test_a_distribution_of_ones_own_needs_a_quantile_and_a_deviation():
     class Cosine(D.AbstractDistribution):
         """Density in proportion to cos(x) on +-pi/2."""

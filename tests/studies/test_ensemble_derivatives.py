@@ -34,7 +34,7 @@ TRUTH = {(label, "x"): exact for label, exact in zip(LABELS, BY_NOMINAL, strict=
     (label, "standard deviation of x"): exact * BY_WIDTH
     for label, exact in zip(LABELS, BY_SPREAD, strict=True)
 }
-REPEATED = 24
+REPEATED = 12
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +53,15 @@ def answers():
 
 @pytest.mark.parametrize("key", TRUTH, ids=str)
 def test_intervals_hold_the_closed_form(answers, key):
-    """95 %: of 24 fewer than 19 by chance once in 200 (the eight are of one sample)."""
+    """95 %: of 12 fewer than 9 by chance once in 500 (the eight are of one sample)."""
     found = [study.derivatives[key].estimates["regression"] for study in answers]
     inside = [abs(e.value - TRUTH[key]) <= e.error + 1e-12 for e in found]
-    assert sum(inside) >= 19
+    assert sum(inside) >= 9
     # Intervals promise something: a tenth of the derivative of a share, at 256 runs.
     assert np.median([e.error for e in found]) < 0.5 * abs(TRUTH[key]) + 0.03
 
 
+@pytest.mark.slow
 def test_derivatives_go_by_the_names_of_statistics_and_widths(answers):
     study = answers[0]
     assert set(study.derivatives) == set(TRUTH)
@@ -90,6 +91,7 @@ def means(x, y, half_width, points=1 << 16):
     return {name: float(np.mean(r)) for name, r in found.items()}
 
 
+@pytest.mark.slow
 def test_what_jumps_is_differentiated_through_the_ends_of_its_distribution():
     """All that a uniform distribution knows of a derivative is at its ends."""
     step = 0.02
@@ -111,6 +113,7 @@ def test_what_jumps_is_differentiated_through_the_ends_of_its_distribution():
     assert "not by pathwise" in jumping.verdict and jumping.value > 8
 
 
+@pytest.mark.slow
 def test_single_sizes_have_differences_only():
     shims = jc.FunctionProblem(
         lambda shim, gap: gap - shim,
@@ -163,6 +166,20 @@ def test_methods_that_agree_are_combined_with_the_least_variance():
     assert rms["both"] < 0.95 * rms["one"] and inside / 300 > 0.91
     found = confirmed("r", "v", estimates)
     assert found.method in ("one and other", "other and one", "one", "other")
+
+
+def test_a_verdict_is_right():
+    """Methods that are both right are said to disagree hardly ever; one that is off by three times
+    the error of their difference is found out."""
+    rng = np.random.default_rng(1)
+    right = wrong = 0
+    for _ in range(200):
+        one, other = (from_parts(1.0 + rng.normal(size=16)) for _ in range(2))
+        right += confirmed("r", "v", {"a": one, "b": other}).trustworthy
+        off = 3 * np.hypot(one.error, other.error)
+        biased = from_parts(np.array(other.parts) + off)
+        wrong += not confirmed("r", "v", {"a": one, "b": biased}).trustworthy
+    assert right >= 194 and wrong >= 190
 
 
 def test_a_biased_method_is_not_combined():

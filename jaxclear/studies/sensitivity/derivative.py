@@ -21,6 +21,9 @@ VAGUE = 3.0
 ROUNDING = 1e-9
 # What is smaller than this share of another method's error is zero.
 ROUNDING = 1e-9
+# Methods that are both right differ by more than this many times the 95 % error of their difference
+# once in a hundred; what is called a disagreement should be one. Beyond 1 they are not combined.
+TOGETHER = 2.576 / 1.96
 # Weights from fewer scramblings are chance.
 FEWEST = 8
 # Methods agree on what is wrong as well, where more than this share of their runs is in doubt.
@@ -141,9 +144,10 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
         partners = [other for other in order if other != name and _agree(best, estimates[other])]
         if partners:
             verdict = _agreement(best, name, partners, order)
-            joined = combined({own: estimates[own] for own in (name, *partners)})
+            near = [name, *(p for p in partners if _agree(best, estimates[p], 1.0))]
+            joined = combined({own: estimates[own] for own in near})
             if joined is not None:
-                names = " and ".join(n for n in (name, *partners) if estimates[n].parts)
+                names = " and ".join(n for n in near if estimates[n].parts)
                 return answer(joined.value, joined.error, names, verdict, trustworthy=True)
             return answer(best.value, best.error, name, verdict, trustworthy=True)
     if not order:
@@ -210,9 +214,9 @@ def _by_certainty(estimates: dict[str, Estimate]) -> list[str]:
     return [name for name in order if largest <= least or answers[name].error <= largest]
 
 
-def _agree(a: Estimate, b: Estimate) -> bool:
-    rounding = ROUNDING * max(abs(a.value), abs(b.value))
-    return bool(abs(a.value - b.value) <= np.hypot(a.error, b.error) + rounding)
+def _agree(a: Estimate, b: Estimate, times: float = TOGETHER) -> bool:
+    """Whether the difference of two estimates is chance."""
+    return bool(abs(a.value - b.value) <= times * np.hypot(a.error, b.error))
 
 
 def _agreement(best: Estimate, name: str, partners: list[str], order: list[str]) -> str:
