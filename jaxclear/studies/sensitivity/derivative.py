@@ -17,9 +17,8 @@ from jaxclear.studies.statistics.scrambled import student
 # An answer this many times less certain than another is large agrees with anything, and confirms
 # nothing.
 VAGUE = 3.0
-# Of a difference of numbers that are nearly the same, which no scatter of samples shows.
-ROUNDING = 1e-9
-# What is smaller than this share of another method's error is zero.
+# Of a difference of numbers that are nearly the same, which no scatter of samples shows; and what
+# is smaller than this share of another method's error is zero.
 ROUNDING = 1e-9
 # Methods that are both right differ by more than this many times the 95 % error of their difference
 # once in a hundred; what is called a disagreement should be one. Beyond 1 they are not combined.
@@ -215,8 +214,9 @@ def _by_certainty(estimates: dict[str, Estimate]) -> list[str]:
 
 
 def _agree(a: Estimate, b: Estimate, times: float = TOGETHER) -> bool:
-    """Whether the difference of two estimates is chance."""
-    return bool(abs(a.value - b.value) <= times * np.hypot(a.error, b.error))
+    """Whether the difference of two estimates is chance, or rounding."""
+    rounding = ROUNDING * max(abs(a.value), abs(b.value))
+    return bool(abs(a.value - b.value) <= times * np.hypot(a.error, b.error) + rounding)
 
 
 def _agreement(best: Estimate, name: str, partners: list[str], order: list[str]) -> str:
