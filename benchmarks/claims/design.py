@@ -102,7 +102,7 @@ class Evolution:
 
 
 def fresh_excess(found: Any) -> float:
-    """The largest excess [%] of the limits on spreads, at fresh quasi-random points, by runs alone."""
+    """The largest excess [%] of the limits on spreads, at fresh points, by runs alone."""
     place = found.rounds[-1].candidate.place
     normal = points(len(found.problem.names), FRESH, 99).normal
     values = np.asarray(found.question.values(jnp.asarray(place), normal))
@@ -116,7 +116,7 @@ def fresh_excess(found: Any) -> float:
     return max(shares)
 
 
-def scene_row(name: str, asked: Asked, quick: bool) -> dict[str, Any]:
+def scene_row(name: str, asked: Asked, options: Any) -> dict[str, Any]:
     """A design of a scene beside the global search."""
     begun = time.process_time()
     found = asked.designed()
@@ -124,6 +124,10 @@ def scene_row(name: str, asked: Asked, quick: bool) -> dict[str, Any]:
     begun = time.process_time()
     found = asked.designed()
     spent = time.process_time() - begun
+    tables = {"variables": found.table(), "limits": found.limit_table(), "rounds": found.history()}
+    for what, table in tables.items():
+        report(f"Design of the {name}: {what}", table.to_dict("records"), options)
+    quick = options.quick
     search = Evolution(found, POINTS[name], equal=False)
     best = search.search(CANDIDATES, 4 if quick else GENERATIONS[name])
     equal = Evolution(found, POINTS[name], equal=True)
@@ -179,7 +183,7 @@ if __name__ == "__main__":
     report("Linear stacks", [stack_row(count) for count in stacks], options)
     rows = []
     for name, build in QUESTIONS.items():
-        rows.append(scene_row(name, build(), options.quick))
+        rows.append(scene_row(name, build(), options))
         report("Scenes against a global search", rows, options)
     if options.json is not None:
         known = json.loads(options.json.read_text())
