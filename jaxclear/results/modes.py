@@ -58,6 +58,9 @@ def phases(history: StateHistory, name: str) -> list[Phase]:
     time = np.asarray(history.time)
     if history.formulation.forces_are_means:
         return _of_forces(time, np.asarray(contact(history, name).normal_force).sum(axis=1))
+    if name not in history.mechanism.topology.clearances:
+        # An ideal joint that rubs.
+        return [Phase(time[0], time[-1], Mode.CONTACT, np.nan)]
     depth, rate = (np.asarray(x) for x in _gap(history, name))
     path = CubicHermiteSpline(time, depth, rate)
     crossings = np.unique(path.roots(discontinuity=False, extrapolate=False))

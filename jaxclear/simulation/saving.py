@@ -6,7 +6,7 @@ from typing import Any
 from jaxclear.ground.arguments import check_count
 from jaxclear.integrators.base import AbstractIntegrator
 
-__all__ = ["Saving", "checked_saving"]
+__all__ = ["Saving", "as_saving", "checked_saving"]
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,14 @@ class Saving:
         check_count("events of Saving", self.events, at_least=0)
 
 
+def as_saving(save: Any) -> Saving:
+    """What `save` asks for: a number of saving times, the times [s], or a `Saving`."""
+    return save if isinstance(save, Saving) else Saving(save)
+
+
 def checked_saving(save: Any, integrator: AbstractIntegrator) -> Saving:
     """What `save` asks for. Raises `ValueError` for events of an integrator that notes none."""
-    saving = save if isinstance(save, Saving) else Saving(save)
+    saving = as_saving(save)
     if saving.events and not integrator.notes_events:
         raise ValueError(
             f"integrator.{type(integrator).__name__} notes no touches and releases: its contacts "

@@ -35,6 +35,8 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
 from jaxclear.simulation.dead_point import diagnosed, diagnosed_outcome
 from jaxclear.simulation.derivatives import guarded, refusal
+from jaxclear.simulation.loop import Extras
+from jaxclear.simulation.saving import as_saving, checked_saving
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
@@ -64,8 +66,8 @@ class Problem(AbstractProblem):
     `response`: a function of a trajectory returning a number, or several by name. `duration` [s].
     `integrator`: by default steps of a fixed length, because equal work for every sample is what
     batches and derivatives want: `FixedStep()`, or an `ImplicitStep` where friction would answer
-    faster than such steps resolve; `why_integrator` says so. `save`: saving times, as in
-    `simulate`; `shares` [1] are they, as shares of the duration. `state`: where its runs begin, as
+    faster than such steps resolve, or `Adaptive` where ideal joints rub; `why_integrator` says so.
+    `save`: saving times or a `Saving`, as in `simulate`; `shares` [1] are they, as shares of the duration. `state`: where its runs begin, as
     in `simulate`. `correlation` [1] of the variables' normal scores: {("first", "second"): 0.5}, or
     a matrix. Raises `ValueError` with a sentence for what cannot be asked.
     """
@@ -88,6 +90,8 @@ class Problem(AbstractProblem):
     why_integrator: str = eqx.field(static=True)
     # Redundant rows of loops, which all samples share.
     redundancy: Redundancy | None = eqx.field(static=True)
+    # Touches and releases of each contact that are kept between two saving times.
+    events: int = eqx.field(static=True)
 
     def __init__(
         self,
@@ -106,9 +110,11 @@ class Problem(AbstractProblem):
         expect(mechanism, Mechanism, "the mechanism of a Problem", "a jaxclear.Mechanism")
         self.response = by_name("response", response)
         self.variables = by_name("variables", variables)
-        times = saving_times(check_duration(duration), save)
+        asked = as_saving(save)
+        times = saving_times(check_duration(duration), asked.at)
         usual = usual_integrator(mechanism, times[-1]) if integrator is None else (integrator, "")
         self.integrator, self.why_integrator = usual
+        self.events = checked_saving(asked, self.integrator).events
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
         self.correlation = correlation_matrix(correlation, self.names)
@@ -154,7 +160,8 @@ class Problem(AbstractProblem):
         else:
             start = carried_on(mechanism, *motion.moving)
             times = motion.time + times
-        found = run(mechanism, *start[:2], times, self.integrator, past=self.past)
+        extras = Extras(events=self.events)
+        found = run(mechanism, *start[:2], times, self.integrator, extras, self.past)
         return mechanism, start, found
 
     def evaluate(

@@ -61,6 +61,7 @@ def test_a_bearing_turned_under_a_constant_load_wears_archards_volume():
     """On a rung of error control, where the load is found with the acceleration."""
     mechanism = rotor(None, length=LENGTH, wear=jc.Wearing(LAW))
     run = jc.simulate(mechanism, 2 * np.pi / SPEED, integrator=ADAPTIVE, save=3)
+    assert list(run.combined_modes()["B"]) == ["contact"]
     volume = RATE * LOAD * RADIUS * 2 * np.pi
     np.testing.assert_allclose(run.worn_volume("B", "bearing")[-1], volume, rtol=1e-12)
 
