@@ -67,8 +67,9 @@ class Problem(AbstractProblem):
     `integrator`: by default steps of a fixed length, because equal work for every sample is what
     batches and derivatives want: `FixedStep()`, or an `ImplicitStep` where friction would answer
     faster than such steps resolve, or `Adaptive` where ideal joints rub; `why_integrator` says so.
-    `save`: saving times or a `Saving`, as in `simulate`; `shares` [1] are the times, as shares of the
-    duration. `state`: where its runs begin, as in `simulate`. `correlation` [1] of the variables' normal scores: {("first", "second"): 0.5}, or
+    `save`: saving times or a `Saving`, as in `simulate`; `shares` [1] are the times, as shares of
+    the duration. `state`: where its runs begin, as in `simulate`. `correlation` [1] of the
+    variables' normal scores: {("first", "second"): 0.5}, or
     a matrix. Raises `ValueError` with a sentence for what cannot be asked.
     """
 
