@@ -57,7 +57,7 @@ def ball(name: str) -> jc.Problem:
 
 def crank(name: str) -> jc.Problem:
     speed, step = CRANKS[name]
-    rig = jc.scenes.slider_crank(crank_speed=speed)
+    rig = jc.scenes.slider_crank(crank_speed=speed, wear=True)
     clearance = jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=20e-6)
     return jc.Problem(
         rig,
