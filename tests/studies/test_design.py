@@ -136,7 +136,7 @@ def test_sixty_tolerances_are_left_to_optax():
 
 
 RARE = [
-    (jc.limit.Quantile("gap", at_most=GAP + ROOM, share=0.99), norm.ppf(0.99), 1e-3),
+    (jc.limit.Quantile("gap", at_most=GAP + ROOM, share=0.99), norm.ppf(0.99), 3e-3),
     (jc.limit.Probability("gap", above=GAP + ROOM, at_most=1e-3), -norm.ppf(1e-3), 3e-3),
     (jc.limit.Probability("gap", below=GAP - ROOM, at_most=1e-6), -norm.ppf(1e-6), 3e-3),
     (jc.limit.Probability("gap", above=GAP + ROOM, below=GAP - ROOM, at_most=2.7e-3), 3.0, 3e-3),
@@ -146,7 +146,7 @@ RARE = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("limit", "deviations", "error"), RARE)
 def test_quantiles_and_rare_shares_meet_the_closed_form(limit, deviations, error):
-    """Costs of normal stacks go with the quantile; a share of 1e-6 is told by 8192 points."""
+    """Costs of normal stacks go with the quantile, which limits let pass by half a per cent."""
     asked = problem(jc.distribution.Normal(1e-5))
     found = jc.design(asked, reciprocal(), limit, tolerance=by_name([(1e-7, 3e-4)] * 4))
     two = getattr(limit, "below", None) is not None and limit.above is not None
