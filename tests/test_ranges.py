@@ -17,13 +17,27 @@ from jaxclear.ground.quantity import AbstractQuantified, public_name
 from tests.test_architecture import CLASSES
 
 # What a field without a default may hold, by its type; numbers see `number_within`.
-FILLERS = {str: "arm", tuple[int, int]: (12, 1)}
+FILLERS = {str: "arm", float: 2.0, tuple[int, int]: (12, 1), tuple[int, ...]: (6, 7)}
 COUNTS = {"quaternion": 4}  # numbers of a vector where they are not 3
 BIG_ENOUGH = {"outer_radius": 2.0}  # numbers that another one bounds
+# Numbers that bound each other.
+TOGETHER = {
+    "tolerances": (1e-5, 2e-5),
+    "costs": (2.0, 1.0),
+    "deviations": (0.0, 1.0),
+    "shares": (0.5, 0.5),
+    "low": -1.0,
+    "high": 1.0,
+}
 
 
 def quantities(kind):
     return [field for field in dataclasses.fields(kind) if "unit" in field.metadata]
+
+
+def arguments(kind):
+    """Names under which numbers are given; others a class works out."""
+    return inspect.signature(kind).parameters
 
 
 def number_within(metadata):
@@ -36,6 +50,8 @@ def number_within(metadata):
 
 def filler(field):
     kinds = get_args(field.type) if isinstance(field.type, UnionType) else (field.type,)
+    if field.name in TOGETHER:
+        return TOGETHER[field.name]
     if "unit" in field.metadata:
         number = BIG_ENOUGH.get(field.name, number_within(field.metadata))
         return (number,) * COUNTS.get(field.name, 3) if tuple in kinds else number
@@ -51,7 +67,9 @@ def specimen(kind, **changes):
     """An object of this class: what has no default is filled in."""
     absent = dataclasses.MISSING
     needed = [
-        f for f in dataclasses.fields(kind) if f.default is absent and f.default_factory is absent
+        f
+        for f in dataclasses.fields(kind)
+        if f.default is absent and f.default_factory is absent and f.name in arguments(kind)
     ]
     return kind(**({field.name: filler(field) for field in needed} | changes))
 
@@ -64,7 +82,7 @@ NUMBERS = {
     f"{public_name(kind)}.{field.name}": (kind, field)
     for kind in finals()
     for field in quantities(kind)
-    if not kind.__name__.startswith("Abstract")
+    if not kind.__name__.startswith("Abstract") and field.name in arguments(kind)
 }
 
 

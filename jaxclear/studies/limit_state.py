@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.answering import nothing_else
-from jaxclear.ground.arguments import check_number, expect
+from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.ground.wording import described, unknown
 
@@ -51,10 +51,8 @@ class Above(AbstractLimitState):
     response: str = eqx.field(static=True)
     threshold: Scalar = quantity(unit=UNIT, meaning="largest value that does not fail")
 
-    def __init__(self, response: str, threshold: float):
-        expect(response, str, "response of a limit", "the name of a response")
-        check_number(f'threshold of "{response}"', threshold)
-        self.response, self.threshold = response, jnp.asarray(threshold, float)
+    def __check_init__(self):
+        expect(self.response, str, "response of a limit", "the name of a response")
 
     def margin(self, responses):
         return self.threshold - responses[self.response]
@@ -75,10 +73,8 @@ class Below(AbstractLimitState):
     response: str = eqx.field(static=True)
     threshold: Scalar = quantity(unit=UNIT, meaning="smallest value that does not fail")
 
-    def __init__(self, response: str, threshold: float):
-        expect(response, str, "response of a limit", "the name of a response")
-        check_number(f'threshold of "{response}"', threshold)
-        self.response, self.threshold = response, jnp.asarray(threshold, float)
+    def __check_init__(self):
+        expect(self.response, str, "response of a limit", "the name of a response")
 
     def margin(self, responses):
         return responses[self.response] - self.threshold

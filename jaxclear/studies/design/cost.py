@@ -132,6 +132,11 @@ class Table(AbstractCost):
                 f"cost.Table has {len(wide)} tolerances and {len(dear)} costs; it must have as "
                 "many of the one as of the other, two at least."
             )
+        for name, numbers in {"tolerances": wide, "costs": dear}.items():
+            for place in np.flatnonzero(~np.isfinite(numbers)):
+                raise ValueError(
+                    f"cost.Table has {name}[{place}] = {numbers[place]:g}; it must be finite."
+                )
         if np.any(np.diff(wide) <= 0) or wide[0] <= 0:
             raise ValueError(
                 "tolerances of cost.Table do not rise from above 0; give them in rising order."

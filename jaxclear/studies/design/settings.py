@@ -2,7 +2,7 @@
 
 import equinox as eqx
 
-from jaxclear.ground.arguments import check_known
+from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 
 __all__ = ["DesignSettings"]
@@ -30,6 +30,8 @@ class DesignSettings(AbstractQuantified):
 
     def __check_init__(self):
         check_known("method of a design", self.method, METHODS)
+        if self.runs is not None:
+            check_count("runs of DesignSettings", self.runs)
 
     def uses_steps(self, free: int) -> bool:
         """Whether optax takes the steps for so many free numbers."""
