@@ -20,6 +20,33 @@ NEAR = 1.5
 OWN = "(in the response's unit)"
 
 
+class AbstractOneSidedLimit(AbstractLimit):
+    """A number in the response's unit, at most or at least."""
+
+    at_most: eqx.AbstractVar[Scalar | None]
+    at_least: eqx.AbstractVar[Scalar | None]
+
+    def bound(self):
+        return self.at_most if self.upper() else self.at_least
+
+    def excess(self, sample):
+        beyond = self.number(sample) - self.bound()
+        return beyond if self.upper() else -beyond
+
+    def with_bound(self, bound):
+        where = (lambda one: one.at_most) if self.upper() else (lambda one: one.at_least)
+        return eqx.tree_at(where, self, jnp.asarray(bound, float))
+
+    def sides(self, values):
+        return [values if self.upper() else -values]
+
+    def size(self, sample):
+        return _size(self.bound(), sample)
+
+    def unit(self, of_response):
+        return of_response
+
+
 def _check_one_side(limit: Any, kind: str) -> None:
     if (limit.at_most is None) == (limit.at_least is None):
         raise ValueError(
@@ -27,7 +54,7 @@ def _check_one_side(limit: Any, kind: str) -> None:
         )
 
 
-class MeanAndDeviation(AbstractLimit):
+class MeanAndDeviation(AbstractOneSidedLimit):
     """Mean plus `deviations` standard deviations at most, or mean less as many at least."""
 
     response: str = eqx.field(static=True)
@@ -45,33 +72,15 @@ class MeanAndDeviation(AbstractLimit):
         beyond = side * self.deviations * deviation(sample.values, sample.weights)
         return mean(sample.values, sample.weights) + beyond
 
-    def excess(self, sample):
-        return _excess(self, self.number(sample))
-
-    def bound(self):
-        return _bound(self)
-
-    def with_bound(self, bound):
-        return _with_bound(self, bound)
-
     def rarest(self):
         return 0.5
-
-    def sides(self, values):
-        return [values if self.upper() else -values]
-
-    def size(self, sample):
-        return _size(self.bound(), sample)
 
     def words(self):
         side = "+" if self.upper() else "-"
         return f"mean {side} {float(self.deviations):g} standard deviations of {self.response}"
 
-    def unit(self, of_response):
-        return of_response
 
-
-class Quantile(AbstractLimit):
+class Quantile(AbstractOneSidedLimit):
     """The value below which `share` of the population lies, at most; or that above which it lies,
     at least."""
 
@@ -90,30 +99,12 @@ class Quantile(AbstractLimit):
             return quantile(sample.values, sample.weights, 1.0 - self.share)
         return -quantile(-sample.values, sample.weights, 1.0 - self.share)
 
-    def excess(self, sample):
-        return _excess(self, self.number(sample))
-
-    def bound(self):
-        return _bound(self)
-
-    def with_bound(self, bound):
-        return _with_bound(self, bound)
-
     def rarest(self):
         return 1.0 - float(self.share)
-
-    def sides(self, values):
-        return [values if self.upper() else -values]
-
-    def size(self, sample):
-        return _size(self.bound(), sample)
 
     def words(self):
         side = "below" if self.upper() else "above"
         return f"value {side} which {100 * float(self.share):.6g} % of {self.response} lie"
-
-    def unit(self, of_response):
-        return of_response
 
 
 class Probability(AbstractLimit):
@@ -184,7 +175,7 @@ class Probability(AbstractLimit):
         return "1"
 
 
-class WorstCase(AbstractLimit):
+class WorstCase(AbstractOneSidedLimit):
     """The value where every dimension lies at the bad end of its tolerance, by first order."""
 
     response: str = eqx.field(static=True)
@@ -197,45 +188,14 @@ class WorstCase(AbstractLimit):
     def number(self, sample):
         return sample.ends[1 if self.upper() else 0]
 
-    def excess(self, sample):
-        return _excess(self, self.number(sample))
-
-    def bound(self):
-        return _bound(self)
-
-    def with_bound(self, bound):
-        return _with_bound(self, bound)
-
     def rarest(self):
         return 0.5
-
-    def sides(self, values):
-        return [values if self.upper() else -values]
-
-    def size(self, sample):
-        return _size(self.bound(), sample)
 
     def words(self):
         return f"{'largest' if self.upper() else 'smallest'} {self.response} in the worst case"
 
-    def unit(self, of_response):
-        return of_response
-
     def extreme(self):
         return True
-
-
-def _bound(limit: Any) -> Scalar:
-    return limit.at_most if limit.upper() else limit.at_least
-
-
-def _excess(limit: Any, number: Scalar) -> Scalar:
-    return number - limit.at_most if limit.upper() else limit.at_least - number
-
-
-def _with_bound(limit: Any, bound: Any) -> Any:
-    where = (lambda one: one.at_most) if limit.upper() else (lambda one: one.at_least)
-    return eqx.tree_at(where, limit, jnp.asarray(bound, float))
 
 
 def _size(bound: Scalar, sample: Sample) -> Scalar:
