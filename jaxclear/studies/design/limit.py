@@ -12,7 +12,14 @@ from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.studies.design.abstract_limit import AbstractLimit, Sample
 from jaxclear.studies.design.weighted import deviation, mean, quantile, share_above
 
-__all__ = ["AbstractLimit", "MeanAndDeviation", "Probability", "Quantile", "WorstCase"]
+__all__ = [
+    "AbstractLimit",
+    "AbstractOneSidedLimit",
+    "MeanAndDeviation",
+    "Probability",
+    "Quantile",
+    "WorstCase",
+]
 __getattr__ = nothing_else("jaxclear.limit", __all__)
 
 # What a share more is worth is told from shares larger and smaller by this factor.
