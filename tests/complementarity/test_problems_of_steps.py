@@ -90,6 +90,7 @@ def corners(problem):
     return problem.delassus[0][0], problem.free_velocity[0], problem.ratios[0][0], n
 
 
+@pytest.mark.filterwarnings("ignore:jaxclear runs a time loop through XLA:RuntimeWarning")
 @pytest.mark.parametrize("drive", [True, False])
 def test_friction_of_the_slider_in_its_guide(monkeypatch, drive):
     """The horizontal LCP of both corners, for a crank that is driven and one that is let go."""

@@ -77,10 +77,12 @@ def test_a_response_is_in_doubt_where_a_warning_concerns_it():
         "forces": (False, True, True, True, True),
         "peak forces": (False, True, False, False, True),
         "wear": (False, False, True, False, True),
+        "places in gaps": (False, False, True, False, True),
     }.items():
         found = tuple(concerned(r, concerns) for r in (position, peak, wear, mean, plain))
         assert found == wanted, concerns
-    assert {check.concerns for check in Check} <= {"motion", "forces", "peak forces", "wear"}
+    known = {"motion", "forces", "peak forces", "wear", "places in gaps"}
+    assert {check.concerns for check in Check} <= known
 
 
 def test_a_failed_sample_is_not_counted_twice(study):
