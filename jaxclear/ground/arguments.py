@@ -12,9 +12,9 @@ import numpy as np
 
 from jaxclear.ground.kinds import finite_and_within, range_in_words
 from jaxclear.ground.quantity import as_number
-from jaxclear.ground.wording import described, unknown
+from jaxclear.ground.wording import described, listed, unknown
 
-__all__ = ["check_count", "check_flags", "check_known", "check_number", "expect"]
+__all__ = ["check_count", "check_flags", "check_known", "check_methods", "check_number", "expect"]
 
 
 def expect(thing: Any, kind: Any, what: str, wanted: str) -> None:
@@ -64,3 +64,13 @@ def check_known(what: str, name: Any, known: Iterable[str], where: str = "") -> 
     known = list(known)
     if not isinstance(name, str) or name not in known:
         raise ValueError(unknown(what, name, known, where))
+
+
+def check_methods(owner: str, methods: Any, known: Iterable[str]) -> None:
+    """Some of the methods that a study has, at least one."""
+    known = list(known)
+    expect(methods, (tuple, list), f"methods of {owner}", f"some of {listed(known)}")
+    if not methods:
+        raise ValueError(f"methods of {owner} is empty; it must hold some of {listed(known)}.")
+    for method in methods:
+        check_known(f"method of {owner}", method, known)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
-from jaxclear.native.control import CALLS
+from jaxclear.native.control import CALLS, called
 from jaxclear.native.writer import Unsupported
 
 # Turns after which a loop within the loop is given up.
@@ -196,9 +196,7 @@ def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
     if name == "maybe_set" and p["i_static"] is None:
         return _set, False
     if name in CALLS:
-        return evaluator(
-            next(p[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in p), known
-        ), True
+        return evaluator(called(p), known), True
     return lambda *inputs: _by_jax(equation, inputs), True
 
 

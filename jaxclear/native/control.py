@@ -31,12 +31,14 @@ CALLS = (
 )
 
 
+def called(parameters: dict) -> Any:
+    """The program that one of the `CALLS` calls."""
+    return next(parameters[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in parameters)
+
+
 @rule(*CALLS, reads_memory=True)
 def _call(writer, equation, *arguments):
-    inner = next(
-        equation.params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in equation.params
-    )
-    return write_closed(writer, inner, arguments)
+    return write_closed(writer, called(equation.params), arguments)
 
 
 @rule("cond", reads_memory=True)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
-from jaxclear.native.control import CALLS
+from jaxclear.native.control import CALLS, called
 from jaxclear.native.program import Program, avals_of
 
 # Tangents in one body: more of them outgrow the registers.
@@ -66,7 +66,7 @@ def _moved_by(equation: Any, inputs: list[bool]) -> list[bool]:
     if name == "stop_gradient":
         return [False]
     if name in CALLS:
-        return _moved(next(p[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in p), inputs)
+        return _moved(called(p), inputs)
     if name == "cond":
         branches = [_moved(branch, inputs[1:]) for branch in p["branches"]]
         return [any(each) for each in zip(*branches, strict=True)]

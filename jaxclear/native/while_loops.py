@@ -10,7 +10,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
 from jaxclear.native import differentiation  # noqa: F401  (its rules)
-from jaxclear.native.control import CALLS
+from jaxclear.native.control import CALLS, called
 from jaxclear.native.loop import loop_p
 from jaxclear.native.program import Program
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
@@ -92,7 +92,7 @@ def _replay(program: ClosedJaxpr, arguments: list) -> list:
                 *inputs, program=Program(p["cond_jaxpr"], p["body_jaxpr"], *counts), rank=0
             )
         elif equation.primitive.name in CALLS:
-            inner = next(p[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in p)
+            inner = called(p)
             out = _replay(
                 inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, []), inputs
             )

@@ -13,11 +13,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
-from scipy.stats import qmc
 
 from jaxclear.ground.arguments import check_count, check_known, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.scrambling import scrambled_shares
 
 __all__ = ["SAMPLINGS", "check_sampled", "draw", "extended", "groups", "usual_scramblings"]
 
@@ -90,6 +90,4 @@ def _shares(count: int, span: tuple[int, int], seed: tuple[int, int], sampling: 
         return np.zeros((0, count))
     if sampling == "random":
         return rng.random((stop, count))[start:]
-    # A power of two keeps the sequence balanced; what is more than asked for is left out.
-    power = int(np.ceil(np.log2(stop)))
-    return qmc.Sobol(count, scramble=True, rng=rng).random_base2(power)[start:stop]
+    return scrambled_shares(stop, count, rng)[start:]

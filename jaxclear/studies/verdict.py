@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from jaxclear.studies.advice.pilot import Trial
+from jaxclear.studies.statistics.scrambled import student
 
 # Share of the accuracy that the reference may use up before means are compared instead of runs.
 TRUSTED = 0.5
@@ -27,8 +27,6 @@ SLACK_OF_MEANS, SLACK_OF_RUNS = 2.0, 3.0
 # Of n copies the worst must keep within n / (n + SPARED) of the accuracy: then another one exceeds
 # it about once in a hundred where errors scatter normally, whatever n.
 SPARED = 3.0
-# A normal variable lies within its 95 % interval: half of 5 % on each side.
-TAIL = 0.975
 
 
 class Criterion(NamedTuple):
@@ -56,7 +54,7 @@ def difference(a: np.ndarray, b: np.ndarray, size: float, by_means: bool) -> Mea
     gap = (a - b) / size
     if not by_means:
         return MeasuredError(float(np.max(np.abs(gap))), 0.0)
-    width = stats.t.ppf(TAIL, len(gap) - 1) * gap.std(ddof=1) / np.sqrt(len(gap))
+    width = student(len(gap)) * gap.std(ddof=1) / np.sqrt(len(gap))
     return MeasuredError(float(abs(gap.mean())), float(width))
 
 

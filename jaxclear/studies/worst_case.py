@@ -17,7 +17,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import optimize
-from scipy.stats import qmc
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
@@ -26,6 +25,7 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.sampling import check_sampled
+from jaxclear.studies.scrambling import scrambled_shares
 
 # Points from which each extreme is climbed to, the corner of the slopes apart.
 STARTS = 4
@@ -92,9 +92,7 @@ def worst_case(
     check_flags("worst_case", progress_bar=progress_bar)
     check_count("samples of worst_case", samples)
     low, high = box(problem, sigmas)
-    count = len(low)
-    sequence = qmc.Sobol(count, scramble=True, rng=np.random.default_rng(seed))
-    spread = sequence.random_base2(int(np.ceil(np.log2(samples))))[:samples]
+    spread = scrambled_shares(samples, len(low), np.random.default_rng(seed))
     nominal = np.asarray(problem.nominal())
     search = Search(problem, low, high, progress_bar)
     points = np.concatenate([nominal[None], low + spread * (high - low)])

@@ -6,7 +6,9 @@ parts decide, some of the points are drawn about those, and weighted by how much
 
 import equinox as eqx
 import numpy as np
-from scipy.stats import norm, qmc
+from scipy.stats import norm
+
+from jaxclear.studies.scrambling import scrambled_shares
 
 # Points lie no further out than this share: quantiles of distributions without ends are finite.
 EDGE = 1e-15
@@ -46,10 +48,7 @@ def points(
 
 
 def _drawn(variables: int, samples: int, rng: np.random.Generator) -> np.ndarray:
-    # A power of two keeps the sequence balanced; what is more than asked for is left out.
-    power = int(np.ceil(np.log2(max(samples, 1))))
-    drawn = qmc.Sobol(variables, scramble=True, rng=rng).random_base2(power)[:samples]
-    return norm.ppf(np.clip(drawn, EDGE, 1 - EDGE))
+    return norm.ppf(np.clip(scrambled_shares(samples, variables, rng), EDGE, 1 - EDGE))
 
 
 def _matched(variables: int, samples: int, seed: int) -> np.ndarray:

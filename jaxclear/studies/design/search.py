@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import qmc
 
 from jaxclear.studies.design.discrete import chosen_from_catalogues
 from jaxclear.studies.design.lagrangian import cheapest_by_steps
@@ -22,6 +21,7 @@ from jaxclear.studies.design.rare import rare_regions
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.design.settings import DesignSettings
 from jaxclear.studies.design.verification import Check, Verifier
+from jaxclear.studies.scrambling import scrambled_shares
 
 # Starts of the first search, and least runs for each term of a quadratic surface.
 STARTS, RUNS_PER_TERM = 3, 2
@@ -128,8 +128,7 @@ class _Seeking:
         """Parts of designs that fill the region, (count, variables)."""
         size, variables = len(low), len(self.question.freedom.names)
         rng = np.random.default_rng([self.settings.seed, number])
-        power = int(np.ceil(np.log2(count)))
-        share = qmc.Sobol(size + variables, scramble=True, rng=rng).random_base2(power)[:count]
+        share = scrambled_shares(count, size + variables, rng)
         places = low + share[:, :size] * (high - low)
         # Evenly between three standard deviations: a surface wants its edges.
         normal = 3.0 * (2.0 * share[:, size:] - 1.0)

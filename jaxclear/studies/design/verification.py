@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import t as student
 
 from jaxclear.studies.design.abstract_limit import AbstractLimit, Sample
 from jaxclear.studies.design.model import AbstractModel
 from jaxclear.studies.design.population import Points, points
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
+from jaxclear.studies.statistics.scrambled import student
 
-# Independent scramblings, and the share that an interval covers.
-GROUPS, COVERED = 8, 0.95
+# Independent scramblings.
+GROUPS = 8
 
 
 class Check(NamedTuple):
@@ -68,7 +68,7 @@ class Verifier(NamedTuple):
 
     def _told(self, found: np.ndarray, runs: int, failed: int) -> Check:
         """`found` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each."""
-        factor = float(student.ppf(0.5 + 0.5 * COVERED, GROUPS - 1))
+        factor = student(GROUPS)
         errors = factor * np.sqrt((GROUPS - 1) * found[:, 1:].var(axis=1))
         sizes = self.question.sizes
         return Check(

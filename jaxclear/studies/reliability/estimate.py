@@ -3,10 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
-# A 95 % interval leaves half of 5 % on each side.
-TAIL = 0.975
+from jaxclear.studies.statistics.scrambled import student
 
 
 class Probability(NamedTuple):
@@ -29,7 +27,7 @@ class Probability(NamedTuple):
         """95 % interval, (low, high); nan where the error is not known."""
         if not np.isfinite(self.variation) or self.blocks < 2:
             return np.nan, np.nan
-        width = stats.t.ppf(TAIL, self.blocks - 1) * self.variation * self.value
+        width = student(self.blocks) * self.variation * self.value
         return max(self.value - width, 0.0), min(self.value + width, 1.0)
 
 

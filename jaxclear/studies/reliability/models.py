@@ -18,7 +18,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState
-from jaxclear.studies.surface.drawing import all_values, value_slopes, values_of
+from jaxclear.studies.surface.drawing import all_values, value_slopes
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.surface.surface import run
 
@@ -111,7 +111,7 @@ def _sense(limit: Any) -> float:
 
 def _at(surface, limits):
     def margins(z):
-        responses = surface(values_of(surface.problem, z))
+        responses = surface(surface.problem.inputs.values(z))
         return jnp.stack([limit.margin(responses) for limit in limits])
 
     return margins

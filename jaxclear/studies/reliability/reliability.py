@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number, expect
-from jaxclear.ground.wording import listed
+from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identity import first_difference
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit
@@ -171,11 +170,5 @@ def _checked(problem: AbstractProblem, limit: Any, methods: Any, surface: Any) -
         return USUAL
     if isinstance(methods, str):
         methods = (methods,)
-    expect(methods, (tuple, list), "methods of reliability", f"some of {listed(METHODS)}")
-    if not methods:
-        raise ValueError(
-            f"methods of reliability is empty; it must hold some of {listed(METHODS)}."
-        )
-    for method in methods:
-        check_known("method of reliability", method, METHODS)
+    check_methods("reliability", methods, METHODS)
     return tuple(methods)

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import check_count, check_known, expect
-from jaxclear.ground.wording import listed
+from jaxclear.ground.arguments import check_count, check_methods, expect
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identity import first_difference
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
@@ -113,13 +112,7 @@ def _check_sample(problem: AbstractProblem, sample: MonteCarlo) -> None:
 
 def _check(sample: Any, difference_samples: Any, methods: Any, seed: Any) -> None:
     """What a study of derivatives may be asked for."""
-    expect(methods, (tuple, list), "methods of sensitivity", f"some of {listed(METHODS)}")
-    if not methods:
-        raise ValueError(
-            f"methods of sensitivity is empty; it must hold some of {listed(METHODS)}."
-        )
-    for method in methods:
-        check_known("method of sensitivity", method, METHODS)
+    check_methods("sensitivity", methods, METHODS)
     if not isinstance(sample, MonteCarlo):
         check_count("sample of sensitivity (a Monte Carlo study, or how many samples)", sample)
     check_count("difference_samples of sensitivity", difference_samples)

@@ -15,7 +15,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
-from scipy.stats import qmc
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags
@@ -23,6 +22,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.sampling import LEAST_SHARE, check_sampled, groups, usual_scramblings
+from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
 
 
@@ -103,10 +103,10 @@ def sobol_indices(
 
 def _normal(variables: int, sizes: np.ndarray, seed: int) -> np.ndarray:
     """Standard normal numbers (samples, variables), one scrambling after the other."""
-    found = []
-    for i, size in enumerate(sizes):
-        sequence = qmc.Sobol(variables, scramble=True, rng=np.random.default_rng((seed, i)))
-        found.append(sequence.random_base2(int(np.ceil(np.log2(size))))[:size])
+    found = [
+        scrambled_shares(size, variables, np.random.default_rng((seed, i)))
+        for i, size in enumerate(sizes)
+    ]
     return special.ndtri(np.clip(np.concatenate(found), LEAST_SHARE, 1 - LEAST_SHARE))
 
 

@@ -15,20 +15,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
-from jaxclear.studies.surface.drawing import all_values, scrambled_normal, values_of
+from jaxclear.studies.statistics.scrambled import student
+from jaxclear.studies.surface.drawing import all_values, scrambled_normal
 from jaxclear.studies.surface.response_surface import ResponseSurface
 
 # Evaluations of the surface: so many scramblings of so many points, so many at once.
 SURFACE_SCRAMBLINGS, SURFACE_POINTS, TOGETHER = 16, 8192, 1024
-# A 95 % interval leaves half of 5 % on each side.
-TAIL = 0.975
 # Fewer scramblings have no error worth the name.
 FEWEST = 4
 
@@ -152,7 +150,7 @@ def _surface_values(surface, values):
 
 @eqx.filter_jit
 def _surface_normal(surface, normal):
-    at = lambda z: surface(values_of(surface.problem, z))
+    at = lambda z: surface(surface.problem.inputs.values(z))
     return jax.lax.map(at, normal, batch_size=TOGETHER)
 
 
@@ -207,7 +205,7 @@ def _mean(numbers, there, good, blocks, free, weight, unseen=0.0) -> Statistic:
     plain, left, own = _left(numbers, there, good, blocks, free, weight)
     variance = left.var(ddof=1) / blocks + own + unseen**2
     gain = (plain.var(ddof=1) / blocks + unseen**2) / variance if variance > 0 else np.inf
-    width = stats.t.ppf(TAIL, blocks - 1) * np.sqrt(variance)
+    width = student(blocks) * np.sqrt(variance)
     return Statistic(float(left.mean()), float(width), float(gain if weight else 1.0))
 
 
@@ -234,6 +232,6 @@ def _moments(numbers, there, good, blocks, free, middle, weights) -> tuple[Stati
     error = spread(first[1], second[1]) + second[2]
     plain = spread(first[0], second[0])
     root = np.sqrt(found)
-    width = stats.t.ppf(TAIL, blocks - 1) * np.sqrt(error) / (2 * root) if root > 0 else np.inf
+    width = student(blocks) * np.sqrt(error) / (2 * root) if root > 0 else np.inf
     gain = plain / error if weights[1] and error > 0 else 1.0
     return mean, Statistic(float(root), float(width), float(gain))

@@ -8,26 +8,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.scrambling import scrambled_shares
 
 # Standard normal numbers further out than this do not occur.
 FURTHEST = 37.0
 
 
-def values_of(
-    problem: AbstractProblem, normal: Float[Array, " variables"]
-) -> Float[Array, " variables"]:
-    """Values of the variables that standard normal numbers stand for; differentiable."""
-    return problem.inputs.values(normal)
-
-
 @eqx.filter_jit
 def _values(problem, normal):
-    return jax.vmap(lambda z: values_of(problem, z))(normal)
+    return jax.vmap(problem.inputs.values)(normal)
 
 
 def all_values(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
@@ -36,17 +28,15 @@ def all_values(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
 
 
 def scrambled_normal(count: int, variables: int, rng: np.random.Generator) -> np.ndarray:
-    """Standard normal numbers (count, variables): scrambled Sobol' points, filled to a power of
-    two and cut."""
-    power = int(np.ceil(np.log2(max(count, 1))))
-    shares = qmc.Sobol(variables, scramble=True, rng=rng).random_base2(power)[:count]
+    """Standard normal numbers (count, variables): one scrambling."""
+    shares = scrambled_shares(count, variables, rng)
     tiny = np.finfo(float).eps
     return np.clip(ndtri(np.clip(shares, tiny, 1 - tiny)), -FURTHEST, FURTHEST)
 
 
 @eqx.filter_jit
 def _value_slopes(problem, normal):
-    return jax.vmap(jax.jacfwd(lambda z: values_of(problem, z)))(normal)
+    return jax.vmap(jax.jacfwd(problem.inputs.values))(normal)
 
 
 def value_slopes(problem: AbstractProblem, normal: np.ndarray) -> np.ndarray:
