@@ -1,5 +1,8 @@
 """jaxclear: differentiable simulation of mechanisms whose joints have clearance, contact, friction
 and wear.
+
+Importing it sets two things for the process: JAX's `jax_enable_x64`, and one compiler option in the
+environment's XLA_FLAGS, unless those say otherwise. It starts no device and leaves logging alone.
 """
 
 import os

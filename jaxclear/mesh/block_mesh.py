@@ -10,10 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float, Int
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 # Points closer than this share of the mesh's size are one.
 SAME = 1e-9
@@ -88,9 +86,9 @@ def joined(groups: Sequence[Float[np.ndarray, "blocks i j k 3"]]) -> BlockMesh:
     Blocks that are left-handed are turned over."""
     groups = [np.stack([_right_handed(block) for block in group]) for group in groups]
     every = np.concatenate([group.reshape(-1, 3) for group in groups])
-    pairs = cKDTree(every).query_pairs(SAME * np.ptp(every), output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(every),) * 2)
-    count, number = connected_components(links, directed=False)
+    pairs = scipy.spatial.cKDTree(every).query_pairs(SAME * np.ptp(every), output_type="ndarray")
+    links = scipy.sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(every),) * 2)
+    count, number = scipy.sparse.csgraph.connected_components(links, directed=False)
     points = np.zeros((count, 3))
     points[number] = every
     ends = np.cumsum([group[..., 0].size for group in groups])[:-1]

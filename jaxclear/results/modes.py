@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PPoly
+import scipy
 
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
@@ -62,7 +62,7 @@ def phases(history: StateHistory, name: str) -> list[Phase]:
         # An ideal joint that rubs.
         return [Phase(time[0], time[-1], Mode.CONTACT, np.nan)]
     depth, rate = (np.asarray(x) for x in _gap(history, name))
-    path = CubicHermiteSpline(time, depth, rate)
+    path = scipy.interpolate.CubicHermiteSpline(time, depth, rate)
     crossings = np.unique(path.roots(discontinuity=False, extrapolate=False))
     marks = np.concatenate([time[:1], crossings[np.isfinite(crossings)], time[-1:]])
     found: list[Phase] = []
@@ -145,7 +145,7 @@ def _first(rate: Any, level: float, start: float, stop: float) -> float | None:
     """The first instant after `start` at which a rate passes a level; None where it does not."""
     lower, upper = np.searchsorted(rate.x, [start, stop])
     pieces = slice(max(lower - 1, 0), min(upper, len(rate.x) - 1))
-    part = PPoly(rate.c[:, pieces], rate.x[pieces.start : pieces.stop + 1])
+    part = scipy.interpolate.PPoly(rate.c[:, pieces], rate.x[pieces.start : pieces.stop + 1])
     times = part.solve(level, discontinuity=False, extrapolate=False)
     times = times[np.isfinite(times) & (times > start) & (times < stop)]
     return float(times.min()) if len(times) else None

@@ -51,9 +51,15 @@ KINDS = ("spatial", "planar", "ideal")
 FRICTIONS = ("set_valued", "regularised")
 DRIVES = ("periodic", "step")
 JOINTS = ("J1", "J2")
-# The antenna's boresight runs along link 2.
-TIP = Marker("link2", (OFFSET, LINK_2, 0.0), axis="y")
 BASE = "satellite"
+
+
+def __getattr__(name: str) -> Marker:
+    """`TIP`: the tip of the antenna, whose boresight runs along link 2. It holds arrays, and
+    importing builds none: the first starts JAX's device, whose settings are still the user's."""
+    if name == "TIP":
+        return Marker("link2", (OFFSET, LINK_2, 0.0), axis="y")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 class PeriodicTorque(AbstractQuantified):

@@ -12,7 +12,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
+import scipy
 
 from jaxclear.ground.arguments import check_count, check_known, expect
 from jaxclear.ground.precision import check_double_precision
@@ -77,7 +77,7 @@ def _values(problem, spans, seed, sampling):
     shares = np.concatenate(
         [_shares(count, span, (seed, i), sampling) for i, span in enumerate(spans)]
     )
-    normal = special.ndtri(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
+    normal = scipy.special.ndtri(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
     return np.asarray(problem.inputs.values(jnp.asarray(normal)))
 
 

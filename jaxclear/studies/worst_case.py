@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import optimize
+import scipy
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
@@ -191,7 +191,7 @@ class Search:
         size = float(np.sum(np.abs(slope))) or 1.0
         if np.isfinite(begun):
             bounds = [(0.0, float(above)) for above in self.high > self.low]
-            optimize.minimize(
+            scipy.optimize.minimize(
                 asked, (start - self.low) / width, jac=True, method="L-BFGS-B", bounds=bounds
             )
         return best

@@ -9,8 +9,8 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
-from scipy.interpolate import PchipInterpolator
 
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
@@ -141,7 +141,7 @@ class Table(AbstractCost):
             raise ValueError(
                 "tolerances of cost.Table do not rise from above 0; give them in rising order."
             )
-        self.coefficients = jnp.asarray(PchipInterpolator(wide, dear).c)
+        self.coefficients = jnp.asarray(scipy.interpolate.PchipInterpolator(wide, dear).c)
 
     def known(self):
         return float(self.tolerances[0]), float(self.tolerances[-1])

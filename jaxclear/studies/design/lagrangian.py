@@ -12,7 +12,6 @@ Source: Bertsekas 1982, Constrained Optimization and Lagrange Multiplier Methods
 from collections.abc import Callable
 
 import numpy as np
-import optax
 
 from jaxclear.studies.design.optimise import Candidate, Search, judged
 
@@ -37,6 +36,8 @@ def descend(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(place (free,), multipliers (limits,) in costs at the start) that the augmented Lagrangian
     ends with."""
+    import optax
+
     place = np.clip(start, low, high)
     first = told(place)[0]
     whole, forces = abs(first[0]) or 1.0, np.zeros(len(first) - 1)

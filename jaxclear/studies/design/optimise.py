@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import minimize, nnls
+import scipy
 
 from jaxclear.studies.design.model import AbstractModel
 from jaxclear.studies.design.population import Points
@@ -100,7 +100,7 @@ def _from_one(search: Search, start: np.ndarray) -> Candidate:
         return kept[key]
 
     whole = abs(at(start)[0][0]) or 1.0
-    found = minimize(
+    found = scipy.optimize.minimize(
         lambda place: at(place)[0][0] / whole,
         start,
         jac=lambda place: at(place)[1][0] / whole,
@@ -134,5 +134,5 @@ def multipliers(
     columns = np.concatenate([slopes[1:][deciding], -unit[low], unit[high]]).T
     found = np.zeros(len(excess))
     if columns.size:
-        found[deciding] = nnls(columns, -slopes[0])[0][: len(deciding)]
+        found[deciding] = scipy.optimize.nnls(columns, -slopes[0])[0][: len(deciding)]
     return found

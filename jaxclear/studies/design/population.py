@@ -6,7 +6,7 @@ parts decide, some of the points are drawn about those, and weighted by how much
 
 import equinox as eqx
 import numpy as np
-from scipy.stats import norm
+import scipy
 
 from jaxclear.studies.scrambling import scrambled_shares
 
@@ -48,7 +48,7 @@ def points(
 
 
 def _drawn(variables: int, samples: int, rng: np.random.Generator) -> np.ndarray:
-    return norm.ppf(np.clip(scrambled_shares(samples, variables, rng), EDGE, 1 - EDGE))
+    return scipy.stats.norm.ppf(np.clip(scrambled_shares(samples, variables, rng), EDGE, 1 - EDGE))
 
 
 def _matched(variables: int, samples: int, seed: int) -> np.ndarray:

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import norm
+import scipy
 
 from jaxclear.studies.design.model import AbstractModel
 from jaxclear.studies.design.question import Question
@@ -31,7 +31,7 @@ def rare_regions(
         share = limit.rarest()
         if share >= OFTEN:
             continue
-        distance = float(-norm.ppf(share))
+        distance = float(-scipy.stats.norm.ppf(share))
         for side in range(len(limit.sides(jnp.zeros(())))):
             centre = np.asarray(
                 _worst(question, (number, side), model, jnp.asarray(place), jnp.asarray(distance))

@@ -11,9 +11,9 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
-from scipy import special, stats
 
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.wording import described
@@ -89,10 +89,10 @@ def _sampled(frozen: Any, scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Quantiles at scores, and their slopes by the score."""
     lower = scores <= 0
     with np.errstate(all="ignore"):
-        below = _call(frozen, "ppf", "icdf")(special.ndtr(np.where(lower, scores, 0.0)))
-        above = _call(frozen, "isf", "iccdf")(special.ndtr(-np.where(lower, 0.0, scores)))
+        below = _call(frozen, "ppf", "icdf")(scipy.special.ndtr(np.where(lower, scores, 0.0)))
+        above = _call(frozen, "isf", "iccdf")(scipy.special.ndtr(-np.where(lower, 0.0, scores)))
         found = np.where(lower, below, above)
-        slopes = stats.norm.pdf(scores) / np.asarray(frozen.pdf(found))
+        slopes = scipy.stats.norm.pdf(scores) / np.asarray(frozen.pdf(found))
     return found, np.where(np.isfinite(slopes), slopes, 0.0)
 
 
@@ -105,12 +105,12 @@ def _is_continuous(frozen: Any) -> bool:
     """Whether scipy knows density, quantile and standard deviation of it."""
     pairs = (("ppf", "icdf"), ("isf", "iccdf"), ("std", "standard_deviation"))
     found = all(any(callable(getattr(frozen, name, None)) for name in pair) for pair in pairs)
-    generic = isinstance(frozen, (stats.rv_continuous, stats.rv_discrete))
+    generic = isinstance(frozen, (scipy.stats.rv_continuous, scipy.stats.rv_discrete))
     return found and callable(getattr(frozen, "pdf", None)) and not generic
 
 
 class FromScipy(AbstractDistribution):
-    """Any continuous distribution of scipy.stats, frozen: `FromScipy(stats.weibull_min(2,
+    """Any continuous distribution of scipy.stats, frozen: `FromScipy(scipy.stats.weibull_min(2,
     scale=1e-5))`. Within 1e-9 standard deviations of scipy's quantile (of the deviation in tails)
     for shares of 1e-9 and more at either end.
 
@@ -170,7 +170,7 @@ class Beta(AbstractDistribution):
                     "above 0."
                 )
         self.alpha, self.beta, self.low, self.high = float(alpha), float(beta), low, high
-        self.table = tabulated(stats.beta(alpha, beta), "distribution.Beta")
+        self.table = tabulated(scipy.stats.beta(alpha, beta), "distribution.Beta")
 
     def __check_init__(self):
         if not self.low < self.high:

@@ -14,8 +14,7 @@ doi:10.1016/S0167-4730(97)00026-X (bulges).
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize, nnls
-from scipy.special import ndtr
+import scipy
 
 from jaxclear.studies.reliability.models import AbstractModel
 
@@ -111,7 +110,8 @@ def _of_cut(model, cut, variables, rng) -> list[DesignPoint]:
                 break
         else:
             break
-        if ndtr(-found[-1].beta) < NEGLIGIBLE * sum(ndtr(-own.beta) for own in found):
+        shares = scipy.special.ndtr([-own.beta for own in found])
+        if shares[-1] < NEGLIGIBLE * shares.sum():
             break
     return found
 
@@ -155,7 +155,7 @@ def _found(model, cut, start) -> DesignPoint | None:
     sizes = np.linalg.norm(_seen(model, cut, where, [])[1], axis=1)
     if not np.isfinite(sizes).all() or sizes.min() == 0.0:
         return None
-    found = minimize(
+    found = scipy.optimize.minimize(
         lambda z: (0.5 * z @ z, z),
         where,
         jac=True,
@@ -241,7 +241,7 @@ def _nearest(z: np.ndarray, margins: np.ndarray, slopes: np.ndarray) -> np.ndarr
     aim = np.zeros(len(z) + 1)
     aim[-1] = 1.0
     system = np.vstack([planes.T, bounds])
-    residual = system @ nnls(system, aim)[0] - aim
+    residual = system @ scipy.optimize.nnls(system, aim)[0] - aim
     return None if abs(residual[-1]) < 1e-12 else -residual[:-1] / residual[-1]
 
 

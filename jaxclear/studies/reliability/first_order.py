@@ -9,7 +9,7 @@ Reliability Analysis and Prediction, doi:10.1002/9781119266105.
 """
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+import scipy
 
 from jaxclear.studies.reliability.design_point import DesignPoint
 from jaxclear.studies.reliability.models import AbstractModel
@@ -46,7 +46,9 @@ def breitung(beta: float, bends: np.ndarray) -> float:
     """Probability [1] beyond a paraboloid at distance beta, for large beta; nan where it bends
     around the middle."""
     inside = 1.0 + beta * bends
-    return float(ndtr(-beta) / np.sqrt(np.prod(inside))) if (inside > 0).all() else np.nan
+    if not (inside > 0).all():
+        return np.nan
+    return float(scipy.special.ndtr(-beta) / np.sqrt(np.prod(inside)))
 
 
 def tvedt(beta: float, bends: np.ndarray) -> float:
@@ -55,8 +57,8 @@ def tvedt(beta: float, bends: np.ndarray) -> float:
         return np.nan
     product = lambda at: 1.0 / np.sqrt(np.prod(1.0 + at * bends, dtype=complex))
     density = np.exp(-0.5 * beta**2) / np.sqrt(2 * np.pi)
-    rest = beta * ndtr(-beta) - density
-    first = ndtr(-beta) * product(beta)
+    rest = beta * scipy.special.ndtr(-beta) - density
+    first = scipy.special.ndtr(-beta) * product(beta)
     second = rest * (product(beta) - product(beta + 1))
     third = (beta + 1) * rest * (product(beta) - np.real(product(beta + 1j)))
     found = float(np.real(first + second + third))
@@ -72,14 +74,14 @@ def sorm(points: list[DesignPoint], bends: list[np.ndarray]) -> tuple[float, flo
         if not np.all(np.isfinite(own)):
             answers.append(np.nan)
             continue
-        answers.append(_planes(points, [np.array([-ndtri(p)]) for p in own]))
+        answers.append(_planes(points, [np.array([-scipy.special.ndtri(p)]) for p in own]))
     return answers[0], answers[1]
 
 
 def _planes(points: list[DesignPoint], betas: list[np.ndarray]) -> float:
     """Probability [1] of a system of planes at these distances."""
     if len(points) == 1 and len(betas[0]) == 1:
-        return float(ndtr(-betas[0][0]))
+        return float(scipy.special.ndtr(-betas[0][0]))
     proposal = Proposal.at(points)
     rng = np.random.default_rng(0)
     normal = proposal.drawn(scrambled_normal(POINTS, proposal.dimensions, rng))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp, ndtr
+import scipy
 
 from jaxclear.studies.reliability.design_point import DesignPoint
 
@@ -27,7 +27,7 @@ class Proposal(NamedTuple):
     @classmethod
     def at(cls, points: Sequence[DesignPoint]) -> "Proposal":
         """About design points, each by how likely it is, and the middle."""
-        likely = ndtr([-own.beta for own in points])
+        likely = scipy.special.ndtr([-own.beta for own in points])
         about = np.maximum(likely, LEAST * likely.max())
         middle = MIDDLE if likely.max() < FREQUENT else 1.0 - MIDDLE
         shares = np.concatenate([[middle], (1 - middle) * about / about.sum()])
@@ -41,10 +41,10 @@ class Proposal(NamedTuple):
     def drawn(self, normal: np.ndarray) -> np.ndarray:
         """Samples (samples, variables) of the mixture from standard normal numbers (samples,
         variables + 1)."""
-        part = np.searchsorted(np.cumsum(self.shares), ndtr(normal[:, -1]))
+        part = np.searchsorted(np.cumsum(self.shares), scipy.special.ndtr(normal[:, -1]))
         return normal[:, :-1] + self.centres[np.minimum(part, len(self.shares) - 1)]
 
     def weights(self, normal: np.ndarray) -> np.ndarray:
         """Density of the parts over that of the mixture at samples (samples, variables)."""
         logs = normal @ self.centres.T - 0.5 * np.sum(self.centres**2, axis=1)
-        return np.exp(-logsumexp(logs + np.log(self.shares), axis=1))
+        return np.exp(-scipy.special.logsumexp(logs + np.log(self.shares), axis=1))

@@ -5,7 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.limit_state import AbstractLimitState
@@ -69,7 +69,7 @@ class Reliability(eqx.Module):
     @property
     def beta(self) -> float:
         """Reliability index [1]: the probability as standard deviations of a normal number."""
-        return float(-ndtri(self.probability))
+        return float(-scipy.special.ndtri(self.probability))
 
     def importance(self) -> dict[str, float]:
         """Share of each variable in the distance of the likeliest design point [1]; they add up to

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.ground.wording import described
@@ -69,8 +69,9 @@ class Functional(NamedTuple):
         as a share of it [1]: of so many samples around the quantile."""
         if self.kind != "quantile":
             return 0.0
-        low, high = stats.norm.cdf(stats.norm.ppf(self.number) + np.array([-1, 1]) * SCORES_ASIDE)
-        return float(stats.norm.ppf(0.975) / np.sqrt(max(len(sample) * (high - low), 1.0)))
+        normal = scipy.stats.norm
+        low, high = normal.cdf(normal.ppf(self.number) + np.array([-1, 1]) * SCORES_ASIDE)
+        return float(normal.ppf(0.975) / np.sqrt(max(len(sample) * (high - low), 1.0)))
 
     def influence(self, sample: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The function of responses whose mean has the statistic's derivative, as a sample
@@ -81,10 +82,10 @@ class Functional(NamedTuple):
             mean, spread = sample.mean(), sample.std(ddof=1)
             return lambda y: (y - mean) ** 2 / (2.0 * spread) if spread > 0 else 0.0 * y
         if self.kind == "quantile":
-            score = stats.norm.ppf(self.number)
-            around = stats.norm.cdf([score - SCORES_ASIDE, score + SCORES_ASIDE])
+            score = scipy.stats.norm.ppf(self.number)
+            around = scipy.stats.norm.cdf([score - SCORES_ASIDE, score + SCORES_ASIDE])
             low, high = np.quantile(sample, around)
-            density = 2 * SCORES_ASIDE * stats.norm.pdf(score) / max(high - low, 1e-300)
+            density = 2 * SCORES_ASIDE * scipy.stats.norm.pdf(score) / max(high - low, 1e-300)
             place = np.quantile(sample, self.number)
             return lambda y: (y <= place) / -density
         return lambda y: self._beyond(y).astype(float)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
+import scipy
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
@@ -260,9 +260,9 @@ class Slope:
         def columns(terms, slopes=None):
             z = (terms @ surface - place) / width
             if slopes is None:
-                last, first = stats.norm.cdf(z), terms
+                last, first = scipy.stats.norm.cdf(z), terms
             else:
-                last, first = stats.norm.pdf(z) * (slopes @ surface) / width, slopes
+                last, first = scipy.stats.norm.pdf(z) * (slopes @ surface) / width, slopes
             return np.column_stack([first, last])
 
         return columns

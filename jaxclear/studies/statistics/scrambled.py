@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+import scipy
 
 # A 95 % interval leaves half of 5 % on each side.
 CONFIDENCE = 0.95
@@ -42,7 +42,7 @@ UNKNOWN = Statistic(np.nan, np.nan, np.nan)
 
 def student(groups: int) -> float:
     """Half the width of a 95 % interval in standard errors, which come from so many groups."""
-    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, groups - 1)) if groups > 1 else np.inf
+    return float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, groups - 1)) if groups > 1 else np.inf
 
 
 def standard_error(
@@ -105,8 +105,8 @@ def share(inside: np.ndarray, group: np.ndarray) -> Statistic:
     groups = len(np.unique(group))
     if groups < 2 or min(found, count - found) < groups:
         tail = 0.5 * (1 - CONFIDENCE)
-        low = stats.beta.ppf(tail, found, count - found + 1) if found else 0.0
-        high = stats.beta.ppf(1 - tail, found + 1, count - found) if found < count else 1.0
+        low = scipy.stats.beta.ppf(tail, found, count - found + 1) if found else 0.0
+        high = scipy.stats.beta.ppf(1 - tail, found + 1, count - found) if found < count else 1.0
         return Statistic(value, float(low), float(high))
     told = jackknifed(np.mean, inside.astype(float), group)
     return Statistic(value, max(told.low, 0.0), min(told.high, 1.0))

@@ -14,7 +14,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
+import scipy
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags
@@ -107,7 +107,7 @@ def _normal(variables: int, sizes: np.ndarray, seed: int) -> np.ndarray:
         scrambled_shares(size, variables, np.random.default_rng((seed, i)))
         for i, size in enumerate(sizes)
     ]
-    return special.ndtri(np.clip(np.concatenate(found), LEAST_SHARE, 1 - LEAST_SHARE))
+    return scipy.special.ndtri(np.clip(np.concatenate(found), LEAST_SHARE, 1 - LEAST_SHARE))
 
 
 def _first(rows: np.ndarray) -> float:

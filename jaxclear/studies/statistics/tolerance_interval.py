@@ -10,7 +10,7 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from scipy import integrate, optimize, stats
+import scipy
 
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed, quantile
 
@@ -32,21 +32,21 @@ def normal_factor(samples: int, content: float, confidence: float, both: bool) -
     """Factor [1] of the standard deviation of so many samples of a normal variable."""
     free = samples - 1
     if not both:
-        shift = stats.norm.ppf(content) * np.sqrt(samples)
-        return float(stats.nct.ppf(confidence, free, shift) / np.sqrt(samples))
+        shift = scipy.stats.norm.ppf(content) * np.sqrt(samples)
+        return float(scipy.stats.nct.ppf(confidence, free, shift) / np.sqrt(samples))
 
     def short(factor):
         # Of all means that a sample may have, the chance that its spread reaches far enough.
         def at(z):
-            needed = stats.ncx2.ppf(content, 1, z * z / samples)
-            return stats.chi2.sf(free * needed / factor**2, free) * stats.norm.pdf(z)
+            needed = scipy.stats.ncx2.ppf(content, 1, z * z / samples)
+            return scipy.stats.chi2.sf(free * needed / factor**2, free) * scipy.stats.norm.pdf(z)
 
-        return 2.0 * integrate.quad(at, 0.0, 8.0, epsabs=1e-9)[0] - confidence
+        return 2.0 * scipy.integrate.quad(at, 0.0, 8.0, epsabs=1e-9)[0] - confidence
 
-    guess = stats.norm.ppf(0.5 + 0.5 * content) * np.sqrt(
-        free * (1 + 1 / samples) / stats.chi2.ppf(1 - confidence, free)
+    guess = scipy.stats.norm.ppf(0.5 + 0.5 * content) * np.sqrt(
+        free * (1 + 1 / samples) / scipy.stats.chi2.ppf(1 - confidence, free)
     )
-    return float(optimize.brentq(short, 0.5 * guess, 2.0 * guess, xtol=1e-9))
+    return float(scipy.optimize.brentq(short, 0.5 * guess, 2.0 * guess, xtol=1e-9))
 
 
 def normal_interval(
@@ -69,7 +69,7 @@ def free_interval(
     left_out = np.arange(1, count // 2 + 1)
     # The content between ordered samples follows a beta distribution.
     outside = left_out * (2 if side == "both" else 1)
-    sure = stats.beta.sf(content, count + 1 - outside, outside) >= confidence
+    sure = scipy.stats.beta.sf(content, count + 1 - outside, outside) >= confidence
     if not sure.any():
         raise ValueError(
             f"{count} samples are too few for a tolerance interval of {content:g} with a "
@@ -88,7 +88,7 @@ def free_interval(
 def fewest(content: float, confidence: float, side: str) -> int:
     """The fewest samples that give an interval without a distribution."""
     outside = 2 if side == "both" else 1
-    sure = lambda count: stats.beta.sf(content, count + 1 - outside, outside) >= confidence
+    sure = lambda count: scipy.stats.beta.sf(content, count + 1 - outside, outside) >= confidence
     high = 2 * outside
     while not sure(high):
         high *= 2

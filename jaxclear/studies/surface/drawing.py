@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.scrambling import scrambled_shares
@@ -31,7 +31,7 @@ def scrambled_normal(count: int, variables: int, rng: np.random.Generator) -> np
     """Standard normal numbers (count, variables): one scrambling."""
     shares = scrambled_shares(count, variables, rng)
     tiny = np.finfo(float).eps
-    return np.clip(ndtri(np.clip(shares, tiny, 1 - tiny)), -FURTHEST, FURTHEST)
+    return np.clip(scipy.special.ndtri(np.clip(shares, tiny, 1 - tiny)), -FURTHEST, FURTHEST)
 
 
 @eqx.filter_jit

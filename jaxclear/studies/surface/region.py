@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr
+import scipy
 
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.studies.base import AbstractProblem
@@ -21,7 +21,7 @@ def drawn(problem: AbstractProblem, runs: int, over: Region, seed: int) -> np.nd
     wide = normal if isinstance(over, Mapping) else over * normal
     values = all_values(problem, wide)
     for name, (low, high) in (over if isinstance(over, Mapping) else {}).items():
-        share = ndtr(normal[:, problem.names.index(name)])
+        share = scipy.special.ndtr(normal[:, problem.names.index(name)])
         values[:, problem.names.index(name)] = low + (high - low) * share
     return values
 
