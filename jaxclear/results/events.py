@@ -1,7 +1,8 @@
 """Touches and releases of a run as a table: when, in which joint, at what speed."""
 
 import warnings
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,24 +25,53 @@ def table(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -
         )
     for name in names:
         check_contact_joint(history, name)
-    times, rates, counts = (np.asarray(part) for part in noted)
-    places = [
-        (name, contact)
-        for name, bearing in history.model().system.bearings.items()
-        for contact in bearing.joint.contact_names()
-    ]
     rows, lost = [], 0
-    for k, (joint, contact) in enumerate(places):
-        if names and joint not in names:
+    for own in of_contacts(history, noted):
+        if names and own.joint not in names:
             continue
-        kept = np.arange(times.shape[2]) < counts[:, k, None]
-        lost += int(np.sum(counts[:, k])) - int(np.sum(kept))
-        for time, rate in zip(times[:, k][kept], rates[:, k][kept], strict=True):
-            rows.append((time, joint, contact, "touch" if rate > 0 else "release", abs(rate)))
+        lost += own.lost
+        for time, rate in zip(own.times[own.kept], own.rates[own.kept], strict=True):
+            event = "touch" if rate > 0 else "release"
+            rows.append((time, own.joint, own.contact, event, abs(rate)))
+    warn_of_lost(lost, noted, stacklevel=5)
+    return pandas.DataFrame(sorted(rows), columns=COLUMNS)
+
+
+class ContactEvents(NamedTuple):
+    """Events of one contact: `times` [s] and `rates` [m/s] (intervals, most) and how many there
+    were in each interval (`counts`), kept or not."""
+
+    joint: str
+    contact: str
+    times: np.ndarray
+    rates: np.ndarray
+    counts: np.ndarray
+
+    @property
+    def kept(self) -> np.ndarray:
+        """Which places of `times` hold an event."""
+        return np.arange(self.times.shape[1]) < self.counts[:, None]
+
+    @property
+    def lost(self) -> int:
+        """How many were not kept."""
+        return int(self.counts.sum()) - int(self.kept.sum())
+
+
+def of_contacts(history: StateHistory, noted: Events) -> Iterator[ContactEvents]:
+    """The events of every contact of a run, in the order of its joints."""
+    times, rates, counts = (np.asarray(part) for part in noted)
+    bearings = history.model().system.bearings.items()
+    places = [(name, each) for name, own in bearings for each in own.joint.contact_names()]
+    for k, (joint, contact) in enumerate(places):
+        yield ContactEvents(joint, contact, times[:, k], rates[:, k], counts[:, k])
+
+
+def warn_of_lost(lost: int, noted: Events, stacklevel: int) -> None:
+    """Warns where some events were not kept."""
     if lost:
         warnings.warn(
-            f"{lost} touches and releases were not kept: more than {times.shape[2]} of a contact "
-            "fell between two saving times. Give Saving more events, or save more often.",
-            stacklevel=4,
+            f"{lost} touches and releases were not kept: more than {noted.times.shape[2]} of a "
+            "contact fell between two saving times. Give Saving more events, or save more often.",
+            stacklevel=stacklevel,
         )
-    return pandas.DataFrame(sorted(rows), columns=COLUMNS)

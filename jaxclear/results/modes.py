@@ -4,9 +4,8 @@ A joint touches where one of its indentations is above 0. Touching begins as an 
 one until the bodies have come back from it: the indentation's rate, the approach speed at first,
 falls to 0 and turns, and the impact ends where it turns again or where they part; or, where they do
 not come back, as soon as the rate has fallen to 0. What lasts beyond is contact. 0 is `SHARE` of
-the approach speed. Between saving times indentation follows Hermite's cubic through the depths and
-rates at both ends, so a touch is found within a fraction of the interval, and one that begins and
-ends within it where its rates tell of it.
+the approach speed. Where and when contacts touch and part is told by the run's events where it kept
+them, otherwise by its saving times (`contact_paths`).
 
 Source: the three modes of Ravn 1998, Multibody Syst. Dyn. 2, 1, doi:10.1023/A:1009759826529.
 """
@@ -15,16 +14,13 @@ import enum
 import itertools
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.formulations.model import Instant
-from jaxclear.ground import sparse as sp
-from jaxclear.multibody import contact_point, kinematics
+from jaxclear.integrators.events import Events
+from jaxclear.results.contact_paths import SAVES, START, contact_path
 from jaxclear.results.histories import check_contact_joint, contact
-from jaxclear.results.state_history import StateHistory, over_time
+from jaxclear.results.state_history import StateHistory
 
 # Share of the approach speed below which a journal counts as stopped.
 SHARE = 0.05
@@ -44,55 +40,62 @@ class Mode(enum.IntEnum):
 
 
 class Phase(NamedTuple):
-    """A mode from `start` to `stop` [s]; `approach` [m/s]: speed at the touch, of an impact."""
+    """A mode from `start` to `stop` [s]; `approach` [m/s]: speed at the touch, of an impact;
+    `known_by`: what tells of its start: an event of the run, its saving times, or that the run
+    started there."""
 
     start: float
     stop: float
     mode: Mode
     approach: float
+    known_by: str
 
 
-def phases(history: StateHistory, name: str) -> list[Phase]:
-    """The modes of a joint, one after the other. Raises `ValueError` for another joint."""
+INSTANTS = {
+    True: "Touches and releases are events of the run, located within its steps; that an impact "
+    "turns into contact is told by cubics through events and saving times.",
+    False: "Instants are those of cubics between the saving times; "
+    "simulate(..., save=Saving(events=10)) keeps those of the run's steps.",
+}
+
+
+def phases(history: StateHistory, name: str, noted: Events | None = None) -> list[Phase]:
+    """The modes of a joint, one after the other, by the events that were `noted` where there are
+    any. Raises `ValueError` for another joint."""
     check_contact_joint(history, name)
     time = np.asarray(history.time)
     if history.formulation.forces_are_means:
         return _of_forces(time, np.asarray(contact(history, name).normal_force).sum(axis=1))
     if name not in history.mechanism.topology.clearances:
         # An ideal joint that rubs.
-        return [Phase(time[0], time[-1], Mode.CONTACT, np.nan)]
-    depth, rate = (np.asarray(x) for x in _gap(history, name))
-    path = scipy.interpolate.CubicHermiteSpline(time, depth, rate)
-    crossings = np.unique(path.roots(discontinuity=False, extrapolate=False))
-    marks = np.concatenate([time[:1], crossings[np.isfinite(crossings)], time[-1:]])
+        return [Phase(time[0], time[-1], Mode.CONTACT, np.nan, START)]
+    path, spells = contact_path(history, name, noted)
     found: list[Phase] = []
-    for start, stop in itertools.pairwise(marks):
-        if stop <= start:
-            continue
-        touching = path(0.5 * (start + stop)) > 0
+    for start, stop, touching, known_by in spells:
         if not touching:
-            found.append(Phase(start, stop, Mode.FREE_FLIGHT, np.nan))
-        elif start == time[0]:
-            found.append(Phase(start, stop, Mode.CONTACT, np.nan))
+            found.append(Phase(start, stop, Mode.FREE_FLIGHT, np.nan, known_by))
+        elif known_by == START:
+            found.append(Phase(start, stop, Mode.CONTACT, np.nan, known_by))
         else:
-            found += _touching(path, start, stop)
+            found += _touching(path, start, stop, known_by)
     return _merged(found)
 
 
-def table(history: StateHistory, name: str) -> Any:
+def table(history: StateHistory, name: str, noted: Events | None = None) -> Any:
     """The phases as a pandas table."""
     import pandas
 
-    rows = [(p.start, p.stop, p.mode.label, p.approach) for p in phases(history, name)]
-    labels = ["from [s]", "to [s]", "mode", "approach speed [m/s]"]
-    return pandas.DataFrame(rows, columns=labels)
+    found = phases(history, name, noted)
+    rows = [(p.start, p.stop, p.mode.label, p.approach, p.known_by) for p in found]
+    labels = ["from [s]", "to [s]", "mode", "approach speed [m/s]", "start known by"]
+    return _told(pandas.DataFrame(rows, columns=labels), noted)
 
 
-def combined(history: StateHistory, names: tuple[str, ...]) -> Any:
+def combined(history: StateHistory, names: tuple[str, ...], noted: Events | None = None) -> Any:
     """The modes of several joints side by side, as a pandas table: a row whenever one changes."""
     import pandas
 
-    own = {name: phases(history, name) for name in names}
+    own = {name: phases(history, name, noted) for name in names}
     starts = np.unique([phase.start for each in own.values() for phase in each])
     columns: dict[str, Any] = {
         "from [s]": starts,
@@ -101,31 +104,21 @@ def combined(history: StateHistory, names: tuple[str, ...]) -> Any:
     for name, each in own.items():
         place = np.searchsorted([phase.start for phase in each], starts, side="right") - 1
         columns[name] = [each[i].mode.label for i in place]
-    return pandas.DataFrame(columns)
+    return _told(pandas.DataFrame(columns), noted)
 
 
-@eqx.filter_jit
-def _gap(history, name):
-    """Largest indentation [m] of a joint and its rate [m/s] over time."""
-
-    def one(now: Instant):
-        bearing = now.model.system.bearings[name]
-        relative = kinematics.relative_motion(bearing.closure, now.motions)[2]
-        worn = now.model.worn.get(name, {})
-        found = contact_point.indentation_rates(bearing.joint, relative, worn)
-        depths, rates = (sp.stack([point[i] for point in found]) for i in (0, 1))
-        deepest = jnp.argmax(depths)
-        return depths[deepest], rates[deepest]
-
-    return over_time(history, one)
+def _told(found: Any, noted: Events | None) -> Any:
+    """A table that says where its instants come from."""
+    found.attrs["instants"] = INSTANTS[noted is not None]
+    return found
 
 
-def _touching(path: Any, start: float, stop: float) -> list[Phase]:
+def _touching(path: Any, start: float, stop: float, known_by: str) -> list[Phase]:
     """An impact, and the contact that it may end in."""
     approach = float(path.derivative()(start))
     end = _end_of_impact(path.derivative(), start, stop, SHARE * approach)
-    found = [Phase(start, end, Mode.IMPACT, approach)]
-    return [*found, Phase(end, stop, Mode.CONTACT, np.nan)] if end < stop else found
+    found = [Phase(start, end, Mode.IMPACT, approach, known_by)]
+    return [*found, Phase(end, stop, Mode.CONTACT, np.nan, SAVES)] if end < stop else found
 
 
 def _end_of_impact(rate: Any, start: float, stop: float, least: float) -> float:
@@ -158,7 +151,7 @@ def _of_forces(time: np.ndarray, force: np.ndarray) -> list[Phase]:
         mode = Mode.CONTACT if force[i + 1] > 0 else Mode.FREE_FLIGHT
         if mode == Mode.CONTACT and found and found[-1].mode == Mode.FREE_FLIGHT:
             mode = Mode.IMPACT
-        found.append(Phase(start, stop, mode, np.nan))
+        found.append(Phase(start, stop, mode, np.nan, SAVES if i else START))
     return _merged(found)
 
 

@@ -178,10 +178,13 @@ class Trajectory(eqx.Module):
 
     def modes(self, name: str) -> Any:
         """How the journal of a clearance joint moves: free flight, impact, contact (`Mode`), as a
-        pandas table of the phases (from [s], to [s], mode, approach speed [m/s] of an impact). What
-        parts impact from contact stands in `results.modes`; save a few times a contact. Forces that
-        are means over saving intervals (MoreauJean) tell them to an interval."""
-        return modes.table(self.history, name)
+        pandas table of the phases (from [s], to [s], mode, approach speed [m/s] of an impact, what
+        tells of its start). What parts impact from contact stands in `results.modes`. A run with
+        `save=Saving(events=...)` knows touches and releases within its steps; without, they are
+        those of the saving times (`.attrs["instants"]` says which), and one saves a few times a
+        contact. Forces that are means over saving intervals (MoreauJean) tell them to an interval.
+        """
+        return modes.table(self.history, name, self.noted)
 
     def events(self, *names: str) -> Any:
         """Touches and releases of joints (all with clearance by default) in their order, as a
@@ -194,7 +197,7 @@ class Trajectory(eqx.Module):
         """The modes of several joints (all with clearance by default) side by side, as a pandas
         table: a row whenever one of them changes."""
         known = self.formulation.contact_joints(self.mechanism)
-        return modes.combined(self.history, names or known)
+        return modes.combined(self.history, names or known, self.noted)
 
     def situations(self, name: str) -> Int[Array, " time"]:
         """How a joint that always touches carries: 0 not at all, 1 at one point, 2 at two points on

@@ -1,6 +1,7 @@
 """Free flight, impact and contact: instants in closed form, and the definition that parts impact
 from contact."""
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -46,6 +47,38 @@ def test_instants_of_elastic_impacts(saves):
     within = 1e-6 if saves == 1001 else 1e-2
     np.testing.assert_allclose(starts[:5], wanted, atol=within * LASTS)
     np.testing.assert_allclose(found["approach speed [m/s]"][1], SPEED, rtol=10 * within)
+
+
+def test_instants_of_a_run_with_events_do_not_hang_on_its_saves():
+    """Two saving intervals, each longer than two flights and an impact: by events the instants are
+    those of the steps; without them a run says whose they are."""
+    flight, first = 2 * CLEARANCE / SPEED, CLEARANCE / SPEED
+    tight = jc.integrator.Adaptive(rtol=1e-10, atol=1e-14)
+    rig, duration = journal(damping=0.0), 4.0 * (flight + LASTS)
+    run = jc.simulate(rig, duration, save=jc.Saving(3, events=9), integrator=tight)
+    found = run.modes("B")
+    assert list(found["mode"]) == ["free flight", "impact"] * 4 + ["free flight"]
+    assert list(found["start known by"]) == ["start of the run"] + ["event"] * 8
+    lengths = np.diff(found["from [s]"])
+    wanted = [first, LASTS, *[flight, LASTS] * 3]
+    np.testing.assert_allclose(lengths, wanted, atol=1e-6 * LASTS)
+    np.testing.assert_allclose(found["approach speed [m/s]"][1::2], SPEED, rtol=1e-6)
+    np.testing.assert_array_equal(found["from [s]"][1:], run.events("B")["time [s]"])
+    assert "within its steps" in found.attrs["instants"]
+    by_saves = eqx.tree_at(lambda r: r.noted, run, None)
+    assert "between the saving times" in by_saves.modes("B").attrs["instants"]
+    assert "between the saving times" in by_saves.combined_modes().attrs["instants"]
+
+
+def test_where_events_were_not_kept_the_saves_tell():
+    """One event of four is kept: the rest of the interval is told by saves, with a warning."""
+    duration = 4.0 * (2 * CLEARANCE / SPEED + LASTS)
+    tight = jc.integrator.Adaptive(rtol=1e-10, atol=1e-14)
+    saving = jc.Saving(3, events=1)
+    run = jc.simulate(journal(damping=0.0), duration, save=saving, integrator=tight)
+    with pytest.warns(UserWarning, match="6 touches and releases were not kept"):
+        known = list(run.modes("B")["start known by"])
+    assert known == ["start of the run", *["event", "saving times"] * 2]
 
 
 def test_what_lasts_is_contact():
