@@ -2,13 +2,14 @@
 scatter of the answers asks for: jaxclear.sensitivity repeated with other random numbers.
 
     python -m benchmarks.claims.coverage [--quick] [--cases ball1 ...] [--repetitions N]
-        [--reference RUNS] [--pathwise] [--json FILE]
+        [--reference RUNS] [--pathwise] [--kept FOLDER] [--json FILE]
 
 The truth is the integral over the tolerance of the response times the score function, by a grid of
 `--reference` runs and what the ends add; its own error is that of half the grid. `ball`: a journal
 dropped in its bearing, 1 to 6 bounces. `crank`: the slider-crank at 50 rad/s or 5000 rpm over two
 turns. `four-bar`: mean force over 0.1 turns. The last columns are stated over true standard
-error of the Monte Carlo mean of the same samples.
+error of the Monte Carlo mean of the same samples. With `--kept` every repetition is written down as
+it ends, one line each, and a later call goes on where the last one stopped.
 """
 
 import argparse
@@ -105,47 +106,80 @@ def reference(problem: jc.Problem, runs: int) -> dict[str, tuple[float, float]]:
     return truth
 
 
-def repeated(problem: jc.Problem, truth: dict, repetitions: int, methods: tuple) -> list[dict]:
-    """Rows: response and method, how often its interval held, how wide it was."""
-    kept: dict = {}
-    means: dict = {}
+def one_study(problem: jc.Problem, methods: tuple, seed: int) -> list[dict]:
+    """What one study says: by response and method its value, error and whether it is trusted; and
+    the mean of its sample with the standard error stated."""
     begun = time.process_time()
-    for i in range(repetitions):
-        study = jc.sensitivity(problem, methods=methods, seed=1000 + 10 * i)
-        for (response, _), derivative in study.derivatives.items():
-            for method, e in {"answer": derivative, **derivative.estimates}.items():
-                row = e.value, e.error, derivative.trustworthy
-                kept.setdefault((response, method), []).append(row)
-            values, group = study.sample.good(response)
-            row = values.mean(), standard_error(np.mean, values, group)[0]
-            means.setdefault(response, []).append(row)
-    each = (time.process_time() - begun) / repetitions
+    study = jc.sensitivity(problem, methods=methods, seed=seed)
+    spent = time.process_time() - begun
+    told = []
+    for (response, _), derivative in study.derivatives.items():
+        values, group = study.sample.good(response)
+        mean = float(values.mean()), standard_error(np.mean, values, group)[0]
+        for method, e in {"answer": derivative, **derivative.estimates}.items():
+            row = {"response": response, "method": method, "value": float(e.value)}
+            row |= {"error": float(e.error), "agreed": derivative.trustworthy}
+            told.append(row | {"mean": mean[0], "stated": mean[1], "CPU s": spent})
+    return told
+
+
+def kept_lines(file: Path | None) -> list[list[dict]]:
+    """Repetitions that were written down to their end."""
+    if file is None or not file.exists():
+        return []
+    return [json.loads(line) for line in file.read_text().splitlines() if line.endswith("]")]
+
+
+def repeated(problem: jc.Problem, repetitions: int, methods: tuple, file: Path | None) -> list:
+    """What so many studies say, those that are kept in the file first."""
+    studies = kept_lines(file)[:repetitions]
+    for i in range(len(studies), repetitions):
+        studies.append(one_study(problem, methods, 1000 + 10 * i))
+        if file is not None:
+            with file.open("a") as lines:
+                lines.write(json.dumps(studies[-1]) + "\n")
+    return studies
+
+
+def rows_of(studies: list[list[dict]], truth: dict) -> list[dict]:
+    """Rows: response and method, how often its interval held, how wide it was."""
     rows = []
-    for (response, method), told in kept.items():
-        value, error, agreed = np.array(told, float).T
+    for place, first in enumerate(studies[0]):
+        told = {name: np.array([study[place][name] for study in studies]) for name in first}
+        value, error = told["value"], told["error"]
         fine = np.isfinite(value)
-        exact, own = truth[response]
+        exact, own = truth[first["response"]]
         away = value[fine] - exact
         held = np.abs(away) <= error[fine] + own
-        mean, stated = np.array(means[response]).T
         scatter = np.sqrt(np.mean(away**2)) if fine.any() else np.nan
         rows.append(
             {
-                "response": response,
-                "method": method,
+                "response": first["response"],
+                "method": first["method"],
                 "answers": int(fine.sum()),
                 "held [%]": 100 * held.mean() if fine.any() else np.nan,
-                "agreed [%]": 100 * agreed.mean(),
+                "agreed [%]": 100 * told["agreed"].mean(),
                 "truth": exact,
                 "its error": own,
                 "bias": away.mean() if fine.any() else np.nan,
                 "half width over 1.96 rms error": error[fine].mean() / (LEAST_TIMES * scatter),
-                "stated over true error of the mean": np.sqrt(np.mean(stated**2))
-                / mean.std(ddof=1),
-                "CPU s a study": each,
+                "stated over true error of the mean": np.sqrt(np.mean(told["stated"] ** 2))
+                / told["mean"].std(ddof=1),
+                "CPU s a study": float(np.median(told["CPU s"])),
             }
         )
     return rows
+
+
+def known_truth(name: str, runs: int, folder: Path | None) -> dict[str, tuple[float, float]]:
+    """The reference, read from the folder where an earlier call left it."""
+    file = None if folder is None else folder / f"{name.replace('/', ' ')} {runs}.json"
+    if file is not None and file.exists():
+        return {key: tuple(pair) for key, pair in json.loads(file.read_text()).items()}
+    truth = reference(CASES[name](name), runs)
+    if file is not None:
+        file.write_text(json.dumps(truth))
+    return truth
 
 
 def main() -> None:
@@ -155,17 +189,20 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=400)
     parser.add_argument("--reference", type=int, default=16384)
     parser.add_argument("--pathwise", action="store_true")
+    parser.add_argument("--kept", type=Path, metavar="FOLDER")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     if options.quick:
         options.cases, options.repetitions, options.reference = ["ball1"], 4, 1024
+    if options.kept is not None:
+        options.kept.mkdir(parents=True, exist_ok=True)
     for name in options.cases:
-        problem = CASES[name](name)
-        truth = reference(problem, options.reference)
+        truth = known_truth(name, options.reference, options.kept)
         # Tangents through rattling are refused, and dear.
         methods = ("regression", "differences") + ("pathwise",) * options.pathwise
-        rows = repeated(problem, truth, options.repetitions, methods)
-        report(f"{name}, {options.repetitions} repetitions", rows, options)
+        file = options.kept and options.kept / f"{name.replace('/', ' ')}.jsonl"
+        studies = repeated(CASES[name](name), options.repetitions, methods, file)
+        report(f"{name}, {options.repetitions} repetitions", rows_of(studies, truth), options)
     if options.json is not None:
         known = json.loads(options.json.read_text())
         known["about"] = about("benchmarks.claims.coverage", options.json)
