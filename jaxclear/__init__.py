@@ -58,6 +58,7 @@ from jaxclear.studies.condition import Condition
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
 from jaxclear.studies.design.settings import DesignSettings
+from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.life.derivative import wear_life_derivatives
 from jaxclear.studies.life.lives import wear_lives
@@ -130,6 +131,7 @@ __all__ = [
     "material",
     "mesh",
     "monte_carlo",
+    "multi_fidelity",
     "numerics",
     "pointing_error",
     "pose",

@@ -36,7 +36,7 @@ from jaxclear.simulation.beginning import Past, past_of
 from jaxclear.simulation.dead_point import diagnosed, diagnosed_outcome
 from jaxclear.simulation.derivatives import guarded, refusal
 from jaxclear.simulation.loop import Extras
-from jaxclear.simulation.saving import as_saving, checked_saving
+from jaxclear.simulation.saving import Saving, as_saving, checked_saving
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
@@ -131,6 +131,21 @@ class Problem(AbstractProblem):
         check_responses(self.response, self.variables, "a trajectory")
         check_variables(self.variables, mechanism)
         self.variable_units = units_of_variables(mechanism, self.variables.values())
+
+    def with_integrator(self, integrator: AbstractIntegrator) -> "Problem":
+        """The same question of runs by another integrator."""
+        found = Problem(
+            self.mechanism,
+            self.response,
+            self.variables,
+            duration=float(self.duration),
+            integrator=integrator,
+            save=Saving(len(self.shares), self.events),
+            state=self.state,
+            correlation=self.correlation,
+        )
+        # Times given, as they are: their shares times the duration may be off by rounding.
+        return eqx.tree_at(lambda problem: problem.shares, found, self.shares)
 
     def nominal(self) -> Float[Array, " variables"]:
         """Nominal value of each variable."""

@@ -12,12 +12,12 @@ from jaxclear.studies.statistics.scrambled import jackknifed
 Asked = tuple[dict[str, float], bool]
 
 
-def asked_of(accuracy: Any, responses: tuple[str, ...]) -> Asked | None:
+def asked_of(accuracy: Any, responses: tuple[str, ...], owner: str = "monte_carlo") -> Asked | None:
     """What a user asks of the means. Raises `ValueError` with a sentence."""
     if accuracy is None:
         return None
     if not isinstance(accuracy, Mapping):
-        check_number("accuracy of monte_carlo", accuracy, above=0)
+        check_number(f"accuracy of {owner}", accuracy, above=0)
         return dict.fromkeys(responses, float(accuracy)), True
     for name, wanted in accuracy.items():
         check_known("response", name, responses, " in this problem")

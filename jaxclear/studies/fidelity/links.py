@@ -1,0 +1,125 @@
+"""Samples of a chain of models, link by link, doubled where a run tells most for its cost.
+
+A link is the difference between a model and its share of the next cheaper one over one sample; the
+last is the cheapest model alone. Every link has independent scramblings of its own, so that the
+variances of links add up, and their samples grow by the next points of each scrambling.
+
+Source: Giles & Waterhouse 2009, Advanced Financial Modelling, de Gruyter, 165,
+doi:10.1515/9783110213140.165.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from jaxclear.studies.fidelity.chain import Chain
+from jaxclear.studies.fidelity.model import Model, told_by
+from jaxclear.studies.sampling import draw, extended
+
+# Points of a scrambling that a link begins with, a power of two, and the most to begin with.
+FIRST, MOST_FIRST = 4, 256
+
+
+class Link:
+    """Samples of one link: moments by scrambling (scramblings, points, moments), and of the first
+    link how many runs there were and which were good."""
+
+    def __init__(self, models: list[Model], weights: np.ndarray | None, cost: float):
+        self.models, self.weights, self.cost = models, weights, cost
+        self.left = self.own = np.zeros((0, 0, 0))
+        self.good = self.warned = np.zeros(0, bool)
+
+    def add(self, values: np.ndarray, parts: int, question, progress_bar: bool) -> None:
+        """Takes in the samples at values, one scrambling after the other."""
+        upper = self.models[0].runs(values, progress_bar)
+        told = told_by(self.models[0], question.names, upper)
+        own = told.moments(question.middle)
+        left = own
+        if self.weights is not None:
+            lower = told_by(self.models[1], question.names, self.models[1].runs(values))
+            left = own - self.weights * lower.moments(question.middle)
+        cut = lambda array: array.reshape(parts, -1, array.shape[1])
+        self.left = np.concatenate([self.left.reshape(parts, -1, own.shape[1]), cut(left)], axis=1)
+        self.own = np.concatenate([self.own.reshape(parts, -1, own.shape[1]), cut(own)], axis=1)
+        self.good = np.concatenate([self.good, told.good])
+        self.warned = np.concatenate([self.warned, question.doubt(upper, len(values))])
+
+    @property
+    def points(self) -> int:
+        """Points of each scrambling."""
+        return self.left.shape[1]
+
+    def means(self) -> np.ndarray:
+        """By scrambling, (scramblings, moments)."""
+        return self.left.mean(axis=1)
+
+
+class Links:
+    """All links of a chain. `most` is the work that they may take, in runs of the problem."""
+
+    def __init__(self, question, models: list[Model], chain: Chain, costs: np.ndarray):
+        own = [models[i] for i in chain.models]
+        each = chain.costs(costs)
+        self.question, self.chain = question, chain
+        self.links = [
+            Link(own[i : i + 2], chain.weights[i] if i < len(chain.weights) else None, each[i])
+            for i in range(len(own))
+        ]
+        self.carried = chain.carried()
+
+    @property
+    def work(self) -> float:
+        """What the links took, in runs of the problem."""
+        parts = self.question.parts
+        return sum(parts * link.points * link.cost for link in self.links)
+
+    def begin(self) -> None:
+        """The first points of each link, in the proportion that the pilot sample asks for."""
+        need, each = self.chain.need, [link.cost for link in self.links]
+        times = np.sqrt(np.maximum(need / each, 0.0) / max(need[0] / each[0], 1e-300))
+        for i, link in enumerate(self.links):
+            wish = FIRST * 2 ** int(np.log2(np.clip(times[i], 1.0, MOST_FIRST / FIRST)))
+            self._grow(i, link, wish if i else FIRST)
+
+    def grow(self, most: float, hardest: Callable[[np.ndarray], int]) -> bool:
+        """Doubles the link that tells most of the hardest mean for its cost, of those for which
+        there is work left; whether there was one."""
+        parts = self.question.parts
+        left = most - self.work
+        able = [i for i, own in enumerate(self.links) if parts * own.points * own.cost <= left]
+        if not able:
+            return False
+        which = hardest(self.parts())
+        told = lambda i: self.carried[i, which] ** 2 * self.links[i].means()[:, which].var(ddof=1)
+        worth = {i: told(i) / (self.links[i].points * self.links[i].cost) for i in able}
+        best = max(able, key=lambda i: worth[i])
+        self._grow(best, self.links[best], self.links[best].points)
+        return True
+
+    def _grow(self, place: int, link: Link, more: int) -> None:
+        asked = self.question
+        seed = int(np.random.SeedSequence([asked.seed, place]).generate_state(1)[0])
+        if link.points:
+            values = extended(asked.problem, link.points, asked.parts, seed, asked.sampling)
+        else:
+            values = draw(asked.problem, more * asked.parts, seed, asked.sampling, asked.parts)
+        link.add(values, asked.parts, asked, asked.progress_bar)
+
+    def parts(self) -> np.ndarray:
+        """Contributions of the scramblings to each moment of the runs that did not fail,
+        (scramblings, moments)."""
+        told = sum(
+            weight * link.means() for weight, link in zip(self.carried, self.links, strict=True)
+        )
+        return told / max(self.links[0].good.mean(), 1e-300)
+
+    def plain(self) -> np.ndarray:
+        """The same of the runs of the problem alone, by half, a quarter and an eighth of the points
+        too: (sizes, scramblings, moments), the largest first."""
+        own = self.links[0].own
+        sizes: list[np.ndarray] = []
+        count = own.shape[1]
+        while count >= 1 and len(sizes) < 4:
+            sizes.append(own[:, :count].mean(axis=1))
+            count //= 2
+        return np.array(sizes)

@@ -1,0 +1,103 @@
+"""A problem beside others of the same question: what each run of it tells, and what it costs.
+
+A cheaper model takes those of the accurate problem's variables that it has, and answers those of
+its responses that it has. Any function of the variables may carry an estimate, so a run of a
+cheaper model that fails, or a response that it lacks, counts as the middle: it explains nothing and
+makes no error.
+"""
+
+import time
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.wording import listed
+from jaxclear.integrators import Outcome
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.batch import chunk_size, evaluate_all
+
+# What a single cheaper model is called.
+ALONE = "cheaper"
+ACCURATE = "the problem"
+
+
+class Model(NamedTuple):
+    """A problem by the name it has in this study, which of the accurate problem's variables it
+    takes, and how many samples it runs together."""
+
+    name: str
+    problem: AbstractProblem
+    columns: tuple[int, ...]
+    chunk: int
+
+    def runs(self, values: np.ndarray, progress_bar: bool = False) -> Any:
+        """Its samples at values (samples, variables) of the accurate problem."""
+        return evaluate_all(
+            self.problem,
+            jnp.asarray(values[:, list(self.columns)]),
+            chunk=self.chunk,
+            progress_bar=progress_bar,
+            label=self.name,
+        )
+
+    def seconds(self, values: np.ndarray) -> float:
+        """CPU time [s] of a run, by all of these; compiled before."""
+        filled = -(-len(values) // self.chunk) * self.chunk
+        begun = time.process_time()
+        self.runs(values)
+        return (time.process_time() - begun) / filled
+
+
+def models_of(problem: AbstractProblem, cheaper: Any, samples: int) -> list[Model]:
+    """The accurate problem, and what is cheaper. Raises `ValueError` with a sentence for what does
+    not answer the same question."""
+    given = cheaper if isinstance(cheaper, Mapping) else {ALONE: cheaper}
+    if not given:
+        raise ValueError("cheaper is empty; give a cheaper problem, or several by name.")
+    every = tuple(range(len(problem.names)))
+    models = [Model(ACCURATE, problem, every, chunk_size(problem, samples))]
+    for name, own in given.items():
+        expect(name, str, "a name in cheaper", "a text")
+        expect(own, AbstractProblem, f'cheaper "{name}"', "a problem of jaxclear")
+        strange = [n for n in own.names if n not in problem.names]
+        if strange or not own.names:
+            raise ValueError(
+                f'cheaper "{name}" varies {listed(own.names) or "nothing"}; its variables must be '
+                f"among those of the problem: {listed(problem.names)}."
+            )
+        if not set(own.response_names) & set(problem.response_names):
+            raise ValueError(
+                f'cheaper "{name}" answers {listed(own.response_names)}; it must have a response '
+                f"of the problem: {listed(problem.response_names)}."
+            )
+        columns = tuple(problem.names.index(n) for n in own.names)
+        models.append(Model(name, own, columns, chunk_size(own, samples)))
+    return models
+
+
+class Told(NamedTuple):
+    """What runs of a model tell of each response of the problem: `responses` (samples, responses),
+    nan where it failed or has none, and whether each run is good and carries no warning."""
+
+    responses: np.ndarray
+    good: np.ndarray
+
+    def moments(self, middle: np.ndarray) -> np.ndarray:
+        """(samples, 2 responses): deviations from the middle (responses,) and their squares, 0
+        where a run tells nothing."""
+        away = np.where(np.isfinite(self.responses), self.responses - middle, 0.0)
+        return np.concatenate([away, away**2], axis=1)
+
+
+def told_by(model: Model, names: tuple[str, ...], found: Any) -> Told:
+    """What samples of a model tell of the responses of these names."""
+    reached = np.asarray(found.outcome) == Outcome.REACHED
+    nothing = np.full(len(reached), np.nan)
+    columns = [np.asarray(found.responses.get(name, nothing), float) for name in names]
+    own = [i for i, name in enumerate(names) if name in model.problem.response_names]
+    responses = np.where(reached[:, None], np.stack(columns, axis=1), np.nan)
+    good = np.all(np.isfinite(responses[:, own]), axis=1)
+    return Told(np.where(good[:, None], responses, np.nan), good)

@@ -1,0 +1,229 @@
+"""Means of an accurate problem by few of its runs and many of cheaper ones:
+`jaxclear.multi_fidelity`.
+
+A cheaper model need not be right, only move as the accurate one does: rigid joints for compliant
+ones, longer steps, a plane for space, positions for a motion. What it gets wrong is in the runs of
+both, so that the answer is the accurate problem's whatever the cheaper one says.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags, check_number
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.fidelity.chain import Chain, chosen
+from jaxclear.studies.fidelity.links import FIRST, Links
+from jaxclear.studies.fidelity.model import Model, models_of, told_by
+from jaxclear.studies.fidelity.result import MultiFidelity, rate
+from jaxclear.studies.sampling import check_sampled, draw
+from jaxclear.studies.statistics.accuracy import asked_of, unreached
+from jaxclear.studies.statistics.scrambled import Statistic, student
+from jaxclear.studies.warned import any_warning
+
+# Independent scramblings, whose differences tell the errors.
+SCRAMBLINGS = 16
+# The pilot sample is this share of the work allowed, at the least so many points of a scrambling.
+PILOT_SHARE, PILOT_POINTS = 1 / 16, 4
+# What draws the pilot sample, which nothing else shares.
+PILOT_SEED = 811
+
+
+class Question(NamedTuple):
+    """What is asked of which problem, and how it is sampled; `middle` (responses,) is about where
+    the means lie."""
+
+    problem: AbstractProblem
+    names: tuple[str, ...]
+    middle: np.ndarray
+    seed: int
+    sampling: str
+    parts: int
+    progress_bar: bool
+
+    def doubt(self, found: Any, runs: int) -> np.ndarray:
+        """Which runs carry a warning, (runs,)."""
+        return any_warning(found.checks, runs)
+
+
+@answering
+def multi_fidelity(
+    problem: AbstractProblem,
+    cheaper: AbstractProblem | Mapping[str, AbstractProblem],
+    samples: int = 1024,
+    *,
+    accuracy: float | Mapping[str, float] | None = None,
+    costs: Mapping[str, float] | None = None,
+    seed: int = 0,
+    sampling: str = "sobol",
+    progress_bar: bool = False,
+) -> MultiFidelity:
+    """Means and standard deviations of a problem, by its own runs and many of cheaper problems.
+
+    `cheaper`: a problem of the same variables and responses (or of some of them), such as
+    `problem.with_integrator(...)`, or several by name; which of them serve, and how many runs of
+    each, a pilot sample decides. `samples`: the work allowed, in runs of the problem, the pilot
+    sample counted in. `accuracy`: half of the 95 % interval of each mean, as in `monte_carlo`; the
+    study stops where it is reached. `costs` [1]: what a run of each cheaper problem costs beside
+    one of the problem, by name ("cheaper" of one alone); by default their CPU time in the pilot
+    sample, to a power of two. The answer has no bias, whatever the cheaper problems say, but for
+    what stopping at an accuracy brings; where none pays, the problem is sampled plainly, and the
+    result's `sentence()` says so. Raises `ValueError` with a sentence for what cannot be asked.
+    """
+    check_sampled(problem, samples, seed, sampling)
+    check_flags("multi_fidelity", progress_bar=progress_bar)
+    least = SCRAMBLINGS * (PILOT_POINTS + FIRST)
+    check_count("samples of multi_fidelity", samples, at_least=2 * least)
+    asked = asked_of(accuracy, problem.response_names, "multi_fidelity")
+    models = models_of(problem, cheaper, samples)
+    known = _known_costs(costs, models)
+    points = 2 ** int(np.log2(max(samples * PILOT_SHARE / SCRAMBLINGS, PILOT_POINTS)))
+    question = Question(
+        problem, problem.response_names, np.zeros(0), seed, sampling, SCRAMBLINGS, progress_bar
+    )
+    pilot = _Pilot(question, models, points, known)
+    question = question._replace(middle=pilot.middle)
+    wanted, target = pilot.wanted(asked)
+    chain = chosen(pilot.moments(), pilot.costs, wanted, SCRAMBLINGS)
+    links = Links(question, models, chain, pilot.costs)
+    links.begin()
+    count = len(question.names)
+    times = student(SCRAMBLINGS) / np.sqrt(SCRAMBLINGS)
+    half = lambda parts: times * parts[:, :count].std(axis=0, ddof=1)
+    while not np.all(half(links.parts()) <= target):
+        hardest = lambda parts: int(np.argmax(half(parts) / wanted))
+        if not links.grow(samples - pilot.work, hardest):
+            break
+    return _result(question, models, chain, links, pilot, target if asked else None)
+
+
+def _known_costs(costs: Mapping[str, float] | None, models: list[Model]) -> dict[str, float]:
+    names = [model.name for model in models[1:]]
+    for name, own in (costs or {}).items():
+        if name not in names:
+            raise ValueError(f'costs names "{name}", which is not in cheaper: {", ".join(names)}.')
+        check_number(f'cost of "{name}"', own, above=0)
+    return {name: float(own) for name, own in (costs or {}).items()}
+
+
+class _Pilot:
+    """Runs of all models at the same values, which choose and serve nothing else."""
+
+    def __init__(self, question: Question, models: list[Model], points: int, known: dict):
+        self.question, self.models = question, models
+        seed = int(np.random.SeedSequence([question.seed, PILOT_SEED]).generate_state(1)[0])
+        count = points * question.parts
+        values = draw(question.problem, count, seed, question.sampling, question.parts)
+        names = question.names
+        self.told = [told_by(m, names, m.runs(values, question.progress_bar)) for m in models]
+        missing = [model for model in models[1:] if model.name not in known]
+        spent = {m.name: m.seconds(values[: m.chunk]) for m in (models[:1] if missing else [])}
+        spent |= {m.name: m.seconds(values[: m.chunk]) for m in missing}
+        first = spent.get(models[0].name, 1.0)
+        measured = {n: 2.0 ** np.round(np.log2(own / first)) for n, own in spent.items()}
+        self.costs = np.array([1.0, *((measured | known)[m.name] for m in models[1:])])
+        self.work = count * float(self.costs.sum())
+        own = self.told[0].responses
+        if not np.any(self.told[0].good):
+            raise ValueError(
+                f"all {count} runs of the pilot sample failed; look at one with "
+                "jaxclear.monte_carlo(problem, ...).failures()."
+            )
+        self.middle = np.nanmean(own, axis=0)
+        self.size = np.sqrt(np.nanmean(own**2, axis=0))
+
+    def moments(self) -> list[np.ndarray]:
+        """Of each model, (samples, 2 responses)."""
+        return [told.moments(self.middle) for told in self.told]
+
+    def wanted(self, asked: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Half widths (responses,) by which responses are weighed against each other, and those
+        that end the study: none is too small where no accuracy is asked."""
+        size = np.where(self.size > 0, self.size, 1.0)
+        names = self.question.names
+        if asked is None:
+            return size, np.where(self.size > 0, 0.0, np.inf)
+        told, share = asked
+        found = np.array([told.get(name, np.inf) for name in names])
+        found = np.where(np.isfinite(found), found * (size if share else 1.0), np.inf)
+        return found, found
+
+    def correlations(self) -> dict[tuple[str, str], float]:
+        """Of each cheaper model's responses with the problem's."""
+        found = {}
+        first = self.told[0].responses
+        for model, told in zip(self.models[1:], self.told[1:], strict=True):
+            for i, name in enumerate(self.question.names):
+                if name in model.problem.response_names:
+                    both = np.isfinite(first[:, i]) & np.isfinite(told.responses[:, i])
+                    pair = first[both, i], told.responses[both, i]
+                    flat = both.sum() < 2 or min(np.std(pair[0]), np.std(pair[1])) == 0
+                    found[model.name, name] = 0.0 if flat else float(np.corrcoef(*pair)[0, 1])
+        return found
+
+
+def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target) -> MultiFidelity:
+    parts, names = links.parts(), question.names
+    count, blocks = len(names), question.parts
+    plain = links.plain()
+    means, spreads, gains, short = {}, {}, {}, {}
+    for i, name in enumerate(names):
+        half = student(blocks) * parts[:, i].std(ddof=1) / np.sqrt(blocks)
+        value = float(question.middle[i] + parts[:, i].mean())
+        means[name] = Statistic(value, float(value - half), float(value + half))
+        spreads[name] = _deviation(parts[:, i], parts[:, count + i])
+        gains[name] = _gain(plain[:, :, i], parts[:, i], links)
+        if target is not None and not half <= target[i]:
+            short[name] = float(half), float(target[i])
+    return MultiFidelity(
+        problem=question.problem,
+        means=means,
+        standard_deviations=spreads,
+        correlations=pilot.correlations(),
+        gains=gains,
+        used=tuple(models[i].name for i in chain.models),
+        runs=_runs(links),
+        costs={m.name: float(c) for m, c in zip(models[1:], pilot.costs[1:], strict=True)},
+        work=float(links.work),
+        pilot=float(pilot.work),
+        failed=int((~links.links[0].good).sum()),
+        warned=int(np.sum(links.links[0].warned & links.links[0].good)),
+        scramblings=blocks,
+        unreached=unreached(short),
+    )
+
+
+def _runs(links: Links) -> tuple[int, ...]:
+    """Runs of each model of the chain, those beside a better one counted in."""
+    own = [links.question.parts * link.points for link in links.links]
+    return tuple(n + (own[i - 1] if i else 0) for i, n in enumerate(own))
+
+
+def _gain(sizes: np.ndarray, parts: np.ndarray, links: Links) -> float:
+    """Work of plain sampling to the same variance, over the work that was."""
+    if len(links.links) == 1 or parts.var(ddof=1) == 0:
+        return 1.0
+    fall = 1.0 if links.question.sampling == "random" else rate(sizes)
+    more = (sizes[0].var(ddof=1) / parts.var(ddof=1)) ** (1 / fall)
+    first = links.question.parts * links.links[0].points
+    return float(first * more / links.work)
+
+
+def _deviation(first: np.ndarray, second: np.ndarray) -> Statistic:
+    """Standard deviation from contributions (scramblings,) to the first and second moment about a
+    middle; squares of means are products of different scramblings, which leaves no bias."""
+    count = len(first)
+
+    def variance(m1, m2):
+        n = len(m1)
+        return m2.mean() - (m1.sum() ** 2 - (m1**2).sum()) / (n * (n - 1))
+
+    drop = [np.delete(np.arange(count), k) for k in range(count)]
+    without = np.array([variance(first[kept], second[kept]) for kept in drop])
+    found = max(variance(first, second), 0.0)
+    spread = (count - 1) / count * np.sum((without - without.mean()) ** 2)
+    half = student(count) * np.sqrt(spread)
+    low, high = np.sqrt(np.maximum([found - half, found + half], 0.0))
+    return Statistic(float(np.sqrt(found)), float(low), float(high))

@@ -1,0 +1,122 @@
+"""What a study of several models says: means and deviations of the accurate one, what the cheaper
+ones were worth, and in a sentence why they were not used.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.statistics.scrambled import Statistic
+
+
+class MultiFidelity(eqx.Module):
+    """Statistics of a problem by its own runs and those of cheaper ones.
+
+    `means` and `standard_deviations` are by response, with 95 % intervals. `used` names the models
+    of the chain from the problem down, `runs` how many there were of each, `costs` [1] what a run
+    of each costs beside one of the problem. `correlations` [1] by (model, response) are those of
+    the pilot sample; `gains` [1] by response, how many times the work plain sampling would take to
+    the same error; `work` and `pilot` are in runs of the problem. `failed` and `warned` count runs
+    of the problem.
+    """
+
+    problem: AbstractProblem
+    means: dict[str, Statistic]
+    standard_deviations: dict[str, Statistic]
+    correlations: dict[tuple[str, str], float]
+    gains: dict[str, float]
+    used: tuple[str, ...] = eqx.field(static=True)
+    runs: tuple[int, ...] = eqx.field(static=True)
+    costs: dict[str, float]
+    work: float
+    pilot: float
+    failed: int = eqx.field(static=True)
+    warned: int = eqx.field(static=True)
+    scramblings: int = eqx.field(static=True)
+    # What was asked of the means and not reached.
+    unreached: str = eqx.field(static=True, default="")
+
+    def sentence(self) -> str:
+        """What ran, what it saved beside plain sampling of the same kind, and where nothing."""
+        counted = [f"{self.runs[0]} runs of the problem"]
+        counted += [
+            f'{n} of "{name}" (each {_share(self.costs[name])} of the work)'
+            for name, n in zip(self.used[1:], self.runs[1:], strict=True)
+        ]
+        text = f"{' and '.join(counted)} in {self.scramblings} independent scramblings: the work "
+        text += f"of {self.work:.0f} runs of the problem, and {self.pilot:.0f} for the choice."
+        parts = [text, self._gained(), self._left_out(), self.unreached]
+        if self.failed:
+            parts.append(f"{self.failed} runs of the problem failed: numbers are of the others.")
+        if self.warned:
+            parts.append(f"{self.warned} runs of the problem carry warnings.")
+        return " ".join(filter(None, [*parts, self.problem.remark()]))
+
+    def _gained(self) -> str:
+        if len(self.used) == 1:
+            return ""
+        told = [f"{name} {gain:.2g} times" for name, gain in self.gains.items() if gain >= 1]
+        lost = [f'"{name}"' for name, gain in self.gains.items() if gain < 1]
+        text = f"Plain sampling would take about this much more work: {', '.join(told)}."
+        parts = [text] if told else []
+        if lost:
+            parts.append(f"It would have been cheaper for {', '.join(lost)}.")
+        return " ".join(parts)
+
+    def _left_out(self) -> str:
+        """Why models were not used."""
+        out = [name for name in self.costs if name not in self.used]
+        if not out:
+            return ""
+        said = [
+            f'"{name}" does not pay: correlation '
+            + ", ".join(
+                f"{own:.3g} with {response}"
+                for (model, response), own in self.correlations.items()
+                if model == name
+            )
+            + f", at {_share(self.costs[name])} of the work"
+            for name in out
+        ]
+        last = "; the problem was sampled plainly." if len(self.used) == 1 else "."
+        return f"{'; '.join(said)}{last}"
+
+    def table(self) -> Any:
+        """A pandas table: one row a response; mean and standard deviation with 95 % errors, how
+        much was gained, and the correlation with each cheaper model."""
+        import pandas
+
+        units = self.problem.units()
+        rows = []
+        for name, mean in self.means.items():
+            spread = self.standard_deviations[name]
+            row = {
+                "response": name,
+                "unit": units[name],
+                "mean": mean.value,
+                "error of mean (95 %)": mean.error,
+                "standard deviation": spread.value,
+                "error of deviation (95 %)": spread.error,
+                "gain": self.gains[name],
+            }
+            told = {
+                f"correlation with {m}": c for (m, r), c in self.correlations.items() if r == name
+            }
+            rows.append(row | told)
+        return pandas.DataFrame(rows).set_index("response")
+
+
+def _share(cost: float) -> str:
+    return f"1/{1 / cost:.0f}" if 0 < cost < 1 else f"{cost:.3g}"
+
+
+def rate(sizes: np.ndarray) -> float:
+    """How fast the variance of plain means (sizes, scramblings) falls with the points, each size
+    half of the one before: an exponent of 1 (random) to 3 (smooth responses)."""
+    spread = sizes.var(axis=1, ddof=1)
+    if len(spread) < 2 or np.any(spread <= 0):
+        return 1.0
+    fall = np.polyfit(-np.arange(len(spread)), np.log2(spread), 1)[0]
+    return float(np.clip(-fall, 1.0, 3.0))
