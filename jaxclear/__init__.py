@@ -54,6 +54,7 @@ from jaxclear.studies import distribution, limit_state
 from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
+from jaxclear.studies.campaign.campaign import campaign, open_campaign
 from jaxclear.studies.condition import Condition
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
@@ -110,6 +111,7 @@ __all__ = [
     "Wearing",
     "advise",
     "assemble",
+    "campaign",
     "catalogue",
     "clearance",
     "complementarity",
@@ -133,6 +135,7 @@ __all__ = [
     "monte_carlo",
     "multi_fidelity",
     "numerics",
+    "open_campaign",
     "pointing_error",
     "pose",
     "positions",

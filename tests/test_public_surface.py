@@ -114,7 +114,8 @@ INNER = {
     "SphereMap",
     "StepTorque",
 }
-INNER |= {"StateGroup"}
+# A folder of samples remembers its problem by one.
+INNER |= {"RecordedProblem", "StateGroup"}
 
 
 def family_classes():

@@ -5,7 +5,7 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is four functions, three that tell of the program, and two for Ctrl-C:
+The boundary is four functions, three that tell of the program, and three for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`, and
@@ -13,7 +13,8 @@ The boundary is four functions, three that tell of the program, and two for Ctrl
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
 - `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence;
 - `calls_lapack(after)`: whether the compiled program does, and cannot run beside another one;
-- `stoppable()`: what runs within it ends at once on Ctrl-C, or by `stop()` (see `stopping`).
+- `stoppable()`: what runs within it ends at once on Ctrl-C, or by `stop()` (see `stopping`);
+  `stops()`: how often that happened.
 
 On its way a loop passes through these files:
 
@@ -49,7 +50,7 @@ give it a case in tests/native/test_rules.py.
 """
 
 from jaxclear.native.rows import one_row, over_rows
-from jaxclear.native.stopping import stop, stoppable
+from jaxclear.native.stopping import stop, stoppable, stops
 from jaxclear.native.verdicts import calls_lapack, explain, verdict
 from jaxclear.native.while_loops import while_loop, with_fast_loops
 
@@ -60,6 +61,7 @@ __all__ = [
     "over_rows",
     "stop",
     "stoppable",
+    "stops",
     "verdict",
     "while_loop",
     "with_fast_loops",

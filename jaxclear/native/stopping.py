@@ -42,6 +42,11 @@ def stop() -> None:
         FLAG[0] = 1
 
 
+def stops() -> int:
+    """How often runs were stopped. What was computed while this rose may hold nan."""
+    return _STOPS[0]
+
+
 @contextmanager
 def stoppable() -> Iterator[None]:
     """Ctrl-C ends what runs within, at once; KeyboardInterrupt where it was stopped."""

@@ -34,7 +34,7 @@ def evaluate_chunk(
 
 
 @eqx.filter_jit
-def _asked_of_lapack(function, problem, values):
+def asked_of_lapack(function, problem, values):
     """What the function of a chunk gives, and whether its program calls LAPACK."""
     found = function(problem, values)
     return found, calls_lapack(*jax.tree.leaves(found))
@@ -96,7 +96,7 @@ def evaluate_all(
     pieces = padded.reshape(count, chunk, -1)
 
     def one(piece, problem=problem):
-        return jax.tree.map(np.asarray, _asked_of_lapack(function, problem, piece))
+        return jax.tree.map(np.asarray, asked_of_lapack(function, problem, piece))
 
     with stoppable(), tqdm(total=samples, desc=label, disable=not progress_bar) as bar:
         # Compile before the threads start, or each of them would: the same program, on a run of no

@@ -8,6 +8,8 @@ Source: Owen 1998, ACM TOMACS 8, 71, doi:10.1145/272991.273010; L'Ecuyer, Nakaya
 2023, Winter Simulation Conference, doi:10.1109/WSC60868.2023.10408613.
 """
 
+import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -56,12 +58,21 @@ def draw(
     seed: int,
     sampling: str = "sobol",
     scramblings: int = 1,
+    span: tuple[int, int] | None = None,
 ) -> np.ndarray:
     """Values (samples, variables) drawn from the variables' distributions, one scrambling after the
-    other as `groups` counts them."""
+    other as `groups` counts them. `span`: of these only the samples from the first number up to the
+    second, the same to the last bit."""
     check_sampled(problem, samples, seed, sampling)
-    sizes = np.bincount(groups(samples, scramblings), minlength=scramblings)
-    return _values(problem, [(0, int(size)) for size in sizes], seed, sampling)
+    first, last = (0, samples) if span is None else span
+    # Where each scrambling begins.
+    starts = [-(-i * samples // scramblings) for i in range(scramblings + 1)]
+    parts = [
+        (i, max(first - begin, 0), min(last, end) - begin)
+        for i, (begin, end) in enumerate(itertools.pairwise(starts))
+        if begin < last and end > first
+    ]
+    return _values(problem, parts, seed, sampling)
 
 
 def extended(
@@ -69,25 +80,29 @@ def extended(
 ) -> np.ndarray:
     """As many values (scramblings * drawn, variables) again, where every scrambling has `drawn`
     points: its next ones, one scrambling after the other."""
-    return _values(problem, [(drawn, 2 * drawn)] * scramblings, seed, sampling)
+    parts = [(i, drawn, 2 * drawn) for i in range(scramblings)]
+    return _values(problem, parts, seed, sampling)
 
 
-def _values(problem, spans, seed, sampling):
+def _values(problem, parts, seed, sampling):
     count = len(problem.names)
     shares = np.concatenate(
-        [_shares(count, span, (seed, i), sampling) for i, span in enumerate(spans)]
+        [_shares(count, span, (seed, i), sampling) for i, *span in parts] or [np.zeros((0, count))]
     )
     normal = scipy.special.ndtri(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
     return np.asarray(problem.inputs.values(jnp.asarray(normal)))
 
 
-def _shares(count: int, span: tuple[int, int], seed: tuple[int, int], sampling: str) -> np.ndarray:
+def _shares(count: int, span: Sequence[int], seed: tuple[int, int], sampling: str) -> np.ndarray:
     """Points of one scrambling, from the first number of a span up to the second; the first of
     all scramblings is that of the plain seed."""
     start, stop = span
     rng = np.random.default_rng(seed if seed[1] else seed[0])
-    if stop == start:
+    if stop <= start:
         return np.zeros((0, count))
     if sampling == "random":
-        return rng.random((stop, count))[start:]
-    return scrambled_shares(stop, count, rng)[start:]
+        # A number of 53 bits takes one step of the generator.
+        generator: Any = rng.bit_generator
+        generator.advance(start * count)
+        return rng.random((stop - start, count))
+    return scrambled_shares(stop, count, rng, start)

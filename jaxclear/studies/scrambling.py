@@ -4,8 +4,14 @@ import numpy as np
 import scipy
 
 
-def scrambled_shares(count: int, dimensions: int, rng: np.random.Generator) -> np.ndarray:
-    """Points (count, dimensions) of the unit cube: one scrambling of Sobol's sequence. A power of
-    two keeps it balanced; what is more than asked for is left out."""
+def scrambled_shares(
+    count: int, dimensions: int, rng: np.random.Generator, first: int = 0
+) -> np.ndarray:
+    """Points (count - first, dimensions) of the unit cube, from number `first` up to `count`: one
+    scrambling of Sobol's sequence. A power of two keeps it balanced; what is more than asked for is
+    left out."""
+    engine = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=rng)
+    if first:
+        return engine.fast_forward(first).random(count - first)
     power = int(np.ceil(np.log2(max(count, 1))))
-    return scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=rng).random_base2(power)[:count]
+    return engine.random_base2(power)[:count]

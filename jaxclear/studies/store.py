@@ -34,13 +34,7 @@ class Store:
     def opened(cls, folder: Any, what: str, texts: dict[str, str]) -> "Store":
         """The store in a folder, which is made where there is none. Raises `ValueError` with a
         sentence where it holds something else, `ImportError` without zarr."""
-        if importlib.util.find_spec("zarr") is None:
-            raise ImportError('a store needs zarr: python -m pip install "jaxclear[store]".')
-        if not isinstance(folder, (str, Path)) or not str(folder):
-            raise ValueError(f"store is {described(folder)}; it must be the path of a folder.")
-        folder = Path(folder)
-        if folder.exists() and not folder.is_dir():
-            raise ValueError(f"the store {folder} is a file; give a folder.")
+        folder = checked_folder(folder)
         if not (folder / RECORDS).exists():
             if folder.exists() and any(folder.iterdir()):
                 raise ValueError(
@@ -48,16 +42,7 @@ class Store:
                 )
             return cls(folder, what, texts, np.zeros((0, 0)))
         kept, rows = _read(folder / RECORDS)
-        if kept.get("what") != what:
-            raise ValueError(
-                f"the folder {folder} holds {kept.get('what')}, not {what}; give another one."
-            )
-        found = first_difference(json.loads(kept["problem"]), texts)
-        if found:
-            raise ValueError(
-                f"the folder {folder} holds {what} of another problem: {found}. Give another "
-                "folder, or delete this one."
-            )
+        refuse_other(folder, kept, what, texts)
         return cls(folder, what, texts, rows)
 
     def taken(self, begun: np.ndarray, kind: Any) -> Any:
@@ -126,6 +111,34 @@ def _read(path: Path) -> tuple[dict, np.ndarray]:
         attributes = dict(kept.attrs)
     broken = np.flatnonzero(rows[:, 0] != WHOLE)
     return attributes, rows[: broken[0]] if len(broken) else rows
+
+
+def checked_folder(folder: Any) -> Path:
+    """The path of a folder in which a study is kept, or can be. Raises `ValueError` with a
+    sentence, `ImportError` without zarr."""
+    if importlib.util.find_spec("zarr") is None or importlib.util.find_spec("filelock") is None:
+        raise ImportError('a store needs zarr: python -m pip install "jaxclear[store]".')
+    if not isinstance(folder, (str, Path)) or not str(folder):
+        raise ValueError(f"store is {described(folder)}; it must be the path of a folder.")
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"the store {folder} is a file; give a folder.")
+    return folder
+
+
+def refuse_other(folder: Path, kept: dict[str, Any], what: str, texts: dict[str, str]) -> None:
+    """Raises `ValueError` with a sentence where what a folder says of itself is another kind of
+    study than `what`, or of a problem that differs from these texts."""
+    if kept.get("what") != what:
+        raise ValueError(
+            f"the folder {folder} holds {kept.get('what')}, not {what}; give another one."
+        )
+    found = first_difference(json.loads(kept["problem"]), texts)
+    if found:
+        raise ValueError(
+            f"the folder {folder} holds {what} of another problem: {found}. Give another "
+            "folder, or delete this one."
+        )
 
 
 def first_difference(one: dict[str, str], other: dict[str, str]) -> str:

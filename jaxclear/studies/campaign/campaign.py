@@ -1,0 +1,161 @@
+"""A study that is kept on disk chunk by chunk, and goes on where it was interrupted:
+`jaxclear.campaign`, and `jaxclear.open_campaign` to read it.
+"""
+
+import inspect
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags, expect
+from jaxclear.ground.wording import listed, meant
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.campaign.plan import Evaluation, Plan, planned
+from jaxclear.studies.campaign.recorded import RecordedProblem, in_json
+from jaxclear.studies.campaign.result import Campaign
+from jaxclear.studies.campaign.samples import KIND, Samples
+from jaxclear.studies.campaign.work import Heard, by_threads
+from jaxclear.studies.identity import in_texts
+from jaxclear.studies.sampling import check_sampled, usual_scramblings
+from jaxclear.studies.store import checked_folder, refuse_other
+
+__all__ = ["campaign", "open_campaign"]
+
+# What a campaign takes beside the arguments that it names.
+SAMPLED = ("sampling", "scramblings")
+
+
+@answering
+def campaign(
+    problem: AbstractProblem,
+    samples: int = 1024,
+    *,
+    folder: str | Path,
+    seed: int = 0,
+    chunk: int | None = None,
+    progress_bar: bool = False,
+    **sampled: Any,
+) -> Campaign:
+    """A Monte Carlo study of any size, kept in a folder (Zarr) chunk by chunk: values, responses,
+    outcomes, warnings, seed, versions and what the problem is.
+
+    Asked again, it goes on from the chunks that are finished; a folder of another problem, or of
+    other samples, is refused with what differs. Ctrl-C keeps all finished chunks; whatever ends the
+    process, the chunks in work, one a thread, are all that is lost. Several processes may work at
+    one folder: each chunk is claimed by one. Memory does not grow with the samples.
+
+    `samples`, `seed`, and in `sampled` also `sampling` and `scramblings`, as in `monte_carlo`,
+    whose samples these are: a sample has the same values and, on one kind of machine, the same
+    responses to the last bit in whatever chunks and threads it is computed. `chunk`: samples in a
+    file, rounded up to whole batches; an older folder keeps its own. `progress_bar` shows rate,
+    time left, failures.
+    Raises `ValueError` with a sentence for what cannot be asked, `ImportError` without zarr.
+    """
+    asked = _asked(problem, samples, seed, chunk, sampled)
+    check_flags("campaign", progress_bar=progress_bar)
+    evaluation = Evaluation(problem, asked)
+    try:
+        kept, left = _begun(folder, problem, asked, evaluation)
+        evaluation.plan = kept.plan
+        with _progress(progress_bar, kept.plan, left) as heard:
+            by_threads(kept, evaluation, left, heard)
+        kept.tidy()
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(_interrupted(folder)) from None
+    return Campaign(kept, problem)
+
+
+@answering
+def open_campaign(folder: str | Path, problem: AbstractProblem | None = None) -> Campaign:
+    """The campaign in a folder, finished or not. `problem`: that which it is of, to run single
+    samples again; without it everything else can be read. Raises `ValueError` with a sentence where
+    the folder holds none, or one of another problem."""
+    kept = Samples.opened(folder)
+    if problem is None:
+        return Campaign(kept, RecordedProblem.of_json(kept.told["recorded"]))
+    expect(problem, AbstractProblem, "problem of open_campaign", "a jaxclear.Problem")
+    refuse_other(kept.folder, kept.told, KIND, in_texts(problem))
+    return Campaign(kept, problem)
+
+
+def _asked(problem: Any, samples: Any, seed: Any, chunk: Any, sampled: dict[str, Any]) -> Plan:
+    """The plan of what is asked. Raises `ValueError` or `TypeError` with a sentence."""
+    for name in sampled:
+        if name not in SAMPLED:
+            known = [*inspect.signature(campaign).parameters][:-1]
+            raise TypeError(
+                f'jaxclear.campaign has no argument "{name}"; it takes '
+                f"{listed([*known, *SAMPLED])}.{meant(name, [*known, *SAMPLED])}"
+            )
+    sampling = sampled.get("sampling", "sobol")
+    check_sampled(problem, samples, seed, sampling)
+    parts = sampled.get("scramblings")
+    parts = usual_scramblings(samples) if parts is None else parts
+    check_count("scramblings of campaign", parts)
+    if parts > samples:
+        raise ValueError(f"{samples} samples cannot be {parts} scramblings; take fewer of these.")
+    if chunk is not None:
+        check_count("chunk of campaign", chunk)
+    return planned(problem, samples, seed, sampling, parts, chunk)
+
+
+def _begun(
+    folder: Any, problem: AbstractProblem, plan: Plan, evaluation: Evaluation
+) -> tuple[Samples, list[int]]:
+    """The samples in a folder, made where there are none, and the chunks that are left."""
+    checked_folder(folder)
+    texts = in_texts(problem)
+    found = Samples.known(folder)
+    if found is None:
+        told = {"problem": json.dumps(texts), "recorded": in_json(problem)}
+        found = Samples.made(folder, plan, told, evaluation.compiled())
+    # Another process may have been first.
+    refuse_other(found.folder, found.told, KIND, texts)
+    for name in ("samples", "seed", "sampling", "scramblings"):
+        there, here = getattr(found.plan, name), getattr(plan, name)
+        if there != here:
+            raise ValueError(
+                f"the folder {found.folder} holds a campaign of this problem with "
+                f"{name}={there!r}, not {here!r}. Ask for the same, or give another folder."
+            )
+    finished = found.finished()
+    if len(finished):
+        found.warn_of_versions()
+    return found, [int(n) for n in np.setdiff1d(np.arange(found.plan.chunks), finished)]
+
+
+@contextmanager
+def _progress(shown: bool, plan: Plan, left: list[int]) -> Iterator[Heard]:
+    """A bar with rate, time left and failures so far; what is told of each finished chunk."""
+    sizes = {number: plan.span(number)[1] - plan.span(number)[0] for number in left}
+    before = plan.samples - sum(sizes.values())
+    failed = [0]
+    with tqdm(
+        total=plan.samples, initial=before, desc="campaign", unit=" samples", disable=not shown
+    ) as bar:
+
+        def heard(number: int, failures: int) -> None:
+            failed[0] += failures
+            bar.set_postfix_str(f"{failed[0]} failed", refresh=False)
+            bar.update(sizes[number])
+
+        yield heard
+
+
+def _interrupted(folder: Any) -> str:
+    """What is said after Ctrl-C."""
+    try:
+        kept = Samples.opened(folder)
+    except ValueError:
+        return "The campaign was interrupted before its first chunk."
+    done, plan = len(kept.finished()), kept.plan
+    return (
+        f"The campaign was interrupted. {done} of {plan.chunks} chunks (of {plan.chunk} samples) "
+        f"are kept in {folder}; ask the same again, and it goes on from there."
+    )

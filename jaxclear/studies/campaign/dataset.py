@@ -1,0 +1,55 @@
+"""Samples of a campaign as an xarray Dataset: by name, with units, read when they are used."""
+
+import json
+from typing import Any
+
+from jaxclear.studies.campaign.samples import (
+    ENDED,
+    FINISHED,
+    OUTCOME,
+    RESPONSES,
+    SAMPLES,
+    VALUES,
+    WHEN,
+    WORST,
+    Samples,
+)
+
+__all__ = ["dataset_of"]
+
+
+def dataset_of(samples: Samples) -> Any:
+    """The Dataset of a campaign; variables, responses and sentences of outcomes by name."""
+    import xarray
+
+    kept = xarray.open_zarr(
+        samples.folder / SAMPLES, chunks=None, consolidated=False, mask_and_scale=False
+    )
+    recorded = samples.told["recorded"]
+    columns: dict[str, Any] = {}
+    kinds = (
+        (VALUES, "variable", recorded["names"], recorded["variable_units"]),
+        (RESPONSES, "response", recorded["response_names"], recorded["response_units"]),
+    )
+    for name, kind, labels, units in kinds:
+        for i, (label, unit) in enumerate(zip(labels, units, strict=True)):
+            columns[label] = kept[name][:, i].assign_attrs(units=unit, kind=kind)
+    endings = {str(code): text for code, text in enumerate(recorded["endings"])}
+    columns[OUTCOME] = kept[OUTCOME].assign_attrs(
+        long_name="how a sample ended; 0 is success, -1 is not finished", **endings
+    )
+    columns[ENDED] = kept[ENDED].assign_attrs(units="s", long_name="when it ended")
+    if WORST in kept:
+        told = {"long_name": "worst figure that a run found out about itself"}
+        columns[WORST] = kept[WORST].assign_attrs(told)
+        columns[WHEN] = kept[WHEN].assign_attrs(units="s", long_name="when the worst was met")
+    columns[FINISHED] = kept[FINISHED].assign_attrs(long_name="mark of who computed it, 0 if none")
+    figures = [f"{check}, {place}" if place else check for check, place in samples.figures]
+    coordinates = {"figure": figures} if figures else {}
+    plan = samples.plan._asdict()
+    attributes = {
+        "what": samples.told["what"],
+        "problem": samples.told["problem"],
+        "versions": json.dumps(list(samples.versions().values())),
+    }
+    return xarray.Dataset(columns, coordinates, attributes | plan)

@@ -1,0 +1,95 @@
+"""A problem as a folder remembers it: its names, units and sentences, without what computes."""
+
+from typing import Any, NoReturn
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.integrators import Check, Outcome
+from jaxclear.studies.base import AbstractProblem
+
+__all__ = ["RecordedProblem", "in_json"]
+
+# The outcomes that a sentence tells of without what was computed.
+ENDED = "{ended:.6g}"
+# A time [s] that no run ends at and no sentence holds otherwise.
+SOME_TIME = 987654.0
+
+
+class RecordedProblem(AbstractProblem):
+    """What statistics and tables ask of a problem, from a store. It computes nothing."""
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    response_names: tuple[str, ...] = eqx.field(static=True)
+    variable_units: tuple[str, ...] = eqx.field(static=True)
+    response_units: tuple[str, ...] = eqx.field(static=True)
+    nominal_values: tuple[float, ...] = eqx.field(static=True)
+    endings: tuple[str, ...] = eqx.field(static=True)
+    concerns: tuple[tuple[str, ...], ...] = eqx.field(static=True)
+    why: str = eqx.field(static=True)
+    variables: dict[str, Any] = eqx.field(default_factory=dict)
+    correlation: Any = None
+
+    @classmethod
+    def of_json(cls, told: dict[str, Any]) -> "RecordedProblem":
+        """As `in_json` wrote it."""
+        tuples = {key: tuple(own) if isinstance(own, list) else own for key, own in told.items()}
+        tuples["concerns"] = tuple(map(tuple, told["concerns"]))
+        return cls(**tuples)
+
+    def nominal(self):
+        return np.asarray(self.nominal_values)
+
+    def units(self):
+        return dict(zip(self.response_names, self.response_units, strict=True))
+
+    def evaluate(self, values, *, discrete_derivatives=False):
+        _refuse()
+
+    def sample_memory(self):
+        return 0
+
+    def most_together(self):
+        return 1
+
+    def rerun(self, values, index, chunk):
+        _refuse()
+
+    def ending(self, outcome, ended):
+        return self.endings[outcome].replace(ENDED, f"{ended:.6g}")
+
+    def remark(self):
+        return self.why
+
+    def concerned(self, response, concerns):
+        return concerns in self.concerns[self.response_names.index(response)]
+
+    def parts(self):
+        return {}
+
+
+def _refuse() -> NoReturn:
+    raise ValueError(
+        "this campaign was opened without its problem, and computes nothing; give the problem: "
+        "jaxclear.open_campaign(folder, problem)."
+    )
+
+
+def in_json(problem: AbstractProblem) -> dict[str, Any]:
+    """What a folder remembers of a problem."""
+    parts = sorted({check.concerns for check in Check})
+    some = f"{SOME_TIME:.6g}"
+    units = problem.units()
+    return {
+        "names": problem.names,
+        "response_names": problem.response_names,
+        "variable_units": problem.variable_units,
+        "response_units": [units[name] for name in problem.response_names],
+        "nominal_values": [float(value) for value in problem.nominal()],
+        "endings": [problem.ending(code, SOME_TIME).replace(some, ENDED) for code in Outcome],
+        "concerns": [
+            [part for part in parts if problem.concerned(name, part)]
+            for name in problem.response_names
+        ],
+        "why": problem.remark(),
+    }

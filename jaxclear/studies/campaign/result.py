@@ -1,0 +1,228 @@
+"""What a campaign has found so far, read from its folder as it is asked for."""
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxclear.ground.arguments import check_known
+from jaxclear.integrators import Checks
+from jaxclear.integrators.checks import Figure
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.campaign.dataset import dataset_of
+from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.statistics.limits import Limits, check_limits
+from jaxclear.studies.statistics.scrambled import Statistic
+from jaxclear.studies.statistics.summary import summary_row
+from jaxclear.studies.statistics.tolerance_interval import ToleranceInterval
+
+__all__ = ["Campaign"]
+
+# Samples that are read together, about.
+READ = 1 << 16
+
+
+class Campaign:
+    """The finished samples in a folder. Statistics are those of `MonteCarlo`, computed from one
+    response at a time; `sample` is the whole study in memory, with all that it can be asked.
+
+    `problem` is the one given, or what the folder remembers of it. Of an unfinished campaign these
+    are the samples that are there: `finished` of `count`.
+    """
+
+    def __init__(self, samples: Samples, problem: AbstractProblem):
+        self._samples, self.problem = samples, problem
+        self.folder, self.plan = samples.folder, samples.plan
+        self._chunks = samples.finished()
+
+    @property
+    def count(self) -> int:
+        """Samples asked for."""
+        return self.plan.samples
+
+    @property
+    def finished(self) -> int:
+        """Samples that are in the folder."""
+        return sum(at.stop - at.start for at in self._spans())
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all samples are finished."""
+        return self.finished == self.count
+
+    @property
+    def seed(self) -> int:
+        """Of the sample."""
+        return self.plan.seed
+
+    @property
+    def versions(self) -> tuple[dict[str, str], ...]:
+        """Versions of jaxclear, JAX, Python and others that computed these samples."""
+        return tuple(self._samples.versions().values())
+
+    @cached_property
+    def sample(self) -> MonteCarlo:
+        """The finished samples as a Monte Carlo study, in memory; numbers of samples count them."""
+        parts = [self._samples.found(at) for at in self._spans()]
+        found = jax.tree.map(lambda *own: np.concatenate(own), *parts)
+        values = np.concatenate([self._samples.read("values", at) for at in self._spans()])
+        return self._study(values, found)
+
+    @property
+    def values(self) -> np.ndarray:
+        """Varied numbers (samples, variables)."""
+        return self.sample.values
+
+    @property
+    def responses(self) -> dict[str, np.ndarray]:
+        """Responses (samples,) by name; nan of samples that failed."""
+        return self.sample.responses
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Indices of the samples that failed."""
+        return self._reduced(self.problem.response_names[0]).failed
+
+    @property
+    def warned(self) -> np.ndarray:
+        """Indices of the samples that did not fail and carry a warning."""
+        return self._reduced(self.problem.response_names[0]).warned
+
+    def failures(self) -> dict[int, str]:
+        """Why each failed sample failed, by its index."""
+        return self.sample.failures()
+
+    def warnings(self) -> dict[int, tuple[str, ...]]:
+        """What each sample warns of that does, by its index."""
+        return self.sample.warnings()
+
+    def rerun(self, index: int) -> Any:
+        """One sample alone, bit for bit as it was, as `MonteCarlo.rerun`."""
+        return self.sample.rerun(index)
+
+    def table(self) -> Any:
+        """All samples as a pandas table, as `MonteCarlo.table`."""
+        return self.sample.table()
+
+    def mean(self, response: str) -> Statistic:
+        """Mean of a response."""
+        return self._reduced(response).mean(response)
+
+    def standard_deviation(self, response: str) -> Statistic:
+        """Standard deviation of a response."""
+        return self._reduced(response).standard_deviation(response)
+
+    def quantile(self, response: str, share: float) -> Statistic:
+        """The value that a `share` [1] of the samples does not exceed."""
+        return self._reduced(response).quantile(response, share)
+
+    def share_within(self, limits: Mapping[str, Limits]) -> Statistic:
+        """The yield [1], as `MonteCarlo.share_within`."""
+        return self.sample.share_within(limits)
+
+    def process_capability(self, response: str, limits: Limits) -> Statistic:
+        """Cpk [1] between limits, as `MonteCarlo.process_capability`."""
+        return self._reduced(response).process_capability(response, limits)
+
+    def tolerance_interval(
+        self, response: str, content: float = 0.99, confidence: float = 0.95, **how: Any
+    ) -> ToleranceInterval:
+        """As `MonteCarlo.tolerance_interval`."""
+        return self._reduced(response).tolerance_interval(response, content, confidence, **how)
+
+    def error_budget(self, response: str) -> dict[str, Statistic]:
+        """What each variable contributes to the variance, as `MonteCarlo.error_budget`."""
+        return self.sample.error_budget(response)
+
+    def summary(self, limits: Mapping[str, Limits] | None = None) -> Any:
+        """The table of `MonteCarlo.summary`, one response at a time."""
+        import pandas
+
+        names = self.problem.response_names
+        limits = {} if limits is None else limits
+        check_limits(limits, names)
+        return pandas.DataFrame([summary_row(self._reduced(n), n, limits) for n in names])
+
+    def to_dataset(self) -> Any:
+        """All samples as an xarray Dataset that is read when it is used: variables and responses by
+        name with units, outcomes, figures of the checks; what was computed and by what, as
+        attributes. Samples that are not finished have outcome -1 and nan."""
+        return dataset_of(self._samples)
+
+    def sentence(self) -> str:
+        """How many samples are finished, failed and warned, and of what."""
+        return self._reduced(self.problem.response_names[0]).sentence()
+
+    def __str__(self) -> str:
+        return self.sentence()
+
+    def _unfinished(self) -> str:
+        if self.is_complete:
+            return ""
+        return f"The campaign is not complete: {self.finished} of {self.count} samples are there."
+
+    def _spans(self) -> list[slice]:
+        return [slice(*self.plan.span(int(number))) for number in self._chunks]
+
+    def _groups(self) -> np.ndarray:
+        every = self.plan.groups()
+        return np.concatenate([every[at] for at in self._spans()] or [every[:0]])
+
+    def _pieces(self) -> Iterator[slice]:
+        """Finished samples in pieces of some chunks."""
+        begun = None
+        for at in self._spans():
+            if begun is None:
+                begun = at
+            elif begun.stop == at.start and at.stop - begun.start <= READ:
+                begun = slice(begun.start, at.stop)
+            else:
+                yield begun
+                begun = at
+        if begun is not None:
+            yield begun
+
+    def _reduced(self, response: str) -> MonteCarlo:
+        """The study of one response, without values; of every check whether it is beyond its
+        limit."""
+        check_known("response", response, self.problem.response_names, " in this study")
+        columns, outcomes, beyond = [], [], []
+        for at in self._pieces():
+            found = self._samples.found(at)
+            finite = np.all([np.isfinite(own) for own in found.responses.values()], axis=0)
+            columns.append(np.where(finite, found.responses[response], np.nan))
+            outcomes.append(found.outcome.astype(np.int8))
+            beyond.append({c: np.asarray(own) for c, own in found.checks.beyond().items()})
+        if not columns:
+            raise ValueError(f"no sample of the campaign in {self.folder} is finished yet.")
+        checks = {
+            check: _as_figure(np.concatenate([own[check] for own in beyond])) for check in beyond[0]
+        }
+        column: Any = np.concatenate(columns)
+        outcome: Any = np.concatenate(outcomes)
+        reduced = SampleResult({response: column}, outcome, np.zeros_like(column), Checks(checks))
+        return self._study(np.zeros((len(column), 0)), reduced)
+
+    def _study(self, values: np.ndarray, found: Any) -> MonteCarlo:
+        names = [name for name in self.problem.response_names if name in found.responses]
+        return MonteCarlo(
+            self.problem,
+            values,
+            {name: found.responses[name] for name in names},
+            found.outcome,
+            found.ended,
+            self.seed,
+            self.plan.batch,
+            found.checks,
+            self._groups(),
+            self._unfinished(),
+        )
+
+
+def _as_figure(beyond: np.ndarray) -> Figure:
+    """A figure that is infinite where it is beyond its limit (samples,)."""
+    worst: Any = np.where(beyond, np.inf, 0.0).astype(np.float16)[:, None]
+    return Figure(worst, np.zeros_like(worst), ("",))

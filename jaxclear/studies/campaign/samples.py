@@ -1,0 +1,218 @@
+"""Samples of a campaign on disk: one Zarr group, an array for each kind of number, a mark for each
+chunk that is finished.
+
+A chunk of samples is a file in every array. Each file is written beside and renamed, and the mark
+comes last: whatever happens, a chunk is finished and whole, or it counts for nothing. Two processes
+that computed the same chunk wrote the same bytes.
+"""
+
+import json
+import os
+import secrets
+import shutil
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxclear.integrators import Check, Checks, Outcome
+from jaxclear.integrators.checks import Figure
+from jaxclear.studies.base import SampleResult
+from jaxclear.studies.campaign.plan import Plan
+from jaxclear.studies.campaign.versions import change, mark_of, told_versions
+from jaxclear.studies.store import checked_folder
+
+__all__ = ["Samples"]
+
+KIND = "a Monte Carlo campaign"
+SAMPLES, CLAIMS, VERSIONS = "samples.zarr", "claims", "versions"
+VALUES, RESPONSES, OUTCOME, ENDED = "values", "responses", "outcome", "ended"
+WORST, WHEN, FINISHED = "check_worst", "check_time", "finished"
+# An outcome that no sample has.
+UNKNOWN = -1
+
+
+class Samples:
+    """The samples in a folder: what is planned, what is finished, and the numbers of both."""
+
+    def __init__(self, folder: Path):
+        import zarr
+
+        self.folder = folder
+        self.group: Any = zarr.open_group(folder / SAMPLES, mode="r+")
+        self.told: dict[str, Any] = dict(self.group.attrs)
+        self.plan = Plan(**self.told["plan"])
+        self.figures = [tuple(figure) for figure in self.told["figures"]]
+        self.arrays: dict[str, Any] = dict(self.group.arrays())
+        self._mark: int | None = None
+
+    @classmethod
+    def opened(cls, folder: Any) -> "Samples":
+        """Those in a folder. Raises `ValueError` with a sentence where there are none."""
+        path = checked_folder(folder)
+        if not (path / SAMPLES / "zarr.json").exists():
+            raise ValueError(f"the folder {path} holds no campaign.")
+        return cls(path)
+
+    @classmethod
+    def known(cls, folder: Any) -> "Samples | None":
+        """Those in a folder; None in an empty one. Raises `ValueError` with a sentence where it
+        holds something else."""
+        path = checked_folder(folder)
+        if not (path / SAMPLES / "zarr.json").exists():
+            if path.exists() and any(not name.name.startswith(".") for name in path.iterdir()):
+                raise ValueError(
+                    f"the folder {path} is not empty and holds no campaign; give another one."
+                )
+            return None
+        return cls(path)
+
+    @classmethod
+    def made(cls, folder: Any, plan: Plan, told: dict, kind: SampleResult) -> "Samples":
+        """Room for the samples of a plan in a folder. `told`: all that is to be known of them, as
+        JSON; `kind`: what a batch of samples gives."""
+        import zarr
+
+        path = checked_folder(folder)
+        path.mkdir(parents=True, exist_ok=True)
+        figures = [
+            (check.name, place)
+            for check, own in kind.checks.figures.items()
+            for place in own.places
+        ]
+        # Made under a name of its own: two processes may begin at once, and one is too late.
+        beside = path / f".{SAMPLES}.{secrets.token_hex(8)}"
+        group = zarr.open_group(beside, mode="w")
+        group.attrs.put(told | {"what": KIND, "plan": plan._asdict(), "figures": figures})
+        columns = {VALUES: len(told["recorded"]["names"])}
+        columns |= {RESPONSES: len(kind.responses), WORST: len(figures), WHEN: len(figures)}
+        dims = {VALUES: "variable", RESPONSES: "response", WORST: "figure", WHEN: "figure"}
+        for name, width in columns.items():
+            if width:
+                _array(group, name, (plan.samples, width), plan.chunk, ("sample", dims[name]))
+        _array(group, ENDED, (plan.samples,), plan.chunk, ("sample",))
+        _array(group, OUTCOME, (plan.samples,), plan.chunk, ("sample",), np.int8, UNKNOWN)
+        _array(group, FINISHED, (plan.chunks,), 1, ("chunk",), np.int64, 0)
+        try:
+            beside.rename(path / SAMPLES)
+        except OSError:
+            shutil.rmtree(beside)
+        return cls(path)
+
+    def is_finished(self, number: int) -> bool:
+        """Whether a chunk is."""
+        return bool(self.arrays[FINISHED][number] != 0)
+
+    def finished(self) -> np.ndarray:
+        """Numbers of the finished chunks."""
+        return np.flatnonzero(self.arrays[FINISHED][:])
+
+    def write(self, number: int, values: np.ndarray, found: SampleResult) -> None:
+        """Keeps a chunk, and marks it as finished. Samples that failed have no responses."""
+        at = slice(*self.plan.span(number))
+        own = found.checks.figures
+        good = (found.outcome == Outcome.REACHED)[:, None]
+        names = self.told["recorded"]["response_names"]
+        responses = np.stack([found.responses[name] for name in names], axis=1)
+        self._put(VALUES, at, values)
+        self._put(RESPONSES, at, np.where(good, responses, np.nan))
+        if own:
+            self._put(WORST, at, np.concatenate([figure.worst for figure in own.values()], axis=1))
+            self._put(WHEN, at, np.concatenate([figure.time for figure in own.values()], axis=1))
+        self._put(OUTCOME, at, found.outcome)
+        self._put(ENDED, at, found.ended)
+        if self._mark is None:
+            self._mark = self._signed()
+        self.arrays[FINISHED][number] = self._mark
+
+    def _put(self, name: str, at: slice, numbers: Any) -> None:
+        self.arrays[name][at] = numbers
+
+    def read(self, name: str, at: slice) -> Any:
+        """Numbers of some samples."""
+        return self.arrays[name][at]
+
+    def found(self, at: slice) -> SampleResult:
+        """What was computed of some samples, as the problem gave it."""
+        names = self.told["recorded"]["response_names"]
+        responses = self.read(RESPONSES, at)
+        figures: dict[Check, Figure] = {}
+        if self.figures:
+            worst, time = self.read(WORST, at), self.read(WHEN, at)
+            for check in dict.fromkeys(check for check, _ in self.figures):
+                own = [i for i, (name, _) in enumerate(self.figures) if name == check]
+                places = tuple(self.figures[i][1] for i in own)
+                figures[Check[check]] = Figure(worst[:, own], time[:, own], places)
+        by_name = {name: responses[:, i] for i, name in enumerate(names)}
+        outcome = self.read(OUTCOME, at).astype(np.int32)
+        return SampleResult(by_name, outcome, self.read(ENDED, at), Checks(figures))
+
+    @contextmanager
+    def claimed(self, number: int) -> Iterator[bool]:
+        """Whether this thread may compute a chunk, or another one, of this process or of another,
+        is at it. The system takes claims back from processes that end."""
+        import filelock
+
+        path = self.folder / CLAIMS / f"{number:08d}"
+        path.parent.mkdir(exist_ok=True)
+        lock = filelock.FileLock(path, timeout=0, thread_local=False)
+        try:
+            lock.acquire()
+        except filelock.Timeout:
+            yield False
+            return
+        try:
+            yield True
+        finally:
+            lock.release()
+
+    def tidy(self) -> None:
+        """Takes away claims, and what chunks that were never finished left."""
+        shutil.rmtree(self.folder / CLAIMS, ignore_errors=True)
+        for left in self.folder.glob(f".{SAMPLES}.*"):
+            shutil.rmtree(left, ignore_errors=True)
+        for left in (self.folder / SAMPLES).rglob("*.partial"):
+            left.unlink(missing_ok=True)
+
+    def versions(self) -> dict[int, dict[str, str]]:
+        """Versions of the programs that computed finished chunks, by their mark."""
+        texts = [path.read_text() for path in sorted((self.folder / VERSIONS).glob("*.json"))]
+        return {mark_of(own): own for own in map(json.loads, texts)}
+
+    def _signed(self) -> int:
+        """The mark of this process, whose versions the folder then knows."""
+        now = told_versions()
+        place = self.folder / VERSIONS
+        place.mkdir(exist_ok=True)
+        path = place / f"{mark_of(now):x}.json"
+        beside = place / f".{secrets.token_hex(8)}"
+        beside.write_text(json.dumps(now, indent=1, sort_keys=True))
+        os.replace(beside, path)
+        return mark_of(now)
+
+    def warn_of_versions(self) -> None:
+        """A warning where chunks were computed by other versions than those to come."""
+        now = told_versions()
+        for before in self.versions().values():
+            differs = change(before, now)
+            if differs:
+                warnings.warn(
+                    f"chunks in {self.folder} were computed by other versions ({differs}); numbers "
+                    "may differ from theirs in the last digits.",
+                    stacklevel=4,
+                )
+
+
+def _array(group, name, shape, chunk, dims, kind=float, fill=np.nan):
+    """An empty array in chunks along its first axis."""
+    group.create_array(
+        name,
+        shape=shape,
+        chunks=(min(chunk, shape[0]), *shape[1:]),
+        dtype=kind,
+        fill_value=fill,
+        dimension_names=dims,
+    )

@@ -1,0 +1,179 @@
+"""Studies that are kept chunk by chunk: whatever happens to the process, the samples are those of
+the plain study, and no finished chunk is lost.
+"""
+
+import json
+import threading
+
+import jax.numpy as jnp
+import numpy as np
+import pandas
+import pytest
+
+import jaxclear as jc
+from jaxclear.native import stop
+from jaxclear.studies.campaign import work
+from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.sampling import draw, groups
+
+LIMITS = {"fit": (0.2, 0.9)}
+
+
+def fit(bore, pin):
+    """Not finite where the pin is thicker than the bore: about every tenth sample."""
+    return {"fit": jnp.sqrt(bore - pin), "area": bore**2 - pin**2}
+
+
+def problem(tolerance=0.9, function=fit):
+    sizes = {
+        "bore": jc.Dimension(10.3, tolerance=tolerance, unit="mm"),
+        "pin": jc.Dimension(10.0, jc.distribution.Uniform(0.1), unit="mm"),
+    }
+    return jc.FunctionProblem(function, sizes, units={"fit": "mm", "area": "mm2"})
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return jc.monte_carlo(problem(), 10_000, seed=3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("campaign") / "kept"
+    jc.campaign(problem(), 10_000, folder=place, seed=3)
+    return place
+
+
+def assert_same_study(one, other):
+    assert np.array_equal(one.values, other.values)
+    for name, own in one.responses.items():
+        assert np.array_equal(own, other.responses[name], equal_nan=True)
+    assert np.array_equal(one.outcome, other.outcome)
+
+
+def contents(place):
+    """Every file of a folder, by its path."""
+    return {
+        str(path.relative_to(place)): path.read_bytes()
+        for path in sorted(place.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_a_campaign_is_the_plain_study_bit_for_bit(plain, folder):
+    found = jc.open_campaign(folder, problem())
+    assert_same_study(found.sample, plain)
+    assert found.is_complete
+    assert found.finished == found.count == 10_000
+    assert len(plain.failed) > 100
+    assert np.array_equal(found.failed, plain.failed)
+    pandas.testing.assert_frame_equal(found.summary(LIMITS), plain.summary(LIMITS))
+    assert found.sentence() == plain.sentence()
+    assert found.rerun(7) == {name: own[7] for name, own in plain.responses.items()}
+
+
+def test_a_folder_is_read_without_its_problem(plain, folder):
+    found = jc.open_campaign(folder)
+    pandas.testing.assert_frame_equal(found.table(), plain.table())
+    pandas.testing.assert_frame_equal(found.summary(LIMITS), plain.summary(LIMITS))
+    dataset = found.to_dataset()
+    assert dataset["bore"].attrs["units"] == dataset["fit"].attrs["units"] == "mm"
+    assert dataset["area"].attrs["units"] == "mm2"
+    assert np.array_equal(dataset["fit"], plain.responses["fit"], equal_nan=True)
+    assert dataset.attrs["seed"] == 3
+    versions = json.loads(dataset.attrs["versions"])
+    assert len(versions) == 1
+    assert {"jaxclear", "jax", "python"} <= set(versions[0])
+    assert 'distribution of "bore"' in json.loads(dataset.attrs["problem"])
+    with pytest.raises(ValueError, match="opened without its problem"):
+        found.rerun(0)
+
+
+@pytest.mark.parametrize("sampling", ["sobol", "random"])
+def test_a_sample_is_drawn_by_its_number(sampling):
+    """Within a scrambling, over several of unequal length, at both ends."""
+    plain = jc.FunctionProblem(
+        lambda a, b: a + b,
+        {name: jc.Dimension(1.0, jc.distribution.Normal(0.1)) for name in "ab"},
+    )
+    whole = draw(plain, 1003, 7, sampling, 13)
+    assert len(whole) == len(groups(1003, 13)) == 1003
+    for span in ((0, 1), (70, 170), (903, 1003)):
+        assert np.array_equal(draw(plain, 1003, 7, sampling, 13, span), whole[slice(*span)])
+
+
+def test_chunks_and_scramblings_are_the_users(plain, tmp_path):
+    """Files are of another size; samples are the same. Other scramblings are another sample."""
+    found = jc.campaign(problem(), 10_000, folder=tmp_path / "a", seed=3, chunk=5000)
+    assert found.plan.chunk == 8192
+    assert_same_study(found.sample, plain)
+    asked = {"sampling": "random", "scramblings": 4, "seed": 1}
+    found = jc.campaign(problem(), 500, folder=tmp_path / "b", **asked)
+    assert_same_study(found.sample, jc.monte_carlo(problem(), 500, **asked))
+
+
+def test_an_interrupted_campaign_goes_on(plain, folder, tmp_path, monkeypatch):
+    """Ctrl-C after a chunk: that one is kept, a sentence says so, and the same call finishes."""
+    place = tmp_path / "kept"
+    write = Samples.write
+
+    def interrupted(self, number, values, found):
+        write(self, number, values, found)
+        stop()
+
+    monkeypatch.setattr(work, "threads_of", lambda: 1)
+    with monkeypatch.context() as patched:
+        patched.setattr(Samples, "write", interrupted)
+        with pytest.raises(KeyboardInterrupt, match=r"1 of 3 chunks \(of 4096 samples\) are kept"):
+            jc.campaign(problem(), 10_000, folder=place, seed=3)
+    partly = jc.open_campaign(place)
+    assert partly.finished == 4096
+    assert not partly.is_complete
+    assert "not complete: 4096 of 10000 samples" in partly.sentence()
+    assert np.array_equal(partly.values, plain.values[:4096])
+    assert int((partly.to_dataset()["outcome"] == -1).sum()) == 10_000 - 4096
+    written = []
+    monkeypatch.setattr(Samples, "write", lambda *a: (written.append(a[1]), write(*a)))
+    assert_same_study(jc.campaign(problem(), 10_000, folder=place, seed=3).sample, plain)
+    assert sorted(written) == [1, 2]
+    assert contents(place) == contents(folder)
+
+
+def test_two_at_one_folder_share_its_chunks(plain, folder, tmp_path):
+    """Each chunk is computed once; both wait for the other's and end with all samples."""
+    place = tmp_path / "kept"
+    found = []
+    ask = lambda: found.append(jc.campaign(problem(), 10_000, folder=place, seed=3))
+    others = [threading.Thread(target=ask) for _ in range(2)]
+    for other in others:
+        other.start()
+    for other in others:
+        other.join()
+    assert [one.finished for one in found] == [10_000] * 2
+    assert_same_study(found[0].sample, plain)
+    assert contents(place) == contents(folder)
+
+
+def test_another_problem_is_refused_with_what_differs(folder, tmp_path):
+    with pytest.raises(ValueError, match='distribution of "bore".standard_deviation is 0.3'):
+        jc.campaign(problem(0.8), 10_000, folder=folder, seed=3)
+    with pytest.raises(ValueError, match='distribution of "bore"'):
+        jc.open_campaign(folder, problem(0.8))
+    with pytest.raises(ValueError, match="with seed=3, not 4"):
+        jc.campaign(problem(), 10_000, folder=folder, seed=4)
+    with pytest.raises(ValueError, match="with samples=10000, not 20000"):
+        jc.campaign(problem(), 20_000, folder=folder, seed=3)
+    with pytest.raises(ValueError, match="holds no campaign"):
+        jc.open_campaign(tmp_path)
+    (tmp_path / "diary").write_text("mine")
+    with pytest.raises(ValueError, match="is not empty and holds no campaign"):
+        jc.campaign(problem(), 100, folder=tmp_path)
+    with pytest.raises(TypeError, match='no argument "samplng".*Did you mean'):
+        jc.campaign(problem(), 100, folder=tmp_path / "new", samplng="sobol")
+
+
+def test_chunks_of_other_versions_warn(folder, monkeypatch):
+    now = {"jax": "99.0"}
+    monkeypatch.setattr("jaxclear.studies.campaign.samples.told_versions", lambda: now)
+    with pytest.warns(UserWarning, match=r"jax 0\S* then, 99.0 now"):
+        jc.campaign(problem(), 10_000, folder=folder, seed=3)
