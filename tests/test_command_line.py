@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 import time
@@ -9,7 +10,9 @@ import time
 import pandas
 import pytest
 
-from jaxclear_command.cli import main
+import jaxclear as jc
+from jaxclear.commands import cli
+from jaxclear_command.cli import commands, main
 
 
 @pytest.mark.slow
@@ -80,8 +83,8 @@ def test_parameters_are_listed_with_units(capsys, keep_settings):
 
 
 MISTAKES = {
-    "study": (["four-barr"], 'no study "four-barr"; there are .* Did you mean "four-bar"'),
-    "nothing": ([], "a study must be named; there are four-bar"),
+    "study": (["four-barr"], 'no command "four-barr"; there are .* Did you mean "four-bar"'),
+    "nothing": ([], "a command must be named; there are .*four-bar"),
     "negative samples": (["four-bar", "--samples", "-4"], "whole number of at least 16"),
     "part of a sample": (["four-bar", "--samples", "16.5"], "whole number of at least 16"),
     "no duration": (["four-bar", "--duration", "0"], "a number of at least 0.01 s"),
@@ -95,6 +98,10 @@ MISTAKES = {
     "no life": (["wear-life", "--cycles", "0"], "a number of at least 1"),
     "argument": (["four-bar", "--sampels", "20"], 'Did you mean "--samples"'),
     "another study's": (["guide", "--samples", "20"], 'no argument "--samples"; there are'),
+    "no value": (["guide", "--clearance"], "jaxclear guide: --clearance: it must have a value"),
+    "a value too many": (["guide", "--quiet=1"], "--quiet: it takes no value"),
+    "another scene": (["design", "--scene", "antena"], 'Did you mean "antenna"'),
+    "the program's": (["--verson"], 'Did you mean "--version"'),
     "a word": (["parameters", "all"], 'no argument "all"'),
 }
 
@@ -110,9 +117,50 @@ def test_command_line_answers_a_mistake_with_a_sentence(mistake, capsys):
 
 
 def test_command_line_tells_its_version(capsys):
+    main(["--version"])
+    assert re.match(r"jaxclear \S+.*\(JAX \S+, Python \S+\)", capsys.readouterr().out)
+
+
+ENDS = {
+    "a run that ends early": (jc.SimulationError("it ended early.", None), 1),
+    "an interrupt": (KeyboardInterrupt(), 130),
+}
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_exit_code_tells_how_it_ended(end, monkeypatch, capsys, keep_settings):
+    reason, code = ENDS[end]
+
+    def stopped():
+        raise reason
+
+    monkeypatch.setitem(cli.COMMANDS, "parameters", stopped)
     with pytest.raises(SystemExit) as ended:
-        main(["--version"])
-    assert ended.value.code == 0 and capsys.readouterr().out.startswith("jaxclear ")
+        main(["parameters"])
+    said = capsys.readouterr().err.strip()
+    assert ended.value.code == code and re.fullmatch(r"jaxclear: (it|inter).*\.", said)
+
+
+def every_command():
+    group = commands()
+    return {"jaxclear": group} | group.commands
+
+
+@pytest.mark.parametrize("name", every_command())
+def test_every_command_shows_examples_and_understands_them(name, capsys):
+    group, command = commands(), every_command()[name]
+    assert command.examples
+    for example in command.examples:
+        program, *words = shlex.split(example)
+        assert program == "jaxclear"
+        if "--help" not in words:
+            # What is named must be there; a file of the reader's is this one.
+            words = [__file__ if word.endswith(".yaml") else word for word in words]
+            asked = group.commands[words[0]]
+            assert not asked.make_context(words[0], words[1:]).args
+    main(["--help"] if name == "jaxclear" else [name, "--help"])
+    shown = capsys.readouterr().out
+    assert "Examples:" in shown and all(example in shown for example in command.examples)
 
 
 def test_a_slip_of_the_pen_is_answered_without_jax():

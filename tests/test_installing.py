@@ -35,7 +35,7 @@ import jaxclear
 
 after = now()
 found = {
-    "changed": {name: [before[name], after[name]] for name in before if before[name] != after[name]},
+    "changed": {one: [before[one], after[one]] for one in before if before[one] != after[one]},
     "modules": sorted(sys.modules),
     "started": xla_bridge.backends_are_initialized(),
     "said": jaxclear.__doc__,

@@ -4,7 +4,6 @@ for both drives.
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
-import argparse
 import time
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from jaxclear.commands import antenna_figures as draw
 from jaxclear.commands.reported import report_warnings
 from jaxclear.scenes.antenna import BASE, BEARING_RADIUS, HOLD, JOINTS, KINDS, TIP, antenna
 
-__all__ = ["friction_runs", "friction_table", "motion_table", "run", "study"]
+__all__ = ["friction_runs", "friction_table", "motion_table", "study"]
 
 # Step of the runs [s]; benchmarks/claims/antenna.py shows what it costs in accuracy.
 STEP = 1e-3
@@ -31,11 +30,6 @@ STUCK = 1e-12
 # this interval [s].
 EXAGGERATION, CLOSE = 20.0, (0.75, 1.3)
 COULOMB, WIDE, NARROW = "Coulomb (sticks)", "three-zone, 0.1 m/s", "three-zone, 1 mm/s"
-
-
-def run(options: argparse.Namespace) -> None:
-    """Answers `jaxclear antenna`."""
-    study(options.out, options.duration)
 
 
 def _simulate(

@@ -1,14 +1,14 @@
-"""Answers the command line: `jaxclear four-bar`, `antenna`, `guide`, `flap`, `3rsr`, `wear-life`
-and `design` run studies, `jaxclear parameters` lists a scene's numbers with units.
+"""Answers the command line, with what `jaxclear_command` has read and found in order.
 
-What may be asked stands in `jaxclear_command`, which answers mistakes before this package is
-loaded. A new study is a module with a function `run`, a line here and an entry there.
+A study of a ready scene is a module with a function `study`, a line here and its declaration there.
+A click exception ends the process with its sentence; so does a run that ends early.
 """
 
-import argparse
 import os
 from pathlib import Path
+from typing import Any
 
+import click
 import jax
 
 import jaxclear as jc
@@ -29,13 +29,25 @@ STUDIES = {
 WORTH_KEEPING = 0.5
 
 
-def answer(options: argparse.Namespace) -> None:
-    """Runs what was asked."""
+def parameters() -> None:
+    """Prints the numbers of a scene."""
+    click.echo(jc.scenes.four_bar().parameters().to_string(index=False))
+
+
+COMMANDS = {"parameters": parameters} | {name: one.study for name, one in STUDIES.items()}
+
+
+def answer(name: str, options: dict[str, Any]) -> None:
+    """Runs the command of a name with its arguments, where `out` is a folder and `quiet` shows no
+    progress."""
     _keep_compiled_programs()
-    if options.command == "parameters":
-        print(jc.scenes.four_bar().parameters().to_string(index=False))
-        return
-    STUDIES[options.command].run(options)
+    given = {"folder" if one == "out" else one: value for one, value in options.items()}
+    if "quiet" in given:
+        given["show"] = not given.pop("quiet")
+    try:
+        COMMANDS[name](**given)
+    except jc.SimulationError as error:
+        raise click.ClickException(str(error)) from None
 
 
 def _keep_compiled_programs() -> None:

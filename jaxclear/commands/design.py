@@ -6,7 +6,6 @@ Writes figures (PNG), tables (CSV) and stores (Zarr) into a folder, from which a
 goes on, and prints what it found.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from jaxclear import plot
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP, antenna
 from jaxclear.scenes.four_bar import four_bar
 
-__all__ = ["QUESTIONS", "Asked", "antenna_question", "four_bar_question", "run", "study"]
+__all__ = ["QUESTIONS", "Asked", "antenna_question", "four_bar_question", "study"]
 
 # Clearances may be no smaller than this [m] in the worst case: room for oil and heat; assumed.
 LEAST_CLEARANCE = 10e-6
@@ -115,11 +114,6 @@ def four_bar_question() -> Asked:
 
 
 QUESTIONS = {"antenna": antenna_question, "four-bar": four_bar_question}
-
-
-def run(options: argparse.Namespace) -> None:
-    """Answers `jaxclear design`."""
-    study(options.scene, options.out, options.accuracy, not options.quiet)
 
 
 def study(scene: str, folder: Path, accuracy: float = 5e-3, show: bool = True) -> None:

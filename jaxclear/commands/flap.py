@@ -4,7 +4,6 @@ the shaft beside that of ideal joints, and who carries most as the lever ratio c
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
-import argparse
 import time
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from jaxclear.commands.reported import report_warnings
 from jaxclear.plot.canvas import MILLI, canvas, warned
 from jaxclear.scenes.flap import JOINTS, flap
 
-__all__ = ["run", "study"]
+__all__ = ["study"]
 
 # Steps that resolve the stiff dampers: at twice their length runs warn of creep.
 STEP = 1e-6
@@ -27,11 +26,6 @@ SAVES_PER_SECOND = 100_000
 LEVER_RATIOS = (0.5, 0.8, 1.0, 1.25, 2.0)
 # Of the runs over the lever ratio [s]: the first stroke.
 STROKE_TIME = 0.1
-
-
-def run(options: argparse.Namespace) -> None:
-    """Answers `jaxclear flap`."""
-    study(options.out, options.duration, not options.quiet)
 
 
 def simulated(rig: jc.Mechanism, duration: float, show: bool = False) -> Any:

@@ -4,7 +4,6 @@ lengths, and derivatives.
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
-import argparse
 import time
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from jaxclear import plot
 from jaxclear.commands.reported import report_samples, report_warnings
 from jaxclear.scenes.four_bar import CLEARANCES, four_bar
 
-__all__ = ["paper_runs", "problem", "run", "run_table", "study"]
+__all__ = ["paper_runs", "problem", "run_table", "study"]
 
 LARGEST = CLEARANCES[-1]
 # The follower's error is that in the plane of the mechanism; along the bearing's axis the journal
@@ -31,11 +30,6 @@ UNSHOWN = ("standard deviation", "5 %", "median", "95 %")
 TURN = 2 * np.pi / 10.0
 # Tolerances of the study (half of the allowed variation) [m]; assumed, of a usual machining grade.
 CLEARANCE_TOLERANCE, LENGTH_TOLERANCE = 20e-6, 20e-6
-
-
-def run(options: argparse.Namespace) -> None:
-    """Answers `jaxclear four-bar`."""
-    study(options.out, options.samples, options.duration, options.turns, not options.quiet)
 
 
 def paper_runs(duration: float, saves: int, show: bool) -> dict[float, Any]:

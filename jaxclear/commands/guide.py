@@ -4,7 +4,6 @@ run with a small clearance.
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
-import argparse
 import time
 from pathlib import Path
 from typing import Any
@@ -17,18 +16,13 @@ from jaxclear.commands import guide_figures as draw
 from jaxclear.commands.reported import report_warnings
 from jaxclear.scenes.guide import CRANK_SPEED, guide
 
-__all__ = ["impacts", "run", "study"]
+__all__ = ["impacts", "study"]
 
 TURN = 2 * np.pi / CRANK_SPEED
 # An even number of steps: one of them ends where the slider turns round.
 STEPS = 2000
 # Gap of the compliant run [m] and the tolerance it is integrated with.
 SMALL_CLEARANCE, RTOL = 1e-5, 1e-6
-
-
-def run(options: argparse.Namespace) -> None:
-    """Answers `jaxclear guide`."""
-    study(options.out, options.clearance, not options.quiet)
 
 
 def impacts(compliant: Any, instants: np.ndarray) -> pandas.DataFrame:

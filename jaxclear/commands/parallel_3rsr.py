@@ -5,7 +5,6 @@ difference as the clearance vanishes, worn volume over the drive angle, and the 
 Writes figures (PNG) and tables (CSV) into a folder and prints what it found.
 """
 
-import argparse
 import time
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from jaxclear.commands.reported import report_warnings
 from jaxclear.plot.canvas import MICRO, MILLI, canvas, warned
 from jaxclear.scenes.parallel_3rsr import PAPER, QUIET, RATTLING, parallel_3rsr, usual_drive
 
-__all__ = ["run", "study"]
+__all__ = ["study"]
 
 REGIMES = {"paper": PAPER, "quiet": QUIET, "rattling": RATTLING}
 CLEARANCES = (5e-4, 5e-5, 5e-6)
@@ -35,11 +34,6 @@ FACTOR = 25_000
 # Width of the moving mean, as a share of the cycle.
 WINDOW = 0.05
 AXES = "xyz"
-
-
-def run(options: argparse.Namespace) -> None:
-    """Answers `jaxclear 3rsr`."""
-    study(options.out, options.cycles, not options.quiet)
 
 
 def simulated(rig: jc.Mechanism, duration: float, state: Any = None, show: bool = False) -> Any:

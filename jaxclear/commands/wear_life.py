@@ -5,7 +5,6 @@ Writes figures (PNG), tables (CSV) and a store (Zarr) into a folder, from which 
 goes on, and prints what it found.
 """
 
-import argparse
 import math
 import time
 from pathlib import Path
@@ -23,7 +22,7 @@ from jaxclear.plot.canvas import MICRO, canvas, captioned, shades
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.life.result import WearLife
 
-__all__ = ["run", "study"]
+__all__ = ["study"]
 
 # Assumed: steel in oil. The paper's coefficient is a thousand times larger, to see wear in seconds.
 WEAR_COEFFICIENT = 2e-5
@@ -35,11 +34,6 @@ JOINT, SURFACE = "B", "bearing"
 SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)
 # Depth of which a life is told, as a share of the largest that was reached.
 TOLD = 0.5
-
-
-def run(options: argparse.Namespace) -> None:
-    """Answers `jaxclear wear-life`."""
-    study(options.out, options.cycles, options.tolerance, not options.quiet)
 
 
 def asked() -> jc.Problem:

@@ -1,87 +1,130 @@
-"""What a study may be asked: numbers with a range, a folder, flags; and sentences for what is
-wrong.
+"""What a command may be asked: numbers with a range, names, folders and files; each refuses with
+what was given and what it must be.
 """
 
-import argparse
-import difflib
 import math
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
-__all__ = ["Parser", "add_out", "add_quiet", "hint", "number", "whole"]
+import click
 
+from jaxclear_command.wording import hint
 
-def hint(name: str, known: Iterable[str]) -> str:
-    """ " Did you mean ...?" for the known name most like another; "" where none is."""
-    found = difflib.get_close_matches(name.lower(), list(known), 1)
-    return f' Did you mean "{found[0]}"?' if found else ""
+__all__ = ["flag", "number", "one_of", "out", "quiet", "readable_file", "store", "whole"]
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser that answers with one sentence, and takes no abbreviations."""
+def _refuse(text: str, wanted: str) -> NoReturn:
+    raise click.BadParameter(f"{text} was given; it must be {wanted}")
 
-    def __init__(self, **settings):
-        argparse.ArgumentParser.__init__(self, **settings | {"allow_abbrev": False})
-        self.flags: list[str] = []
 
-    def flag(self, name: str, text: str, **settings) -> None:
-        """An argument by name, with its text for --help."""
-        self.flags.append(name)
-        self.add_argument(name, help=text, **settings)
+class Read(click.ParamType):
+    """What a function makes of a text; `name` stands for it in --help."""
 
-    def error(self, message: str) -> NoReturn:
-        message = message.removeprefix("argument ")
-        if message.endswith("expected one argument"):
-            flag = message.partition(":")[0]
-            message = f"{flag}: it must have a value, a negative one as {flag}=-1"
-        stop = "" if message.endswith(("?", ".")) else "."
-        self.exit(2, f"{self.prog}: {message}{stop} See {self.prog} --help.\n")
+    def __init__(self, name: str, function: Callable[[str], Any]):
+        self.name, self.function = name, function
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The value; what is no text was made by this function before."""
+        return self.function(value) if isinstance(value, str) else value
+
+
+def number(least: float, unit: str, above: bool = False) -> Read:
+    """Finite numbers [unit] that are at least `least`, or above it."""
+    wanted = f"a number {'above' if above else 'of at least'} {least:g} {unit}".rstrip()
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            _refuse(text, wanted)
+        if not math.isfinite(value) or not (value > least if above else value >= least):
+            _refuse(text, wanted)
+        return value
+
+    return Read("number", read)
+
+
+def whole(least: int) -> Read:
+    """Whole numbers that are at least `least`; 1e5 is one."""
+    wanted = f"a whole number of at least {least}"
+
+    def read(text: str) -> int:
+        try:
+            value = int(text) if text.strip("+-").isdecimal() else float(text)
+        except ValueError:
+            _refuse(text, wanted)
+        if not math.isfinite(value) or value != int(value) or value < least:
+            _refuse(text, wanted)
+        return int(value)
+
+    return Read("whole number", read)
+
+
+def one_of(known: Iterable[str]) -> Read:
+    """One of some names."""
+    known = list(known)
+
+    def read(text: str) -> str:
+        if text not in known:
+            _refuse(text, f"{', '.join(known[:-1])} or {known[-1]}.{hint(text, known)}")
+        return text
+
+    return Read("|".join(known), read)
 
 
 def _folder(text: str) -> Path:
     """A folder that is there or can be made."""
     if not text.strip():
-        raise argparse.ArgumentTypeError("is empty; it must be a folder")
+        raise click.BadParameter("is empty; it must be a folder")
     path = Path(text)
     place = next(p for p in (path, *path.absolute().parents) if p.exists())
     if not place.is_dir():
-        raise argparse.ArgumentTypeError(f"{place} is a file; it must be a folder")
+        raise click.BadParameter(f"{place} is a file; it must be a folder")
     if not os.access(place, os.W_OK):
-        raise argparse.ArgumentTypeError(f"{place} may not be written to; give another folder")
+        raise click.BadParameter(f"{place} may not be written to; give another folder")
     return path
 
 
-def add_out(parser: Parser, default: str) -> None:
-    """`--out`: folder for figures and tables."""
-    text = f"folder for figures and tables (default {default})"
-    parser.flag("--out", text, type=_folder, default=Path(default))
+def _store(text: str) -> Path:
+    """A folder that is there."""
+    path = Path(text)
+    if not path.is_dir():
+        what = "is a file" if path.exists() else "is not there"
+        raise click.BadParameter(f"{text} {what}; it must be a folder that a study has written")
+    return path
 
 
-def add_quiet(parser: Parser) -> None:
+def _readable_file(text: str) -> Path:
+    """A file that is there and can be read; where there is none, the one with a like name."""
+    path = Path(text)
+    if path.is_dir():
+        raise click.BadParameter(f"{text} is a folder; it must be a file")
+    if not path.is_file():
+        place = path.parent
+        near = [p.name for p in place.iterdir() if p.is_file()] if place.is_dir() else []
+        raise click.BadParameter(f"no file {text}.{hint(path.name, near)}")
+    if not os.access(path, os.R_OK):
+        raise click.BadParameter(f"{text} may not be read")
+    return path
+
+
+store, readable_file = Read("folder", _store), Read("file", _readable_file)
+
+
+def flag(name: str, text: str, kind: Read, default: Any = None, shown: str = "") -> click.Option:
+    """An argument by name, with its text for --help; `shown`: the default in words."""
+    return click.Option(
+        [name], type=kind, default=default, help=text, show_default=shown or default is not None
+    )
+
+
+def out(default: str | None, text: str = "folder for figures and tables") -> click.Option:
+    """`--out`: where results are written."""
+    return flag("--out", text, Read("folder", _folder), default)
+
+
+def quiet() -> click.Option:
     """`--quiet`: no progress bars."""
-    parser.flag("--quiet", "no progress bars", action="store_true")
-
-
-def _read(text: str, kind: type, fits: Callable[[float], bool], wanted: str) -> float:
-    try:
-        value = kind(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text} was given; it must be {wanted}") from None
-    if not math.isfinite(value) or not fits(value):
-        raise argparse.ArgumentTypeError(f"{text} was given; it must be {wanted}")
-    return value
-
-
-def number(least: float, unit: str, above: bool = False) -> Callable[[str], float]:
-    """A reader of finite numbers [unit] that are at least `least`, or above it."""
-    wanted = f"a number {'above' if above else 'of at least'} {least:g} {unit}".rstrip()
-    fits = (lambda x: x > least) if above else (lambda x: x >= least)
-    return lambda text: _read(text, float, fits, wanted)
-
-
-def whole(least: int) -> Callable[[str], float]:
-    """A reader of whole numbers that are at least `least`."""
-    wanted = f"a whole number of at least {least}"
-    return lambda text: _read(text, int, lambda x: x >= least, wanted)
+    return click.Option(["--quiet"], is_flag=True, help="no progress bars")

@@ -1,155 +1,109 @@
-"""Reads the command line: `jaxclear four-bar`, `antenna`, `guide`, `flap`, `3rsr`, `wear-life` and
-`design` run studies, `jaxclear parameters` lists a scene's numbers with units.
+"""Reads the command line.
 
-A study is an entry in STUDIES, which declares its arguments, and a module of `jaxclear.commands`
-with a function `run`, which answers them.
+A command is declared here (`studies`, `files`), which answers mistakes at once, and answered by a
+function of its name in `jaxclear.commands.cli`. Exit codes: 0 done; 1 a run failed or ended early;
+2 what was typed cannot be; 130 interrupted.
 """
 
-import argparse
 import importlib
 import importlib.metadata
 import sys
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any
 
-from jaxclear_command.arguments import Parser, add_out, add_quiet, hint, number, whole
+import click
 
-__all__ = ["main", "read"]
+from jaxclear_command.declared import Command, Group
+from jaxclear_command.studies import studies
+from jaxclear_command.wording import said
 
+__all__ = ["main"]
 
-class Study(NamedTuple):
-    """What a study does, in words, and how its arguments are declared."""
-
-    help: str
-    declare: Callable[[Parser], None]
-
-
-def _four_bar(parser: Parser) -> None:
-    add_out(parser, "four_bar_study")
-    samples, duration, turns = (
-        "Monte Carlo samples (default 256)",
-        "simulated time of the paper's runs [s] (default 5)",
-        "turns of the crank in the Monte Carlo (default 2)",
-    )
-    parser.flag("--samples", samples, type=whole(16), default=256)
-    parser.flag("--duration", duration, type=number(0.01, "s"), default=5.0)
-    parser.flag("--turns", turns, type=number(0.01, ""), default=2.0)
-    add_quiet(parser)
+FAILED, MISTAKEN, INTERRUPTED = 1, 2, 130
+TEXT = "Mechanisms whose joints have clearance, contact, friction and wear."
+CODES = "0 done, 1 a run failed or ended early, 2 what was typed cannot be, 130 interrupted."
 
 
-def _antenna(parser: Parser) -> None:
-    add_out(parser, "antenna_study")
-    duration = "simulated time of the periodic drive [s] (default 4)"
-    parser.flag("--duration", duration, type=number(0.01, "s"), default=4.0)
+def answered(name: str) -> Callable[..., None]:
+    """What runs when a command is called."""
+
+    def answer(**options: Any) -> None:
+        # Only now, when there is something to compute: it loads JAX.
+        importlib.import_module("jaxclear.commands.cli").answer(name, options)
+
+    return answer
 
 
-def _guide(parser: Parser) -> None:
-    add_out(parser, "guide_study")
-    gap = "gap of the run with impacts [m] (default 1e-5)"
-    parser.flag("--clearance", gap, type=number(0.0, "m", above=True), default=1e-5)
-    add_quiet(parser)
-
-
-def _flap(parser: Parser) -> None:
-    add_out(parser, "flap_study")
-    duration = "simulated time [s] (default 0.5)"
-    parser.flag("--duration", duration, type=number(0.01, "s"), default=0.5)
-    add_quiet(parser)
-
-
-def _parallel_3rsr(parser: Parser) -> None:
-    add_out(parser, "3rsr_study")
-    cycles = "cycles over which the socket is worn (default 40)"
-    parser.flag("--cycles", cycles, type=whole(1), default=40)
-    add_quiet(parser)
-
-
-def _wear_life(parser: Parser) -> None:
-    add_out(parser, "wear_life_study")
-    cycles = "cycles of the machine's life (default 1e6)"
-    parser.flag("--cycles", cycles, type=number(1.0, ""), default=1e6)
-    tolerance = "error of the depth asked for, as a share of it (default 0.01)"
-    parser.flag("--tolerance", tolerance, type=number(0.0, "", above=True), default=0.01)
-    add_quiet(parser)
-
-
-def _design(parser: Parser) -> None:
-    scene = "antenna (pointing error) or four-bar (worn depth and follower error); default antenna"
-    parser.flag("--scene", scene, choices=("antenna", "four-bar"), default="antenna")
-    add_out(parser, "design_study")
-    accuracy = "by how much of itself a limit may be missed (default 0.005)"
-    parser.flag("--accuracy", accuracy, type=number(0.0, "", above=True), default=5e-3)
-    add_quiet(parser)
-
-
-STUDIES = {
-    "four-bar": Study(
-        "four-bar with three-dimensional clearance and wear: runs, Monte Carlo, derivatives",
-        _four_bar,
-    ),
-    "antenna": Study(
-        "antenna on a satellite with clearance and dry friction: motion, errors of the tip",
-        _antenna,
-    ),
-    "guide": Study(
-        "slider in a rotating guide: corner forces, switchings, impacts of a small clearance",
-        _guide,
-    ),
-    "flap": Study(
-        "flap actuation with four clearance joints: modes, impacts, forces, lever ratio", _flap
-    ),
-    "3rsr": Study(
-        "3RSR parallel mechanism: a ball's force in three regimes, its limit, its worn socket",
-        _parallel_3rsr,
-    ),
-    "wear-life": Study(
-        "wear of a bearing over a life: settled cycle, depth and forces over cycles, groove",
-        _wear_life,
-    ),
-    "design": Study(
-        "tolerances and clearances that cost least and keep limits on error and wear", _design
-    ),
-    "parameters": Study("all numbers of the four-bar with unit and meaning", lambda parser: None),
-}
-
-
-def _version() -> str:
+def _version_of(package: str) -> str:
     try:
-        return importlib.metadata.version("jaxclear")
+        return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
         return "of unknown version, not installed"
 
 
-def read(arguments: list[str]) -> argparse.Namespace:
-    """What was asked. Exits with a sentence for what cannot be."""
-    text = "Studies of mechanisms whose joints have clearance, contact, friction and wear."
-    parser = Parser(prog="jaxclear", description=text)
-    parser.add_argument("--version", action="version", version=f"jaxclear {_version()}")
-    commands = parser.add_subparsers(dest="command", required=True, parser_class=Parser)
-    readers = {}
-    for name, study in STUDIES.items():
-        readers[name] = commands.add_parser(name, help=study.help, description=study.help)
-        study.declare(readers[name])
-    first = next((word for word in arguments if not word.startswith("-")), "")
-    known = ", ".join(STUDIES)
-    if not arguments:
-        parser.error(f"a study must be named; there are {known}.")
-    if first and first not in STUDIES:
-        parser.error(f'no study "{first}"; there are {known}.{hint(first, STUDIES)}')
-    options, unknown = parser.parse_known_args(arguments)
-    if unknown:
-        reader = readers[options.command]
-        known = ", ".join(reader.flags) or "none"
-        near = hint(unknown[0], reader.flags)
-        reader.error(f'no argument "{unknown[0]}"; there are {known}.{near}')
-    return options
+def _tell_version(ctx: click.Context, param: click.Parameter, asked: bool) -> None:
+    if asked and not ctx.resilient_parsing:
+        python = ".".join(map(str, sys.version_info[:3]))
+        click.echo(
+            f"jaxclear {_version_of('jaxclear')} (JAX {_version_of('jax')}, Python {python})"
+        )
+        ctx.exit()
+
+
+def commands() -> Group:
+    """Every command of `jaxclear`."""
+    parameters = Command(
+        "parameters",
+        ["jaxclear parameters"],
+        answered("parameters"),
+        help="all numbers of the four-bar with unit and meaning",
+    )
+    version = click.Option(
+        ["--version"],
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=_tell_version,
+        help="this version, JAX's and Python's",
+    )
+    return Group(
+        {"Studies of ready scenes": studies(answered), "Look it up": [parameters]},
+        ["jaxclear four-bar --out study", "jaxclear four-bar --help"],
+        name="jaxclear",
+        help=f"{TEXT}\n\nExit codes: {CODES}",
+        params=[version],
+        # Without a command there is a sentence, not pages of help.
+        no_args_is_help=False,
+        context_settings={"max_content_width": 100},
+        subcommand_metavar="COMMAND [ARGUMENTS]",
+    )
+
+
+def _end(code: int, sentence: str, path: str = "jaxclear") -> None:
+    """Ends the process with a sentence."""
+    click.echo(f"{path}: {sentence}", err=True)
+    sys.exit(code)
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Entry point of the `jaxclear` command."""
-    options = read(sys.argv[1:] if arguments is None else arguments)
-    # Only now, when there is something to compute: it loads JAX.
-    importlib.import_module("jaxclear.commands.cli").answer(options)
+    """Entry point of the `jaxclear` command; returns where all was done, exits otherwise."""
+    group = commands()
+    try:
+        code = group.main(arguments, prog_name="jaxclear", standalone_mode=False)
+    except click.UsageError as error:
+        path = error.ctx.command_path if error.ctx else "jaxclear"
+        sentence = said(error)
+        if sentence == "Missing command.":
+            sentence = f"a command must be named; there are {', '.join(group.commands)}."
+        stop = "" if sentence.endswith(("?", ".")) else "."
+        _end(MISTAKEN, f"{sentence}{stop} See {path} --help.", path)
+    except click.ClickException as error:
+        _end(FAILED, error.format_message())
+    except (click.Abort, KeyboardInterrupt):
+        _end(INTERRUPTED, "interrupted.")
+    else:
+        if code:
+            sys.exit(code)
 
 
 if __name__ == "__main__":
