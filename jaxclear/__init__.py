@@ -31,7 +31,10 @@ from jaxclear import formulations as formulation
 from jaxclear import integrators as integrator
 from jaxclear.components import clearance, drive, joint, load
 from jaxclear.components.body import Body, Connection, Marker
+from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
+from jaxclear.files.scene import Scene
+from jaxclear.files.scene_file import read_scene, write_scene
 from jaxclear.ground import numerics, pose
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
@@ -82,6 +85,7 @@ from jaxclear import scenes  # isort: skip
 conformal = contact
 
 __all__ = [
+    "AbstractFunctionOfTime",
     "AbstractMechanismVariable",
     "AbstractProblem",
     "AbstractQuantified",
@@ -103,6 +107,7 @@ __all__ = [
     "Projection",
     "Saving",
     "Scalar",
+    "Scene",
     "SimulationError",
     "State",
     "Trajectory",
@@ -140,6 +145,7 @@ __all__ = [
     "pose",
     "positions",
     "quantity",
+    "read_scene",
     "reliability",
     "response",
     "scenes",
@@ -156,5 +162,6 @@ __all__ = [
     "wear_life_derivatives",
     "wear_lives",
     "worst_case",
+    "write_scene",
 ]
 __getattr__ = nothing_else("jaxclear", __all__)

@@ -27,14 +27,14 @@ FLOORS = (
     ("results",),
     ("simulation", "mesh"),
     ("studies",),
-    ("plot",),
+    ("files", "plot"),
     ("commands",),
 )
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS, LONGEST_LINE = 300, 50, 8, 100
 # Libraries that a run does without: loaded when a table, a data set or a kernel is asked for.
 LATE = {"pandas", "xarray", "matplotlib", "llvmlite", "meshio", "optax", "scipy"}
-LATE |= {"dask", "distributed", "filelock", "zarr"}
+LATE |= {"dask", "distributed", "filelock", "mujoco", "yaml", "zarr"}
 # The one class that its kind does not describe: gravity acts on every body, not on markers.
 ASKED_BY_NAME = {"Gravity"}
 NOTHING_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "core", "manager"}
@@ -169,9 +169,10 @@ def modules():
 
 def own_classes():
     found = {}
-    for module in (jaxclear, *modules()):
+    for module in modules():
         for _, kind in inspect.getmembers(module, inspect.isclass):
-            if issubclass(kind, eqx.Module) and kind.__module__.startswith("jaxclear"):
+            # Where it is defined, so that their order is not that of who imports whom.
+            if issubclass(kind, eqx.Module) and kind.__module__ == module.__name__:
                 found[f"{kind.__module__}.{kind.__qualname__}"] = kind
     return found
 

@@ -3,22 +3,32 @@ returns so many numbers. Looked at once, when the load or drive is built.
 """
 
 import math
+from abc import abstractmethod
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.quantity import as_number, as_vector
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, as_vector
 from jaxclear.ground.wording import described, public_name
 
 __all__ = [
+    "AbstractFunctionOfTime",
     "check_function_of_time",
     "number_or_function",
     "one_or_more_or_function",
     "value_at",
     "vector_or_function",
 ]
+
+
+class AbstractFunctionOfTime(AbstractQuantified):
+    """A function of time [s] that is told by its numbers, so that a file can hold it."""
+
+    @abstractmethod
+    def __call__(self, time: Scalar) -> Any:
+        """Its value, or several, at a time [s]."""
 
 
 def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)) -> None:

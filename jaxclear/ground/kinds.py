@@ -18,7 +18,14 @@ import numpy as np
 
 from jaxclear.ground.wording import described, offered_like, public_name
 
-__all__ = ["FieldRule", "as_given", "check_kinds", "field_rules", "range_in_words"]
+__all__ = [
+    "FieldRule",
+    "as_given",
+    "check_kinds",
+    "field_rules",
+    "members_of_union",
+    "range_in_words",
+]
 
 FLOAT64 = np.dtype("float64")
 SIMPLE: dict[Any, tuple[tuple[type, ...], str]] = {
@@ -78,7 +85,7 @@ def field_rules(kind: type) -> tuple[FieldRule, ...]:
 
 
 def _rule(field: dataclasses.Field) -> FieldRule | None:
-    kinds = tuple(_parts(field.type))
+    kinds = tuple(members_of_union(field.type))
     measured = "unit" in field.metadata
     counts = field.metadata.get("counts", ())
     several = measured and (tuple in kinds or "counts" in field.metadata)
@@ -109,11 +116,11 @@ def _rule(field: dataclasses.Field) -> FieldRule | None:
     )
 
 
-def _parts(declared: Any) -> Iterator[Any]:
+def members_of_union(declared: Any) -> Iterator[Any]:
     """The members of a union, or the type itself."""
     if isinstance(declared, UnionType) or get_origin(declared) is Union:
         for part in get_args(declared):
-            yield from _parts(part)
+            yield from members_of_union(part)
     else:
         yield declared
 
@@ -135,7 +142,7 @@ def _wanted(field, allowed, several, function, of_tuple, optional) -> str:
         words = [f"{length or 'some'} {what}s in a tuple"]
     else:
         words = [_family(kind) for kind in allowed]
-        words += [SIMPLE[kind][1] for kind in _parts(field.type) if kind in SIMPLE]
+        words += [SIMPLE[kind][1] for kind in members_of_union(field.type) if kind in SIMPLE]
         limits = range_in_words(field.metadata)
         words[-1:] = [f"{words[-1]}, {limits}"] if limits and words else words[-1:]
     words += ["a function of time"] if function and "unit" in field.metadata else []

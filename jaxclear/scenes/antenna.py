@@ -26,11 +26,12 @@ import jax.numpy as jnp
 
 from jaxclear.components import clearance as clearances
 from jaxclear.components.body import Body, Connection, Marker
+from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint import Free, Revolute
 from jaxclear.components.load import MotorTorque
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_known, check_number
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, ThreeZone
 from jaxclear.laws.material import steel
@@ -62,7 +63,7 @@ def __getattr__(name: str) -> Marker:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-class PeriodicTorque(AbstractQuantified):
+class PeriodicTorque(AbstractFunctionOfTime):
     """amplitude sin(2 pi frequency t)."""
 
     amplitude: Scalar = quantity(unit="N m", meaning="amplitude of the driving torque")
@@ -72,7 +73,7 @@ class PeriodicTorque(AbstractQuantified):
         return self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * time)
 
 
-class StepTorque(AbstractQuantified):
+class StepTorque(AbstractFunctionOfTime):
     """`amplitude` up to `push`, its opposite up to `brake`, then none; switched at once. Steps
     should end at these instants.
     """

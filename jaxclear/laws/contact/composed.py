@@ -147,6 +147,7 @@ def _product(
         for number, field in known.items()
     ]
     build.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    build.fields = known  # type: ignore[attr-defined]
     return build
 
 

@@ -1,0 +1,250 @@
+"""From the text of a file to plain values, each with its line: mappings, lists, texts, numbers.
+
+YAML is read event by event, so that depth and size are bounded before anything is built and a tag
+never becomes an object. Plain words are read as YAML 1.2 says (core schema: `1e-5` is a number,
+`on` a text). JSON is read by Python's own reader. Everything that is wrong ends in a `Misread`.
+"""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+from jaxclear.ground.wording import described
+
+__all__ = ["Misread", "Node", "misread", "parsed", "text_of"]
+
+# Largest file [bytes], values in it once aliases are written out, and nesting.
+LARGEST, MOST_VALUES, DEEPEST = 32_000_000, 1_000_000, 60
+# Longest number [characters]: Python refuses to read whole numbers of thousands of digits.
+LONGEST_NUMBER = 400
+YAML, JSON = (".yaml", ".yml"), (".json",)
+# YAML 1.2.2, section 10.3.2, https://yaml.org/spec/1.2.2/.
+NULLS = {"", "~", "null", "Null", "NULL"}
+FLAGS = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
+WHOLE = re.compile(r"[-+]?[0-9]+")
+DECIMAL = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+STRANGE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+
+
+class Misread(ValueError):
+    """A file that says what cannot be; the sentence names line and place."""
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A value of a file: a dictionary by name, a list, a text, a number, a flag or None. `line`: 0
+    where the reader does not tell it. `raw`: the text of what is written without quotes. `size`:
+    values in it."""
+
+    value: Any
+    line: int = 0
+    raw: str | None = None
+    size: int = 1
+
+    @property
+    def said(self) -> str:
+        """The value in a few words."""
+        if isinstance(self.value, dict):
+            names = ", ".join(self.value)[:60]
+            return f"a mapping of {names}" if names else "an empty mapping"
+        if isinstance(self.value, list):
+            return f"a list of {len(self.value)}"
+        return described(self.value)
+
+
+def misread(node: Node, path: str, sentence: str) -> Misread:
+    """What is wrong with a value at a place."""
+    line = f"line {node.line}, " if node.line else ""
+    return Misread(f"{line}{path}: {sentence}")
+
+
+def text_of(path: Path) -> str:
+    """The text of a file. Raises `Misread` for what is no text file of bearable size."""
+    try:
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "does not exist"
+            raise Misread(f"{what}; give the path of a file.")
+        if path.stat().st_size > LARGEST:
+            raise Misread(f"has {path.stat().st_size} bytes; it may have {LARGEST} at the most.")
+        return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise Misread(f"is no text in UTF-8 (byte {error.start}).") from None
+    except OSError as error:
+        raise Misread(f"cannot be read: {error.strerror}.") from None
+
+
+def parsed(text: str, suffix: str) -> Node:
+    """The values in a text of YAML or JSON, by the file's ending. Raises `Misread`."""
+    if suffix.lower() in JSON:
+        return _of_json(text)
+    if suffix.lower() in YAML:
+        return _of_yaml(text)
+    raise Misread(f'ends in "{suffix}"; a scene file ends in .yaml, .yml or .json.')
+
+
+def _of_json(text: str) -> Node:
+    try:
+        found = json.loads(text, object_pairs_hook=_Pairs, parse_constant=_no_number)
+    except json.JSONDecodeError as error:
+        raise Misread(f"line {error.lineno}: {error.msg} (JSON).") from None
+    except RecursionError:
+        raise Misread(f"is nested more than {DEEPEST} deep.") from None
+    except Misread:
+        raise
+    except ValueError:
+        raise Misread("holds a whole number of thousands of digits.") from None
+    return _of_value(found, 0)
+
+
+class _Pairs(list):
+    """What stands in an object of JSON: names may come twice."""
+
+
+def _no_number(word: str) -> NoReturn:
+    raise Misread(f"holds {word}, which is no number of JSON.")
+
+
+def _of_value(value: Any, depth: int) -> Node:
+    if depth > DEEPEST:
+        raise Misread(f"is nested more than {DEEPEST} deep.")
+    if isinstance(value, _Pairs):
+        found: dict[str, Node] = {}
+        for name, inner in value:
+            if name in found:
+                raise Misread(f'the name "{name[:60]}" stands twice in one mapping.')
+            found[name] = _of_value(inner, depth + 1)
+        return Node(found)
+    if isinstance(value, list):
+        return Node([_of_value(inner, depth + 1) for inner in value])
+    return Node(value)
+
+
+class _Open:
+    """A mapping or list that is being read."""
+
+    def __init__(self, named: bool, line: int, anchor: str | None):
+        self.named, self.line, self.anchor = named, line, anchor
+        self.values: Any = {} if named else []
+        self.name: str | None = None
+        self.size = 1
+
+    def take(self, node: Node) -> None:
+        """The next name or value."""
+        if not self.named:
+            self.values.append(node)
+        elif self.name is None:
+            self.name = _name(node, self.values)
+            return
+        else:
+            self.values[self.name] = node
+            self.name = None
+        self.size += node.size
+
+
+def _name(node: Node, known: dict) -> str:
+    name = node.raw if node.raw is not None else node.value
+    if not isinstance(name, str):
+        raise Misread(f"line {node.line}: a name is {node.said}; it must be a text.")
+    if name in known:
+        raise Misread(f'line {node.line}: the name "{name[:60]}" stands twice in one mapping.')
+    return name
+
+
+def _of_yaml(text: str) -> Node:
+    import yaml
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        return _built(yaml.parse(text, Loader=loader), yaml)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = "" if mark is None else f"line {mark.line + 1}: "
+        raise Misread(f"{line}{error.problem or error.context} (YAML).") from None
+    except yaml.YAMLError as error:
+        raise Misread(f"{str(error).splitlines()[0].rstrip('.')} (YAML).") from None
+    except RecursionError:
+        raise Misread(f"is nested more than {DEEPEST} deep.") from None
+
+
+def _built(events: Any, yaml: Any) -> Node:
+    """The one document of a stream of events."""
+    anchors: dict[str, Node | None] = {}
+    stack: list[_Open] = []
+    found: Node | None = None
+    for event in events:
+        node = _closed_or_scalar(event, yaml, anchors, stack)
+        if node is None:
+            continue
+        if node.size > MOST_VALUES or (stack and stack[-1].size > MOST_VALUES):
+            raise Misread(
+                f"line {node.line}: holds more than {MOST_VALUES} values, aliases written out."
+            )
+        if stack:
+            stack[-1].take(node)
+        elif found is not None:
+            raise Misread(f"line {node.line}: a second document begins; a file holds one.")
+        else:
+            found = node
+    if found is None:
+        raise Misread("is empty.")
+    return found
+
+
+def _closed_or_scalar(event: Any, yaml: Any, anchors: dict, stack: list[_Open]) -> Node | None:
+    """The value that ends with an event; None where none does."""
+    line = event.start_mark.line + 1
+    if isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
+        if len(stack) == DEEPEST:
+            raise Misread(f"line {line}: is nested more than {DEEPEST} deep.")
+        named = isinstance(event, yaml.MappingStartEvent)
+        _check_tag(event.tag, ("map",) if named else ("seq",), line)
+        if event.anchor:
+            anchors[event.anchor] = None
+        stack.append(_Open(named, line, event.anchor))
+        return None
+    if isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent)):
+        closed = stack.pop()
+        node = Node(closed.values, closed.line, None, closed.size)
+        if closed.anchor:
+            anchors[closed.anchor] = node
+        return node
+    if isinstance(event, yaml.ScalarEvent):
+        node = _scalar(event, line)
+        if event.anchor:
+            anchors[event.anchor] = node
+        return node
+    if isinstance(event, yaml.AliasEvent):
+        if anchors.get(event.anchor) is None:
+            raise Misread(f'line {line}: the alias "{event.anchor[:60]}" names nothing above it.')
+        return anchors[event.anchor]
+    return None
+
+
+def _scalar(event: Any, line: int) -> Node:
+    plain = event.implicit[0]
+    _check_tag(event.tag, ("str", "int", "float", "bool", "null"), line)
+    if not plain and event.tag in (None, "!", "tag:yaml.org,2002:str"):
+        return Node(event.value, line)
+    text = event.value
+    if text in NULLS:
+        return Node(None, line)
+    if text in FLAGS:
+        return Node(FLAGS[text], line, text)
+    if len(text) <= LONGEST_NUMBER:
+        if WHOLE.fullmatch(text):
+            return Node(int(text), line, text)
+        if DECIMAL.fullmatch(text) or STRANGE.fullmatch(text):
+            return Node(float(text.replace(".inf", "inf").replace(".nan", "nan")), line, text)
+    return Node(text, line, text)
+
+
+def _check_tag(tag: str | None, known: tuple[str, ...], line: int) -> None:
+    """A tag would name a type of another program: only YAML's own are read."""
+    plain = ("!", *(f"tag:yaml.org,2002:{word}" for word in known))
+    if tag is not None and tag not in plain:
+        raise Misread(
+            f'line {line}: the tag "{tag[:60]}" asks for an object; a scene file holds mappings, '
+            "lists, texts and numbers only."
+        )
