@@ -15,9 +15,10 @@ from jax.flatten_util import ravel_pytree
 from jaxclear.integrators import Checks
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.life.cycle import Cycle, asked_of, cycle, first_state, kind_of_cycle
+from jaxclear.studies.life.nodes import Cells, Rate
 from jaxclear.studies.life.prediction import Place, predicted, units_of_coordinates
 from jaxclear.studies.life.settling import Patience, Settling, settle
-from jaxclear.studies.life.steps import Cells, CycleFailed, Rate
+from jaxclear.studies.life.steps import CycleFailed
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store import Store
 

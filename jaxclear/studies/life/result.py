@@ -16,8 +16,8 @@ from jaxclear.results.response import concerned
 from jaxclear.results.saved_state import State
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.life.curves import first_crossing, through_rates, without_overshoot
+from jaxclear.studies.life.nodes import Cells, Node
 from jaxclear.studies.life.settling import Settling
-from jaxclear.studies.life.steps import Cells, Node
 from jaxclear.studies.problem import Problem
 
 # A normal variable stays within this many deviations in 95 % of cases.

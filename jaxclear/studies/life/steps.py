@@ -6,6 +6,7 @@ is the error of its second-order answer, far too large for that; multiplied by 3
 relative change of the rate over the step it is the error of the third-order answer, 1.75 times too
 large where wear dies away exponentially. What is too large for rates that change smoothly (cycles
 that settle now here, now there) counts as noise; where shorter steps do not help they are taken.
+What the whole life may be off by is told once all its steps are known (`trust`).
 
 An error is a root mean square over the cells of a surface, as a share of what it wears in the step,
 of the worst surface: so the shares asked for are those of a whole life.
@@ -14,10 +15,15 @@ Source: Bogacki & Shampine 1989, Appl. Math. Lett. 2, 321, doi:10.1016/0893-9659
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import diffrax
 import numpy as np
+
+from jaxclear.studies.life.nodes import Cells, Node, Rate, Trial
+from jaxclear.studies.life.trust import trusted
+
+__all__ = ["CycleFailed", "Stepped", "live", "live_along", "live_by_jumps"]
 
 TABLEAU = diffrax.Bosh3.tableau
 WEIGHTS, ERRORS = np.asarray(TABLEAU.b_sol), np.asarray(TABLEAU.b_error)
@@ -39,8 +45,6 @@ TOLD = 2.0
 SAFETY, GROWTH, LEAST = 0.9, 3.0, 0.1
 # A step that is this many times too long is given up after its second rate.
 HOPELESS = 2.0
-# A surface that wears less than this share of the one that wears most is judged beside that.
-NEGLIGIBLE = 0.01
 # Noise that an estimate consists of within two standard errors is no error.
 CONFIDENCE = 2.0
 # So many cycles of a life may fail, each shortening its step, before it ends.
@@ -49,53 +53,6 @@ MOST_FAILURES = 6
 
 class CycleFailed(RuntimeError):
     """A rate that does not exist; the sentence says why."""
-
-
-class Rate(NamedTuple):
-    """Depth [m] that a cycle wears in each cell, its standard error, the number of cycles that it
-    took to know it, and what else these told."""
-
-    wear: np.ndarray
-    noise: np.ndarray
-    cost: int
-    told: Any = None
-
-
-class Cells(NamedTuple):
-    """How the cells of all surfaces stand in one row: those of each surface, and all their areas
-    [m2]."""
-
-    surfaces: tuple[slice, ...]
-    areas: np.ndarray
-
-    def sizes(self, depths: np.ndarray) -> np.ndarray:
-        """Root mean square over the cells of each surface."""
-        squares = self.areas * depths * depths
-        return np.array(
-            [np.sqrt(squares[own].sum() / self.areas[own].sum()) for own in self.surfaces]
-        )
-
-    def shares(self, errors: np.ndarray, of: np.ndarray) -> np.ndarray:
-        """Sizes of errors as shares of those of something else, by surface."""
-        whole = self.sizes(of)
-        whole = np.maximum(whole, NEGLIGIBLE * whole.max(initial=0.0))
-        return np.divide(self.sizes(errors), whole, out=np.zeros(len(whole)), where=whole > 0)
-
-    def each(self, values: np.ndarray) -> np.ndarray:
-        """For each cell the value of its surface."""
-        return np.repeat(values, [own.stop - own.start for own in self.surfaces])
-
-
-class Node(NamedTuple):
-    """A point of a life: after so many `cycles` the `depth` [m] of each cell and the `rate`; since
-    the start the `error` [m], by surface, and the variance [m2] that noise has left in each
-    cell."""
-
-    cycles: float
-    depth: np.ndarray
-    rate: Rate
-    error: np.ndarray
-    variance: np.ndarray
 
 
 class Stepped(NamedTuple):
@@ -126,6 +83,7 @@ def live(
     nodes, rejected, failures, length = [start], 0, 0, first
     refused: tuple[float, float] | None = None
     scatter = 0.0
+    trials: list[Trial] = []
     while cycles - nodes[-1].cycles > 1e-9 * cycles:
         now, left = nodes[-1], cycles - nodes[-1].cycles
         length = left / np.ceil(left / length - 1e-9)
@@ -135,27 +93,28 @@ def live(
                 length = max(length, 1.0) * GROWTH
                 hear(min(1.0, left) / cycles)
                 continue
-            after, error = _stepped(evaluate, now, cells, length, tolerance)
+            trial, error = _stepped(evaluate, now, cells, length, tolerance)
         except CycleFailed as reason:
             failures, rejected = failures + 1, rejected + 1
             if failures > MOST_FAILURES or length <= 1.0:
-                return Stepped(tuple(nodes), rejected, str(reason))
+                return Stepped(trusted(nodes, trials, cells, OF_SCATTER), rejected, str(reason))
             length *= LEAST
             continue
+        trials += [trial] if trial else []
         factor = GROWTH if error == 0 else SAFETY * (tolerance / error) ** (1 / 3)
         # Errors of steps fall with their length; one that does not is none, and is only told.
         helps = refused is None or error < refused[1] * length / refused[0]
-        if after is None or (error > max(tolerance, scatter) and helps):
+        if trial is None or (error > max(tolerance, scatter) and helps):
             rejected, refused = rejected + 1, (length, error)
         else:
-            nodes.append(after)
+            nodes.append(trial.after)
             hear(length / cycles)
             if error > tolerance:
                 scatter = max(scatter, TOLD * error)
                 factor = max(1.0, refused[0] / length if refused else 1.0)
             refused = None
         length *= float(np.clip(factor, LEAST, GROWTH))
-    return Stepped(tuple(nodes), rejected, "")
+    return Stepped(trusted(nodes, trials, cells, OF_SCATTER), rejected, "")
 
 
 def live_along(
@@ -167,20 +126,21 @@ def live_along(
 ) -> Stepped:
     """Steps of these lengths, whatever their errors: those of another life."""
     nodes, cycles = [start], float(np.sum(lengths))
+    trials: list[Trial] = []
     for length in map(float, lengths):
         now = nodes[-1]
         try:
-            after = (
-                _one_by_one(evaluate, now, length)
-                if length <= 1.0
-                else _stepped(evaluate, now, cells, length, np.inf)[0]
-            )
+            if length <= 1.0:
+                nodes.append(_one_by_one(evaluate, now, length))
+            else:
+                trial, _ = _stepped(evaluate, now, cells, length, np.inf)
+                assert trial is not None
+                trials.append(trial)
+                nodes.append(trial.after)
         except CycleFailed as reason:
-            return Stepped(tuple(nodes), 0, str(reason))
-        assert after is not None
-        nodes.append(after)
+            return Stepped(trusted(nodes, trials, cells, OF_SCATTER), 0, str(reason))
         hear(length / cycles)
-    return Stepped(tuple(nodes), 0, "")
+    return Stepped(trusted(nodes, trials, cells, OF_SCATTER), 0, "")
 
 
 def live_by_jumps(
@@ -218,9 +178,9 @@ def _one_by_one(evaluate: Evaluate, now: Node, length: float) -> Node:
 
 def _stepped(
     evaluate: Evaluate, now: Node, cells: Cells, length: float, tolerance: float
-) -> tuple[Node | None, float]:
-    """(the node after a step of `length` cycles, None where it is hopeless; its error as a share of
-    what it wears)."""
+) -> tuple[Trial | None, float]:
+    """(a step of `length` cycles, None where it is hopeless; its error as a share of what it
+    wears)."""
     rates = [now.rate]
     for row in STAGES:
         depth = now.depth + length * sum(a * own.wear for a, own in zip(row, rates, strict=True))
@@ -240,11 +200,11 @@ def _stepped(
     scattered = shares - smooth
     error = smooth * OF_THIRD_ORDER * change
     left = sum((w * r.noise) ** 2 for w, r in zip(WEIGHTS, rates, strict=True))
-    part = np.divide(scattered, shares, out=np.zeros_like(shares), where=shares > 0)
-    variance = now.variance + length**2 * left + (OF_SCATTER * estimate * cells.each(part)) ** 2
     whole = now.error + error * cells.sizes(grown)
     told = float((error + OF_SCATTER * scattered).max(initial=0.0))
-    return Node(now.cycles + length, depth, rates[-1], whole, variance), told
+    variance = now.variance + length**2 * left
+    after = Node(now.cycles + length, depth, rates[-1], whole, variance)
+    return Trial(after, estimate, shares, SMOOTH * change**2), told
 
 
 def _change(cells: Cells, one: Rate, other: Rate) -> float:
