@@ -1,27 +1,39 @@
 """Figures of runs and studies: `jaxclear.plot`. Every function returns a matplotlib figure and
-neither shows nor saves it.
+neither shows nor saves it; given axes as `ax`, it draws in them and returns them. `animate` makes
+a page of a run that moves.
 """
 
 from jaxclear.ground.answering import nothing_else
+from jaxclear.plot.animation import animate
 from jaxclear.plot.design import design, design_front
+from jaxclear.plot.joints import hysteresis, journal_orbit
 from jaxclear.plot.life import wear_life
 from jaxclear.plot.modes import modes
 from jaxclear.plot.motion import angular_velocity, displacement, end_centres, journal_ends
 from jaxclear.plot.pointing import pointing_budget
+from jaxclear.plot.portraits import bifurcation, phase_portrait, poincare_section
+from jaxclear.plot.spectrum import spectrum
 from jaxclear.plot.studies import monte_carlo, sensitivity, work_precision
 from jaxclear.plot.wear import wear_surface, wear_unrolled
 
 __all__ = [
     "angular_velocity",
+    "animate",
+    "bifurcation",
     "design",
     "design_front",
     "displacement",
     "end_centres",
+    "hysteresis",
     "journal_ends",
+    "journal_orbit",
     "modes",
     "monte_carlo",
+    "phase_portrait",
+    "poincare_section",
     "pointing_budget",
     "sensitivity",
+    "spectrum",
     "wear_life",
     "wear_surface",
     "wear_unrolled",

@@ -1,24 +1,34 @@
-"""What the figures share: an empty canvas, shades of one colour, readable units, a joint's setting
-for a title, the warnings of the runs shown for a caption.
+"""What the figures share: an empty canvas or the user's axes, shades of one colour, readable units,
+a joint's setting for a title, the warnings of the runs shown for a caption.
+
+Every function of the room takes `ax`. Without it the function makes a figure and returns that, so
+that a notebook shows it and `.savefig` keeps it. With it the function draws there and returns the
+axes, as matplotlib's users expect: one axes, or as many as the figure has panels.
 """
 
 import textwrap
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from jaxclear.ground.arguments import expect
+from jaxclear.ground.wording import described
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = [
     "MICRO",
     "MILLI",
+    "Panels",
     "canvas",
     "captioned",
     "check_run",
+    "over_time",
+    "panels",
     "readable",
     "setting",
     "shades",
@@ -29,12 +39,104 @@ MILLI, MICRO = 1e3, 1e6
 # A caption holds so many sentences, in letters of this size [pt]; so many of them fill an inch, and
 # a line is so high [inch].
 MOST_SENTENCES, LETTERS, PER_INCH, LINE = 3, 7, 18, 0.13
+# Letters in a line of sentences within a panel.
+IN_PANEL = 70
 
 
 def canvas(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.5), **kwargs: Any):
     """An empty figure of `size` [inch] and its axes."""
     figure = Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, **kwargs)
+
+
+class Panels(NamedTuple):
+    """Where is drawn: the `axes` of the panels, an array; `figure` is that of the function, None
+    where the user gave the axes."""
+
+    figure: Figure | None
+    axes: np.ndarray
+
+    @property
+    def one(self) -> Any:
+        """The first panel, or the only one."""
+        return self.axes.flat[0]
+
+    @property
+    def whole(self) -> Any:
+        """The figure in which the panels stand."""
+        return self.one.get_figure()
+
+    def title(self, text: str, **kwargs: Any) -> None:
+        """What stands above all panels."""
+        if self.figure is None or self.axes.size == 1:
+            self.one.set_title(text, **kwargs)
+        else:
+            self.figure.suptitle(text, **kwargs)
+
+    def legend(self, *lines: Any, **kwargs: Any) -> None:
+        """What all panels share; handles and labels, by default the first panel's."""
+        handles, labels = lines or self.one.get_legend_handles_labels()
+        if self.figure is None:
+            self.one.legend(handles, labels, fontsize=7)
+        else:
+            settled: Any = {"fontsize": 8, "loc": "outside lower center", "ncols": 5} | kwargs
+            self.figure.legend(handles, labels, **settled)
+
+    def done(self, sentences: Sequence[str] = ()) -> Any:
+        """What the function returns, with sentences below it (in the last panel where the axes are
+        the user's)."""
+        if self.figure is not None:
+            return captioned(self.figure, sentences)
+        if sentences:
+            text = "\n".join(textwrap.fill(one, IN_PANEL) for one in _few(sentences))
+            last = self.axes.flat[-1]
+            place = {"transform": last.transAxes, "va": "bottom", "fontsize": 0.8 * LETTERS}
+            # A panel in space has a depth besides.
+            last.text(0.01, 0.01, *([0.0] if last.name == "3d" else []), text, color="C3", **place)
+        return self.one if self.axes.size == 1 else self.axes
+
+
+def panels(
+    what: str,
+    ax: Any,
+    rows: int = 1,
+    columns: int = 1,
+    size: tuple[float, float] = (7.0, 4.5),
+    space: bool = False,
+    **kwargs: Any,
+) -> Panels:
+    """New panels of a figure of `size` [inch], or the `ax` that the user gave; `space`: in three
+    dimensions. Raises `ValueError` unless these are as many as the figure `what` has."""
+    if ax is None:
+        if space:
+            kwargs["subplot_kw"] = {"projection": "3d", "computed_zorder": False}
+        figure, axes = canvas(rows, columns, size, squeeze=False, **kwargs)
+        return Panels(figure, axes)
+    given = list(ax.flat) if isinstance(ax, np.ndarray) else ax
+    given = list(given) if isinstance(given, Iterable) else [given]
+    count, name = rows * columns, "3d" if space else "rectilinear"
+    wanted = "one axes" if count == 1 else f"{count} axes"
+    if len(given) != count or not all(isinstance(one, Axes) for one in given):
+        raise ValueError(
+            f"ax of plot.{what} is {described(ax)}; it must be {wanted} of matplotlib."
+        )
+    if space and any(one.name != name for one in given):
+        raise ValueError(f'plot.{what} draws in space: give axes with projection="3d".')
+    if not space and any(one.name == "3d" for one in given):
+        raise ValueError(f"plot.{what} draws in the plane: give axes without projection.")
+    found = np.empty(count, object)
+    found[:] = given
+    return Panels(None, found.reshape(rows, columns))
+
+
+def over_time(axis: Any, x: np.ndarray, y: np.ndarray, time: np.ndarray) -> LineCollection:
+    """A curve coloured by time [s]; the axis is widened to hold it."""
+    points = np.stack([x, y], -1)
+    lines = LineCollection(list(np.stack([points[:-1], points[1:]], 1)), cmap="viridis", lw=1.0)
+    lines.set_array(time[:-1])
+    axis.add_collection(lines)
+    axis.autoscale_view()
+    return lines
 
 
 def shades(count: int) -> list:
@@ -49,7 +151,8 @@ def check_run(run: Any) -> None:
 
 def setting(run: Trajectory, joint: str) -> str:
     """The joint's clearance and the duration of the run, for a title."""
-    clearance = float(run.mechanism.connections[joint].joint.clearance)
+    own: Any = run.mechanism.connections[joint].joint
+    clearance = float(getattr(own, "gap", own).clearance)
     return f" (clearance {MILLI * clearance:g} mm, {float(run.time[-1]):g} s)"
 
 
@@ -57,9 +160,7 @@ def captioned(figure: Figure, sentences: Sequence[str]) -> Figure:
     """The figure, made higher by the sentences below it; as it is without any."""
     if not sentences:
         return figure
-    said = list(sentences[:MOST_SENTENCES])
-    if len(sentences) > MOST_SENTENCES:
-        said.append(f"And {len(sentences) - MOST_SENTENCES} more.")
+    said = _few(sentences)
     width = int(PER_INCH * figure.get_figwidth())
     text = "\n".join(textwrap.fill(sentence, width) for sentence in said)
     below = LINE * (text.count("\n") + 2)
@@ -75,7 +176,14 @@ def captioned(figure: Figure, sentences: Sequence[str]) -> Figure:
     return figure
 
 
-def warned(figure: Figure, runs: Mapping[str, Trajectory]) -> Figure:
+def _few(sentences: Sequence[str]) -> list[str]:
+    said = list(sentences[:MOST_SENTENCES])
+    if len(sentences) > MOST_SENTENCES:
+        said.append(f"And {len(sentences) - MOST_SENTENCES} more.")
+    return said
+
+
+def warned(figure: Figure | Panels, runs: Mapping[str, Trajectory]) -> Any:
     """The figure with what the runs it shows warn of below it; `runs` by what they are called
     ("" where there is one)."""
     sentences = [
@@ -83,7 +191,7 @@ def warned(figure: Figure, runs: Mapping[str, Trajectory]) -> Figure:
         for name, run in runs.items()
         for sentence in run.warnings
     ]
-    return captioned(figure, sentences)
+    return figure.done(sentences) if isinstance(figure, Panels) else captioned(figure, sentences)
 
 
 def readable(values: np.ndarray, unit: str) -> tuple[float, str]:

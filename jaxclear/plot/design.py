@@ -5,27 +5,26 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import canvas, captioned, readable
+from jaxclear.plot.canvas import panels, readable
 from jaxclear.studies.design.result import Design
 
 __all__ = ["design", "design_front"]
 
 
-def design(found: Design) -> Figure:
+def design(found: Design, *, ax: Any = None) -> Any:
     """Nominal values with their tolerances, before and after; how much of each limit is used up,
-    with 95 % errors, by the last verification; cost over the rounds."""
+    with 95 % errors, by the last verification; cost over the rounds. `ax`: three axes to draw
+    in."""
     expect(found, Design, "the design", "what jaxclear.design returns")
     names = found.question.freedom.names
     height = 2.2 + 0.34 * max(len(names), len(found.limits))
-    figure, axes = canvas(1, 3, (13.0, height), width_ratios=(1.2, 1.2, 0.9))
-    _widths(axes[0], found)
-    _limits(axes[1], found)
-    _history(axes[2], found)
-    figure.suptitle(found.sentence().partition(". ")[0] + ".", fontsize=10)
-    return captioned(figure, [] if found.holds else [found.sentence()])
+    sheet = panels("design", ax, 1, 3, (13.0, height), width_ratios=(1.2, 1.2, 0.9))
+    for draw, axis in zip((_widths, _limits, _history), sheet.axes.flat, strict=True):
+        draw(axis, found)
+    sheet.title(found.sentence().partition(". ")[0] + ".", fontsize=10)
+    return sheet.done([] if found.holds else [found.sentence()])
 
 
 def _widths(axis: Any, found: Design) -> None:
@@ -92,14 +91,16 @@ def _folded(text: str, width: int = 26) -> str:
     return "\n".join(lines)
 
 
-def design_front(found: Sequence[Design], limit: int = 0) -> Figure:
-    """Cost against the bound of one limit, its designs that hold full and the others hollow."""
+def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> Any:
+    """Cost against the bound of one limit, its designs that hold full and the others hollow.
+    `ax`: axes to draw in."""
     for one in found:
         expect(one, Design, "a design of the front", "one that jaxclear.design_front returns")
     bounds = np.array([float(one.limits[limit].bound()) for one in found])
     factor, unit = readable(bounds, found[0].unit(limit))
     costs, held = np.array([one.cost for one in found]), np.array([one.holds for one in found])
-    figure, axis = canvas(size=(5.6, 3.8))
+    sheet = panels("design_front", ax, size=(5.6, 3.8))
+    axis = sheet.one
     axis.plot(factor * bounds, costs, "-", color="C0", lw=1.2)
     axis.plot(factor * bounds[held], costs[held], "o", color="C0", label="holds")
     if not held.all():
@@ -108,4 +109,4 @@ def design_front(found: Sequence[Design], limit: int = 0) -> Figure:
     axis.set_xlabel(f"{found[0].limits[limit].words()} [{unit}]", fontsize=8)
     axis.set_ylabel("cost")
     axis.legend(fontsize=8)
-    return figure
+    return sheet.done()

@@ -3,10 +3,9 @@
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import canvas, captioned, readable
+from jaxclear.plot.canvas import panels, readable
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 
 __all__ = ["wear_life"]
@@ -20,29 +19,34 @@ MOST_BESIDE = 3
 LEAST_SHARE = 1e-8
 
 
-def wear_life(life: WearLife) -> Figure:
+def wear_life(life: WearLife, *, ax: Any = None) -> Any:
     """Largest depth and volume of every surface, and every response, over the cycles of a life: the
     curves between stages, the stages as dots, 95 % errors as bands (depth, volume) and bars
-    (responses that are means over cycles). Below: what limits the trust in them."""
+    (responses that are means over cycles). Below: what limits the trust in them.
+    `ax`: as many axes as there are quantities."""
     expect(life, WearLife, "the life", "what jaxclear.wear_life returns")
     names = life.problem.response_names
-    panels = [DEPTH, VOLUME, *names]
-    columns = 2 if len(panels) == 4 else min(len(panels), MOST_BESIDE)
-    rows = -(-len(panels) // columns)
-    figure, axes = canvas(rows, columns, (4.2 * columns, 3.2 * rows), squeeze=False, sharex=True)
-    for axis, name in zip(axes.flat, panels, strict=False):
+    shown = [DEPTH, VOLUME, *names]
+    columns = 2 if len(shown) == 4 else min(len(shown), MOST_BESIDE)
+    if ax is not None:
+        columns = len(shown)
+    rows = -(-len(shown) // columns)
+    size = (4.2 * columns, 3.2 * rows)
+    sheet = panels("wear_life", ax, rows, columns, size, sharex=True)
+    axes = sheet.axes
+    for axis, name in zip(axes.flat, shown, strict=False):
         _response(axis, life, name) if name in names else _worn(axis, life, name)
-    for axis in axes.flat[len(panels) :]:
+    for axis in axes.flat[len(shown) :]:
         axis.remove()
     for column in range(columns):
-        last = max(i for i in range(len(panels)) if i % columns == column)
+        last = max(i for i in range(len(shown)) if i % columns == column)
         axes.flat[last].set_xlabel("cycles")
         axes.flat[last].tick_params(labelbottom=True)
         axes.flat[last].ticklabel_format(axis="x", scilimits=(0, 0))
     short = f"{life.cycles[-1]:.4g} cycles of machine life from {life.simulated} simulated ones"
-    figure.suptitle(short, fontsize=10)
+    sheet.title(short, fontsize=10)
     said = [f"Ended early: {life.ended}"] if life.ended else []
-    return captioned(figure, [*said, *(f"Warning: {one}" for one in life.warnings)])
+    return sheet.done([*said, *(f"Warning: {one}" for one in life.warnings)])
 
 
 def _worn(axis: Any, life: WearLife, kind: str) -> None:

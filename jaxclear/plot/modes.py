@@ -1,9 +1,10 @@
 """Strip chart of how journals move in their bearings."""
 
-from matplotlib.figure import Figure
+from typing import Any
+
 from matplotlib.patches import Patch
 
-from jaxclear.plot.canvas import MILLI, canvas, check_run, warned
+from jaxclear.plot.canvas import MILLI, check_run, panels, warned
 from jaxclear.results.modes import Mode
 from jaxclear.results.trajectory import Trajectory
 
@@ -15,15 +16,16 @@ LEAST_WIDTH = 1e-3
 BAR = 0.8
 
 
-def modes(run: Trajectory, *joints: str) -> Figure:
+def modes(run: Trajectory, *joints: str, ax: Any = None) -> Any:
     """Free flight, impact and contact over time, a strip for each joint (all with clearance by
-    default). Impacts are drawn on top, and never too thin to be seen.
+    default). Impacts are drawn on top, and never too thin to be seen. `ax`: axes to draw in.
     """
     check_run(run)
     names = joints or tuple(run.formulation.contact_joints(run.mechanism))
     colours = {mode.label: colour for mode, colour in COLOURS.items()}
     span = MILLI * float(run.time[-1] - run.time[0])
-    figure, axes = canvas(1, 1, (9.0, 1.3 + 0.45 * len(names)))
+    sheet = panels("modes", ax, size=(9.0, 1.3 + 0.45 * len(names)))
+    axes = sheet.one
     for row, name in enumerate(names):
         for label, phases in run.modes(name).groupby("mode"):
             start = MILLI * phases["from [s]"].to_numpy()
@@ -40,10 +42,6 @@ def modes(run: Trajectory, *joints: str) -> Figure:
     axes.set_xlim(MILLI * float(run.time[0]), MILLI * float(run.time[-1]))
     axes.set_xlabel("time [ms]")
     axes.set_title("Modes of motion of the journals")
-    figure.legend(
-        handles=[Patch(color=colour, label=mode.label) for mode, colour in COLOURS.items()],
-        loc="outside lower center",
-        ncols=len(COLOURS),
-        fontsize=8,
-    )
-    return warned(figure, {"": run})
+    patches = [Patch(color=colour) for colour in COLOURS.values()]
+    sheet.legend(patches, [mode.label for mode in COLOURS], ncols=len(COLOURS))
+    return warned(sheet, {"": run})

@@ -1,25 +1,28 @@
 """Figures of one run's motion beside the ideal mechanism's, and of a journal in its bearing."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import MICRO, MILLI, canvas, check_run, setting, shades, warned
+from jaxclear.plot.canvas import MICRO, MILLI, check_run, panels, setting, shades, warned
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["angular_velocity", "displacement", "end_centres", "journal_ends"]
 
 
-def displacement(runs: Mapping[str, Trajectory], ideal: Trajectory, body: str) -> Figure:
+def displacement(
+    runs: Mapping[str, Trajectory], ideal: Trajectory, body: str, *, ax: Any = None
+) -> Any:
     """Path of a body's centre of mass in x and y for several runs beside the ideal one, and their
-    distance from it.
+    distance from it. `ax`: three axes to draw in.
     """
     expect(runs, Mapping, "runs", "a dictionary of runs by the label of each")
     for one in (*runs.values(), ideal):
         check_run(one)
-    figure, axes = canvas(3, 1, (8.0, 8.5), sharex=True)
+    sheet = panels("displacement", ax, 3, 1, (8.0, 8.5), sharex=True)
+    axes = sheet.axes.flat
     reference = np.asarray(ideal.body(body).com)
     for axis, k, letter in zip(axes[:2], (0, 1), "xy", strict=True):
         axis.plot(ideal.time, MILLI * reference[:, k], "k--", lw=1.2, label="ideal", zorder=3)
@@ -40,24 +43,25 @@ def displacement(runs: Mapping[str, Trajectory], ideal: Trajectory, body: str) -
     axes[2].set_ylabel("distance from ideal [µm]")
     axes[2].set_xlabel("time [s]")
     axes[2].set_ylim(bottom=0)
-    figure.legend(
-        *axes[0].get_legend_handles_labels(),
-        ncols=5,
-        fontsize=8,
-        title="radial clearance",
-        loc="outside lower center",
-    )
+    sheet.legend(title="radial clearance")
     axes[0].set_title(f"Centre of mass of the {body}")
-    return warned(figure, {**runs, "ideal": ideal})
+    return warned(sheet, {**runs, "ideal": ideal})
 
 
 def angular_velocity(
-    run: Trajectory, ideal: Trajectory, body: str, label: str = "with clearance"
-) -> Figure:
-    """Angular velocity of a body about z with clearance and without, and their difference."""
+    run: Trajectory,
+    ideal: Trajectory,
+    body: str,
+    label: str = "with clearance",
+    *,
+    ax: Any = None,
+) -> Any:
+    """Angular velocity of a body about z with clearance and without, and their difference. `ax`:
+    two axes to draw in."""
     for one in (run, ideal):
         check_run(one)
-    figure, axes = canvas(2, 1, (8.0, 6.0), sharex=True)
+    sheet = panels("angular_velocity", ax, 2, 1, (8.0, 6.0), sharex=True)
+    axes = sheet.axes.flat
     own, other = (np.asarray(r.body(body).spin)[:, 2] for r in (run, ideal))
     axes[0].plot(run.time, own, color="C0", lw=1.2, label=label)
     axes[0].plot(ideal.time, other, "k--", lw=0.9, label="ideal")
@@ -68,18 +72,19 @@ def angular_velocity(
     axes[1].axhline(0.0, color="k", lw=0.6)
     axes[1].set_ylabel("difference from ideal [rad/s]")
     axes[1].set_xlabel("time [s]")
-    return warned(figure, {label: run, "ideal": ideal})
+    return warned(sheet, {label: run, "ideal": ideal})
 
 
-def journal_ends(run: Trajectory, joint: str) -> Figure:
+def journal_ends(run: Trajectory, joint: str, *, ax: Any = None) -> Any:
     """Centres of the journal's two ends in the bearing's end planes, with the clearance circle.
 
     Indentation is of the order of a thousandth of the clearance, so points in contact lie on the
-    circle.
+    circle. `ax`: two axes to draw in.
     """
     ends = end_centres(run, joint)
     clearance = float(run.mechanism.connections[joint].joint.clearance)
-    figure, axes = canvas(1, 2, (9.0, 4.8), sharex=True, sharey=True)
+    sheet = panels("journal_ends", ax, 1, 2, (9.0, 4.8), sharex=True, sharey=True)
+    axes = sheet.axes.flat
     turn = np.linspace(0, 2 * np.pi, 400)
     for axis, end, label in zip(
         axes, ends, ("lower end (z = -L/2)", "upper end (z = L/2)"), strict=True
@@ -105,9 +110,9 @@ def journal_ends(run: Trajectory, joint: str) -> Figure:
         axis.set_title(label)
         axis.set_xlabel("x in the bearing [µm]")
     axes[0].set_ylabel("y in the bearing [µm]")
-    figure.suptitle(f"Ends of the journal of {joint}{setting(run, joint)}")
+    sheet.title(f"Ends of the journal of {joint}{setting(run, joint)}")
     axes[1].legend(loc="upper right", fontsize=8)
-    return warned(figure, {"": run})
+    return warned(sheet, {"": run})
 
 
 def end_centres(run: Trajectory, joint: str) -> np.ndarray:

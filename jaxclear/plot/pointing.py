@@ -1,21 +1,23 @@
 """Figure of a tip's error: over time, and shared out among the joints."""
 
+from typing import Any
+
 import numpy as np
-from matplotlib.figure import Figure
 
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import canvas, captioned, readable
+from jaxclear.plot.canvas import panels, readable
 from jaxclear.results.pointing_error import PointingError, shift, turn
 
 __all__ = ["pointing_budget"]
 
 
-def pointing_budget(error: PointingError) -> Figure:
+def pointing_budget(error: PointingError, *, ax: Any = None) -> Any:
     """Pointing and position error of a tip over time, exact beside the adjoint model, with what
     each joint contributes; beside it the root mean squares, each with its share of the mean
-    square."""
+    square. `ax`: four axes to draw in, over time and beside it, row by row."""
     expect(error, PointingError, "the error", "what jaxclear.pointing_error returns")
-    figure, axes = canvas(2, 2, (10.0, 6.4), width_ratios=(2.4, 1.0))
+    sheet = panels("pointing_budget", ax, 2, 2, (10.0, 6.4), width_ratios=(2.4, 1.0))
+    axes = sheet.axes
     table = error.budget()
     quantities = (
         ("pointing", error.pointing_angle, turn, "rad"),
@@ -48,8 +50,6 @@ def pointing_budget(error: PointingError) -> Figure:
         beside.invert_yaxis()
         beside.set_xlabel(f"rms [{unit}]; %: share of its square")
     axes[1][0].set_xlabel("time [s]")
-    figure.legend(
-        *axes[0][0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=5
-    )
-    figure.suptitle(f'Error of the tip on "{error.tip}" seen from "{error.base}"')
-    return captioned(figure, [f"Warning: {sentence}" for sentence in error.warnings])
+    sheet.legend()
+    sheet.title(f'Error of the tip on "{error.tip}" seen from "{error.base}"')
+    return sheet.done([f"Warning: {sentence}" for sentence in error.warnings])

@@ -5,10 +5,9 @@ from typing import Any
 
 import matplotlib.ticker
 import numpy as np
-from matplotlib.figure import Figure
 
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import canvas, captioned, readable
+from jaxclear.plot.canvas import panels, readable
 from jaxclear.studies.advice.advice import Advice
 from jaxclear.studies.advice.curve import PRESENT, REFERENCE
 from jaxclear.studies.advice.pilot import describe
@@ -25,12 +24,13 @@ LARGEST_ERROR = 10.0
 VERDICT_WIDTH = 70
 
 
-def monte_carlo(study: MonteCarlo) -> Figure:
-    """Histogram of every response over the sample, with mean and 5 to 95 % range."""
+def monte_carlo(study: MonteCarlo, *, ax: Any = None) -> Any:
+    """Histogram of every response over the sample, with mean and 5 to 95 % range.
+    `ax`: one axes for each response."""
     expect(study, MonteCarlo, "the study", "what jaxclear.monte_carlo returns")
     names = list(study.responses)
-    figure, axes = canvas(1, len(names), (4.6 * len(names), 3.8), squeeze=False)
-    for axis, name in zip(axes[0], names, strict=True):
+    sheet = panels("monte_carlo", ax, 1, len(names), (4.6 * len(names), 3.8))
+    for axis, name in zip(sheet.axes.flat, names, strict=True):
         values = study.responses[name]
         values = values[np.isfinite(values)]
         factor, unit = readable(values, study.problem.units()[name])
@@ -40,11 +40,9 @@ def monte_carlo(study: MonteCarlo) -> Figure:
         axis.axvspan(low, high, color="C1", alpha=0.25, label="5 to 95 %", zorder=0)
         axis.set_xlabel(f"{name} [{unit}]")
         axis.set_ylabel("samples")
-    figure.legend(
-        *axes[0][0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=2
-    )
-    figure.suptitle(f"Monte Carlo, {study.count} samples, {len(study.failed)} failed")
-    return captioned(figure, _warned_samples(study))
+    sheet.legend(ncols=2)
+    sheet.title(f"Monte Carlo, {study.count} samples, {len(study.failed)} failed")
+    return sheet.done(_warned_samples(study))
 
 
 def _warned_samples(study: MonteCarlo) -> list[str]:
@@ -64,14 +62,14 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
     return told
 
 
-def sensitivity(study: Sensitivity) -> Figure:
+def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
     """Every derivative by every method, with its 95 % interval; a method that refused is named, not
-    drawn.
+    drawn. `ax`: one axes for each derivative.
     """
     expect(study, Sensitivity, "the study", "what jaxclear.sensitivity returns")
     entries = list(study.derivatives.items())
-    figure, axes = canvas(1, len(entries), (4.6 * len(entries), 3.6), squeeze=False)
-    for axis, ((response, variable), derivative) in zip(axes[0], entries, strict=True):
+    sheet = panels("sensitivity", ax, 1, len(entries), (4.6 * len(entries), 3.6))
+    for axis, ((response, variable), derivative) in zip(sheet.axes.flat, entries, strict=True):
         labels = [*derivative.estimates, "answer"]
         answers: list[Any] = [*derivative.estimates.values(), derivative]
         for row, answer in enumerate(answers):
@@ -96,20 +94,21 @@ def sensitivity(study: Sensitivity) -> Figure:
         axis.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
         axis.set_xlabel(f"d({response}) / d({variable}) [{study.unit(response, variable)}]")
         axis.set_title(textwrap.fill(derivative.verdict, VERDICT_WIDTH), fontsize=8)
-    return figure
+    return sheet.done()
 
 
-def work_precision(advice: Advice) -> Figure:
+def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     """Error of every trial against its cost alone, one line a method, with the accuracy asked and
     the recommended setting.
 
     Lines: the pilot; hollow marks: what was then run over the whole problem. Grey: the reference,
     and what it cannot tell from no error. Runs that failed are not drawn; errors outside are drawn
-    at the edge, LARGEST_ERROR or the lower end of the grey.
+    at the edge, LARGEST_ERROR or the lower end of the grey. `ax`: axes to draw in.
     """
     expect(advice, Advice, "the advice", "what jaxclear.advise returns")
     found, first = advice.comparison, advice.stages[0]
-    figure, axis = canvas(1, 1, (8.0, 5.4))
+    sheet = panels("work_precision", ax, size=(8.0, 5.4))
+    axis = sheet.one
     known = max(criterion.trust for criterion in found.criteria.values())
     floor = max(0.3 * min(known, found.accuracy), 1e-12)
     table = advice.table().rename(columns={"wall s per simulated s": "cost"})
@@ -126,7 +125,7 @@ def work_precision(advice: Advice) -> Figure:
         rows = table[(table["method"] == name) & short]
         axis.plot(rows["cost"], rows["error"], marker, ms=6, color="0.35", label=name)
     best = table[table["recommended"]]
-    ring = {"ms": 14, "mfc": "none", "mec": "k", "mew": 1.6}
+    ring: dict[str, Any] = {"ms": 14, "mfc": "none", "mec": "k", "mew": 1.6}
     axis.plot(best["cost"], best["error"], "o", label="recommended", **ring)
     asked = f"accuracy asked, {100 * found.accuracy:g} %"
     axis.axhline(found.accuracy, color="C3", ls="--", lw=1.0, label=asked)
@@ -138,6 +137,5 @@ def work_precision(advice: Advice) -> Figure:
     axis.set_ylabel(f"largest error of a response [1]{over}")
     cheapest = f"cheapest in batches of {found.batch}" if found.batch else "cheapest alone"
     axis.set_title(f"Recommended, {cheapest}: {describe(advice.recommended)}", fontsize=10)
-    lines = axis.get_legend_handles_labels()
-    figure.legend(*lines, fontsize=8, loc="outside lower center", ncols=3)
-    return captioned(figure, advice.warnings())
+    sheet.legend(ncols=3)
+    return sheet.done(advice.warnings())

@@ -5,9 +5,8 @@ from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
-from jaxclear.plot.canvas import MICRO, MILLI, canvas, check_run, setting, warned
+from jaxclear.plot.canvas import MICRO, MILLI, check_run, panels, setting, warned
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["wear_surface", "wear_unrolled"]
@@ -68,17 +67,18 @@ def _wear(run: Trajectory, joint: str, surface: str) -> tuple[Any, Wall, np.ndar
     return wear_map, SHAPES.get(surface, _cylinder)(wear_map), depth
 
 
-def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing") -> Figure:
+def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing", *, ax: Any = None) -> Any:
     """Worn depth over direction and position along the axis, the wall rolled out flat; beside it
-    the deepest cell of each row.
+    the deepest cell of each row. `ax`: two axes to draw in.
     """
     _, wall, depth = _wear(run, joint, surface)
-    figure, axes = canvas(1, 2, (9.5, 4.2), width_ratios=(3.2, 1.0), sharey=True)
+    sheet = panels("wear_unrolled", ax, 1, 2, (9.5, 4.2), width_ratios=(3.2, 1.0), sharey=True)
+    axes = sheet.axes.flat
     around = np.linspace(0, 360, depth.shape[0] + 1)
     mesh = axes[0].pcolormesh(
         around, wall.edges, MICRO * depth.T, cmap="inferno", norm=_stretched(MICRO * depth)
     )
-    figure.colorbar(mesh, ax=axes[0], label="worn depth [µm] (colour ~ square root)")
+    sheet.whole.colorbar(mesh, ax=axes[0], label="worn depth [µm] (colour ~ square root)")
     axes[0].set_xlabel(wall.round_about.format(surface))
     axes[0].set_ylabel(wall.along)
     axes[0].set_title(f"Worn depth of the {surface} of {joint}, unrolled{setting(run, joint)}")
@@ -86,7 +86,7 @@ def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing") -> Figu
     middles, widths = 0.5 * (wall.edges[1:] + wall.edges[:-1]), np.diff(wall.edges)
     axes[1].barh(middles, MICRO * depth.max(axis=0), height=widths, color="C1")
     axes[1].set_xlabel("deepest in row [µm]")
-    return warned(figure, {"": run})
+    return warned(sheet, {"": run})
 
 
 def _stretched(values):
@@ -94,10 +94,15 @@ def _stretched(values):
 
 
 def wear_surface(
-    run: Trajectory, joint: str, surface: str = "bearing", exaggeration: float | None = None
-) -> Figure:
+    run: Trajectory,
+    joint: str,
+    surface: str = "bearing",
+    exaggeration: float | None = None,
+    *,
+    ax: Any = None,
+) -> Any:
     """The worn wall in space, depth exaggerated so that the deepest place shows as a fifth of the
-    radius.
+    radius. `ax`: axes in space to draw in.
     """
     wear_map, wall, depth = _wear(run, joint, surface)
     radius = float(wear_map.radius)
@@ -106,14 +111,14 @@ def wear_surface(
     padded = np.pad(ringed, ((0, 0), (1, 1)), mode="edge")
     corners = 0.25 * (padded[:-1, :-1] + padded[1:, :-1] + padded[:-1, 1:] + padded[1:, 1:])
     across, upward, heights = wall.places(MILLI * (radius + factor * corners))
-    figure = Figure(figsize=(7.5, 6.0), layout="constrained")
-    axis = figure.add_subplot(projection="3d", computed_zorder=False)
+    sheet = panels("wear_surface", ax, size=(7.5, 6.0), space=True)
+    axis = sheet.one
     norm = _stretched(MICRO * depth)
     colours = matplotlib.colormaps["YlOrRd"](norm(MICRO * depth))
     grid = {"edgecolor": (0, 0, 0, 0.06), "linewidth": 0.2, "rstride": 1, "cstride": 1}
     axis.plot_surface(across, upward, heights, facecolors=colours, shade=False, **grid)
     scale = matplotlib.cm.ScalarMappable(norm, "YlOrRd")
-    figure.colorbar(
+    sheet.whole.colorbar(
         scale, ax=axis, label="worn depth [µm] (colour ~ square root)", shrink=0.7, pad=0.12
     )
     axis.set_xlabel("x [mm]")
@@ -126,4 +131,4 @@ def wear_surface(
     deepest = np.degrees(float(wear_map.angles()[column]))
     rise = wall.rise(0.5 * (wall.edges[row] + wall.edges[row + 1]))
     axis.view_init(elev=rise, azim=deepest + 25.0)
-    return warned(figure, {"": run})
+    return warned(sheet, {"": run})

@@ -1,0 +1,215 @@
+"""A run as an animation in one file: `jaxclear.plot.animate`.
+
+The scene in space is K3D's (three.js inside), whose page holds all its scripts; beside it the page
+magnifies every joint with clearance. It opens without a server, and loads nothing from the network.
+"""
+
+import base64
+import html
+import importlib.util
+import json
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import matplotlib
+import matplotlib.colors
+import numpy as np
+
+from jaxclear.components.body import GROUND
+from jaxclear.components.load import Gravity
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_number
+from jaxclear.plot.animation.figures import checked_meshes, parts, size_of
+from jaxclear.plot.animation.insets import inset
+from jaxclear.plot.canvas import check_run
+from jaxclear.results.trajectory import Trajectory
+
+__all__ = ["Animation", "animate"]
+
+# A run is shown in so many seconds [s], unless it lasts about as long; frames at the most.
+USUAL, SHORTEST, LONGEST, MOST_FRAMES = 10.0, 3.0, 60.0, 3000
+GREY = 0xB8BEC6
+# How far the eye is away, in diagonals of what it is to see, and how wide it is open [deg].
+AWAY, OPENING = 1.25, 40.0
+# Frames at which it is asked what is to be seen; cosine of the tilt of bodies that move in a plane.
+LOOKS, FLAT = 40, 0.99
+
+
+class Animation(eqx.Module):
+    """An animation: `html` is its page, shown in a notebook as it is; `save(path)` writes it.
+    `frames` and how many seconds it `lasts` [s] as it is first shown."""
+
+    html: str = eqx.field(static=True, repr=False)
+    frames: int = eqx.field(static=True)
+    lasts: float = eqx.field(static=True)
+
+    def save(self, path: Any) -> Path:
+        """Writes the page as one file that opens by itself. Returns its path."""
+        path = Path(path)
+        path.write_text(self.html, encoding="utf-8")
+        return path
+
+    def _repr_html_(self) -> str:
+        page = html.escape(self.html)
+        style = "width: 100%; height: 640px; border: 1px solid #ddd"
+        return f'<iframe srcdoc="{page}" style="{style}"></iframe>'
+
+
+@answering
+def animate(
+    run: Trajectory,
+    *,
+    slower: float | None = None,
+    fps: int = 60,
+    meshes: Mapping[str, Any] | None = None,
+    title: str | None = None,
+) -> Animation:
+    """The run in space, with an inset for every joint with clearance: the journal in its bearing,
+    the gap magnified, its contacts with their forces, and how deep the wall has worn.
+
+    `slower`: how many seconds one second of the run takes [1] (below 1: faster); by default the
+    whole run takes 10 s, or as long as it is between 3 and 60 s. `fps`: frames a second, from the
+    saving times nearest to them. `meshes`: by the name of a body the path of a file (as meshio
+    reads it) or (points [m], triangles), in the body's frame; a body without one is the cuboid that
+    has its inertia. Needs `pip install "jaxclear[view]"`. Raises `ValueError`.
+    """
+    check_run(run)
+    if slower is not None:
+        check_number("slower of animate", slower, above=0)
+    check_count("fps of animate", fps)
+    solids = checked_meshes(run, meshes)
+    if importlib.util.find_spec("k3d") is None:
+        raise ImportError('an animation needs k3d: python -m pip install "jaxclear[view]".')
+    last = _reached(run)
+    duration = float(run.time[last - 1] - run.time[0])
+    if last < 2 or duration <= 0:
+        raise ValueError("the run has a single saved instant; save more of them to see it move.")
+    if slower is None:
+        slower = 1.0 if SHORTEST <= duration <= LONGEST else USUAL / duration
+    wanted = np.linspace(0, duration, min(int(duration * slower * fps) + 2, MOST_FRAMES))
+    time = np.asarray(run.time)[:last] - float(run.time[0])
+    frames = np.unique(np.searchsorted(time, wanted - 1e-9 * duration).clip(0, last - 1))
+    told = _told(run, frames, last, slower, title)
+    page = _page(run, solids, frames, told)
+    return Animation(page, len(frames), duration * slower)
+
+
+def _reached(run: Trajectory) -> int:
+    """Saving times that the run reached."""
+    finite = np.isfinite(np.asarray(run.states)).all(axis=1)
+    inside = np.asarray(run.time) <= float(run.ended) * (1 + 1e-12)
+    good = finite & inside
+    return len(good) if good.all() else int(np.argmin(good))
+
+
+def _told(run: Trajectory, frames: np.ndarray, last: int, slower: float, title: str | None) -> str:
+    """What the page's own script needs, as JSON; arrays as single numbers in base64."""
+    joints = run.formulation.contact_joints(run.mechanism)
+    colours = _colours(run)
+    data = {
+        "title": title or "",
+        "slower": slower,
+        "time": np.asarray(run.time)[frames],
+        "bodies": [
+            {"name": name, "colour": colours[name], "com": np.asarray(run.body(name).com)[frames]}
+            for name in run.mechanism.bodies
+        ],
+        "joints": [inset(run, name, frames, last) for name in joints],
+        "warnings": list(run.warnings),
+    }
+    return json.dumps(data, default=_packed)
+
+
+def _packed(values: Any) -> dict[str, Any]:
+    array = np.ascontiguousarray(values, np.float32)
+    return {"shape": array.shape, "f32": base64.b64encode(array.tobytes()).decode()}
+
+
+def _colours(run: Trajectory) -> dict[str, str]:
+    palette = [matplotlib.colors.to_hex(f"C{k}") for k in range(10)]
+    palette.pop(7)  # the grey of the ground
+    return {name: palette[i % len(palette)] for i, name in enumerate(run.mechanism.bodies)}
+
+
+def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: str) -> str:
+    """The page: K3D's own, with the script of the insets in it."""
+    import k3d
+
+    scene = k3d.plot(
+        camera_auto_fit=False,
+        grid_visible=False,
+        menu_visibility=False,
+        camera_fov=OPENING,
+        background_color=0xFFFFFF,
+        antialias=3,
+        lighting=1.2,
+    )
+    size, colours = size_of(run), _colours(run)
+    time = np.asarray(run.time)[frames].tolist()
+    corners = []
+    for name, own in parts(run, solids, size).items():
+        if not len(own.points):
+            continue
+        colour = GREY if name == GROUND else int(colours[name][1:], 16)
+        arrays = own.points.astype(np.float32), own.corners.astype(np.uint32)
+        mesh = k3d.mesh(*arrays, color=colour, name=name, side="double")
+        moves = _moves(run, name, frames)
+        if name != GROUND:
+            mesh.model_matrix = {str(t): m for t, m in zip(time, moves, strict=True)}
+        scene += mesh
+        ends = _ends(own.points)
+        some = moves[:: max(len(moves) // LOOKS, 1)]
+        corners.append(ends @ some[:, :3, :3].transpose(0, 2, 1) + some[:, None, :3, 3])
+    scene.camera = _camera(run, frames, np.concatenate([own.reshape(-1, 3) for own in corners]))
+    scene.snapshot_type = "full"
+    script = resources.files("jaxclear.plot.animation").joinpath("viewer.js").read_text("utf-8")
+    safe = told.replace("</", "<\\/")
+    return scene.get_snapshot(9, additional_js_code=f"const RUN = {safe};\n{script}")
+
+
+def _ends(points: np.ndarray) -> np.ndarray:
+    """Corners (8, 3) of the box around points."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.array([np.where([i & 1, i & 2, i & 4], high, low) for i in range(8)])
+
+
+def _moves(run: Trajectory, name: str, frames: np.ndarray) -> np.ndarray:
+    """Where a body is, as matrices (frames, 4, 4); of the ground a single one."""
+    if name == GROUND:
+        return np.eye(4, dtype=np.float32)[None]
+    motion = run.body(name)
+    found = np.zeros((len(frames), 4, 4), np.float32)
+    found[:, :3, :3] = np.asarray(motion.rotation)[frames]
+    found[:, :3, 3] = np.asarray(motion.origin)[frames]
+    found[:, 3, 3] = 1.0
+    return found
+
+
+def _camera(run: Trajectory, frames: np.ndarray, seen: np.ndarray) -> list[float]:
+    """Eye, what it looks at, and what is up, to see places (n, 3): onto the plane of motion, or
+    with gravity downwards."""
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
+    turns = [np.asarray(run.body(name).rotation)[frames] for name in run.mechanism.bodies]
+    if all(turn[:, 2, 2].min() > FLAT for turn in turns):
+        up, towards = np.array([0.0, 1.0, 0.0]), np.array([-0.25, 0.25, 1.0])
+    else:
+        up = _upwards(run)
+        side = np.eye(3)[np.argmin(np.abs(up))]
+        towards = side + 0.45 * np.cross(up, side) + 0.4 * up
+    eye = middle + AWAY * size * towards / np.linalg.norm(towards)
+    return [float(x) for x in (*eye, *middle, *up)]
+
+
+def _upwards(run: Trajectory) -> np.ndarray:
+    """Against gravity; along z without any."""
+    for load in run.mechanism.loads.values():
+        if isinstance(load, Gravity):
+            pull = np.zeros(3)
+            pull[: len(load.acceleration)] = [float(x) for x in load.acceleration]
+            if np.any(pull):
+                return -pull / np.linalg.norm(pull)
+    return np.array([0.0, 0.0, 1.0])

@@ -1,0 +1,157 @@
+"""What the insets of an animation show: every joint with clearance, its gap magnified.
+
+A joint is told by views. In a round one the journal (or ball) lies in its bearing, the wall being
+the places that its centre reaches before it touches a new surface; in a slot the corners of a
+slider lie before its walls. Another joint shows how deep its contacts are.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from jaxclear.components.clearance import (
+    BallSocket,
+    JournalBearing,
+    PlanarJournalBearing,
+    SliderGuide,
+)
+from jaxclear.results.trajectory import Trajectory
+
+__all__ = ["inset"]
+
+# Directions in which a wall is drawn, and columns of the chart of forces.
+DIRECTIONS, COLUMNS = 180, 400
+TURN = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
+
+
+def inset(run: Trajectory, name: str, frames: np.ndarray, last: int) -> dict[str, Any]:
+    """Everything that the inset of a joint shows, over the saving times `frames`; the chart over
+    the first `last`."""
+    history = run.contact(name)
+    joint = run.mechanism.connections[name].joint
+    joint = getattr(joint, "gap", joint)
+    force = np.asarray(history.normal_force)
+    every = np.nan_to_num(force[:last].sum(axis=1))
+    columns = np.array_split(np.arange(last), min(COLUMNS, last))
+    return {
+        "name": name,
+        "clearance": float(getattr(joint, "clearance", 0.0)),
+        "contacts": list(history.names),
+        "depth": np.asarray(history.indentation)[frames],
+        "force": np.nan_to_num(force[frames]),
+        "most": float(every.max(initial=0.0)),
+        "chart": np.array([[np.asarray(run.time)[own[0]], every[own].max()] for own in columns]),
+        "views": VIEWS.get(type(joint), _bars)(run, name, joint, history, frames),
+    }
+
+
+def _round(
+    title: str,
+    centre: np.ndarray,
+    wall: Any,
+    ways: np.ndarray,
+    contacts: list,
+    worn: np.ndarray | None,
+) -> dict[str, Any]:
+    """A journal in a hole: its `centre` (frames, 2) [m], the `wall` (directions,) [m], the `ways`
+    (frames, contacts, 2) towards its `contacts`, and how deep the wall has `worn` (cells,) [m]."""
+    return {
+        "kind": "round",
+        "title": title,
+        "centre": centre,
+        "wall": wall,
+        "ways": ways,
+        "of": contacts,
+        "worn": worn,
+    }
+
+
+def _worn(run: Trajectory, name: str, surface: str) -> np.ndarray | None:
+    """Depth of a surface [m], None where it does not wear."""
+    own = run.worn.get(name, {}).get(surface)
+    return None if own is None else np.asarray(own)
+
+
+def _ways(history: Any, frames: np.ndarray, contacts: list, axes: tuple[int, int]) -> np.ndarray:
+    place = np.nan_to_num(np.asarray(history.place)[frames][:, contacts][..., list(axes)])
+    return place / np.maximum(np.linalg.norm(place, axis=-1, keepdims=True), 1e-30)
+
+
+def _wall(joint: Any) -> np.ndarray:
+    """Reach of the journal's centre in each direction [m]: the clearance, and lobes."""
+    reach = [joint.leaned((np.cos(a), np.sin(a), 0.0))[:2] for a in TURN]
+    return np.array(reach, float)
+
+
+def _bore(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
+    """A planar journal."""
+    worn = _worn(run, name, "bearing")
+    centre = np.asarray(history.offset)[frames, :2]
+    return [
+        _round(
+            "across the axis",
+            centre,
+            _wall(joint),
+            _ways(history, frames, [0], (0, 1)),
+            [0],
+            None if worn is None else worn[:, 0],
+        )
+    ]
+
+
+def _ends(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
+    """A journal that tilts: both end planes of its bearing."""
+    worn = _worn(run, name, "bearing")
+    offset, axis = (np.asarray(own)[frames] for own in (history.offset, history.axis))
+    found = []
+    for end, centre in enumerate(joint.end_centres(tuple(offset.T), (tuple(axis.T),))):
+        place = np.stack([np.broadcast_to(np.asarray(x), len(frames)) for x in centre[:2]], -1)
+        ways = _ways(history, frames, [end], (0, 1))
+        depth = None if worn is None else worn[:, -end]
+        title = ("lower end", "upper end")[end]
+        found.append(_round(title, place, _wall(joint), ways, [end], depth))
+    return found
+
+
+def _ball(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
+    """A ball, from above and from the side of its socket."""
+    worn, offset = _worn(run, name, "socket"), np.asarray(history.offset)[frames]
+    wall = float(joint.clearance) * np.stack([np.cos(TURN), np.sin(TURN)], -1)
+    found = []
+    for title, axes in (("along z: x, y", (0, 1)), ("along y: x, z", (0, 2))):
+        depth = None if worn is None else _cut(worn, axes)
+        ways = _ways(history, frames, [0], axes)
+        found.append(_round(title, offset[:, axes], wall, ways, [0], depth))
+    return found
+
+
+def _cut(worn: np.ndarray, axes: tuple[int, int]) -> np.ndarray:
+    """Depth along the circle in which a plane through the middle cuts a socket: the equator, or
+    the meridians of 0 and 180 degrees."""
+    around, along = worn.shape
+    if axes == (0, 1):
+        return worn[:, along // 2]
+    up = worn[0], worn[around // 2]
+    low = along // 2
+    return np.concatenate([up[0][low:], up[1][::-1], up[0][:low]])
+
+
+def _slot(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
+    """A slider between two walls."""
+    return [{"kind": "slot", "title": "along the guide", "of": [0, 1, 2, 3]}]
+
+
+def _bars(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
+    """How deep the contacts of any joint are."""
+    count = np.asarray(history.indentation).shape[1]
+    return [{"kind": "bars", "title": "indentation", "of": list(range(count))}]
+
+
+# What is drawn of a joint, by its kind; of a joint of one's own, how deep its contacts are.
+VIEWS: dict[type, Callable] = {
+    PlanarJournalBearing: _bore,
+    JournalBearing: _ends,
+    BallSocket: _ball,
+    SliderGuide: _slot,
+}

@@ -1,0 +1,196 @@
+"""An animation is one page that shows a run and needs nothing else."""
+
+import base64
+import html.parser
+import io
+import json
+import re
+
+import jax
+import jax.numpy as jnp
+import matplotlib.image
+import meshio
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear import plot
+from jaxclear.plot.animation import shapes
+from jaxclear.plot.animation.animate import Animation
+from jaxclear.results.relative_motion import relative_motion
+from tests.plot import browser
+
+SLOW_INTEGRATOR = jc.integrator.ImplicitStep()
+
+
+@pytest.fixture(scope="module")
+def page(run):
+    return plot.animate(run, title="slider-crank", slower=1000.0, fps=10)
+
+
+class Tags(html.parser.HTMLParser):
+    def __init__(self, text):
+        super().__init__()
+        self.found, self.text = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.found.append((tag, dict(attributes)))
+
+
+def told(page):
+    """What the page's own script is given."""
+    return json.loads(re.search(r"const RUN = (.*);\n", page.html)[1].replace("<\\/", "</"))
+
+
+def numbers(packed):
+    flat = np.frombuffer(base64.b64decode(packed["f32"]), np.float32)
+    return flat.reshape(packed["shape"])
+
+
+def test_the_page_loads_nothing(page):
+    """Neither scripts nor styles nor pictures come from elsewhere."""
+    for tag, attributes in Tags(page.html).found:
+        assert not {"src", "href"} & set(attributes), (tag, attributes)
+    own = page.html[page.html.index("const RUN") :]
+    assert not re.search(r"https?:|fetch\(|XMLHttpRequest|import\(", own)
+
+
+def test_the_page_names_bodies_and_joints(page, run):
+    data = told(page)
+    assert [body["name"] for body in data["bodies"]] == list(run.mechanism.bodies)
+    assert [joint["name"] for joint in data["joints"]] == ["B"]
+    assert data["title"] == "slider-crank" and data["slower"] == 1000.0
+    assert len(numbers(data["time"])) == page.frames == 41
+
+
+def test_the_inset_holds_the_gap_of_the_run(page, run):
+    """Centre, wall, direction of contact and force are those that the run tells."""
+    (joint,) = told(page)["joints"]
+    (view,) = joint["views"]
+    own = run.contact("B")
+    np.testing.assert_allclose(numbers(view["centre"]), own.offset[:, :2], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(numbers(view["wall"]), axis=1), 2e-4, rtol=1e-6)
+    np.testing.assert_allclose(numbers(joint["force"]), own.normal_force, rtol=1e-6)
+    pressed = np.asarray(own.normal_force)[:, 0] > 0
+    centre, ways = numbers(view["centre"]), numbers(view["ways"])[:, 0]
+    assert pressed.any()
+    np.testing.assert_allclose(
+        centre[pressed] / np.linalg.norm(centre[pressed], axis=1)[:, None], ways[pressed], atol=1e-5
+    )
+    np.testing.assert_allclose(numbers(view["worn"]), run.worn_depth("B", "bearing")[:, 0])
+
+
+def test_a_notebook_shows_the_page_and_a_file_keeps_it(page, tmp_path):
+    path = page.save(tmp_path / "run.html")
+    assert path.read_text(encoding="utf-8") == page.html
+    assert isinstance(page, Animation) and page._repr_html_().startswith("<iframe srcdoc=")
+
+
+@pytest.mark.parametrize("moments", [(0.01, 0.02, 0.025), (0.01, 0.02, 0.025, 1e-3, -2e-3, 5e-4)])
+def test_a_body_without_a_mesh_is_the_cuboid_with_its_inertia(moments):
+    """Sides a, b, c of a uniform cuboid have the moments m (b^2 + c^2) / 12."""
+    body = jc.Body(2.0, moments)
+    turn, sides = shapes._cuboid(body, np.zeros((0, 3)), 1.0)
+    squares = sides**2
+    own = np.diag(2.0 / 12.0 * (squares.sum() - squares))
+    wanted = np.array(jax.tree.map(float, body.inertia_matrix()))
+    np.testing.assert_allclose(turn @ own @ turn.T, wanted, rtol=1e-9, atol=1e-15)
+
+
+def test_solids_are_closed():
+    """Every solid has the volume that its measures say, by Gauss's theorem."""
+    volume = lambda solid: abs(
+        np.einsum("ti,ti->t", *(lambda p: (p[:, 0], np.cross(p[:, 1], p[:, 2])))(
+            solid.points[solid.corners])).sum() / 6)  # fmt: skip
+    assert volume(shapes.box((1, 2, 3))) == pytest.approx(6)
+    assert volume(shapes.rod(0.5, 2.0)) == pytest.approx(0.5 * np.pi, rel=0.02)
+    assert volume(shapes.tube(0.5, 1.0, 1.0)) == pytest.approx(0.75 * np.pi, rel=0.02)
+    assert volume(shapes.ball(1.0)) == pytest.approx(4 / 3 * np.pi, rel=0.04)
+
+
+def test_relative_motion_is_that_of_the_coordinates(run):
+    """Of a joint of the tree its coordinate and speed, of one with clearance its gap's."""
+    moved = relative_motion(run, "A")
+    np.testing.assert_allclose(moved.turn, run.coordinate("A")[:, 0], atol=1e-12)
+    np.testing.assert_allclose(moved.spin, run.speed("A")[:, 0], atol=1e-10)
+    gap = relative_motion(run, "B")
+    np.testing.assert_allclose(gap.offset, run.contact("B").offset, atol=1e-14)
+    force = np.asarray(run.contact("B").normal_force)[:, 0]
+    free = (force[1:] == 0) & (force[:-1] == 0) & (np.abs(np.diff(gap.rate[:, 0])) < 0.03)
+    assert free.sum() > 20
+    slopes = np.diff(gap.offset[:, 0]) / np.diff(np.asarray(run.time))
+    middle = 0.5 * (gap.rate[1:, 0] + gap.rate[:-1, 0])
+    np.testing.assert_allclose(slopes[free], middle[free], atol=2e-5)
+
+
+def test_wrong_arguments_end_in_sentences(run, tmp_path):
+    for meshes, sentence in (
+        ({"wheel": "wheel.stl"}, 'body "wheel"'),
+        ({"rod": tmp_path / "none.stl"}, "no such file"),
+        ({"rod": 3}, 'mesh of "rod"'),
+        ({"rod": (np.zeros((3, 3)), [[0, 1, 7]])}, "triangles indices of the points"),
+        ([], "meshes is an empty list"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            plot.animate(run, meshes=meshes)
+    with pytest.raises(ValueError, match="slower of animate"):
+        plot.animate(run, slower=0.0)
+
+
+@pytest.mark.skipif(browser.PATH is None, reason="no browser is installed that could open the page")
+@pytest.mark.slow
+def test_the_page_plays_in_a_browser_without_a_network(run, tmp_path):
+    """It draws bodies and insets, moves with its slider, and asks for nothing but itself."""
+    solid = meshio.Mesh(*_corner())
+    solid.write(tmp_path / "slider.stl")
+    page = plot.animate(run, meshes={"slider": tmp_path / "slider.stl"})
+    path = page.save(tmp_path / "run.html")
+    with browser.opened(path, tmp_path / "profile") as opened:
+        opened.until("document.body && document.body.dataset.ready === 'yes'")
+        assert opened.run("document.getElementById('play').textContent") == "Pause"
+        assert opened.run("document.querySelectorAll('#insets canvas').length") == 1
+        assert "slider" in opened.run("document.getElementById('bodies').textContent")
+        pictures = []
+        for at in (0.0, 2e-3):
+            opened.run(f"animation.go({at})")
+            opened.until(f"Math.abs(document.getElementById('time').value - {at}) < 1e-5")
+            opened.run("new Promise((done) => setTimeout(done, 1500))")
+            opened.until("animation.state.playing === false")
+            image = matplotlib.image.imread(io.BytesIO(opened.picture()))[..., :3]
+            pictures.append(image)
+        assert not opened.faults
+        assert all(url.startswith(("file:", "blob:", "data:")) for url in opened.asked)
+    for image in pictures:
+        # The scene, left, and the inset, right, hold colours; an empty page is grey.
+        scene, side = image[:500, :800], image[20:200, -320:]
+        assert (np.ptp(scene, axis=-1) > 0.2).mean() > 0.01
+        assert (np.ptp(side, axis=-1) > 0.2).mean() > 0.01
+
+
+def _corner():
+    return np.eye(4, 3) * 0.02, [
+        ("triangle", np.array([[0, 1, 2], [0, 1, 3], [1, 2, 3], [0, 2, 3]]))
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["four_bar", "parallel_3rsr", "antenna", "guide"])
+def test_every_kind_of_joint_has_its_inset(kind):
+    rig, duration, integrator = {
+        "four_bar": (jc.scenes.four_bar("spatial"), 0.02, SLOW_INTEGRATOR),
+        "parallel_3rsr": (jc.scenes.parallel_3rsr("one"), 0.02, SLOW_INTEGRATOR),
+        "antenna": (jc.scenes.antenna(), 0.2, jc.integrator.NonColliding()),
+        "guide": (jc.scenes.guide(friction="regularised"), 0.02, SLOW_INTEGRATOR),
+    }[kind]
+    run = jc.simulate(rig, duration, save=21, integrator=integrator)
+    data = told(plot.animate(run))
+    kinds = {"guide": ["slot"], "antenna": ["round"] * 2}.get(kind, ["round"] * 2)
+    for joint in data["joints"]:
+        assert [view["kind"] for view in joint["views"]] == kinds
+        assert joint["clearance"] > 0
+        for view in joint["views"]:
+            if view["kind"] == "round":
+                reach = np.linalg.norm(numbers(view["centre"]), axis=1).max()
+                assert reach < 1.05 * joint["clearance"]
+    assert jnp.isfinite(jnp.asarray(numbers(data["time"]))).all()
