@@ -41,7 +41,7 @@ def simulated(rig: jc.Mechanism, duration: float, show: bool = False) -> Any:
 
 def mean_forces(run: Any) -> dict[str, float]:
     """Mean normal force of each joint [N]."""
-    return {name: float(run.contact(name).normal_force.mean()) for name in JOINTS}
+    return {name: float(jc.response.MeanContactForce(name)(run)) for name in JOINTS}
 
 
 def over_ratio() -> pandas.DataFrame:

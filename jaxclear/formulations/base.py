@@ -45,8 +45,8 @@ class ContactReport(NamedTuple):
 class AbstractFormulation(eqx.Module):
     """How contact enters the equations of motion. An integrator holds one.
 
-    `forces_are_means`: the forces of contacts are no functions of the state; states hold their
-    impulses, and what is reported are means over the saving intervals.
+    `forces_are_means`: the forces of contacts are no functions of the state; states hold the
+    impulses of all their components, and what is reported are means over the saving intervals.
     """
 
     forces_are_means: eqx.AbstractClassVar[bool]
@@ -63,7 +63,12 @@ class AbstractFormulation(eqx.Module):
     @abstractmethod
     def impulses(self, system: System) -> tuple[tuple[str, int], ...]:
         """Joints whose impulses since the start the state holds [N s, N m s], each with how many
-        components; () where forces follow from the state."""
+        components."""
+
+    @abstractmethod
+    def normal_impulses(self, system: System, name: str) -> tuple[int, ...]:
+        """Which of a joint's components of `impulses` are those of its normal forces; their sum is
+        that of all its contacts. () where the state holds none of this joint."""
 
     @abstractmethod
     def contact_joints(self, mechanism: Mechanism) -> tuple[str, ...]:

@@ -55,7 +55,11 @@ class CompliantContact(AbstractFormulation):
         return mechanism
 
     def impulses(self, system):
-        return ()
+        rubbing = rubbing_joints(system) if self.joints_rub else ()
+        return tuple((name, 1) for name in (*system.bearings, *rubbing))
+
+    def normal_impulses(self, system, name):
+        return (0,) if name in dict(self.impulses(system)) else ()
 
     def contact_joints(self, mechanism):
         return (*mechanism.topology.clearances, *rubbing_in(mechanism.connections))
@@ -89,11 +93,13 @@ class CompliantContact(AbstractFormulation):
         forces = applied_forces(system, motions, reports, q, v, time, angles)
         speeds = entries[layout.coordinates : layout.memory_start]
         forces, solution, rubbing = joint_friction.solved(model, forces, q, speeds)
+        normal = ([point.normal_force for point in own.points] for own in reports.values())
+        pressing = map(sp.total, normal)
         rates = [
             *state_rate.coordinate_rates(system, q, v),
             *(a for accelerations in solution.accelerations for a in accelerations),
             *pack_memories(layout, {name: report.memory_rates for name, report in reports.items()}),
-            *state_rate.passive_rates(system, layout, forces, solution, rubbing),
+            *state_rate.passive_rates(system, layout, forces, solution, rubbing, pressing),
         ]
         points = [point for report in reports.values() for point in report.points]
         return sp.stack(rates), _stacked([(point.indentation, point.rate) for point in points])

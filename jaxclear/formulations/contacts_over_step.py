@@ -83,8 +83,11 @@ def passive_rates_over(whole: Step, solution: ContactSolution, ends: list, mean:
     slips at its end along the directions in its middle; `mean`: speeds over it."""
     model, free_motion = whole.model, whole.middle.free_motion
     layout, system = model.layout, model.system
+    # Of all that the speeds gain by contact, so also where an iteration ends with a pull.
+    normal = [-own[0] for own in whole.per_contact(solution.forces)]
+    pressing = [sp.total(own) for own in by_joint(system, normal)]
     if not layout.wear and not layout.energies:
-        return angle_rates(system, layout, free_motion.forces.motions)
+        return [*angle_rates(system, layout, free_motion.forces.motions), *pressing]
     acting = _acting_contacts(whole, solution, ends, whole.middle.change_to(mean))
     reports = joint_reports(system, free_motion.poses, acting)
     forces = free_motion.forces._replace(reports=reports)
@@ -101,7 +104,7 @@ def passive_rates_over(whole: Step, solution: ContactSolution, ends: list, mean:
         )
     )
     total = link_accelerations(system, accelerations, tuple(multipliers))
-    return passive_rates(system, layout, forces, total)
+    return passive_rates(system, layout, forces, total, pressing=pressing)
 
 
 def _acting_contacts(

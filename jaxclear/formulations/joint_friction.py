@@ -9,12 +9,14 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxclear.formulations.base import ContactReport
+from jaxclear.formulations.carried_loads import pressing
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent_friction import NonCollidingSettings, regularised_friction
 from jaxclear.formulations.permanent_reactions import (
     Answer,
     PermanentJoint,
     friction_response,
+    own_part,
     placed,
     speeds_of,
     touching,
@@ -71,8 +73,10 @@ def solved(model: Model, forces: Forces, q: tuple, v: list) -> tuple[Forces, Sol
         return forces, solution, Passive()
     found = rubbing(model, forces, q, v)
     rates = wear_rates(model, forces.motions, q, found.answer, found.friction, found.slips)
-    losses = friction_losses(held, found.friction, found.slips)
-    return found.forces, found.solution, Passive(rates, *losses)
+    lost, driven = friction_losses(held, found.friction, found.slips)
+    parts = zip(held, found.answer.reactions, placed(held), strict=True)
+    pressed = [pressing(one, own, own_part(found.friction, place)) for one, own, place in parts]
+    return found.forces, found.solution, Passive(rates, lost, driven, pressed)
 
 
 def friction_losses(held: tuple[PermanentJoint, ...], friction: Any, slips: list) -> tuple:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.base import AbstractFormulation
+from jaxclear.formulations.carried_loads import pressing
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.joint_friction import friction_losses
 from jaxclear.formulations.model import Model, State
@@ -27,6 +28,7 @@ from jaxclear.formulations.permanent_reactions import (
     Answer,
     Reaction,
     friction_response,
+    own_part,
     placed,
     slips_of,
     touching,
@@ -44,7 +46,8 @@ from jaxclear.multibody.state import unpack_angles, unpack_motion
 from jaxclear.multibody.system import System, prepare
 
 # Components of the reaction of a joint that always touches: force and torque on the child. Behind
-# them its impulse has those of its friction.
+# them its impulse has those of its friction, and one of all its normal forces' sizes, which turn
+# with the reaction.
 REACTION = 6
 
 
@@ -61,21 +64,25 @@ class PermanentContact(AbstractFormulation):
         return fit(mechanism)
 
     def impulses(self, system):
-        return tuple((held.name, REACTION + held.joint.components) for held in touching(system))
+        return tuple((one.name, REACTION + one.joint.components + 1) for one in touching(system))
+
+    def normal_impulses(self, system, name):
+        (count,) = (count for joint, count in self.impulses(system) if joint == name)
+        return (count - 1,)
 
     def contact_joints(self, mechanism):
         return tuple(held.name for held in touching(prepare(mechanism)))
 
     def forces(self, instant):
         held = touching(instant.model.system)
-        friction = [x for one in held for x in instant.means_of(one.name)[REACTION:]]
+        friction = [x for one in held for x in instant.means_of(one.name)[REACTION:-1]]
         return with_friction(instant.model.system, instant.forces({}), friction)
 
     def contact(self, instant, name):
         (held,) = (one for one in touching(instant.model.system) if one.name == name)
         means = [jnp.asarray(x) for x in instant.means_of(name)]
         reaction = Reaction(tuple(means[:3]), tuple(means[3:REACTION]))
-        return report(instant, held, reaction, tuple(means[REACTION:]))
+        return report(instant, held, reaction, tuple(means[REACTION:-1]))
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:
         """What the first step is handed: no accelerations."""
@@ -122,7 +129,12 @@ class PermanentContact(AbstractFormulation):
         gained += [
             h * x
             for k, reaction in enumerate(found.reactions)
-            for x in (*reaction.force, *reaction.torque, *friction[places[k]])
+            for x in (
+                *reaction.force,
+                *reaction.torque,
+                *friction[places[k]],
+                pressing(held[k], reaction, own_part(friction, places[k])),
+            )
         ]
         if layout.energies:
             rates = _powers(model, forces, found, friction, sliding)

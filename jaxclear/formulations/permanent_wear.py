@@ -7,7 +7,8 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxclear.components.clearance import CarryingEnd, carried_load
+from jaxclear.components.clearance import CarryingEnd
+from jaxclear.formulations.carried_loads import carrying_ends
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import (
     Answer,
@@ -18,7 +19,6 @@ from jaxclear.formulations.permanent_reactions import (
     touching,
 )
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.system import System
 
@@ -39,7 +39,7 @@ def wear_rates(
     carried = {}
     for held, k in zip(touching(system), at.values(), strict=True):
         if held.joint.maps():
-            ends = _ends(held, found.reactions[k], own_part(friction, places[k]))
+            ends = carrying_ends(held, found.reactions[k], own_part(friction, places[k]))
             carried[held.name] = (*_pose_in_gap(system, motions, q, held, ends), ends)
     for slot in model.layout.wear:
         if slot.bearing not in at:
@@ -56,17 +56,6 @@ def wear_rates(
         place = joint.wear_place(slot.surface, offset, axes, slot.contact)
         rates += [volume, *(sp.mul(volume, place[i]) for i in slot.averaged)]
     return rates
-
-
-def _ends(held: PermanentJoint, reaction: Any, friction: Any) -> tuple[CarryingEnd, ...]:
-    """Where a reaction and friction are carried; a journal's load does not depend on friction's
-    share of it."""
-    if held.joint.components > 1:
-        none = (0.0,) * held.joint.components
-        load = carried_load(held.joint.carrying_ends(*reaction, none))
-        return held.joint.carrying_ends(*reaction, tuple(safe_divide(x, load) for x in friction))
-    load = carried_load(held.joint.carrying_ends(*reaction, 0.0 * friction))
-    return held.joint.carrying_ends(*reaction, safe_divide(friction, load))
 
 
 def _pose_in_gap(

@@ -34,7 +34,7 @@ from jaxclear.multibody import kinematics
 from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.state import contact_components, unpack_motion
+from jaxclear.multibody.state import components, contact_components, unpack_motion
 from jaxclear.multibody.topology import rubbing_in
 
 
@@ -62,6 +62,10 @@ class RigidContact(AbstractFormulation):
     def impulses(self, system):
         return contact_components(system)
 
+    def normal_impulses(self, system, name):
+        counts = components(system, system.bearings[name])
+        return tuple(sum(counts[:k]) for k in range(len(counts)))
+
     def contact_joints(self, mechanism):
         return mechanism.topology.clearances
 
@@ -73,8 +77,8 @@ class RigidContact(AbstractFormulation):
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:
         """What the first step is handed: no accelerations, no percussions."""
-        components = sum(count for _, count in model.layout.impulses)
-        return jnp.zeros(model.layout.speeds + components + 1)
+        count = sum(own for _, own in model.layout.impulses)
+        return jnp.zeros(model.layout.speeds + count + 1)
 
     def step(
         self,

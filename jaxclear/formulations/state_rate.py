@@ -14,11 +14,12 @@ from jaxclear.multibody.system import System
 
 class Passive(NamedTuple):
     """What ideal joints that rub add: rates of their worn volumes with their locations, power [W]
-    lost to their friction, and what drives give of it."""
+    lost to their friction, what drives give of it, and how hard each presses [N]."""
 
     worn: Any = ()
     lost: Any = 0
     driven: Any = 0
+    pressing: Any = ()
 
 
 def coordinate_rates(system: System, q: tuple, v: tuple) -> list:
@@ -42,9 +43,11 @@ def passive_rates(
     forces: Forces,
     solution: Solution,
     rubbing: Passive = Passive(),
+    pressing: Any = (),
 ) -> list:
     """Rates of what only follows the motion: angles over whole turns, worn volumes with their
-    locations, and energies; those of ideal joints that rub as `rubbing` tells."""
+    locations, impulses of joints `pressing` with these forces [N], and energies; those of ideal
+    joints that rub as `rubbing` tells."""
     out: list[Any] = angle_rates(system, layout, forces.motions)
     for slot in layout.wear:
         if slot.bearing not in system.bearings:
@@ -54,7 +57,7 @@ def passive_rates(
         volume, features = forces.reports[slot.bearing].wear_rates[slot.surface][order]
         out.append(volume)
         out.extend(sp.mul(volume, features[i]) for i in slot.averaged)
-    out.extend(rubbing.worn)
+    out.extend((*rubbing.worn, *pressing, *rubbing.pressing))
     if layout.energies:
         powers = dict(zip(layout.energies, energy.powers(system, forces, solution), strict=True))
         powers["input"] = sp.add(powers["input"], rubbing.driven)

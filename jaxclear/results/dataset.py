@@ -48,6 +48,9 @@ def to_dataset(history: StateHistory, worn: dict, attributes: dict) -> Any:
     mechanism = history.mechanism
     put_all(mechanism.bodies, histories.body, BODY)
     put_all(history.formulation.contact_joints(mechanism), histories.contact, CONTACT)
+    for name in history.formulation.contact_joints(mechanism):
+        impulse = histories.contact_impulse(history, name)
+        put(f"{name}.contact_impulse", ("time",), impulse, "N s", "impulse of the normal forces")
     put_all(mechanism.connections, histories.reaction, REACTION)
     for joint, surfaces in worn.items():
         for surface, depth in surfaces.items():

@@ -142,6 +142,23 @@ def contact(history: StateHistory, name: str) -> ContactHistory:
     return _contact(history, name)
 
 
+def contact_impulse(history: StateHistory, name: str) -> Float[Array, " time"]:
+    """What the normal forces of a joint's contacts have given since the start [N s]."""
+    check_contact_joint(history, name)
+    model = history.model()
+    own = history.formulation.normal_impulses(model.system, name)
+    if not own:
+        force = jnp.sum(_contact(history, name).normal_force, axis=-1)
+        gained = 0.5 * (force[1:] + force[:-1]) * jnp.diff(history.time)
+        return jnp.concatenate([jnp.zeros(1), jnp.cumsum(gained)])
+    start = model.layout.impulse_start
+    for joint, count in model.layout.impulses:
+        if joint == name:
+            break
+        start += count
+    return sum((history.states[:, start + k] for k in own), jnp.zeros_like(history.time))
+
+
 def check_contact_joint(history: StateHistory, name: str) -> None:
     """Raises `ValueError` where the formulation tells of no contacts in a joint."""
     check_known(name, history.formulation.contact_joints(history.mechanism), "clearance joint")

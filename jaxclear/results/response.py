@@ -182,13 +182,9 @@ class LostMotion(AbstractResponse):
 
 
 class MeanContactForce(AbstractResponse):
-    """Mean over the saving times of the normal forces of a clearance joint, summed over its
-    contacts [N].
-
-    Where forces are means over the saving intervals (rigid contact, joints that always touch), the
-    mean over the run; of joints that always touch it is that of the size of the mean reaction, so
-    save densely beside the time in which this turns. Impacts that are shorter than the saving
-    interval are caught by chance, and with them their share of the mean.
+    """Mean over the run of the normal forces of a joint with clearance, summed over its contacts
+    [N]: their impulse (`Trajectory.contact_impulse`) over the duration, so it does not hang on the
+    saving times.
     """
 
     joint: str = eqx.field(static=True)
@@ -198,10 +194,7 @@ class MeanContactForce(AbstractResponse):
         return "forces"
 
     def __call__(self, run):
-        force = jnp.sum(run.contact(self.joint).normal_force, axis=-1)
-        if not run.formulation.forces_are_means:
-            return jnp.mean(force)
-        return jnp.sum(force[1:] * jnp.diff(run.time)) / (run.time[-1] - run.time[0])
+        return run.contact_impulse(self.joint)[-1] / (run.time[-1] - run.time[0])
 
 
 class PeakContactForce(AbstractResponse):

@@ -176,6 +176,13 @@ class Trajectory(eqx.Module):
         """
         return histories.contact(self.history, name)
 
+    def contact_impulse(self, name: str) -> Float[Array, " time"]:
+        """Impulse of a joint's normal forces since the start, summed over its contacts [N s]: the
+        run's steps add up the forces with which they were made, so it misses no impact between the
+        saving times. (Of an ideal joint of integrator.ImplicitStep, whose reaction it does not
+        know while it steps, the trapezoidal rule over the saving times.)"""
+        return histories.contact_impulse(self.history, name)
+
     def modes(self, name: str) -> Any:
         """How the journal of a clearance joint moves: free flight, impact, contact (`Mode`), as a
         pandas table of the phases (from [s], to [s], mode, approach speed [m/s] of an impact, what

@@ -99,7 +99,9 @@ def run(
         noted = noted._replace(counts=jnp.where(begun[:, None], noted.counts, 0.0))
     trajectory = Trajectory(history, last.worn, last.outcome, last.ended, stats, noted=noted)
     kept = {check: jnp.where(begun, each.T, 0.0).T for check, each in figures.items()}
-    return refereed(trajectory, model, kept, spot_checks.figures(model, plan, states, ends))
+    means = formulation.forces_are_means
+    windows = spot_checks.figures(model, plan, states, ends, means)
+    return refereed(trajectory, model, kept, windows)
 
 
 def _first_warm_start(

@@ -132,11 +132,12 @@ def window_starts(count: int) -> list[int]:
 
 
 def figures(
-    model: Model, plan: Plan, states: Array, ends: Array | None
+    model: Model, plan: Plan, states: Array, ends: Array | None, means: bool
 ) -> dict[Check, Float[Array, " places"]]:
     """What the windows tell, from the states at the saving times and at the end of every part
     (None: no windows): by how much changes of the speeds (so mean forces), accelerations at their
-    ends (so forces) and worn volumes differ between the two passes, beside their sizes."""
+    ends (so forces, but where these are `means`) and worn volumes differ between the two passes,
+    beside their sizes."""
     if ends is None:
         return {}
     layout = model.layout
@@ -152,7 +153,7 @@ def figures(
         Check.HALVED_MEAN_FORCES: _difference(coarse - begin, fine - begin, met, speeds, scales),
         Check.HALVED_MOTION: _motion(model, plan, states, coarse - fine, scales)[None],
     }
-    if not layout.impulses:
+    if not means:
         found[Check.HALVED_FORCES] = _difference(
             safe_divide(coarse_on - coarse, _durations(plan, 1)),
             safe_divide(fine_on - fine, _durations(plan, 3)),

@@ -30,6 +30,9 @@ class PlasticContact(jc.formulation.AbstractFormulation):
     def impulses(self, system):
         return tuple((name, len(b.contact_laws)) for name, b in system.bearings.items())
 
+    def normal_impulses(self, system, name):
+        return tuple(range(len(system.bearings[name].contact_laws)))
+
     def contact_joints(self, mechanism):
         return mechanism.topology.clearances
 
@@ -101,6 +104,7 @@ def test_formulation_from_outside_lands_without_rebound_and_tells_its_impulses()
     # It rests at the end: the floor's impulse is that of gravity, to rounding.
     impulse = np.sum(np.diff(end.time) * contact.normal_force[1:, 0])
     np.testing.assert_allclose(impulse, weight * end.time[-1], rtol=1e-9)
+    np.testing.assert_allclose(end.contact_impulse("gap")[-1], impulse, rtol=1e-12)
     np.testing.assert_allclose(end.reaction("gap").force[-1], [0, weight, 0], atol=1e-9)
     assert "gap.normal_force" in end.to_dataset() and "gap.impulse0" in end.state_names()
 
