@@ -74,6 +74,7 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
     if gaps:
         contacts = [run.contact(name) for name in gaps]
         forces = jnp.stack([jnp.sum(contact.normal_force, axis=-1) for contact in contacts])
+        means = jnp.stack([jc.response.MeanContactForce(name)(run) for name in gaps])
         offset = jnp.stack(
             [
                 _across(contact.offset, rig, name)
@@ -84,8 +85,12 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
     else:
         reactions = [run.reaction(name).force for name in rig.connections]
         forces = jnp.stack([jnp.sqrt(jnp.sum(force**2, axis=-1)) for force in reactions])
+        means = jnp.mean(forces, axis=1)
     if run.formulation.forces_are_means:
         forces = forces[:, 1:]
+    unsampled = _between_halves(forces)
+    if gaps:  # the means are of impulses that the runs carry
+        unsampled = unsampled.at[0].set(0.0)
     lost, turned = jnp.zeros(()), jnp.zeros(())
     if balance:
         energies = run.energy_balance()
@@ -96,9 +101,9 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
         jnp.stack([body.com for body in bodies]),
         offset,
         clearance,
-        jnp.mean(forces, axis=1),
+        means,
         jnp.max(forces, axis=1),
-        _between_halves(forces),
+        unsampled,
         lost,
         turned,
         jnp.array([run.worn_volume(*one)[-1] for one in wears]),

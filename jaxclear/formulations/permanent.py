@@ -110,7 +110,6 @@ class PermanentContact(AbstractFormulation):
         angles = unpack_angles(layout, entries)
         forces = applied_forces(system, motions, {}, *motion, time_step.middle, angles)
         held = touching(system)
-        places = placed(held)
         slips = [slips_of(system, motions, one, middle) for one in held]
         response = friction_response(model, forces, motion[0])
         if settings.regularised:
@@ -126,16 +125,7 @@ class PermanentContact(AbstractFormulation):
         sliding = _sliding(held, slips, mean)
         worn = wear_rates(model, motions, motion[0], found, friction, sliding)
         gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
-        gained += [
-            h * x
-            for k, reaction in enumerate(found.reactions)
-            for x in (
-                *reaction.force,
-                *reaction.torque,
-                *friction[places[k]],
-                pressing(held[k], reaction, own_part(friction, places[k])),
-            )
-        ]
+        gained += [h * x for x in _acting(held, found.reactions, friction)]
         if layout.energies:
             rates = _powers(model, forces, found, friction, sliding)
             gained += [h * rate for rate in rates]
@@ -151,6 +141,15 @@ def displace(system: System, q: list, speeds: list, h: Any) -> list:
     for link, place, v in zip(system.links, *unpack_motion(system, [*q, *speeds]), strict=True):
         if place:
             out.extend(link.joint.moved(place, tuple(h * x for x in v)))
+    return out
+
+
+def _acting(held: tuple, reactions: tuple, friction: Any) -> list:
+    """Reaction, friction and sum of the normal forces of each joint."""
+    out: list[Any] = []
+    for one, reaction, place in zip(held, reactions, placed(held), strict=True):
+        pressed = pressing(one, reaction, own_part(friction, place))
+        out += [*reaction.force, *reaction.torque, *friction[place], pressed]
     return out
 
 

@@ -72,8 +72,16 @@ MASS = {"mass": jc.Variable(lambda rig: rig.bodies["rod"].mass, jc.distribution.
 CLEARANCE = {
     "clearance": jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=2e-5)
 }
+
+
+def seen_force(run):
+    """Mean of the force at the saved instants, which hangs on the steps more than the impulse
+    does."""
+    return jnp.mean(run.contact("B").normal_force)
+
+
 FALL = {
-    "force": jc.response.MeanContactForce("B"),
+    "force": seen_force,
     "place": jc.response.FinalCoordinate("journal", 1, unit="m"),
 }
 
