@@ -33,6 +33,7 @@ from jaxclear.components import clearance, drive, joint, load
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
+from jaxclear.files.model_import import NotImported, read_mjcf, read_urdf
 from jaxclear.files.scene import Scene
 from jaxclear.files.scene_file import read_scene, write_scene
 from jaxclear.ground import numerics, pose
@@ -101,6 +102,7 @@ __all__ = [
     "Marker",
     "Material",
     "Mechanism",
+    "NotImported",
     "PilotSettings",
     "PositionProblem",
     "Problem",
@@ -145,7 +147,9 @@ __all__ = [
     "pose",
     "positions",
     "quantity",
+    "read_mjcf",
     "read_scene",
+    "read_urdf",
     "reliability",
     "response",
     "scenes",

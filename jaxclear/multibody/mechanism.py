@@ -12,12 +12,15 @@ from typing import Any
 import equinox as eqx
 
 from jaxclear.components.body import Body, Connection
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, as_number, parameters
 from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
+from jaxclear.multibody.exchange import exchanged, told_for_start
 from jaxclear.multibody.in_words import in_words
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.magnitudes import warn_of_magnitudes
@@ -140,6 +143,22 @@ class Mechanism(AbstractQuantified):
     def projects(self) -> bool:
         """Whether loops are closed anew after every step."""
         return isinstance(self.stabilisation, Projection) and bool(self.topology.loops)
+
+    def with_joint(self, name: str, joint: AbstractJoint | AbstractClearance) -> "Mechanism":
+        """The mechanism with another joint in place of one, such as one with clearance in place of
+        an ideal one; its name and markers, its start and its drive stay.
+
+        `joint`: one that constrains no more than the old one does, or no less. Raises `ValueError`
+        with a sentence for a name that there is not and a joint that does not fit.
+        """
+        connections = exchanged(self.connections, self.bodies, name, joint)
+        start = dict(self.given)
+        start["guess"], start["speeds"] = told_for_start(
+            self.topology, connections, self.bodies, name, start
+        )
+        return Mechanism(
+            self.bodies, connections, self.loads, **start, stabilisation=self.stabilisation
+        )
 
     def parameters(self) -> Any:
         """All numbers of the mechanism with unit and meaning, as a pandas table."""

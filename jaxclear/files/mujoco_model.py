@@ -1,0 +1,141 @@
+"""URDF and MJCF as MuJoCo reads them: its compiler settles defaults, units, frames and inertias.
+Meshes that are not there are left out where bodies state their inertia themselves.
+"""
+
+import importlib.util
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxclear.ground.arguments import check_flags
+from jaxclear.ground.wording import described, listed
+
+__all__ = ["Compiled", "compiled"]
+
+# The first word of what MuJoCo says of a file of geometry that is not there.
+FREE = 0
+
+
+class Compiled(NamedTuple):
+    """A model of MuJoCo, its file's name, and names of meshes left out."""
+
+    model: Any
+    name: str
+    without: tuple[str, ...]
+
+
+def compiled(path: Any, *, floating: bool) -> Compiled:
+    """The model in a file of URDF or MJCF. `floating`: bodies that stand in the ground without a
+    joint, the roots, get a free one. Raises `ValueError` with a sentence, `ImportError` without
+    MuJoCo."""
+    check_flags("the import", floating=floating)
+    if importlib.util.find_spec("mujoco") is None:
+        raise ImportError(
+            'URDF and MJCF are read by MuJoCo: python -m pip install "jaxclear[import]".'
+        )
+    if not isinstance(path, (str, Path)) or not str(path):
+        raise ValueError(f"the file is {described(path)}; it must be a path.")
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"{path} is no file; give that of a model in URDF or MJCF.")
+    import mujoco
+
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        # Welded bodies keep their names.
+        spec.compiler.fusestatic = False
+        if floating:
+            _float(spec)
+        return _compiled(spec, path.name)
+    except (ValueError, mujoco.FatalError, UnicodeError, OSError) as error:
+        said = " ".join(str(error).split()).rstrip(".")
+        raise ValueError(f"MuJoCo cannot read {path.name}: {said}.") from None
+
+
+def _float(spec: Any) -> None:
+    for body in spec.worldbody.bodies:
+        if not list(body.joints):
+            body.add_freejoint()
+
+
+def _compiled(spec: Any, name: str) -> Compiled:
+    """The model, without its meshes where these are not to be had."""
+    again = spec.copy()
+    try:
+        return Compiled(spec.compile(), name, ())
+    except ValueError as first:
+        meshed = [geom for geom in again.geoms if geom.meshname]
+        if not meshed:
+            raise
+        without = tuple(dict.fromkeys(geom.meshname for geom in meshed))
+        for geom in meshed:
+            again.delete(geom)
+        for mesh in list(again.meshes):
+            again.delete(mesh)
+        try:
+            return Compiled(again.compile(), name, without)
+        except ValueError as second:
+            raise ValueError(f"{first}; and without meshes: {second}") from None
+
+
+def names_of(model: Any) -> tuple[list[str], list[str]]:
+    """Names of bodies (the world, called "ground", first) and of joints: each its own, so that a
+    name says which of the two is meant."""
+    bodies = ["ground"]
+    for index in range(1, model.nbody):
+        bodies.append(_free_name(model.body(index).name or f"body {index}", bodies))
+    joints: list[str] = []
+    for index in range(model.njnt):
+        own = model.joint(index).name or f"{bodies[model.jnt_bodyid[index]]} joint"
+        joints.append(_free_name(own, [*bodies, *joints], " joint"))
+    return bodies, joints
+
+
+def _free_name(name: str, taken: list[str], ending: str = " body") -> str:
+    if name not in taken:
+        return name
+    name = f"{name}{ending}"
+    return name if name not in taken else f"{name} {len(taken)}"
+
+
+def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
+    """What a model has and the mechanism will not have, in words."""
+    model, found = compiled.model, []
+    of_joint = lambda values: [joints[model.dof_jntid[k]] for k in np.flatnonzero(values)]
+    ball = model.jnt_type[model.dof_jntid] <= 1
+    for what, names in (
+        ("armature", of_joint(model.dof_armature > 0)),
+        ("dry friction", of_joint(model.dof_frictionloss > 0)),
+        ("damping", of_joint((model.dof_damping > 0) & ball)),
+        ("damping that is not linear", of_joint(np.any(model.dof_dampingpoly != 0, axis=-1))),
+    ):
+        found += [_of_joints(what, names)] if names else []
+    soft = (model.jnt_stiffness > 0) & (model.jnt_type <= 1)
+    bent = np.any(np.atleast_2d(model.jnt_stiffnesspoly) != 0, axis=-1)
+    for what, flags in (
+        ("limits", model.jnt_limited > 0),
+        ("stiffness", soft),
+        ("stiffness that is not linear", bent),
+    ):
+        found += (
+            [_of_joints(what, [joints[k] for k in np.flatnonzero(flags)])] if any(flags) else []
+        )
+    if np.any((model.geom_contype > 0) | (model.geom_conaffinity > 0)):
+        found.append("contacts between geometries")
+    if np.any(model.body_gravcomp != 0):
+        found.append("compensation of gravity")
+    if model.opt.density > 0 or model.opt.viscosity > 0 or np.any(model.opt.wind != 0):
+        found.append("the fluid around the bodies")
+    counts = {"actuators": model.nu, "tendons": model.ntendon, "equality constraints": model.neq}
+    counts |= {"flexible bodies": model.nflex, "bodies moved by motion capture": model.nmocap}
+    found += [f"{count} {what}" for what, count in counts.items() if count]
+    if compiled.without:
+        found.append(
+            f"meshes that MuJoCo finds no file for or cannot read ({listed(compiled.without)})"
+        )
+    return found
+
+
+def _of_joints(what: str, names: list[str]) -> str:
+    return f"{what} of {listed(dict.fromkeys(names))}"

@@ -1,0 +1,97 @@
+"""Another joint in the place of one: which fit, and what keeps the rest as it was.
+
+An ideal joint in the spanning tree starts at its home unless told otherwise; the same joint with
+clearance leaves its body afloat, to be assembled from anywhere. So its coordinate is given as a
+guess, and its speed where nothing else tells it.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from jaxclear.components.body import Body, Connection
+from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.joint import AbstractDrivenJoint, AbstractJoint
+from jaxclear.components.joint.base import drive_of
+from jaxclear.ground.arguments import check_known, expect
+from jaxclear.ground.wording import listed
+from jaxclear.multibody.topology import Topology, coordinate_joint, free_joint, grow
+
+__all__ = ["exchanged", "told_for_start"]
+
+
+def exchanged(
+    connections: Mapping[str, Connection], bodies: dict[str, Body], name: str, joint: Any
+) -> dict[str, Connection]:
+    """The connections with another joint between the same markers. Raises `ValueError` with a
+    sentence for names that there are not and joints that do not fit."""
+    check_known("joint", name, connections, " in this mechanism")
+    wanted = "one of jaxclear.joint or jaxclear.clearance"
+    expect(joint, (AbstractJoint, AbstractClearance), f'what is put in place of "{name}"', wanted)
+    old = connections[name]
+    drive = drive_of(old.joint)
+    if drive is not None and drive_of(joint) is None:
+        if not isinstance(joint, AbstractDrivenJoint):
+            raise ValueError(
+                f'joint "{name}" is driven, and a {type(joint).__name__} takes no drive; turn it '
+                "by a torque (load.JointTorque) in a joint without a drive, or give play to "
+                "another joint."
+            )
+        undriven: Any = joint
+        joint = dataclasses.replace(undriven, drive=drive)
+    found = dict(connections)
+    found[name] = Connection(joint, old.parent, old.child)
+    _check_fits(name, old.joint, coordinate_joint(name, bodies, found), joint, connections, bodies)
+    return found
+
+
+def _check_fits(
+    name: str, old: Any, ideal: AbstractJoint, joint: Any, connections: Any, bodies: Any
+) -> None:
+    """That one of two joints constrains no more than the other does."""
+    before = coordinate_joint(name, bodies, dict(connections))
+    rows, new_rows = set(before.rows), set(ideal.rows)
+    if rows <= new_rows or new_rows <= rows:
+        return
+    said = "" if ideal is joint else f", which without its play is a {_kind(ideal)}"
+    raise ValueError(
+        f'joint "{name}" is a {type(old).__name__}; a {type(joint).__name__}{said} moves in other '
+        "directions and does not fit in its place."
+    )
+
+
+def _kind(joint: AbstractJoint) -> str:
+    return type(joint).__name__.removeprefix("Permanent")
+
+
+def told_for_start(
+    before: Topology,
+    connections: dict[str, Connection],
+    bodies: dict[str, Body],
+    name: str,
+    given: Mapping[str, Mapping[str, Any]],
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """(guess, speeds) with the coordinate of the exchanged joint where it stood, so that the start
+    stays as it was. Raises `ValueError` where a body in space is held by a joint that only acts in
+    a plane."""
+    guess, speeds = dict(given["guess"]), dict(given["speeds"])
+    joint, after = connections[name].joint, grow(bodies, connections)
+    if before.branch_of(name) is None or not isinstance(joint, AbstractClearance):
+        return guess, speeds
+    afloat = {b.body for b in after.branches if b.connection is None}
+    afloat -= {b.body for b in before.branches if b.connection is None}
+    form = coordinate_joint(name, bodies, connections)
+    for body in sorted(afloat):
+        lost = [row for row in form.rows if row not in joint.ideal_rows]
+        if lost and len(free_joint(bodies[body]).home) > len(lost):
+            raise ValueError(
+                f'joint "{name}" is to be a {type(joint).__name__}, which acts in a plane, and '
+                f'nothing else holds body "{body}" out of it (rows {listed(lost)}); take a joint '
+                "that acts in space, such as a JournalBearing with a flange."
+            )
+    told = {*given["start"], *guess}
+    if name not in told and not afloat & told:
+        guess[name] = form.home
+    if afloat and name not in speeds and not afloat & {*speeds}:
+        speeds[name] = (0.0,) * len(form.columns(form.home))
+    return guess, speeds
