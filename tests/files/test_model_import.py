@@ -1,0 +1,157 @@
+"""Mechanisms from URDF and MJCF against MuJoCo, which computes the same accelerations of the same
+file.
+
+Tolerance 1e-9 of the largest acceleration: both work in float64; a body between two joints of one
+body has 1e-12 of its mass.
+"""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+
+pytest.importorskip("mujoco")
+
+from tests.rigs.mujoco_trees import ROBOTS, largest_difference
+
+TREE = """
+<mujoco><compiler angle="degree"/><option gravity="0.3 -1 -9.7"/>
+ <default><joint damping="0.3"/></default>
+ <worldbody>
+  <body name="cart" pos="0 0 1" euler="10 20 30">
+   <joint name="rail" type="slide" axis="1 2 0" stiffness="30" springref="0.1" ref="0.2"/>
+   <geom name="box" type="box" size="0.1 0.2 0.3" density="500"/>
+   <body name="frame" pos="0.1 0 0" euler="0 0 40">
+    <body name="arm" pos="0.5 0.1 0" quat="0.8 0.2 0.3 0.1">
+     <joint name="yaw" axis="0 0 -1" pos="0.05 0 0"/>
+     <joint name="pitch" axis="0 1 0.2" range="-30 40" armature="0.2"/>
+     <geom name="rod" type="capsule" fromto="0 0 0 0.4 0 0.1" size="0.03"/>
+     <site name="tip"/>
+     <body name="weight" pos="0.4 0 0.1"><geom type="sphere" size="0.05"/></body>
+    </body>
+   </body>
+  </body>
+ </worldbody>
+</mujoco>
+"""
+LARGER = """
+<mujoco><option gravity="0 0 -9.81"/>
+ <worldbody>
+  <body name="ship" pos="0 0 1"><freejoint/>
+   <geom type="box" size="0.3 0.2 0.1" pos="0.1 0 0"/>
+   <body name="mast" pos="0 0 0.2"><joint type="ball" pos="0 0 0.02"/>
+    <geom type="capsule" fromto="0 0 0 0.1 0 0.6" size="0.03"/>
+    <body name="boom" pos="0 0 0.3">
+     <joint name="up" type="slide" axis="0 0 1"/><joint name="round" axis="0 0 1"/>
+     <joint name="tilt" axis="0 1 0"/>
+     <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02"/>
+    </body>
+   </body>
+  </body>
+ </worldbody>
+</mujoco>
+"""
+# Arms, hands, legged and humanoid robots; roots fixed but where said.
+PUBLIC = {
+    "double_pendulum_description/urdf/double_pendulum.urdf": False,
+    "ur_description/urdf/ur5_robot.urdf": False,
+    "panda_description/urdf/panda.urdf": False,
+    "kinova_description/robots/kinova.urdf": False,
+    "finger_edu_description/robots/finger_edu.urdf": False,
+    "solo_description/robots/solo12.urdf": True,
+    "bolt_description/robots/bolt.urdf": True,
+}
+
+
+@pytest.fixture
+def tree(tmp_path):
+    path = tmp_path / "tree.xml"
+    path.write_text(TREE)
+    return path
+
+
+def test_a_small_tree_accelerates_as_in_mujoco(tree):
+    worst, count = largest_difference(tree)
+    assert count == 3
+    assert worst < 1e-9
+
+
+@pytest.mark.slow
+def test_free_and_ball_joints_and_three_joints_of_a_body_accelerate_as_in_mujoco(tmp_path):
+    path = tmp_path / "ship.xml"
+    path.write_text(LARGER)
+    worst, count = largest_difference(path)
+    assert count == 12
+    assert worst < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PUBLIC)
+def test_public_models_accelerate_as_in_mujoco(name):
+    if not ROBOTS.exists():
+        pytest.skip("example-robot-data is not installed")
+    worst, _ = largest_difference(ROBOTS / name, floating=PUBLIC[name])
+    assert worst < 1e-9
+
+
+def test_names_joints_and_loads_are_the_files_own(tree):
+    with pytest.warns(jc.NotImported, match="not taken over") as warned:
+        mechanism = jc.read_mjcf(tree)
+    sentence = str(warned[0].message)
+    assert 'armature of "pitch"' in sentence
+    assert 'limits of "pitch"' in sentence
+    assert "contacts between geometries" in sentence
+    assert warned[0].filename == __file__
+    assert list(mechanism.bodies) == ["cart", "yaw carrier", "arm", "weight"]
+    kinds = {name: type(c.joint).__name__ for name, c in mechanism.connections.items()}
+    assert kinds == {
+        "rail": "Prismatic",
+        "yaw": "Revolute",
+        "pitch": "Revolute",
+        "weight weld": "Fixed",
+    }
+    assert set(mechanism.loads) == {"rail spring", "yaw spring", "pitch spring", "gravity"}
+    spring = mechanism.loads["rail spring"]
+    assert float(spring.stiffness) == 30.0
+    # From the reference at 0.2 the spring rests at 0.1.
+    np.testing.assert_allclose(float(spring.rest), -0.1)
+
+
+def test_what_is_taken_over_whole_gives_no_warning(tmp_path):
+    path = tmp_path / "ship.xml"
+    path.write_text(LARGER.replace("<geom", '<geom contype="0" conaffinity="0"'))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mechanism = jc.read_mjcf(path)
+    assert len(mechanism.bodies) == 5
+
+
+def test_an_imported_mechanism_is_a_file_like_any_other(tree, tmp_path):
+    with pytest.warns(jc.NotImported):
+        mechanism = jc.read_mjcf(tree)
+    jc.write_scene(mechanism, tmp_path / "tree.yaml")
+    again = jc.read_scene(tmp_path / "tree.yaml").mechanism
+    assert str(again) == str(mechanism)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("no xml", "MuJoCo cannot read model.xml: .*XML"),
+        ("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "mass and inertia"),
+        ("<mujoco/>", "model.xml has no body with mass"),
+        ("<robot name='r'><link name='a'/></robot>", "model.xml has no body with mass"),
+    ],
+)
+def test_what_is_no_mechanism_is_refused_with_a_sentence(text, sentence, tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=sentence):
+        jc.read_urdf(path)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ValueError, match="none.urdf is no file"):
+        jc.read_urdf(tmp_path / "none.urdf")
