@@ -8,7 +8,11 @@ import pytest
 from scipy import stats
 
 import jaxclear as jc
+from jaxclear.studies.sampling import draw, groups
 from jaxclear.studies.sensitivity.derivative import combined, confirmed, from_parts
+from jaxclear.studies.sensitivity.direction import directions
+from jaxclear.studies.sensitivity.functional import Functional
+from jaxclear.studies.sensitivity.methods import differences
 
 D = jc.distribution
 SLOPES, SPREADS = np.array([1.0, -0.8, 0.5]), np.array([0.1, 0.2, 0.15])
@@ -201,3 +205,21 @@ def test_a_biased_method_is_not_combined():
 def test_mistakes_get_a_sentence(of, sentence):
     with pytest.raises(ValueError, match=sentence):
         jc.sensitivity(LINEAR, of=of)
+
+
+def test_differences_of_a_quantile_tell_their_error():
+    """The median of a symmetric response does not move with the width of a variable. Medians of
+    single samples jump, and their jackknife held in 72 % of repetitions; smooth ones hold in 85 %
+    at the least."""
+    numbers = {name: jc.Dimension(0.0, jc.distribution.Normal(1.0)) for name in "ab"}
+    problem = jc.FunctionProblem(lambda a, b: a + 0.6 * b, numbers)
+    direction = directions(problem, ["standard deviation of a"])[0]
+    one = Functional("response", "quantile", 0.5)
+    found = []
+    for seed in range(60):
+        values = draw(problem, 128, 100 + seed, scramblings=16)
+        sample = values, groups(128, 16)
+        found.append(differences(problem, sample, direction, [one])[one.label])
+    away = np.array([estimate.value for estimate in found])
+    half = np.array([estimate.error for estimate in found])
+    assert np.mean(abs(away) <= half) > 0.85

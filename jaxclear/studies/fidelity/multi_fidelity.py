@@ -20,7 +20,7 @@ from jaxclear.studies.fidelity.model import Model, models_of, told_by
 from jaxclear.studies.fidelity.result import MultiFidelity, rate
 from jaxclear.studies.sampling import check_sampled, draw
 from jaxclear.studies.statistics.accuracy import asked_of, unreached
-from jaxclear.studies.statistics.scrambled import Statistic, student
+from jaxclear.studies.statistics.scrambled import Statistic, deviation_of_moments, student
 from jaxclear.studies.warned import any_warning
 
 # Independent scramblings, whose differences tell the errors.
@@ -173,7 +173,8 @@ def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target)
         half = student(blocks) * parts[:, i].std(ddof=1) / np.sqrt(blocks)
         value = float(question.middle[i] + parts[:, i].mean())
         means[name] = Statistic(value, float(value - half), float(value + half))
-        spreads[name] = _deviation(parts[:, i], parts[:, count + i])
+        value, half = deviation_of_moments(parts[:, i], parts[:, count + i])
+        spreads[name] = Statistic(value, max(value - half, 0.0), value + half)
         gains[name] = _gain(plain[:, :, i], parts[:, i], links)
         if target is not None and not half <= target[i]:
             short[name] = float(half), float(target[i])
@@ -209,21 +210,3 @@ def _gain(sizes: np.ndarray, parts: np.ndarray, links: Links) -> float:
     more = (sizes[0].var(ddof=1) / parts.var(ddof=1)) ** (1 / fall)
     first = links.question.parts * links.links[0].points
     return float(first * more / links.work)
-
-
-def _deviation(first: np.ndarray, second: np.ndarray) -> Statistic:
-    """Standard deviation from contributions (scramblings,) to the first and second moment about a
-    middle; squares of means are products of different scramblings, which leaves no bias."""
-    count = len(first)
-
-    def variance(m1, m2):
-        n = len(m1)
-        return m2.mean() - (m1.sum() ** 2 - (m1**2).sum()) / (n * (n - 1))
-
-    drop = [np.delete(np.arange(count), k) for k in range(count)]
-    without = np.array([variance(first[kept], second[kept]) for kept in drop])
-    found = max(variance(first, second), 0.0)
-    spread = (count - 1) / count * np.sum((without - without.mean()) ** 2)
-    half = student(count) * np.sqrt(spread)
-    low, high = np.sqrt(np.maximum([found - half, found + half], 0.0))
-    return Statistic(float(np.sqrt(found)), float(low), float(high))

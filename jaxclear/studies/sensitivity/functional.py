@@ -16,6 +16,7 @@ import scipy
 
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.ground.wording import described
+from jaxclear.studies.statistics.scrambled import smooth_quantile
 
 # The slope of a quantile by the score of its share is taken over +- this many scores: wide enough
 # for some samples to lie within, narrow enough for the slope to be that of the middle.
@@ -55,8 +56,13 @@ class Functional(NamedTuple):
         if self.kind == "standard deviation":
             return float(responses.std(ddof=1))
         if self.kind == "quantile":
-            return float(np.quantile(responses, self.number))
+            return smooth_quantile(responses, self.number)
         return float(np.mean(self._beyond(responses)))
+
+    @property
+    def smooth(self) -> bool:
+        """Whether it is a smooth function of means, whose bias a jackknife tells."""
+        return self.kind != "quantile"
 
     def place(self, sample: np.ndarray) -> float | None:
         """The value at which parts are told apart; None where none is."""

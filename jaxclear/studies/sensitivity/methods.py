@@ -72,6 +72,9 @@ def differences(
             return np.array([wide, narrow, (4 * narrow - wide) / 3])
 
         parts = pseudo_values(slopes, group[good]).reshape(-1, 3)
+        if not one.smooth:
+            # What a jackknife would correct is less than the noise that it would bring.
+            parts += slopes(np.ones(int(good.sum()), bool)) - parts.mean(axis=0)
         gap = parts[:, 2] - parts[:, 1]
         half = student(len(gap)) * gap.std(ddof=1) / np.sqrt(len(gap)) if len(gap) > 1 else np.inf
         # A gap within its own noise is no sign of curvature.

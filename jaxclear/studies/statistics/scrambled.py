@@ -3,11 +3,14 @@
 Means, standard deviations and all that is made of them are taken from the whole sample, and their
 error from leaving out one scrambling after the other (a jackknife of groups): right for correlated
 points within a scrambling, for smooth functions of means. The interval of a quantile is that of the
-share of samples below it, read off as quantiles (Woodruff). All intervals are Student's, 95 %.
+share of samples below it, read off as quantiles (Woodruff). All intervals are Student's, 95 %;
+where contributions are skewed, as squares are, the farther end is moved by what skewness adds.
 
-Source: jackknife of groups: Miller 1974, Biometrika 61, 1, doi:10.1093/biomet/61.1.1; quantiles:
-Woodruff 1952, J. Am. Stat. Assoc. 47, 635, doi:10.1080/01621459.1952.10483443; shares of which few
-samples tell: Clopper & Pearson 1934, Biometrika 26, 404, doi:10.1093/biomet/26.4.404.
+Source: jackknife of groups: Miller 1974, Biometrika 61, 1, doi:10.1093/biomet/61.1.1; skewness:
+Johnson 1978, J. Am. Stat. Assoc. 73, 536, doi:10.1080/01621459.1978.10480051; quantiles: Woodruff
+1952, J. Am. Stat. Assoc. 47, 635, doi:10.1080/01621459.1952.10483443; smooth ones: Harrell & Davis
+1982, Biometrika 69, 635, doi:10.1093/biomet/69.3.635; shares of which few samples tell: Clopper &
+Pearson 1934, Biometrika 26, 404, doi:10.1093/biomet/26.4.404.
 """
 
 from collections.abc import Callable
@@ -71,6 +74,41 @@ def jackknifed(
     return Statistic(value, value - half, value + half)
 
 
+def skewed_half(parts: np.ndarray) -> float:
+    """How far the farther end of the 95 % interval of the mean of contributions (scramblings,) is
+    away, to the first order of their skewness."""
+    count, spread = len(parts), float(parts.std(ddof=1))
+    times = student(count)
+    half = times * spread / np.sqrt(count)
+    if spread == 0.0:
+        return half
+    skewness = abs(float(scipy.stats.skew(parts, bias=False)))
+    return half + skewness * spread * (2 * times**2 + 1) / (6 * count)
+
+
+def deviation_of_moments(
+    first: np.ndarray, second: np.ndarray, beside: float = 0.0
+) -> tuple[float, float]:
+    """A standard deviation and half of its 95 % interval from contributions (scramblings,) to the
+    first and second moment about one place; `beside` is the variance of what else the second holds.
+
+    Squares of means are products of different scramblings, so that the variance has no bias.
+    """
+    count = len(first)
+
+    def variance(kept):
+        one, n = first[kept], int(kept.sum())
+        return second[kept].mean() - (one.sum() ** 2 - (one**2).sum()) / (n * (n - 1))
+
+    every = np.ones(count, bool)
+    whole = variance(every)
+    without = np.array([variance(np.arange(count) != k) for k in range(count)])
+    half = skewed_half(count * whole - (count - 1) * without)
+    half = float(np.hypot(half, student(count) * np.sqrt(beside)))
+    root = float(np.sqrt(max(whole, 0.0)))
+    return root, half / (2 * root) if root > 0 else np.inf
+
+
 def deviation(values: np.ndarray) -> float:
     """Standard deviation of a sample, nan of fewer than two."""
     return float(values.std(ddof=1)) if len(values) > 1 else np.nan
@@ -90,6 +128,16 @@ def quantile(values: np.ndarray, group: np.ndarray, share: float) -> Statistic:
     low, high = (share - half) * count, (share + half) * count + 1
     places = [int(np.floor(np.clip(low, 0, count))), int(np.ceil(np.clip(high, 1, count + 1)))]
     return Statistic(value, float(ordered[places[0]]), float(ordered[places[1]]))
+
+
+def smooth_quantile(values: np.ndarray, share: float) -> float:
+    """The value that a share [1] of the responses does not exceed, as a mean of all of them in
+    their order, weighed by how likely each is to be it: where a single sample would jump from one
+    to the next, and a jackknife of it tells nothing, this is smooth (Harrell & Davis)."""
+    count = len(values)
+    edges = np.arange(count + 1) / count
+    weights = np.diff(scipy.special.betainc(share * (count + 1), (1 - share) * (count + 1), edges))
+    return float(weights @ np.sort(values))
 
 
 def share(inside: np.ndarray, group: np.ndarray) -> Statistic:

@@ -21,7 +21,7 @@ from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
-from jaxclear.studies.statistics.scrambled import student
+from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.surface.drawing import all_values, scrambled_normal
 from jaxclear.studies.surface.response_surface import ResponseSurface
 
@@ -210,8 +210,7 @@ def _mean(numbers, there, good, blocks, free, weight, unseen=0.0) -> Statistic:
 
 
 def _moments(numbers, there, good, blocks, free, middle, weights) -> tuple[Statistic, Statistic]:
-    """Mean and standard deviation. Squares of means are products of different scramblings, so that
-    the variance has no bias; its error is the jackknife's over them."""
+    """Mean and standard deviation."""
     mean = _mean(numbers, there, good, blocks, free, weights[0])
     first = _left(numbers - middle, there - middle, good, blocks, free - middle, weights[0])
     second = _left(
@@ -219,19 +218,7 @@ def _moments(numbers, there, good, blocks, free, middle, weights) -> tuple[Stati
         weights[1],
     )  # fmt: skip
 
-    def variance(m1, m2):
-        count = len(m1)
-        return m2.mean() - (m1.sum() ** 2 - (m1**2).sum()) / (count * (count - 1))
-
-    def spread(m1, m2):
-        drop = [np.delete(np.arange(blocks), k) for k in range(blocks)]
-        one = np.array([variance(m1[kept], m2[kept]) for kept in drop])
-        return (blocks - 1) / blocks * np.sum((one - one.mean()) ** 2)
-
-    found = max(variance(first[1], second[1]), 0.0)
-    error = spread(first[1], second[1]) + second[2]
-    plain = spread(first[0], second[0])
-    root = np.sqrt(found)
-    width = student(blocks) * np.sqrt(error) / (2 * root) if root > 0 else np.inf
-    gain = plain / error if weights[1] and error > 0 else 1.0
-    return mean, Statistic(float(root), float(width), float(gain))
+    value, half = deviation_of_moments(first[1], second[1], second[2])
+    plain = deviation_of_moments(first[0], second[0])[1]
+    gain = float((plain / half) ** 2) if weights[1] and half > 0 else 1.0
+    return mean, Statistic(value, half, gain)
