@@ -139,6 +139,27 @@ def test_an_interrupted_campaign_goes_on(plain, folder, tmp_path, monkeypatch):
     assert contents(place) == contents(folder)
 
 
+@pytest.mark.parametrize("writes", range(4))
+def test_a_chunk_that_was_not_finished_counts_for_nothing(folder, tmp_path, monkeypatch, writes):
+    """The end comes after so many of a chunk's files; other bytes stand in those that are there."""
+    place = tmp_path / "kept"
+    put, count = Samples._put, iter(range(100))
+
+    def ends(self, name, at, numbers):
+        if next(count) >= writes:
+            raise SystemExit
+        put(self, name, at, np.zeros_like(numbers))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Samples, "_put", ends)
+        patched.setattr(work, "threads_of", lambda: 1)
+        with pytest.raises(SystemExit):
+            jc.campaign(problem(), 10_000, folder=place, seed=3)
+    assert jc.open_campaign(place).finished == 0
+    jc.campaign(problem(), 10_000, folder=place, seed=3)
+    assert contents(place) == contents(folder)
+
+
 def test_two_at_one_folder_share_its_chunks(plain, folder, tmp_path):
     """Each chunk is computed once; both wait for the other's and end with all samples."""
     place = tmp_path / "kept"

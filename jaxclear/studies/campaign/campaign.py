@@ -4,7 +4,7 @@
 
 import inspect
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,13 @@ from tqdm import tqdm
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.wording import listed, meant
-from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.plan import Evaluation, Plan, planned
 from jaxclear.studies.campaign.recorded import RecordedProblem, in_json
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.campaign.samples import KIND, Samples
 from jaxclear.studies.campaign.work import Heard, by_threads
+from jaxclear.studies.campaign.workers import by_workers, check_client
 from jaxclear.studies.identity import in_texts
 from jaxclear.studies.sampling import check_sampled, usual_scramblings
 from jaxclear.studies.store import checked_folder, refuse_other
@@ -39,6 +40,7 @@ def campaign(
     folder: str | Path,
     seed: int = 0,
     chunk: int | None = None,
+    client: Any = None,
     progress_bar: bool = False,
     **sampled: Any,
 ) -> Campaign:
@@ -53,18 +55,25 @@ def campaign(
     `samples`, `seed`, and in `sampled` also `sampling` and `scramblings`, as in `monte_carlo`,
     whose samples these are: a sample has the same values and, on one kind of machine, the same
     responses to the last bit in whatever chunks and threads it is computed. `chunk`: samples in a
-    file, rounded up to whole batches; an older folder keeps its own. `progress_bar` shows rate,
-    time left, failures.
+    file, rounded up to whole batches; an older folder keeps its own. `client`: a
+    `dask.distributed.Client`, whose workers compute and write the chunks, in a folder that all of
+    them see. `progress_bar` shows rate, time left, failures.
     Raises `ValueError` with a sentence for what cannot be asked, `ImportError` without zarr.
     """
     asked = _asked(problem, samples, seed, chunk, sampled)
     check_flags("campaign", progress_bar=progress_bar)
+    if client is not None:
+        check_client(client)
     evaluation = Evaluation(problem, asked)
     try:
-        kept, left = _begun(folder, problem, asked, evaluation)
+        kind = evaluation.compiled if client is None else evaluation.traced
+        kept, left = _begun(folder, problem, asked, kind)
         evaluation.plan = kept.plan
         with _progress(progress_bar, kept.plan, left) as heard:
-            by_threads(kept, evaluation, left, heard)
+            if client is None:
+                by_threads(kept, evaluation, left, heard)
+            else:
+                by_workers(client, kept, problem, left, heard)
         kept.tidy()
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_interrupted(folder)) from None
@@ -106,15 +115,16 @@ def _asked(problem: Any, samples: Any, seed: Any, chunk: Any, sampled: dict[str,
 
 
 def _begun(
-    folder: Any, problem: AbstractProblem, plan: Plan, evaluation: Evaluation
+    folder: Any, problem: AbstractProblem, plan: Plan, kind: Callable[[], SampleResult]
 ) -> tuple[Samples, list[int]]:
-    """The samples in a folder, made where there are none, and the chunks that are left."""
+    """The samples in a folder, made for a `kind` of samples where there are none, and the chunks
+    that are left."""
     checked_folder(folder)
     texts = in_texts(problem)
     found = Samples.known(folder)
     if found is None:
         told = {"problem": json.dumps(texts), "recorded": in_json(problem)}
-        found = Samples.made(folder, plan, told, evaluation.compiled())
+        found = Samples.made(folder, plan, told, kind())
     # Another process may have been first.
     refuse_other(found.folder, found.told, KIND, texts)
     for name in ("samples", "seed", "sampling", "scramblings"):

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -91,7 +92,12 @@ class Evaluation:
         self._compiled, self._calls_lapack = True, bool(lapack)
         return found
 
-    def chunk(self, number: int, values: np.ndarray) -> SampleResult:
+    def traced(self) -> SampleResult:
+        """The same with shapes in place of numbers; compiles nothing."""
+        nominal = jnp.tile(self.problem.nominal(), (self.plan.batch, 1))
+        return eqx.filter_eval_shape(evaluate_chunk, self.problem, nominal)
+
+    def chunk(self, values: np.ndarray) -> SampleResult:
         """What the samples of a chunk give. Raises `Stopped` where Ctrl-C ended the program."""
         with self._compiling:
             if not self._compiled:

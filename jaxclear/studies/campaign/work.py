@@ -38,7 +38,7 @@ def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
         if samples.is_finished(number):
             return failures(samples.found(slice(*samples.plan.span(number))))
         values = samples.plan.values(evaluation.problem, number)
-        found = evaluation.chunk(number, values)
+        found = evaluation.chunk(values)
         samples.write(number, values, found)
         return failures(found)
 

@@ -1,0 +1,136 @@
+"""Campaigns whose processes are killed: the folder ends as if nothing had happened, bit for bit."""
+
+import multiprocessing
+import os
+import random
+import signal
+import threading
+import time
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.ground import forking
+from jaxclear.studies.campaign.samples import FINISHED, SAMPLES
+from tests.studies.test_campaign import contents, problem
+
+pytestmark = pytest.mark.slow
+
+CHUNK, CHUNKS = 4096, 300
+SAMPLES_ASKED = CHUNK * CHUNKS - 1000
+
+
+def run(folder, samples=SAMPLES_ASKED):
+    # The server of forks has imported jaxclear and computed nothing, so it has no threads of XLA.
+    forking._forked = False
+    return jc.campaign(problem(), samples, folder=folder, seed=5, chunk=CHUNK)
+
+
+def marks(folder):
+    """Chunks that are finished."""
+    place = folder / SAMPLES / FINISHED / "c"
+    return len(list(place.iterdir())) if place.exists() else 0
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    place = tmp_path_factory.mktemp("whole") / "kept"
+    run(place)
+    return place
+
+
+def test_killed_fifty_times_and_resumed_is_the_same_bit_for_bit(whole, tmp_path):
+    """Each process is killed (SIGKILL) some chunks and some moments after it began."""
+    place = tmp_path / "kept"
+    chance = random.Random(1)
+    processes = multiprocessing.get_context("forkserver")
+    processes.set_forkserver_preload(["jaxclear", "zarr", "tests.studies.test_campaign"])
+    alive = 0
+    for _ in range(50):
+        before = marks(place)
+        one = processes.Process(target=run, args=(place,))
+        one.start()
+        wanted = before + chance.randint(0, 8)
+        while marks(place) < wanted and one.is_alive():
+            time.sleep(1e-3)
+        time.sleep(chance.uniform(0, 0.02))
+        alive += one.is_alive()
+        os.kill(one.pid, signal.SIGKILL)
+        one.join()
+        assert marks(place) >= before
+    assert alive == 50
+    assert 50 < marks(place) < CHUNKS
+    run(place)
+    assert contents(place) == contents(whole)
+
+
+def test_processes_at_one_folder_share_its_chunks(whole, tmp_path):
+    """Two work side by side, one of them is killed; the other one finishes."""
+    place = tmp_path / "kept"
+    processes = multiprocessing.get_context("forkserver")
+    processes.set_forkserver_preload(["jaxclear", "zarr", "tests.studies.test_campaign"])
+    both = [processes.Process(target=run, args=(place,)) for _ in range(2)]
+    for one in both:
+        one.start()
+    while marks(place) < 40:
+        time.sleep(1e-3)
+    os.kill(both[0].pid, signal.SIGKILL)
+    both[1].join()
+    assert both[1].exitcode == 0
+    assert contents(place) == contents(whole)
+
+
+def traced(bore, pin):
+    """Leaves a line for every time that it is traced."""
+    with open(os.environ["TRACES"], "a") as told:
+        told.write(f"{os.getpid()}\n")
+    return {"fit": jnp.sqrt(bore - pin), "area": bore**2 - pin**2}
+
+
+def test_a_lost_worker_costs_no_sample(tmp_path, monkeypatch):
+    """Dask on two processes, one of them killed in the middle; every worker compiles once."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setenv("TRACES", str(tmp_path / "traces"))
+    asked, samples = problem(function=traced), 200 * CHUNK
+    jc.campaign(asked, samples, folder=tmp_path / "here", seed=5, chunk=CHUNK)
+    (tmp_path / "traces").unlink()
+    place = tmp_path / "there"
+    cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    with cluster, distributed.Client(cluster) as client:
+        pids = client.run(os.getpid)
+        client.run(os.environ.update, TRACES=str(tmp_path / "traces"))
+        killed = []
+
+        def kill():
+            while marks(place) < 40:
+                time.sleep(1e-3)
+            killed.append(min(pids.values()))
+            os.kill(killed[0], signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        found = jc.campaign(asked, samples, folder=place, seed=5, chunk=CHUNK, client=client)
+        killer.join()
+    assert found.is_complete
+    assert contents(place) == contents(tmp_path / "here")
+    lines = (tmp_path / "traces").read_text().split()
+    own = {pid: lines.count(pid) for pid in set(lines) - {str(os.getpid())}}
+    assert str(killed[0]) in own
+    assert set(own.values()) == {1}, own
+
+
+def test_a_mechanism_travels_to_workers(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    from jaxclear.commands.four_bar import problem as four_bar
+
+    asked = four_bar(0.01, 5)
+    cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    with cluster, distributed.Client(cluster) as client:
+        found = jc.campaign(asked, 96, folder=tmp_path / "there", client=client)
+    plain = jc.monte_carlo(asked, 96, chunk=64)
+    for name, own in plain.responses.items():
+        assert np.array_equal(own, found.responses[name], equal_nan=True)
+    assert found.warnings() == plain.warnings()
+    assert found.sentence() == plain.sentence()
