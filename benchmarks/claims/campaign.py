@@ -29,8 +29,8 @@ def four_bar_in_motion() -> jc.Problem:
 
 
 PROBLEMS: dict[str, tuple[Callable[[], Any], int, int]] = {
-    "four-bar, 0.05 s of motion": (four_bar_in_motion, 128, 512),
-    "four-bar, 36 positions": (four_bar_positions, 1 << 14, 1 << 16),
+    "four-bar, 0.05 s of motion": (four_bar_in_motion, 128, 256),
+    "four-bar, 36 positions": (four_bar_positions, 1 << 14, 1 << 15),
     "stack of ten": (stack, 1 << 17, 1 << 20),
 }
 
@@ -102,8 +102,8 @@ def folder_row(name: str, problem: Any, samples: int) -> dict[str, Any]:
 
 
 def memory_rows(most: int) -> list[dict[str, Any]]:
-    """Largest resident set of a campaign of so many samples, of the summary read from its folder,
-    and of the plain study."""
+    """Largest resident set of a campaign of so many samples, also with the summary read from its
+    folder, and of the plain study."""
     rows = []
     samples = 1000
     while samples <= most:
