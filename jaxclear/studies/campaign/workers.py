@@ -44,7 +44,8 @@ def by_workers(
 
     token, folder = secrets.token_hex(8), str(samples.folder.resolve())
     there = client.submit(_itself, problem, pure=False)
-    left, asked = deque(numbers), {}
+    left: deque[int] = deque(numbers)
+    asked: dict[Any, int] = {}
     running = distributed.as_completed()
     most = max(LEAST_ASKED, ASKED_A_THREAD * sum(client.nthreads().values()))
     try:
