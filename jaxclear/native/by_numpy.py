@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
-from jaxclear.native.control import CALLS, called
+from jaxclear.native.calls import CALLS, called, is_an_error
 from jaxclear.native.writer import Unsupported
 
 # Turns after which a loop within the loop is given up.
@@ -76,6 +76,7 @@ PLAIN: dict[str, Callable] = {
     "log": np.log,
     "tanh": np.tanh,
     "atan2": np.arctan2,
+    "nextafter": np.nextafter,
     "pow": np.power,
     "floor": np.floor,
     "eq": np.equal,
@@ -189,8 +190,19 @@ def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
         return ON_FLOATS[name], False
     if name == "scan" and not p["reverse"]:
         return _scan(p, evaluator(p["jaxpr"], known)), True
+    if name == "cond":
+        branches = [evaluator(branch, known) for branch in p["branches"]]
+        return lambda which, *inputs: branches[int(which)](*inputs), True
+    if name == "pure_callback" and is_an_error(p):
+        shapes = [atom.aval.shape for atom in equation.outvars]
+        return lambda *_: [np.full(shape, np.nan) for shape in shapes], True
     if name == "while":
         return _while(p, evaluator(p["cond_jaxpr"], known), evaluator(p["body_jaxpr"], known)), True
+    if name == "jaxclear_loop" and not equation.params["rank"]:
+        program = equation.params["program"]
+        turn, constants = evaluator(program.body, known), program.condition_constants
+        # As in a kernel under check: one turn.
+        return lambda *inputs: turn(*inputs[constants:]), True
     if name == "dot_general" and not p["dimension_numbers"][1][0]:
         return lambda a, b: np.tensordot(a, b, axes=p["dimension_numbers"][0]), False
     if name == "maybe_set" and p["i_static"] is None:

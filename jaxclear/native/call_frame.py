@@ -167,16 +167,26 @@ def interface_version() -> tuple[int, int]:
     return major, minor
 
 
-def text(name: str, lanes: int, width: int, height: int, in_memory: Sequence[int]) -> str:
+def text(
+    name: str,
+    lanes: int,
+    width: int,
+    height: int,
+    in_memory: Sequence[int],
+    table: int | None = None,
+) -> str:
     """LLVM code of the function that XLA enters and of the loop over samples, for a kernel `name`.
 
     `width`, `height`: floats of a packed row in and out; `in_memory`: numbers in each of the arrays
-    that are read by index.
+    that are read by index; `table`: numbers in the one that the loop writes for each sample, which
+    stands behind them (None: it writes none).
     """
     loads, pointers = [], []
+    read, in_memory = len(in_memory), [*in_memory, *([] if table is None else [table])]
     for i in range(1 + len(in_memory)):
+        given = f"%arguments, i64 {i}" if i <= read else "%results, i64 1"
         loads += [
-            f"  %a{i} = getelementptr ptr, ptr %arguments, i64 {i}",
+            f"  %a{i} = getelementptr ptr, ptr {given}",
             f"  %b{i} = load ptr, ptr %a{i}",
             f"  %c{i} = getelementptr i8, ptr %b{i}, i64 24",
             f"  %d{i} = load ptr, ptr %c{i}",

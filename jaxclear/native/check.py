@@ -12,9 +12,11 @@ import jax
 import numpy as np
 
 from jaxclear.native.by_numpy import evaluator
-from jaxclear.native.program import Program, avals_of, floats_in, in_memory, packed
+from jaxclear.native.program import Program, avals_of, floats_in, in_memory, packed, row_of
 from jaxclear.native.writer import Unsupported
 
+# Largest whole number that is drawn: a place among the rows of a table.
+MOST_PLACES = 3
 # Two evaluations of the same turn differ by rounding, which the turn may enlarge: a second
 # evaluation, its numbers changed by a rounding or two, tells by how much; what it changes by more
 # than this share is no evidence.
@@ -75,23 +77,31 @@ def _agrees(program: Program, address: int, draw: int) -> tuple[tuple[bool, bool
             np.array([by_numpy(own[0]), *map(anywhere, own[1:])])
             for own in (samples, [nudged(sample) for sample in samples])
         )
-    first = np.array([packed(s[len(constants) :]) for s in samples])
+    nothing = np.zeros((len(samples), floats_in(row_of(program))))
+    first = np.hstack([[packed(s[len(constants) :]) for s in samples], nothing])
     parts = [(a[:1], a[1:]) for a in (found, wanted, changed, first)]
     usual, others = (judged(*part) for part in zip(*parts, strict=True))
     return usual, others[0]
 
 
 def _one_turn(program: Program, address: int, samples: list) -> np.ndarray:
-    """The state of each sample after one turn by the kernel."""
+    """The state of each sample after one turn by the kernel, and the row that this leaves."""
     kept = in_memory(program)
     rows = [packed([v for v, k in zip(s, kept, strict=True) if not k]) for s in samples]
     given = np.ascontiguousarray(rows)
     big = [np.ascontiguousarray([s[i] for s in samples]) for i, k in enumerate(kept) if k]
     out = np.zeros((len(samples), floats_in(avals_of(program)[1])))
+    width = floats_in(row_of(program))
+    table = np.zeros((len(samples) * program.length + MOST_PLACES, width))
+    big += [table] if program.length else []
     data = (ctypes.c_void_p * (1 + len(big)))(given.ctypes.data, *[b.ctypes.data for b in big])
     call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
     call(address)(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples), 1)
-    return out
+    if not program.length:
+        return out
+    # The same whole numbers in all samples: their places do not meet.
+    place = int(samples[0][len(kept) - len(avals_of(program)[1])])
+    return np.hstack([out, table[place + program.length * np.arange(len(samples))]])
 
 
 def random_values(constants: list, state: list, draw: int) -> list[list[np.ndarray]]:
@@ -102,7 +112,7 @@ def random_values(constants: list, state: list, draw: int) -> list[list[np.ndarr
         if aval.dtype == bool:
             return rng.random(aval.shape) < 0.5
         if np.issubdtype(aval.dtype, np.integer):
-            return rng.integers(0, 3, aval.shape).astype(aval.dtype)
+            return rng.integers(0, MOST_PLACES, aval.shape).astype(aval.dtype)
         size = rng.uniform(0.1, 1.0, aval.shape)
         return size * (rng.integers(0, 2, aval.shape) * 2 - 1) if draw in SIGNED else size
 

@@ -8,7 +8,7 @@ from jax.interpreters import partial_eval as pe
 
 from jaxclear.native.loop import loop_p, reference_of_batch
 from jaxclear.native.program import avals_of
-from jaxclear.native.tangent import moving_state, tangent_program
+from jaxclear.native.tangent import motion_in, moving_state, tangent_program
 
 
 def _differentiate(values, tangents, *, program, rank):
@@ -17,13 +17,14 @@ def _differentiate(values, tangents, *, program, rank):
     c, b = program.condition_constants, program.condition_constants + program.body_constants
     moving = [not isinstance(t, ad.Zero) for t in tangents]
     constants = moving[c:b]
-    state = moving_state(program, constants, moving[b:])
-    wanted = [i for i, moves in enumerate([*constants, *state], c) if moves]
+    results = moving_state(program, constants, moving[b:])
+    parts = len(values) - b
+    wanted = [i for i, moves in enumerate([*constants, *results[:parts]], c) if moves]
     given = {
         i: jnp.zeros_like(values[i]) if isinstance(tangents[i], ad.Zero) else tangents[i]
         for i in wanted
     }
-    with_tangents = tangent_program(program, constants, state)
+    with_tangents = tangent_program(program, constants, results)
     out = loop_p.bind(
         *values[:b],
         *(given[i] for i in wanted if i < b),
@@ -32,11 +33,12 @@ def _differentiate(values, tangents, *, program, rank):
         program=with_tangents,
         rank=rank,
     )
-    count = len(state)
-    found = iter(out[count:])
+    places = motion_in(with_tangents)
+    own = [out[i] for i in places]
+    found = iter(each for i, each in enumerate(out) if i not in places)
     still = lambda value: ad.Zero(jax.core.ShapedArray(value.shape, value.dtype).to_tangent_aval())
-    return out[:count], [
-        next(found) if moves else still(value) for moves, value in zip(state, out, strict=False)
+    return own, [
+        next(found) if moves else still(value) for moves, value in zip(results, own, strict=True)
     ]
 
 
@@ -60,12 +62,15 @@ def _known_first(trace, *tracers, program, rank):
         return out
     c, b = program.condition_constants, program.motion.body_constants
     parts = len(avals_of(program.motion)[1])
+    places = motion_in(program)
     state = c + program.body_constants
     known = [*tracers[: c + b], *tracers[state : state + parts]]
     if not all(tracer.pval.is_known() for tracer in known):
         return out
     motion = loop_p.bind(*(t.pval.get_known() for t in known), program=program.motion, rank=rank)
-    return [*map(trace.new_const, motion), *out[len(motion) :]]
+    for place, value in zip(places, motion, strict=True):
+        out[place] = trace.new_const(value)
+    return out
 
 
 def _backwards(*_, **__):

@@ -1,8 +1,13 @@
 """Rules for functions of one or two numbers: roots, powers, exponentials, angles, rounding."""
 
+import numpy as np
+
 from jaxclear.native.arithmetic import compare
 from jaxclear.native.rules import each, kinds_of, known, rule
-from jaxclear.native.writer import FLOAT, WHOLE, Unsupported
+from jaxclear.native.writer import FLOAT, TRUTH, WHOLE, Unsupported
+
+# The least float above 0.
+SMALLEST = 5e-324
 
 # LLVM has its own of these; those of the C library are called for each sample.
 _INTRINSICS = {"sqrt": "sqrt", "abs": "fabs", "floor": "floor", "ceil": "ceil"}
@@ -92,6 +97,29 @@ def _sign(writer, equation, a):
         return writer.choose(compare(writer, "gt", kind, x, zero), one, below, kind)
 
     return each(sign, a)
+
+
+@rule("nextafter")
+def _neighbour(writer, equation, a, b):
+    """Floats in order of size are in order as whole numbers too, without their sign."""
+
+    def one(x, y):
+        if known(x, y):
+            return float(np.nextafter(x, y))
+        up, below = compare(writer, "gt", FLOAT, y, x), compare(writer, "lt", FLOAT, x, 0.0)
+        away = writer.operate("xor {type} {0}, {1}", TRUTH, up, below)
+        step = writer.choose(away, 1, -1, WHOLE)
+        floats, wholes = writer.wide(FLOAT), writer.wide(WHOLE)
+        bits = writer.put(f"bitcast {floats} {writer.text(x, FLOAT)} to {wholes}")
+        bits = writer.operate("add {type} {0}, {1}", WHOLE, bits, step)
+        moved = writer.put(f"bitcast {wholes} {bits} to {floats}")
+        tiny = writer.choose(up, SMALLEST, -SMALLEST, FLOAT)
+        moved = writer.choose(compare(writer, "eq", FLOAT, x, 0.0), tiny, moved, FLOAT)
+        moved = writer.choose(compare(writer, "eq", FLOAT, x, y), y, moved, FLOAT)
+        lost = writer.operate("fcmp uno {type} {0}, {1}", FLOAT, x, y)
+        return writer.choose(lost, float("nan"), moved, FLOAT)
+
+    return each(one, a, b)
 
 
 @rule("is_finite")

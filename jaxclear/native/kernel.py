@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxclear.native import (  # noqa: F401  (rules register themselves when imported)
     call_frame,
+    calls,
     dispatch,
     elementary,
     functions,
@@ -26,7 +27,7 @@ from jaxclear.native import (  # noqa: F401  (rules register themselves when imp
 from jaxclear.native.by_numpy import LONGEST_LOOP
 from jaxclear.native.check import check
 from jaxclear.native.control import loop
-from jaxclear.native.program import Program, avals_of, floats_in, in_memory
+from jaxclear.native.program import Program, avals_of, floats_in, in_memory, row_of
 from jaxclear.native.rules import array_of, write_closed
 from jaxclear.native.writer import (
     ENDLESS,
@@ -45,18 +46,26 @@ MOST_TURNS = 10 * LONGEST_LOOP
 
 def text_of(program: Program, lanes: int) -> str:
     """The loop as LLVM code, function `NAME.loop(in, out, big, most)`, and what it calls."""
-    writer = Writer(lanes)
+    writer = Writer(lanes, bool(program.length))
     values = _arguments(writer, program)
     c, b = program.condition_constants, program.body_constants
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], values[c + b :]
     kinds = [kind_of(a.dtype) for a in avals_of(program)[1]]
+    slot = sum(in_memory(program))
+
+    def turn(state):
+        found = write_closed(writer, program.body, [*fixed_body, *state])
+        if program.length:
+            _leave(writer, slot, state[0].item(), program, found[len(state) :])
+        return found[: len(state)]
+
     checked = writer.put("icmp sgt i64 %most, 0")
     writer.most = writer.put(f"select i1 {checked}, i64 %most, i64 {ENDLESS}")
     writer.most_inside = writer.put(f"select i1 {checked}, i64 {MOST_TURNS}, i64 {ENDLESS}")
     last = loop(
         writer,
         lambda s: write_closed(writer, program.condition, [*fixed_condition, *s])[0].item(),
-        lambda s: write_closed(writer, program.body, [*fixed_body, *s]),
+        turn,
         first,
         kinds,
         outermost=True,
@@ -104,6 +113,28 @@ def _arguments(writer: Writer, program: Program) -> list:
     return values
 
 
+def _leave(writer: Writer, slot: int, turn: Any, program: Program, row: list) -> None:
+    """A turn's row into the table of each sample, at the place of the turn."""
+    kinds = [kind_of(aval.dtype) for aval in row_of(program)]
+    words = [
+        _as_float(writer, value, kind)
+        for array, kind in zip(row, kinds, strict=True)
+        for value in array.flat
+    ]
+    for lane in range(writer.lanes):
+        base = writer.put(f"getelementptr ptr, ptr %big, i64 {slot * writer.lanes + lane}")
+        table = writer.put(f"load ptr, ptr {base}")
+        first = writer.put(f"mul i64 {writer.lane(turn, WHOLE, lane)}, {len(words)}")
+        own = writer.put(f"getelementptr double, ptr {table}, i64 {first}")
+        for k, word in enumerate(words):
+            place = writer.put(f"getelementptr double, ptr {own}, i64 {k}")
+            number = word
+            if writer.lanes > 1:
+                wide = writer.wide(FLOAT)
+                number = writer.put(f"extractelement {wide} {word}, i64 {lane}")
+            writer.say(f"store double {number}, ptr {place}")
+
+
 def _load(writer: Writer, position: int, kind: str) -> str:
     place = writer.put(f"getelementptr double, ptr %in, i64 {position * writer.lanes}")
     value = writer.put(f"load {writer.wide(FLOAT)}, ptr {place}")
@@ -114,13 +145,15 @@ def _load(writer: Writer, position: int, kind: str) -> str:
 
 def _store(writer: Writer, position: int, value: Any, kind: str) -> None:
     place = writer.put(f"getelementptr double, ptr %out, i64 {position * writer.lanes}")
+    writer.say(f"store {writer.wide(FLOAT)} {_as_float(writer, value, kind)}, ptr {place}")
+
+
+def _as_float(writer: Writer, value: Any, kind: str) -> str:
     word = writer.text(value, kind)
-    if kind != FLOAT:
-        word = writer.put(
-            f"{'sitofp' if kind == WHOLE else 'uitofp'} {writer.wide(kind)} {word} to "
-            f"{writer.wide(FLOAT)}"
-        )
-    writer.say(f"store {writer.wide(FLOAT)} {word}, ptr {place}")
+    if kind == FLOAT:
+        return word
+    convert = "sitofp" if kind == WHOLE else "uitofp"
+    return writer.put(f"{convert} {writer.wide(kind)} {word} to {writer.wide(FLOAT)}")
 
 
 class Kernel:
@@ -177,7 +210,8 @@ def build(program: Program, lanes: int) -> Kernel:
     constants, state = avals_of(program)
     kept = list(zip([*constants, *state], in_memory(program), strict=True))
     long = [aval for aval, is_long in kept if is_long]
-    mark = hashlib.sha256(f"{text}{lanes}{[a.shape for a in long]}".encode()).hexdigest()
+    form = f"{lanes}{[a.shape for a in long]}{program.length}"
+    mark = hashlib.sha256(f"{text}{form}".encode()).hexdigest()
     number = max(int(mark[:16], 16) >> 1, 1)
     name = f"jaxclear_{mark[:24]}"
     frame = call_frame.text(
@@ -186,6 +220,7 @@ def build(program: Program, lanes: int) -> Kernel:
         width=floats_in([aval for aval, is_long in kept if not is_long]),
         height=floats_in(state),
         in_memory=[int(np.prod(aval.shape)) for aval in long],
+        table=program.length * floats_in(row_of(program)) if program.length else None,
     )
     whole = text.replace("@NAME", f"@{name}").replace(STOP_FLAG, stopping.flag_in_llvm()) + frame
     with _BUILDING:

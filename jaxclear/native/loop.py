@@ -9,6 +9,7 @@ import functools
 import logging
 import os
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -20,7 +21,14 @@ from jax.interpreters import batching, mlir
 from jaxclear.native import dispatch
 from jaxclear.native import kernel as kernels
 from jaxclear.native.machine import widest
-from jaxclear.native.program import Program, avals_of, floats_in, in_memory
+from jaxclear.native.program import (
+    Program,
+    avals_of,
+    floats_in,
+    in_memory,
+    loops_marked,
+    row_of,
+)
 from jaxclear.native.tangent import bundled
 from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, tell
 from jaxclear.native.writer import Unsupported
@@ -39,6 +47,16 @@ def reference(*values: Any, program: Program) -> list:
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], list(values[c + b :])
     if program.once:
         return list(turns(*fixed_body, *first))
+    if program.length:
+        # The loops within it are then kernels by themselves.
+        turns = jaxpr_as_fun(loops_marked(program.body, within=False))
+
+        def turn(state, _):
+            found = turns(*fixed_body, *state)
+            return found[: len(first)], found[len(first) :]
+
+        last, rows = jax.lax.scan(turn, first, None, program.length)
+        return [*last, *rows]
     return list(
         jax.lax.while_loop(
             lambda s: tests(*fixed_condition, *s)[0], lambda s: list(turns(*fixed_body, *s)), first
@@ -68,7 +86,14 @@ def _run(*values, program, rank):
 @loop_p.def_abstract_eval
 def _shapes(*avals, program, rank):
     state = avals[program.condition_constants + program.body_constants :]
-    return [jax.core.ShapedArray(a.shape, a.dtype) for a in state]
+    lead = avals[-1].shape[:rank]
+    return [
+        *(jax.core.ShapedArray(a.shape, a.dtype) for a in state),
+        *(
+            jax.core.ShapedArray((*lead, program.length, *a.shape), a.dtype)
+            for a in row_of(program)
+        ),
+    ]
 
 
 def _batch(values, dims, *, program, rank):
@@ -99,21 +124,35 @@ def _native(*values, program, rank, number):
         if not k
     ]
     big = [v for v, k in zip(values, kept, strict=True) if k]
-    height = floats_in(state)
-    shape = jax.ShapeDtypeStruct((*batch, height), jnp.float64)
-    call = jax.ffi.ffi_call(dispatch.TARGET, shape)
-    packed = call(jnp.concatenate(rows, -1), *big, kernel=np.int64(number))
-    out, position = [], 0
-    for aval in state:
+    row = row_of(program)
+    shapes = [jax.ShapeDtypeStruct((*batch, floats_in(state)), jnp.float64)]
+    if program.length:
+        table = (*batch, program.length, floats_in(row))
+        shapes.append(jax.ShapeDtypeStruct(table, jnp.float64))
+    call = jax.ffi.ffi_call(dispatch.TARGET, shapes)
+    packed, *tables = call(jnp.concatenate(rows, -1), *big, kernel=np.int64(number))
+    out = _unpacked(packed, state)
+    if tables:
+        # Where the kernel was stopped on its way, it has written no rows.
+        whole = (out[0] == program.length)[..., None, None]
+        out += _unpacked(jnp.where(whole, tables[0], jnp.nan), row)
+    return out
+
+
+def _unpacked(packed: Any, avals: Sequence[Any]) -> list:
+    """Arrays of these shapes and types, behind the leading axes, from rows of floats."""
+    out, position, lead = [], 0, packed.shape[:-1]
+    for aval in avals:
         size = int(np.prod(aval.shape))
-        part = packed[..., position : position + size].reshape(batch + aval.shape)
+        part = packed[..., position : position + size].reshape(lead + aval.shape)
         out.append((part != 0) if aval.dtype == bool else part.astype(aval.dtype))
         position += size
     return out
 
 
 def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU):
-    tell(ctx, reason)
+    if not program.length:
+        tell(ctx, reason)
     lower = mlir.lower_fun(reference_of_batch, multiple_results=True)
     return lower(ctx, *values, program=program, rank=rank)
 
@@ -135,7 +174,7 @@ def _lower_on_cpu(ctx, *values, program, rank):
     except Exception as failure:
         # The fast path must not cost a run: say so, and let XLA compile the loop.
         reason = f"the kernel could not be written: {failure!r}"
-    if not program.once:
+    if not program.once and not program.length:
         _warn_once(reason)
     return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=reason)
 

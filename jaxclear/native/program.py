@@ -2,14 +2,15 @@
 
 A kernel takes one packed row of floats for each sample (constants, then the first state; whole
 numbers and truth values as floats, which is exact to 2^53), and long arrays of constants, which it
-reads by index; it gives one packed row, the last state.
+reads by index; it gives one packed row, the last state, and of a loop of known length a table with
+a packed row for every turn.
 """
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jax.extend.core import ClosedJaxpr
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
@@ -18,7 +19,9 @@ class Program(NamedTuple):
     """A while loop as two programs: condition over (its constants, state), body over (its
     constants, state). `once`: it always takes one turn, and so is a function. `tangents`: inputs of
     the body that nothing but other tangents depends on; `motion`: the loop without the last of
-    them.
+    them. `length`: of a loop that takes so many turns, which the state's first number counts, and
+    whose body gives a row of results behind the state, kept for every turn (0: of any other).
+    `within`: it stands in the body of another loop, whose kernel it is a part of.
     """
 
     condition: ClosedJaxpr
@@ -28,6 +31,8 @@ class Program(NamedTuple):
     once: bool = False
     tangents: frozenset[int] = frozenset()
     motion: "Program | None" = None
+    length: int = 0
+    within: bool = False
 
 
 def avals_of(program: Program) -> tuple[list, list]:
@@ -47,6 +52,11 @@ def in_memory(program: Program) -> list[bool]:
     return [*long, *[False] * len(state)]
 
 
+def row_of(program: Program) -> list:
+    """Shapes and types of the row that every turn leaves."""
+    return list(program.body.out_avals[len(avals_of(program)[1]) :])
+
+
 def floats_in(avals: Sequence) -> int:
     """Numbers in arrays of these shapes."""
     return sum(int(np.prod(a.shape)) for a in avals)
@@ -55,3 +65,23 @@ def floats_in(avals: Sequence) -> int:
 def packed(values: Sequence[Any]) -> np.ndarray:
     """Arrays as one row of floats."""
     return np.concatenate([np.ravel(v).astype(float) for v in values])
+
+
+def loops_marked(program: Any, within: bool) -> Any:
+    """A program whose loops of this room are marked as standing `within` another loop, or not."""
+    if isinstance(program, ClosedJaxpr):
+        return ClosedJaxpr(loops_marked(program.jaxpr, within), program.consts)
+
+    def marked(value):
+        if isinstance(value, (Jaxpr, ClosedJaxpr)):
+            return loops_marked(value, within)
+        if isinstance(value, Program):
+            return value._replace(within=within)
+        # The branches of a choice.
+        return tuple(map(marked, value)) if type(value) is tuple else value
+
+    equations = [
+        equation.replace(params={name: marked(value) for name, value in equation.params.items()})
+        for equation in program.eqns
+    ]
+    return program.replace(eqns=equations)

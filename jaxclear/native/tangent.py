@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
-from jaxclear.native.control import CALLS, called
-from jaxclear.native.program import Program, avals_of
+from jaxclear.native.calls import CALLS, called
+from jaxclear.native.program import Program, avals_of, row_of
 
 # Tangents in one body: more of them outgrow the registers.
 SIDE_BY_SIDE = 2
@@ -27,8 +27,9 @@ def moving_state(
     program: Program, constants: Sequence[bool], state: Sequence[bool]
 ) -> tuple[bool, ...]:
     """Which parts of the state ever move, where these of the body's constants and of the first
-    state do."""
-    return _settled(program.body, constants, state)[0]
+    state do; behind them the same of the row that every turn leaves."""
+    now, out = _settled(program.body, constants, state)
+    return (*now, *out[len(now) :])
 
 
 def _settled(
@@ -67,6 +68,10 @@ def _moved_by(equation: Any, inputs: list[bool]) -> list[bool]:
         return [False]
     if name in CALLS:
         return _moved(called(p), inputs)
+    if name == "jaxclear_loop":
+        inner = p["program"]
+        c, b = inner.condition_constants, inner.condition_constants + inner.body_constants
+        return list(moving_state(inner, inputs[c:b], inputs[b:]))
     if name == "cond":
         branches = [_moved(branch, inputs[1:]) for branch in p["branches"]]
         return [any(each) for each in zip(*branches, strict=True)]
@@ -81,13 +86,17 @@ def _moved_by(equation: Any, inputs: list[bool]) -> list[bool]:
     return [True] * len(equation.outvars)
 
 
-def tangent_program(program: Program, constants: Sequence[bool], state: Sequence[bool]) -> Program:
+def tangent_program(
+    program: Program, constants: Sequence[bool], results: Sequence[bool]
+) -> Program:
     """The loop with tangents: behind the body's constants stand the tangents of those that move,
-    behind the state those of its parts that move."""
+    behind the state those of its parts that move, and so behind a row; `results`: which parts of
+    state and row do."""
     c, b = program.condition_constants, program.body_constants
     fixed, first = avals_of(program)
     fixed, n = fixed[c:], len(first)
-    of_constants, of_state = np.flatnonzero(constants), np.flatnonzero(state)
+    of_constants, of_results = np.flatnonzero(constants), np.flatnonzero(results)
+    of_state = of_results[of_results < n]
     turns, tests = jaxpr_as_fun(program.body), jaxpr_as_fun(program.condition)
     known = b + len(of_constants)
 
@@ -99,11 +108,12 @@ def tangent_program(program: Program, constants: Sequence[bool], state: Sequence
             for place, value in zip([*of_constants, *(b + of_state)], moving, strict=True):
                 inputs[place] = value
             out = turns(*inputs)
-            return [out[i] for i in of_state], out
+            return [out[i] for i in of_results], out
 
         moving = [*(k[i] for i in of_constants), *(s[i] for i in of_state)]
         _, tangents, out = jax.jvp(moved, moving, [*dk, *ds], has_aux=True)
-        return [*out, *tangents]
+        moved_state = len(of_state)
+        return [*out[:n], *tangents[:moved_state], *out[n:], *tangents[moved_state:]]
 
     behind = [first[i] for i in of_state]
     body = _traced(turn, [*fixed, *(fixed[i] for i in of_constants), *first, *behind])
@@ -112,12 +122,26 @@ def tangent_program(program: Program, constants: Sequence[bool], state: Sequence
     )
     earlier = {i if i < b else i + len(of_constants) for i in program.tangents}
     tangents = earlier | {*range(b, known), *range(known + n, known + n + len(behind))}
-    return Program(condition, body, c, known, tangents=frozenset(tangents), motion=program)
+    return program._replace(
+        condition=condition,
+        body=body,
+        body_constants=known,
+        tangents=frozenset(tangents),
+        motion=program,
+    )
+
+
+def motion_in(program: Program) -> list[int]:
+    """Where, among the results of a loop with tangents, those of the motion alone are."""
+    assert program.motion is not None
+    state = len(avals_of(program.motion)[1])
+    row, behind = len(row_of(program.motion)), len(avals_of(program)[1])
+    return [*range(state), *range(behind, behind + row)]
 
 
 class Bundle(NamedTuple):
     """Several tangents of one motion: the loop that takes them and its `values`, whose leading axes
-    are `rank` in number; `moving`: which parts of the state are tangents that differ;
+    are `rank` in number; `moving`: which parts of state and row are tangents that differ;
     `tangents`: how many there are."""
 
     program: Program
@@ -129,11 +153,13 @@ class Bundle(NamedTuple):
     def results(self, out: Sequence[Any], rank: int) -> tuple[list[Any], list[int | None]]:
         """(parts of the last state, the axis of the tangents in each) for the loop of this rank
         that was asked for all of them."""
-        apart = self.rank > rank
+        apart, state = self.rank > rank, len(avals_of(self.program)[1])
         found: list[Any] = []
-        for part, moves in zip(out, self.moving, strict=True):
+        for place, (part, moves) in enumerate(zip(out, self.moving, strict=True)):
             if moves:
-                ahead = jnp.moveaxis(part, self.rank, 1 if apart else 0)
+                # A table has its rows in front of what stands in them.
+                own = self.rank + (place >= state)
+                ahead = jnp.moveaxis(part, own, 1 if apart else 0)
                 ahead = ahead.reshape(-1, *ahead.shape[2:]) if apart else ahead
                 found.append(ahead[: self.tangents])
             else:
@@ -152,11 +178,14 @@ def bundled(
         return None
     values = list(map(jnp.asarray, values))
     moving = moving_state(program, batched[c : c + b], batched[c + b :])
-    batched = [*batched[: c + b], *moving]
+    state = len(values) - c - b
+    batched = [*batched[: c + b], *moving[:state]]
     count = next(v.shape[d] for v, d in zip(values, dims, strict=True) if d is not None)
     side_by_side = min(SIDE_BY_SIDE, count if rank else -(-count // LANES))
+    # Within a kernel there are no further lanes.
+    side_by_side = count if program.within else side_by_side
     portions = -(-count // side_by_side)
-    wide = _widened(program, batched, side_by_side)
+    wide = _widened(program, batched, moving[state:], side_by_side)
 
     def arranged(value, dim, differs):
         if not differs:
@@ -175,10 +204,12 @@ def bundled(
     return Bundle(wide, arranged_values, rank + (portions > 1), moving, count)
 
 
-def _widened(program: Program, batched: Sequence[bool], count: int) -> Program:
-    """The loop whose batched inputs have a leading axis of so many tangents."""
+def _widened(program: Program, batched: Sequence[bool], row: Sequence[bool], count: int) -> Program:
+    """The loop whose batched inputs, and parts of its `row`, have a leading axis of so many
+    tangents."""
     c, b = program.condition_constants, program.body_constants
     axes = [0 if each else None for each in batched[c:]]
+    out_axes = [*axes[b:], *(0 if each else None for each in row)]
     turns, tests = jaxpr_as_fun(program.body), jaxpr_as_fun(program.condition)
 
     def wide(aval, axis):
@@ -187,7 +218,7 @@ def _widened(program: Program, batched: Sequence[bool], count: int) -> Program:
         )
 
     body = _traced(
-        lambda *numbers: jax.vmap(lambda *own: turns(*own), axes, axes[b:])(*numbers),
+        lambda *numbers: jax.vmap(lambda *own: turns(*own), axes, out_axes)(*numbers),
         list(map(wide, program.body.in_avals, axes)),
     )
     asked = [*program.condition.in_avals[:c]]

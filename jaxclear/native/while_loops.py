@@ -10,9 +10,9 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
 from jaxclear.native import differentiation  # noqa: F401  (its rules)
-from jaxclear.native.control import CALLS, called
+from jaxclear.native.calls import CALLS, called
 from jaxclear.native.loop import loop_p
-from jaxclear.native.program import Program
+from jaxclear.native.program import Program, loops_marked
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 
@@ -32,6 +32,42 @@ def once(function: Callable, *numbers: Any) -> Any:
     nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shapes)
     turn = lambda carry: (carry[0] + 1, traced(*numbers))
     return _loop(lambda carry: carry[0] < 1, turn, (jnp.zeros((), int), nothing), True)[1]
+
+
+def scan(turn: Callable[[Any, Any], tuple], first: Any, rows: Any) -> tuple[Any, Any]:
+    """As `jax.lax.scan(turn, first, rows)`, for a state and rows of few numbers: all turns, and
+    loops within them, are one kernel that reads and leaves its rows itself. Forward-mode
+    differentiable, maps over batches.
+    """
+    length = len(jax.tree.leaves(rows)[0])
+    # Short tables as well are read from memory: an entry of registers is chosen among all of them.
+    beyond = max(0, LONGEST_IN_REGISTERS + 1 - length)
+    kept = jax.tree.map(
+        lambda each: jnp.concatenate(
+            [jnp.asarray(each, float), jnp.zeros((beyond, *jnp.shape(each)[1:]))]
+        ),
+        rows,
+    )
+    first = jax.tree.map(jnp.asarray, (0, first))
+    form: list[Any] = []
+
+    def body(carry):
+        index, state = carry
+        row = jax.tree.map(
+            lambda each, given: each[index].astype(jnp.asarray(given).dtype), kept, rows
+        )
+        state, left = turn(state, row)
+        leaves, structure = jax.tree.flatten(left)
+        form.append(structure)
+        return (index + 1, state), leaves
+
+    leaves, structure = jax.tree.flatten(first)
+    tests, _ = _open(jax.make_jaxpr(lambda carry: carry[0] < length)(first))
+    turns, fixed = _open(jax.make_jaxpr(body)(first))
+    program = Program(tests, loops_marked(turns, within=True), 0, len(fixed), length=length)
+    out = loop_p.bind(*fixed, *leaves, program=program, rank=0)
+    _, last = jax.tree.unflatten(structure, out[: len(leaves)])
+    return last, jax.tree.unflatten(form[0], out[len(leaves) :])
 
 
 def _loop(condition: Callable, body: Callable, first: Any, once: bool) -> Any:

@@ -54,8 +54,10 @@ class Writer:
     NumPy object arrays of them.
     """
 
-    def __init__(self, lanes: int):
-        self.lanes = lanes
+    def __init__(self, lanes: int, leaves_rows: bool = False):
+        self.lanes, self.leaves_rows = lanes, leaves_rows
+        # Loops within one another, at the place that is being written.
+        self.depth = 0
         self.lines: list[str] = []
         self.needs: set[str] = set()
         self.block = "entry"

@@ -2,7 +2,8 @@
 
 Worn surfaces enter the gap as they were at the last saving time, and are updated at every saving
 time: wear is slow, the motion is fast, and a map that is constant within an interval costs the
-equations of motion nothing but its reading.
+equations of motion nothing but its reading. Where nothing wears, the whole loop is one kernel,
+which writes what is saved itself.
 """
 
 import dataclasses
@@ -26,7 +27,7 @@ from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import readings
-from jaxclear.native import one_row, verdict
+from jaxclear.native import one_row, scan, verdict
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation import progress, spot_checks
@@ -88,7 +89,11 @@ def run(
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     first = Carry(state, worn, warm_start, reached, times[0], (none, none))
     turn, unpack = _turns(model, integrator, extras.report)
-    last, (states, read, packed), ends = _through(plan, turn, first)
+    # Worn surfaces are more numbers than a kernel carries, the host hears nothing of it on its way,
+    # and counted steps are gone through backwards.
+    whole = not (worn or extras.report or integrator.steps_between_saves)
+    through = _in_one_kernel if whole else _from_save_to_save
+    last, (states, read, packed), ends = through(plan, turn, first)
     figures, noted = jax.vmap(unpack)(packed)
     states = jnp.concatenate([state[None], states])
     read = jax.tree.map(lambda depths: jnp.concatenate([depths[:1], depths]), read)
@@ -127,7 +132,8 @@ def _turns(model: Model, integrator: AbstractIntegrator, report: bool) -> tuple[
     def one(arrays, now, turn):
         now, (*left, found) = _turn(*eqx.combine(arrays, rest), now, turn)
         # A loop of XLA pays for every array that its turns leave.
-        packed, unpacked = ravel_pytree(found)
+        some = bool(jax.tree.leaves(found))
+        packed, unpacked = ravel_pytree(found) if some else (jnp.zeros(0), lambda _: found)
         unpack.append(unpacked)
         return now, (*left, packed)
 
@@ -139,10 +145,37 @@ def _turns(model: Model, integrator: AbstractIntegrator, report: bool) -> tuple[
     return turn, lambda packed: unpack[0](packed)
 
 
-def _through(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Any, Array | None]:
+def _in_one_kernel(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Any, Array | None]:
     """(what the last turn hands on, what every saving interval has left, the states at the ends of
-    all parts). What shadows are apart from the run is seen to between parts, so that the run's own
-    turns pay nothing for them."""
+    all parts), turn by turn in the order in which they are gone through."""
+    parts = plan.parts
+    lengths = parts.stop - parts.first
+    order = np.concatenate(list(map(np.arange, parts.first, parts.stop)))
+    own, goes_on = (np.repeat(each, lengths) for each in (parts.own, parts.goes_on))
+    turns = jax.tree.map(lambda each: each[order], plan.turns)
+    if not len(plan.windows):
+        return *scan(turn, first, turns), None
+
+    def one(carry, row):
+        now, shadow = carry
+        span, is_own, follows = row
+        end, left = turn(_choose(follows, shadow, now), span)
+        shadow = now._replace(state=end.state, warm_start=end.warm_start)
+        return (_choose(is_own, end, now), shadow), (left, end.outcome)
+
+    (last, _), (left, outcomes) = scan(one, (first, first), (turns, own, goes_on))
+    stops = np.cumsum(lengths)
+    lost = outcomes[stops - 1] == Outcome.NOT_FINITE
+    ends = jnp.where(lost[:, None], jnp.nan, left[0][stops - 1])
+    pieces = [slice(*piece) for piece in zip(stops - lengths, stops, strict=True)]
+    own_pieces = [piece for piece, is_own in zip(pieces, parts.own, strict=True) if is_own]
+    whole = lambda each: jnp.concatenate([each[piece] for piece in own_pieces])
+    return last, jax.tree.map(whole, left), ends
+
+
+def _from_save_to_save(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Any, Array | None]:
+    """As `_in_one_kernel`, each turn by itself. What shadows are apart from the run is seen to
+    between parts, so that the run's own turns pay nothing for them."""
     if not len(plan.windows):
         return *jax.lax.scan(turn, first, plan.turns), None
     count = len(plan.turns.start) - TURNS * len(plan.windows)
@@ -209,4 +242,4 @@ def _error_weights(layout: Layout) -> Float[Array, " n"]:
     """Weights of the state's entries in an error control."""
     rest = layout.size - layout.memory_start - layout.memory_count
     counts = np.array([layout.memory_start, layout.memory_count, rest])
-    return jnp.repeat(jnp.array([1.0, MEMORY_WEIGHT, 0.0]), counts)
+    return jnp.asarray(np.repeat([1.0, MEMORY_WEIGHT, 0.0], counts))

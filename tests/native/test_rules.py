@@ -7,6 +7,7 @@ the kernel is written; a third kernel has them as constants, which takes the rul
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +21,7 @@ import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import explain, verdict, while_loop
 from jaxclear.native.rules import RULES
 from jaxclear.native.verdicts import KERNELS
+from jaxclear.native.while_loops import once
 
 # Functions of the C library and XLA's own series differ by a few units in the last place.
 ROUNDING = 1e-13
@@ -84,12 +86,18 @@ def count(x):
     return lax.while_loop(lambda s: s[0] < x[0], lambda s: (s[0] + 1.0, 1.5 * s[1]), (0.0, x))
 
 
+def native_count(x):
+    """As `count`, by the loops of this room: the one of one turn, and around it the other."""
+    turn = lambda s: (s[0] + 1.0, once(lambda y: 1.5 * y, s[1]))
+    return while_loop(lambda s: s[0] < x[0], turn, (jnp.zeros(()), x))
+
+
 # For each primitive: functions, each with the arrays it is tried on.
 CASES = {
     **{name: binary(name, (N, M)) for name in ("add", "sub", "mul", "div", "rem", "max", "min")},
     **{name: binary(name, (N, M)) for name in ("eq", "ne", "lt", "le", "gt", "ge")},
     "add_any": [(lambda x, y: jax.vjp(lambda a: (a * y, a + y), x)[1]((y, x))[0], (X, X[::-1]))],
-    **{name: binary(name) for name in ("pow",)},
+    **{name: binary(name) for name in ("pow", "nextafter")},
     # Both infinite is no direction: the kernel's angle is then nan.
     "atan2": [(lax.atan2, (FIRST, np.where(np.isinf(SECOND), 2.0, SECOND)))],
     **{name: unary(name, N) for name in ("neg", "abs", "sign", "square")},
@@ -180,6 +188,9 @@ CASES = {
     "cond": [(lambda p, x: lax.cond(p, jnp.sin, jnp.cos, x), (p, SMALL)) for p in (True, False)],
     "scan": [(scan, (SMALL[0], SMALL))],
     "while": [(count, (np.array([n, 1.0]),)) for n in (-1.0, 0.0, 4.0, NAN)],
+    "jaxclear_loop": [(native_count, (np.array([n, 1.0]),)) for n in (-1.0, 0.0, 4.0, NAN)],
+    # An error that is not raised: where it would be, the program ends.
+    "pure_callback": [(lambda x, p: eqx.error_if(x, p, "never"), (SMALL, np.array(False)))],
     "unvmap_any": [(eqxi.unvmap_any, (np.array(True),))],
     "unvmap_all": [(eqxi.unvmap_all, (np.array(False),))],
     "nonbatchable": [(eqxi.nonbatchable, (SMALL,))],

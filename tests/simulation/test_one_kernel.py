@@ -1,0 +1,114 @@
+"""A run is one kernel, from its start to its last saving time, on every rung; its numbers are those
+of a run whose saving intervals are kernels each by itself.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.integrators.checks import Check
+from jaxclear.multibody.assembly import assemble_arrays
+from jaxclear.native import kernel, loop
+from jaxclear.simulation import loop as simulation
+from jaxclear.simulation.simulate import saving_times
+
+RUNGS = {
+    "fixed": jc.integrator.FixedStep(2e-5),
+    "fixed, semi-implicit": jc.integrator.FixedStep(2e-5, "semi_implicit"),
+    "fixed, short steps in contact": jc.integrator.FixedStep(1e-4, contact_steps=5.0),
+    "on groups": jc.integrator.FixedStep(2e-5, "munthe_kaas4"),
+    "implicit": jc.integrator.ImplicitStep(),
+    "adaptive": jc.integrator.Adaptive(),
+    "Moreau-Jean": jc.integrator.MoreauJean(),
+    "non-colliding": jc.integrator.NonColliding(),
+}
+# Over some ten impacts rounding grows little; an error control decides by it, so few of them.
+ROUNDING = {"adaptive": 1e-6}
+SPAN = {"adaptive": 3e-3}
+QUICK = ("implicit",)
+
+
+def told(rung, saves=jc.Saving(7)):
+    """States at the saving times, figures and events of a run, and its kernels."""
+    integrator, built, build = RUNGS[rung], [], kernel.build
+    rig = integrator.formulation.seen(jc.scenes.slider_crank())
+    times = saving_times(SPAN.get(rung, 0.02), saves.at)
+
+    def whole():
+        start = assemble_arrays(rig)
+        extras = simulation.Extras(events=saves.events)
+        run = simulation.run(rig, start.coordinates, start.speeds, times, integrator, extras)
+        figures = {check.name: figure.worst for check, figure in run.checks.figures.items()}
+        return run.states, figures, run.noted, run.accepted_steps, run.ended, run.outcome
+
+    def watched(program, lanes):
+        built.append(program)
+        return build(program, lanes)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop.kernels, "build", watched)
+        found = jax.device_get(jax.jit(whole)())
+    return found, [program for program in built if not program.once]
+
+
+@pytest.mark.parametrize(
+    "rung", [pytest.param(r, marks=() if r in QUICK else pytest.mark.slow) for r in RUNGS]
+)
+def test_a_run_is_one_kernel_and_keeps_its_numbers(rung, monkeypatch):
+    events = 3 if RUNGS[rung].notes_events else 0
+    saving = jc.Saving(7, events=events)
+    found, kernels = told(rung, saving)
+    monkeypatch.setattr(simulation, "_in_one_kernel", simulation._from_save_to_save)
+    wanted, by_save = told(rung, saving)
+    # One that leaves its rows; before, one without rows for every saving interval.
+    assert [bool(program.length) for program in kernels] == [True]
+    assert by_save and not any(program.length for program in by_save)
+    limit = ROUNDING.get(rung, 1e-9)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        assert one.shape == other.shape
+        allowed = limit * (1e-9 + np.max(np.abs(other), initial=0.0))
+        np.testing.assert_allclose(one, other, rtol=limit, atol=allowed)
+
+
+@pytest.mark.slow
+def test_windows_are_shadows_of_the_one_kernel():
+    """With other windows the run's own numbers are the same, bit for bit."""
+    (states, figures, *_), _ = told("implicit")
+    assert Check.HALVED_FORCES.name in figures
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulation.spot_checks, "window_starts", lambda count: [])
+        (without, figures, *_), _ = told("implicit")
+    assert Check.HALVED_FORCES.name not in figures
+    np.testing.assert_array_equal(states, without)
+
+
+@pytest.mark.slow
+def test_what_is_saved_twice_as_often_is_saved_the_same():
+    """Steps that fit both saving intervals: every second row is the other's, but for the rounding
+    of their times, which impacts enlarge."""
+    (coarse, *_), _ = told("implicit", jc.Saving(jnp.linspace(0.0, 0.02, 101)))
+    (fine, *_), _ = told("implicit", jc.Saving(jnp.linspace(0.0, 0.02, 201)))
+    np.testing.assert_allclose(fine[::2], coarse, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rung", ["fixed", "implicit", "Moreau-Jean", "non-colliding"])
+def test_slopes_through_the_one_kernel_are_those_by_saving_interval(rung, monkeypatch):
+    integrator = RUNGS[rung]
+    rig = integrator.formulation.seen(jc.scenes.slider_crank())
+    times = saving_times(0.005, 7)
+
+    def states(mass):
+        other = eqx.tree_at(lambda m: m.bodies["rod"].mass, rig, mass)
+        start = assemble_arrays(other)
+        return simulation.run(other, start.coordinates, start.speeds, times, integrator).states
+
+    slopes = lambda: jax.jit(jax.jacfwd(states))(jnp.asarray(0.2))
+    found = slopes()
+    monkeypatch.setattr(simulation, "_in_one_kernel", simulation._from_save_to_save)
+    wanted = slopes()
+    assert np.all(np.isfinite(found)) and np.max(np.abs(found)) > 0
+    np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9 * np.max(np.abs(wanted)))
