@@ -194,8 +194,7 @@ def loop(
     last one.
 
     The `outermost` one, and a time loop within it, looks at `writer.most` and at the flag that
-    stops all kernels; what it had not finished then becomes nan. Other loops within it are bounded
-    too while a kernel is checked.
+    stops all kernels: the unfinished becomes nan. Others are bounded while a kernel is checked.
     """
     refuse_memory(*carry)
     head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
