@@ -1,0 +1,127 @@
+"""What a report says of a campaign: how many samples ended how, statistics with errors, what
+decides the spread, failures and warnings, what was run and by which versions.
+"""
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas
+from matplotlib.figure import Figure
+
+import jaxclear as jc
+from jaxclear import plot
+from jaxclear.commands.report.page import Page, Section, Shown, drawn, hidden, table
+from jaxclear.plot.canvas import canvas
+
+__all__ = ["campaign_page"]
+
+SCENE = "scene.yaml"
+# Sentences that are told of failures and warnings; samples that are named for each.
+MOST_SENTENCES, MOST_NAMED = 20, 5
+# Fewer good samples than this tell no budget.
+LEAST_SAMPLES = 32
+
+
+def campaign_page(folder: Path) -> Page:
+    """The page of the campaign in a folder."""
+    found = jc.open_campaign(folder)
+    sections = [_results(found)] if found.finished else []
+    return Page(
+        f"Monte Carlo of {folder.resolve().name}",
+        found.sentence() if found.finished else "No sample is finished yet.",
+        [*sections, _endings(found), _variables(found), _what_was_run(found)],
+    )
+
+
+def _results(found: Any) -> Section:
+    """Statistics, histograms, budget."""
+    shown: list[Shown] = []
+    if not found.is_complete:
+        words = f"{found.finished} of {found.count} samples are finished; the same command goes on."
+        shown.append(Shown("warning", words))
+    shown.append(table(found.summary(), "Statistics with their errors (95 %)"))
+    if found.finished > len(found.failed):
+        shown.append(drawn(plot.monte_carlo(found.sample), "Spread of the responses"))
+    if found.finished - len(found.failed) >= LEAST_SAMPLES and len(found.problem.names) > 1:
+        shown.append(drawn(_budget(found), "What each variable contributes to the variance"))
+    return Section("Results", shown)
+
+
+def _budget(found: Any) -> Figure:
+    """Contributions to the variance, with their errors."""
+    names = found.problem.response_names
+    figure, axes = canvas(1, len(names), (4.6 * len(names), 3.2), squeeze=False)
+    for axis, response in zip(axes[0], names, strict=True):
+        budget = found.error_budget(response)
+        rows = range(len(budget))
+        values = [100 * float(one.value) for one in budget.values()]
+        errors = [100 * float(one.error) for one in budget.values()]
+        axis.barh(rows, values, xerr=errors, color="C0", alpha=0.8)
+        axis.set_yticks(rows, list(budget))
+        axis.invert_yaxis()
+        axis.set_xlabel(f"share of the variance of {response} [%]")
+    return figure
+
+
+def _endings(found: Any) -> Section:
+    """Sentences of failures and warnings, each with how often it was said."""
+    if not found.finished:
+        return Section("Failures and warnings", [Shown("text", "None yet.")])
+    failures, warnings = found.failures(), found.warnings()
+    shown = []
+    told = [("failed", [(i, said) for i, said in failures.items()])]
+    told += [("warned", [(i, said) for i, own in warnings.items() for said in own])]
+    for kind, entries in told:
+        if entries:
+            shown.append(table(_counted(entries), f"{len({i for i, _ in entries})} {kind}"))
+    return Section("Failures and warnings", shown or [Shown("text", "None.")])
+
+
+def _counted(entries: list[tuple[int, str]]) -> pandas.DataFrame:
+    """A row a sentence; numbers within sentences are those of its first sample."""
+    first: dict[str, tuple[str, list[int]]] = {}
+    count: Counter = Counter()
+    for index, said in entries:
+        key = "".join(letter for letter in said if not letter.isdigit())
+        count[key] += 1
+        first.setdefault(key, (said, []))[1].append(index)
+    rows = [
+        {
+            "samples": number,
+            "such as": ", ".join(map(str, first[key][1][:MOST_NAMED])),
+            "sentence (of the first)": first[key][0],
+        }
+        for key, number in count.most_common(MOST_SENTENCES)
+    ]
+    return pandas.DataFrame(rows)
+
+
+def _variables(found: Any) -> Section:
+    """What varied."""
+    problem, rows = found.problem, []
+    values = found.values if found.finished else np.zeros((0, len(problem.names)))
+    nominal = np.asarray(problem.nominal(), float)
+    for i, name in enumerate(problem.names):
+        own = values[:, i]
+        row = {"variable": name, "unit": problem.units()[name], "nominal": nominal[i]}
+        if len(own):
+            row |= {"mean": own.mean(), "standard deviation": own.std()}
+            row |= {"smallest": own.min(), "largest": own.max()}
+        rows.append(row)
+    return Section("What varied", [table(pandas.DataFrame(rows))])
+
+
+def _what_was_run(found: Any) -> Section:
+    """The scene, the plan, the versions."""
+    plan = pandas.DataFrame([found.plan._asdict() | {"finished": found.finished}])
+    shown = [table(plan, "Plan"), table(pandas.DataFrame(found.versions), "Computed by")]
+    scene = found.folder / SCENE
+    if scene.exists():
+        shown.append(hidden("The scene", scene.read_text(encoding="utf-8")))
+    parts = json.loads(found.to_dataset().attrs["problem"])
+    told = "\n\n".join(f"{name}: {text}" for name, text in parts.items())
+    shown.append(hidden("The problem, part by part, as the store knows it", told))
+    return Section("What was run", shown)
