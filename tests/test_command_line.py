@@ -102,7 +102,7 @@ MISTAKES = {
     "a value too many": (["guide", "--quiet=1"], "--quiet: it takes no value"),
     "another scene": (["design", "--scene", "antena"], 'Did you mean "antenna"'),
     "the program's": (["--verson"], 'Did you mean "--version"'),
-    "a word": (["parameters", "all"], 'no argument "all"'),
+    "a word": (["parameters", __file__, "all"], 'no argument "all"'),
 }
 
 

@@ -5,6 +5,7 @@ A click exception ends the process with its sentence; so does a run that ends ea
 """
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,9 @@ import jax
 
 import jaxclear as jc
 from jaxclear.commands import antenna, design, flap, four_bar, guide, parallel_3rsr, wear_life
+from jaxclear.commands.examples import example
+from jaxclear.commands.own_scene import monte_carlo, parameters, run
+from jaxclear.commands.report.command import report
 
 __all__ = ["answer"]
 
@@ -29,12 +33,14 @@ STUDIES = {
 WORTH_KEEPING = 0.5
 
 
-def parameters() -> None:
-    """Prints the numbers of a scene."""
-    click.echo(jc.scenes.four_bar().parameters().to_string(index=False))
-
-
-COMMANDS = {"parameters": parameters} | {name: one.study for name, one in STUDIES.items()}
+COMMANDS: dict[str, Callable[..., None]] = {
+    "run": run,
+    "monte-carlo": monte_carlo,
+    "report": report,
+    "example": example,
+    "parameters": parameters,
+    **{name: one.study for name, one in STUDIES.items()},
+}
 
 
 def answer(name: str, options: dict[str, Any]) -> None:

@@ -23,6 +23,7 @@ SCENE = "scene.yaml"
 MOST_SENTENCES, MOST_NAMED = 20, 5
 # Fewer good samples than this tell no budget.
 LEAST_SAMPLES = 32
+STATISTICS = ("mean", "standard deviation", "5 %", "median", "95 %")
 
 
 def campaign_page(folder: Path) -> Page:
@@ -42,7 +43,7 @@ def _results(found: Any) -> Section:
     if not found.is_complete:
         words = f"{found.finished} of {found.count} samples are finished; the same command goes on."
         shown.append(Shown("warning", words))
-    shown.append(table(found.summary(), "Statistics with their errors (95 %)"))
+    shown.append(table(_statistics(found), "Statistics, with the errors that they have (95 %)"))
     if found.finished > len(found.failed):
         shown.append(drawn(plot.monte_carlo(found.sample), "Spread of the responses"))
     if found.finished - len(found.failed) >= LEAST_SAMPLES and len(found.problem.names) > 1:
@@ -50,15 +51,30 @@ def _results(found: Any) -> Section:
     return Section("Results", shown)
 
 
+def _statistics(found: Any) -> pandas.DataFrame:
+    """The summary with a column for each response, errors behind what they are of."""
+    columns = {}
+    for row in found.summary().to_dict("records"):
+        own = {name: str(row[name]) for name in ("samples", "failed", "warned")}
+        for name in STATISTICS:
+            error = row.get(f"{name} error", np.nan)
+            own[name] = (
+                f"{row[name]:.5g} ± {error:.2g}" if np.isfinite(error) else f"{row[name]:.5g}"
+            )
+        columns[f"{row['response']} [{row['unit']}]"] = own
+    return pandas.DataFrame(columns).rename_axis("statistic").reset_index()
+
+
 def _budget(found: Any) -> Figure:
-    """Contributions to the variance, with their errors."""
+    """Contributions to the variance as shares of it, with their errors."""
     names = found.problem.response_names
     figure, axes = canvas(1, len(names), (4.6 * len(names), 3.2), squeeze=False)
     for axis, response in zip(axes[0], names, strict=True):
         budget = found.error_budget(response)
         rows = range(len(budget))
-        values = [100 * float(one.value) for one in budget.values()]
-        errors = [100 * float(one.error) for one in budget.values()]
+        percent = 100 / float(found.standard_deviation(response).value) ** 2
+        values = [percent * float(one.value) for one in budget.values()]
+        errors = [percent * float(one.error) for one in budget.values()]
         axis.barh(rows, values, xerr=errors, color="C0", alpha=0.8)
         axis.set_yticks(rows, list(budget))
         axis.invert_yaxis()
@@ -106,12 +122,12 @@ def _variables(found: Any) -> Section:
     nominal = np.asarray(problem.nominal(), float)
     for i, name in enumerate(problem.names):
         own = values[:, i]
-        row = {"variable": name, "unit": problem.units()[name], "nominal": nominal[i]}
+        row = {"variable": name, "unit": problem.variable_units[i], "nominal": nominal[i]}
         if len(own):
             row |= {"mean": own.mean(), "standard deviation": own.std()}
             row |= {"smallest": own.min(), "largest": own.max()}
         rows.append(row)
-    return Section("What varied", [table(pandas.DataFrame(rows))])
+    return Section("What varied", [table(pandas.DataFrame(rows), digits=7)])
 
 
 def _what_was_run(found: Any) -> Section:

@@ -23,7 +23,7 @@ def folder_page(folder: Path) -> Page | None:
     sections = []
     if told:
         warned = [Shown("warning", one) for one in told["warnings"]]
-        sections.append(Section("How it ended", [*warned, Shown("text", told["checks"])]))
+        sections.append(Section("How it ended", [*warned, Shown("verbatim", told["checks"])]))
     if tables:
         shown = [table(pandas.read_csv(path), path.stem.replace("_", " ")) for path in tables]
         sections.append(Section("Tables", shown))

@@ -12,7 +12,7 @@ import click
 
 from jaxclear_command.wording import hint
 
-__all__ = ["flag", "number", "one_of", "out", "quiet", "readable_file", "store", "whole"]
+__all__ = ["flag", "number", "one_of", "out", "page", "quiet", "readable_file", "store", "whole"]
 
 
 def _refuse(text: str, wanted: str) -> NoReturn:
@@ -110,6 +110,15 @@ def _readable_file(text: str) -> Path:
     return path
 
 
+def _page(text: str) -> Path:
+    """A file that can be written."""
+    path = Path(text)
+    if path.is_dir() or not path.parent.is_dir():
+        raise click.BadParameter(f"{text} was given; it must be a file in a folder that is there")
+    return path
+
+
+page = Read("file", _page)
 store, readable_file = Read("folder", _store), Read("file", _readable_file)
 
 

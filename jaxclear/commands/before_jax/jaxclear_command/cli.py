@@ -1,8 +1,8 @@
 """Reads the command line.
 
-A command is declared here (`studies`, `files`), which answers mistakes at once, and answered by a
-function of its name in `jaxclear.commands.cli`. Exit codes: 0 done; 1 a run failed or ended early;
-2 what was typed cannot be; 130 interrupted.
+A command is declared in `studies` or `scene_files`, which answer mistakes at once, and answered by
+a function in `jaxclear.commands.cli`. Exit codes: 0 done; 1 a run failed or ended early; 2 what was
+typed cannot be; 130 interrupted.
 """
 
 import importlib
@@ -13,7 +13,8 @@ from typing import Any
 
 import click
 
-from jaxclear_command.declared import Command, Group
+from jaxclear_command.declared import Group
+from jaxclear_command.scene_files import scene_files
 from jaxclear_command.studies import studies
 from jaxclear_command.wording import said
 
@@ -52,12 +53,6 @@ def _tell_version(ctx: click.Context, param: click.Parameter, asked: bool) -> No
 
 def commands() -> Group:
     """Every command of `jaxclear`."""
-    parameters = Command(
-        "parameters",
-        ["jaxclear parameters"],
-        answered("parameters"),
-        help="all numbers of the four-bar with unit and meaning",
-    )
     version = click.Option(
         ["--version"],
         is_flag=True,
@@ -67,8 +62,14 @@ def commands() -> Group:
         help="this version, JAX's and Python's",
     )
     return Group(
-        {"Studies of ready scenes": studies(answered), "Look it up": [parameters]},
-        ["jaxclear four-bar --out study", "jaxclear four-bar --help"],
+        {"Your own scene": scene_files(answered), "Studies of ready scenes": studies(answered)},
+        [
+            "jaxclear example slider-crank > scene.yaml",
+            "jaxclear run scene.yaml",
+            "jaxclear monte-carlo scene.yaml --samples 1e4 --out store",
+            "jaxclear report store",
+            "jaxclear run --help",
+        ],
         name="jaxclear",
         help=f"{TEXT}\n\nExit codes: {CODES}",
         params=[version],
@@ -99,8 +100,10 @@ def main(arguments: list[str] | None = None) -> None:
         _end(MISTAKEN, f"{sentence}{stop} See {path} --help.", path)
     except click.ClickException as error:
         _end(FAILED, error.format_message())
-    except (click.Abort, KeyboardInterrupt):
-        _end(INTERRUPTED, "interrupted.")
+    except (click.Abort, KeyboardInterrupt) as error:
+        # A command that keeps its work says where.
+        told = error.__cause__ if isinstance(error, click.Abort) else error
+        _end(INTERRUPTED, str(told or "") or "interrupted.")
     else:
         if code:
             sys.exit(code)

@@ -36,7 +36,8 @@ def said(error: click.UsageError) -> str:
     if isinstance(error, click.BadOptionUsage):
         return f"{error.option_name}: {_misused(error)}"
     if isinstance(error, click.MissingParameter) and error.param:
-        return f"{(error.param.name or '').upper()} is missing; it must be named"
+        kind = error.param.type.name
+        return f"{(error.param.name or '').upper()} is missing; it must be named ({kind})"
     if isinstance(error, click.BadParameter) and error.param:
         named = isinstance(error.param, click.Option)
         return f"{error.param.opts[0]}: {error.message}" if named else error.message

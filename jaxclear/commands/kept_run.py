@@ -1,0 +1,125 @@
+"""What is kept of a run of a scene file: its data set, a table of its joints, figures, the scene as
+it was run, and how it ended.
+"""
+
+import json
+import platform
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pandas
+from matplotlib.figure import Figure
+
+import jaxclear as jc
+from jaxclear import plot
+from jaxclear.plot.canvas import canvas, readable, warned
+
+__all__ = ["joint_table", "keep"]
+
+DATA, JOINTS, SCENE, TOLD = "run.nc", "joints.csv", "scene.yaml", "run.json"
+# Lines in one figure; more would not be told apart.
+MOST_LINES = 8
+DOTS_PER_INCH = 130
+
+
+def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas.DataFrame:
+    """Writes a run to a folder; its table of joints."""
+    folder.mkdir(parents=True, exist_ok=True)
+    table = joint_table(run)
+    if len(table):
+        table.to_csv(folder / JOINTS, index=False)
+    for title, figure in _figures(run).items():
+        figure.savefig(folder / f"{title}.png", dpi=DOTS_PER_INCH)
+    data = run.to_dataset()
+    data.to_netcdf(folder / DATA, engine="scipy")
+    jc.write_scene(scene, folder / SCENE)
+    told = {
+        "title": f"Run of {name}",
+        "result": run.result,
+        "warnings": list(run.warnings),
+        "checks": str(run),
+        "versions": _versions(),
+    }
+    (folder / TOLD).write_text(json.dumps(told, indent=1), encoding="utf-8")
+    return table
+
+
+def joint_table(run: jc.Trajectory) -> pandas.DataFrame:
+    """A row for each joint with clearance: forces, contact and wear at the saving times."""
+    rows = []
+    for name in run.formulation.contact_joints(run.mechanism):
+        contact = run.contact(name)
+        force = np.asarray(contact.normal_force).sum(axis=1)
+        row = {
+            "joint": name,
+            "mean normal force [N]": force.mean(),
+            "peak normal force at the saves [N]": force.max(),
+            "share of saves in contact [1]": (force > 0).mean(),
+            "largest indentation [um]": 1e6 * float(np.asarray(contact.indentation).max()),
+        }
+        for surface in run.worn.get(name, {}):
+            row[f"worn depth of the {surface} [um]"] = 1e6 * float(
+                np.asarray(run.worn_depth(name, surface)).max()
+            )
+        rows.append(row)
+    return pandas.DataFrame(rows)
+
+
+def _figures(run: jc.Trajectory) -> dict[str, Figure]:
+    """Figures by the names of their files."""
+    joints = run.formulation.contact_joints(run.mechanism)
+    found = {"motion": _motion(run)}
+    if joints:
+        found["contact_forces"] = _forces(run, joints)
+        found["modes"] = plot.modes(run)
+    for joint, surfaces in run.worn.items():
+        for surface in surfaces:
+            found[f"wear_of_{joint}_{surface}"] = plot.wear_unrolled(run, joint, surface)
+    return found
+
+
+def _motion(run: jc.Trajectory) -> Figure:
+    """Places of the bodies' centres of mass over time, an axis for each direction that they move
+    in."""
+    places = {
+        name: np.asarray(run.body(name).com) for name in list(run.mechanism.bodies)[:MOST_LINES]
+    }
+    moved = [i for i in range(3) if any(np.ptp(own[:, i]) > 0 for own in places.values())] or [0]
+    figure, axes = canvas(len(moved), 1, (8.0, 2.3 * len(moved)), sharex=True, squeeze=False)
+    for axis, direction in zip(axes[:, 0], moved, strict=True):
+        own = {name: place[:, direction] for name, place in places.items()}
+        factor, unit = readable(np.concatenate(list(own.values())), "m")
+        for name, values in own.items():
+            axis.plot(run.time, factor * values, lw=1.0, label=name)
+        axis.set_ylabel(f"{'xyz'[direction]} [{unit}]")
+    axes[-1, 0].set_xlabel("time [s]")
+    axes[0, 0].set_title("Centres of mass")
+    axes[0, 0].legend(fontsize=8, ncols=4)
+    return warned(figure, {"": run})
+
+
+def _forces(run: jc.Trajectory, joints: Any) -> Figure:
+    """Normal force of every joint with clearance over time."""
+    figure, axes = canvas(
+        len(joints), 1, (8.0, 0.8 + 1.9 * len(joints)), sharex=True, squeeze=False
+    )
+    for axis, joint in zip(axes[:, 0], joints, strict=True):
+        axis.plot(run.time, np.asarray(run.contact(joint).normal_force).sum(axis=1), lw=0.8)
+        axis.set_ylabel(f"{joint} [N]")
+    axes[-1, 0].set_xlabel("time [s]")
+    axes[0, 0].set_title("Normal force in the joints with clearance")
+    return warned(figure, {"": run})
+
+
+def _versions() -> dict[str, str]:
+    """Of what computed."""
+    found = {"python": platform.python_version(), "jax": jax.__version__}
+    for library in ("jaxclear", "numpy"):
+        try:
+            found[library] = metadata.version(library)
+        except metadata.PackageNotFoundError:
+            found[library] = "not installed"
+    return found | {"device": jax.devices()[0].platform}

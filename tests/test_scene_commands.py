@@ -1,0 +1,190 @@
+"""The command line on a scene file: run, sample, report. What is wrong with a file is answered with
+a sentence and exit code 2; what simulates shares one short scene.
+"""
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pandas
+import pytest
+import xarray
+
+import jaxclear as jc
+from jaxclear.commands.examples import EXAMPLES
+from jaxclear_command import scene_files
+from jaxclear_command.cli import main
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+def pendulum(**changes):
+    """A rod on a pin with play, that falls."""
+    bearing = jc.clearance.PlanarJournalBearing(
+        contact=jc.contact.CarvalhoMartins(restitution=0.8), bearing_radius=10e-3, clearance=0.2e-3
+    )
+    rig = jc.Mechanism(
+        bodies={"rod": jc.Body(mass=0.5, inertia=2e-3, com=(0.1, 0.0))},
+        connections={"pin": jc.Connection(bearing, "ground", "rod")},
+        loads={"gravity": jc.load.Gravity((0.0, -9.81))},
+    )
+    where = lambda rig: rig.connections["pin"].joint.clearance
+    stated = {
+        "duration": 0.02,
+        "save": 41,
+        "integrator": jc.integrator.FixedStep(2e-5),
+        "variables": {"clearance": jc.Variable(where, tolerance=2e-5)},
+        "responses": {"mean force": jc.response.MeanContactForce("pin")},
+    }
+    return jc.Scene(rig, **(stated | changes))
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch, keep_settings):
+    """A folder of its own to work in, with a scene."""
+    monkeypatch.chdir(tmp_path)
+    jc.write_scene(pendulum(), "scene.yaml")
+    return tmp_path
+
+
+MISTAKES = {
+    "no scene": (["run"], r"SCENE is missing; it must be named \(file\)"),
+    "another name": (["run", "scen.yaml"], 'no file scen.yaml. Did you mean "scene.yaml"'),
+    "a folder": (["monte-carlo", "."], r"\. is a folder; it must be a file"),
+    "no scene in it": (["run", "empty.yaml"], "empty.yaml: .*jaxclear_scene: 1"),
+    "nothing that varies": (["monte-carlo", "fixed.yaml"], "this scene states no variables"),
+    "no duration": (["run", "endless.yaml"], "this scene states no duration"),
+    "half a sample": (["monte-carlo", "scene.yaml", "--samples", "1.5"], "whole number of at le"),
+    "no store": (["report", "nowhere"], "nowhere is not there; it must be a folder"),
+    "an empty folder": (["report", "."], "holds neither a campaign nor figures or tables"),
+    "no such example": (["example", "slider-crnk"], 'Did you mean "slider-crank"'),
+    "no folder for the page": (
+        ["report", ".", "--to", "no/page.html"],
+        "in a folder that is there",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_with_a_file_ends_in_a_sentence(mistake, here, capsys):
+    (here / "empty.yaml").write_text("mechanism: {}\n")
+    jc.write_scene(pendulum(variables={}), here / "fixed.yaml")
+    jc.write_scene(pendulum(duration=None), here / "endless.yaml")
+    given, sentence = MISTAKES[mistake]
+    with pytest.raises(SystemExit) as ended:
+        main(given)
+    said = capsys.readouterr().err
+    assert ended.value.code == 2 and re.search(sentence, said), said
+    assert said.count("\n") == 1 and said.startswith(f"jaxclear {given[0]}: ")
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_can_be_run_and_asked(name, here, capsys):
+    main(["example", name])
+    (here / "example.yaml").write_text(capsys.readouterr().out)
+    scene = jc.read_scene(here / "example.yaml")
+    assert scene.duration and scene.problem().response_names == tuple(scene.responses)
+
+
+def test_every_example_is_offered():
+    assert tuple(EXAMPLES) == scene_files.EXAMPLES
+
+
+def test_parameters_of_a_scene_file_are_listed(here, capsys):
+    main(["parameters", "scene.yaml"])
+    assert 'connections["pin"].joint.clearance' in capsys.readouterr().out
+
+
+def checked_page(path):
+    """The text of a page that needs nothing beside itself."""
+    text = path.read_text()
+    assert "<script" not in text and "<link" not in text and "@import" not in text
+    sources = re.findall(r'(?:src|href)="([^"]{0,30})', text)
+    assert sources and all(one.startswith("data:image/png;base64,") for one in sources)
+    if CHROMIUM:
+        shown = subprocess.run(
+            [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", path.as_uri()],
+            capture_output=True,
+            text=True,
+            timeout=120,
+        ).stdout
+        assert shown.count("<img") == text.count("<img") > 0
+    return text
+
+
+@pytest.mark.slow
+def test_a_run_of_a_scene_is_kept_and_reported(here, capsys):
+    main(["run", "scene.yaml", "--out", "first", "--duration", "0.01", "--quiet"])
+    printed = capsys.readouterr().out
+    assert "The run reached its end." in printed and "mean normal force [N]" in printed
+    again = jc.simulate(
+        pendulum().mechanism, 0.01, save=41, integrator=jc.integrator.FixedStep(2e-5)
+    )
+    with xarray.open_dataset(here / "first" / "run.nc") as kept:
+        np.testing.assert_array_equal(kept["rod.com"], again.body("rod").com)
+        assert kept["rod.com"].attrs["units"] == "m"
+    assert jc.read_scene(here / "first" / "scene.yaml").duration == 0.01
+    table = pandas.read_csv(here / "first" / "joints.csv")
+    force = np.asarray(again.contact("pin").normal_force)
+    np.testing.assert_allclose(table["mean normal force [N]"], force.mean())
+    main(["report", "first"])
+    page = checked_page(here / "first" / "report.html")
+    assert "The run reached its end." in page and "jaxclear_scene: 1" in page
+
+
+@pytest.mark.slow
+def test_a_run_that_ends_early_is_kept_and_ends_with_code_1(here, capsys):
+    short = pendulum(integrator=jc.integrator.Adaptive(max_steps=10))
+    jc.write_scene(short, here / "short.yaml")
+    with pytest.raises(SystemExit) as ended:
+        main(["run", "short.yaml", "--quiet"])
+    assert ended.value.code == 1 and "The run ended early" in capsys.readouterr().err
+    assert "ended early" in json.loads((here / "short_run" / "run.json").read_text())["result"]
+
+
+@pytest.mark.slow
+def test_monte_carlo_of_a_scene_is_interrupted_goes_on_and_is_reported(here, capsys):
+    asked = ["monte-carlo", "scene.yaml", "--samples", "3e4", "--chunk", "16", "--quiet"]
+    begun = subprocess.Popen(
+        [sys.executable, "-m", "jaxclear_command.cli", *asked, "--out", "store"],
+        stderr=subprocess.PIPE,
+        text=True,
+        # A process in the background is deaf to Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    mark = here / "store" / "samples.zarr" / "finished" / "c"
+    for _ in range(1200):
+        if mark.exists() and begun.poll() is None:
+            break
+        time.sleep(0.1)
+    begun.send_signal(signal.SIGINT)
+    said = begun.communicate(timeout=60)[1]
+    assert begun.returncode == 130 and "are kept in store; ask the same again" in said, said
+    with pytest.raises(SystemExit) as ended:
+        main([*asked, "--out", "store", "--seed", "1"])
+    assert ended.value.code == 2 and "seed=0, not 1" in capsys.readouterr().err
+    main(["report", "store"])
+    assert "the same command goes on" in checked_page(here / "store" / "report.html")
+
+
+@pytest.mark.slow
+def test_monte_carlo_of_a_scene_is_that_of_the_library(here, capsys):
+    asked = ["monte-carlo", "scene.yaml", "--samples", "64", "--out", "store", "--quiet"]
+    main(asked)
+    first = capsys.readouterr().out
+    main(asked)
+    assert capsys.readouterr().out == first and "64 samples, 0 failed" in first
+    plain = jc.monte_carlo(pendulum().problem(), 64)
+    kept = jc.open_campaign(here / "store")
+    np.testing.assert_array_equal(kept.values, plain.values)
+    np.testing.assert_allclose(kept.responses["mean force"], plain.responses["mean force"])
+    main(["report", "store", "--to", "page.html"])
+    page = checked_page(here / "page.html")
+    mean = plain.mean("mean force")
+    assert f"{float(mean.value):.5g} ± {float(mean.error):.2g}" in page
+    assert "jaxclear_scene: 1" in page and "jaxlib" in page
