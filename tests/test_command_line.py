@@ -131,7 +131,7 @@ ENDS = {
 def test_exit_code_tells_how_it_ended(end, monkeypatch, capsys, keep_settings):
     reason, code = ENDS[end]
 
-    def stopped():
+    def stopped(scene):
         raise reason
 
     monkeypatch.setitem(cli.COMMANDS, "parameters", stopped)
@@ -147,15 +147,16 @@ def every_command():
 
 
 @pytest.mark.parametrize("name", every_command())
-def test_every_command_shows_examples_and_understands_them(name, capsys):
+def test_every_command_shows_examples_and_understands_them(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.yaml").touch()
+    (tmp_path / "store").mkdir()
     group, command = commands(), every_command()[name]
     assert command.examples
     for example in command.examples:
-        program, *words = shlex.split(example)
+        program, *words = shlex.split(example.partition(">")[0])
         assert program == "jaxclear"
         if "--help" not in words:
-            # What is named must be there; a file of the reader's is this one.
-            words = [__file__ if word.endswith(".yaml") else word for word in words]
             asked = group.commands[words[0]]
             assert not asked.make_context(words[0], words[1:]).args
     main(["--help"] if name == "jaxclear" else [name, "--help"])

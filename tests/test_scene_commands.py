@@ -64,7 +64,7 @@ MISTAKES = {
     "an empty folder": (["report", "."], "holds neither a campaign nor figures or tables"),
     "no such example": (["example", "slider-crnk"], 'Did you mean "slider-crank"'),
     "no folder for the page": (
-        ["report", ".", "--to", "no/page.html"],
+        ["report", ".", "--to", "no/a.html"],
         "in a folder that is there",
     ),
 }
@@ -83,6 +83,7 @@ def test_a_mistake_with_a_file_ends_in_a_sentence(mistake, here, capsys):
     assert said.count("\n") == 1 and said.startswith(f"jaxclear {given[0]}: ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_can_be_run_and_asked(name, here, capsys):
     main(["example", name])
@@ -139,7 +140,7 @@ def test_a_run_of_a_scene_is_kept_and_reported(here, capsys):
 
 @pytest.mark.slow
 def test_a_run_that_ends_early_is_kept_and_ends_with_code_1(here, capsys):
-    short = pendulum(integrator=jc.integrator.Adaptive(max_steps=10))
+    short = pendulum(integrator=jc.integrator.Adaptive(most_steps=10))
     jc.write_scene(short, here / "short.yaml")
     with pytest.raises(SystemExit) as ended:
         main(["run", "short.yaml", "--quiet"])
@@ -147,15 +148,20 @@ def test_a_run_that_ends_early_is_kept_and_ends_with_code_1(here, capsys):
     assert "ended early" in json.loads((here / "short_run" / "run.json").read_text())["result"]
 
 
+# A process in the background may be deaf to Ctrl-C.
+BEGIN = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from jaxclear_command.cli import main
+main(sys.argv[1:])
+"""
+
+
 @pytest.mark.slow
 def test_monte_carlo_of_a_scene_is_interrupted_goes_on_and_is_reported(here, capsys):
     asked = ["monte-carlo", "scene.yaml", "--samples", "3e4", "--chunk", "16", "--quiet"]
     begun = subprocess.Popen(
-        [sys.executable, "-m", "jaxclear_command.cli", *asked, "--out", "store"],
-        stderr=subprocess.PIPE,
-        text=True,
-        # A process in the background is deaf to Ctrl-C.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        [sys.executable, "-c", BEGIN, *asked, "--out", "store"], stderr=subprocess.PIPE, text=True
     )
     mark = here / "store" / "samples.zarr" / "finished" / "c"
     for _ in range(1200):
