@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from jaxclear.ground.quantity import is_traced
@@ -15,6 +16,9 @@ from jaxclear.ground.quantity import is_traced
 AROUND_A_KERNEL = {"xla_cpu_use_fusion_emitters": False}
 # What runs once is not optimised either: assemblies compile three times as fast and take no longer.
 ONCE = {**AROUND_A_KERNEL, "xla_backend_optimization_level": 0}
+# XLA drops options between its versions, and says so by this; those that this one lacks.
+NO_OPTION = "No such compile option"
+_unknown: set[str] = set()
 
 
 def compiled_quickly(
@@ -23,12 +27,24 @@ def compiled_quickly(
     """As `equinox.filter_jit`, compiled with these options of XLA's. Within another program it is
     part of that one, and compiled as that one is."""
     plain = eqx.filter_jit(function)
-    quick = eqx.filter_jit(function, compiler_options=options)  # type: ignore[call-overload]
+
+    @functools.cache
+    def quick(unknown: frozenset[str]) -> Callable[..., Any]:
+        own: Any = {name: value for name, value in options.items() if name not in unknown}
+        return eqx.filter_jit(function, compiler_options=own)
 
     @functools.wraps(function)
     def call(*arguments):
         # JAX refuses options of a program within a program.
-        within = is_traced(arguments) or is_traced(jnp.zeros(1))
-        return (plain if within else quick)(*arguments)
+        if is_traced(arguments) or is_traced(jnp.zeros(1)):
+            return plain(*arguments)
+        while True:
+            try:
+                return quick(frozenset(_unknown))(*arguments)
+            except jax.errors.JaxRuntimeError as error:
+                found = [name for name in options if f"{NO_OPTION}: '{name}'" in str(error)]
+                if not found:
+                    raise
+                _unknown.update(found)
 
     return call
