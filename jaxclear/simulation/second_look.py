@@ -4,8 +4,8 @@ once more with steps a quarter as long, and what both end with is compared.
 What an impact is off by grows until the next, and every one adds its own: after a dozen a journal
 may be elsewhere in its gap though each was nearly right, and how fast that grows is the motion's
 own affair. So the run itself is asked. In doubt is what has steps of a fixed length in which
-contacts rise or creep, or bodies drift, by more than a little. Runs of many steps, and those of a
-study, are not gone through again.
+contacts rise or creep, or bodies drift, by more than a little. Runs of many steps are not gone
+through again; of a study, whose samples share their doubts, the nominal one is.
 """
 
 import dataclasses
@@ -23,6 +23,10 @@ from jaxclear.simulation.rebound import RESOLVED
 
 # Length of the steps beside those of the run.
 FINER = 0.25
+# Share of a study's samples in doubt from which on its nominal one is looked at.
+MANY = 0.1
+# What a second look may find.
+FINDINGS = (Check.PLACE_IN_GAP, Check.HALVED_WEAR, Check.HALVED_MOTION)
 # Figures from which on a run is in doubt: of mechanisms drawn at random every one whose places in
 # gaps were off by more than promised was beyond one of them (benchmarks/attack.py).
 DOUBTS = {
@@ -66,9 +70,34 @@ def _in_doubt(run: Trajectory) -> bool:
     known = run.checks.figures
     if _opens(run) and Check.INDENTATION not in known:
         return bool(run.worn)
-    return any(
-        np.any(known[check].worst > least) for check, least in DOUBTS.items() if check in known
-    )
+    return bool(doubted(run.checks))
+
+
+def doubted(checks: Checks) -> np.ndarray:
+    """Whether a figure brings each run in doubt; samples stay in front."""
+    known = checks.figures
+    beyond = [
+        np.any(np.asarray(known[check].worst) > least, axis=-1)
+        for check, least in DOUBTS.items()
+        if check in known
+    ]
+    return np.any(beyond, axis=0) if beyond else np.zeros((), bool)
+
+
+def looked_at_one(
+    checks: Checks, integrator: AbstractIntegrator, again: Callable[[Any], Trajectory]
+) -> Checks:
+    """What a second look at one run finds, where many runs of a study are in doubt by their
+    `checks` (samples in front); `again`: that run, with an integrator. No figures where nothing is
+    to be told."""
+    rigid = Check.INDENTATION not in checks.figures
+    if integrator.with_finer_steps(FINER) is None:
+        return Checks()
+    if not rigid and np.mean(doubted(checks)) < MANY:
+        return Checks()
+    found = looked_at_again(again(integrator), integrator, again).checks
+    beyond = {check for check, over in found.beyond().items() if over} & set(FINDINGS)
+    return Checks({check: found.figures[check] for check in FINDINGS if check in beyond})
 
 
 def _opens(run: Trajectory) -> bool:
