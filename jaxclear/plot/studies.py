@@ -47,7 +47,7 @@ def monte_carlo(study: MonteCarlo, *, ax: Any = None) -> Any:
 
 def _warned_samples(study: MonteCarlo) -> list[str]:
     """How many samples warn, and what the means are without them."""
-    if not len(study.warned):
+    if not len(study.warned) and not study.doubts:
         return []
     told = [study.sentence()]
     for row in study.summary().to_dict("records"):

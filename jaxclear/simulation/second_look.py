@@ -84,16 +84,18 @@ def doubted(checks: Checks) -> np.ndarray:
     return np.any(beyond, axis=0) if beyond else np.zeros((), bool)
 
 
-def looked_at_one(
-    checks: Checks, integrator: AbstractIntegrator, again: Callable[[Any], Trajectory]
-) -> Checks:
-    """What a second look at one run finds, where many runs of a study are in doubt by their
-    `checks` (samples in front); `again`: that run, with an integrator. No figures where nothing is
-    to be told."""
-    rigid = Check.INDENTATION not in checks.figures
+def many_in_doubt(checks: Checks, opens: bool) -> bool:
+    """Whether runs of a study are, by their `checks` (samples in front); `opens`: whether contacts
+    may open and close. As of one run, wear in rigid contact always is."""
+    if opens and Check.INDENTATION not in checks.figures:
+        return Check.HALVED_WEAR in checks.figures
+    return bool(np.mean(doubted(checks)) >= MANY)
+
+
+def found_in_one(integrator: AbstractIntegrator, again: Callable[[Any], Trajectory]) -> Checks:
+    """What a second look at one run of a study finds to be off; `again`: that run, with an
+    integrator."""
     if integrator.with_finer_steps(FINER) is None:
-        return Checks()
-    if not rigid and np.mean(doubted(checks)) < MANY:
         return Checks()
     found = looked_at_again(again(integrator), integrator, again).checks
     beyond = {check for check, over in found.beyond().items() if over} & set(FINDINGS)

@@ -120,6 +120,11 @@ class AbstractProblem(AbstractQuantified):
     def ending(self, outcome: int, ended: float) -> str:
         """How a sample ended, as the rest of a sentence that begins with its values."""
 
+    def second_look(self, checks: Checks) -> Checks:
+        """What a second look at the nominal sample finds to be off, where the samples' own `checks`
+        (samples in front) bring many in doubt; no figures where nothing is to be told."""
+        return Checks()
+
     def remark(self) -> str:
         """What a user should know of how the samples were computed; "" for nothing."""
         return ""

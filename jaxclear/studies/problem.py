@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import inside, numbers
-from jaxclear.integrators import AbstractIntegrator, Outcome
+from jaxclear.integrators import AbstractIntegrator, Checks, Outcome
 from jaxclear.multibody.assembly import (
     Start,
     assemble_arrays,
@@ -29,6 +29,7 @@ from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.native import stoppable
 from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
@@ -37,6 +38,7 @@ from jaxclear.simulation.dead_point import diagnosed, diagnosed_outcome
 from jaxclear.simulation.derivatives import guarded, refusal
 from jaxclear.simulation.loop import Extras
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
+from jaxclear.simulation.second_look import found_in_one, many_in_doubt
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
@@ -223,6 +225,18 @@ class Problem(AbstractProblem):
         """The run of one sample, bit for bit as it ran in its chunk."""
         return diagnosed(sample_of_chunk(_run_chunk, self, values, index, chunk))
 
+    def second_look(self, checks):
+        seen = self.integrator.formulation.seen(self.mechanism)
+        if not many_in_doubt(checks, bool(seen.topology.clearances)):
+            return Checks()
+
+        def again(integrator):
+            problem = eqx.tree_at(lambda own: own.integrator, self, integrator)
+            return jax.block_until_ready(_run_alone(problem, self.nominal()))
+
+        with stoppable():
+            return found_in_one(self.integrator, again)
+
     def ending(self, outcome, ended):
         how = Outcome(outcome)
         said = how.sentence
@@ -250,6 +264,12 @@ class Problem(AbstractProblem):
         return {what: getattr(self, what) for what in told} | places_of(
             self.mechanism, self.variables
         )
+
+
+@eqx.filter_jit
+def _run_alone(problem: Problem, values: Float[Array, " variables"]) -> Trajectory:
+    """The run of one set of values."""
+    return problem.started(values)[2]
 
 
 @eqx.filter_jit

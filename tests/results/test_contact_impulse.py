@@ -7,23 +7,14 @@ import pytest
 
 import jaxclear as jc
 from tests.formulations.test_permanent_joints import rubbing
+from tests.rigs.bouncing_journal import CLEARANCE, GRAVITY, LEFT_THERE, MASS, falling
 
-MASS, GRAVITY, DURATION = 2.0, 9.81, 0.2
+DURATION = 0.2
 MEAN = jc.response.MeanContactForce("B")
 
 
 def long(*parameters):
     return pytest.param(*parameters, marks=pytest.mark.slow)
-
-
-def falling(law):
-    """A journal that falls from rest from the middle of its bearing, straight down, and bounces."""
-    bearing = jc.clearance.PlanarJournalBearing(law, clearance=1e-3)
-    return jc.Mechanism(
-        {"journal": jc.Body(MASS, 1e-3)},
-        {"B": jc.Connection(bearing, "ground", "journal")},
-        {"gravity": jc.load.Gravity((0.0, -GRAVITY))},
-    )
 
 
 SOFT, HARD = jc.contact.Flores(stiffness=1e8, restitution=0.6), jc.contact.Rigid(restitution=0.6)
@@ -44,8 +35,7 @@ OTHER_TIMES = np.linspace(0.0, 1.0, 11) ** 2 * DURATION
 
 def fallen(rung, save=11):
     integrator, law = (USUAL | OTHERS)[rung]
-    state = jc.State(concentric=False)
-    return jc.simulate(falling(law), DURATION, integrator=integrator, save=save, state=state)
+    return jc.simulate(falling(law), DURATION, integrator=integrator, save=save, state=LEFT_THERE)
 
 
 @pytest.mark.parametrize("rung", [*USUAL, *(long(rung) for rung in OTHERS)])
@@ -67,9 +57,6 @@ def test_a_mean_force_does_not_hang_on_the_saving_times(rung):
     assert found[0] == pytest.approx(found[1], rel=1e-5)
 
 
-CLEARANCE = lambda m: m.connections["B"].joint.clearance
-
-
 @pytest.mark.slow
 def test_derivatives_of_a_mean_are_those_of_the_momentum():
     """The impulse is m (v + g t): its derivative by the clearance is that of m v."""
@@ -81,7 +68,7 @@ def test_derivatives_of_a_mean_are_those_of_the_momentum():
         duration=DURATION,
         integrator=jc.integrator.FixedStep(1e-5),
         save=11,
-        state=jc.State(concentric=False),
+        state=LEFT_THERE,
     )
     evaluate = lambda values: problem.evaluate(values, discrete_derivatives=True).responses
     _, slopes = jax.jvp(evaluate, (problem.nominal(),), (np.ones(1),))

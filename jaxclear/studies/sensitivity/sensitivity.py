@@ -5,6 +5,7 @@ its own, so that chance and bias of one are not those of another; their answers 
 (`derivative`).
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,7 +17,7 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identity import first_difference
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
 from jaxclear.studies.sampling import draw, groups, usual_scramblings
-from jaxclear.studies.sensitivity.derivative import Sensitivity, confirmed
+from jaxclear.studies.sensitivity.derivative import Derivative, Sensitivity, confirmed
 from jaxclear.studies.sensitivity.direction import Direction, directions
 from jaxclear.studies.sensitivity.functional import Functional, functionals
 from jaxclear.studies.sensitivity.methods import differences, pathwise
@@ -87,11 +88,19 @@ def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarl
         for one in asked:
             estimates = {method: own[one.label] for method, own in answers.items()}
             key = one.label, direction.label
-            derivatives[key] = confirmed(*key, estimates)
+            derivatives[key] = _in_doubt(drawn, one.response, confirmed(*key, estimates))
     problem = drawn.problem
     units = {one.label: one.unit(problem.units()[one.response]) for one in asked}
     units |= {d.label: problem.variable_units[d.variable] for d in found}
     return Sensitivity(derivatives, drawn, units)
+
+
+def _in_doubt(drawn: MonteCarlo, response: str, answer: Derivative) -> Derivative:
+    """The answer, its verdict with what a second look at the nominal sample says of the
+    response."""
+    found = zip(drawn.nominal.figures, drawn.doubts, strict=True)
+    said = [said for check, said in found if drawn.problem.concerned(response, check.concerns)]
+    return dataclasses.replace(answer, verdict=" ".join([answer.verdict, *said]))
 
 
 def _shared(problem: AbstractProblem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
