@@ -5,10 +5,11 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxclear.ground.datasets import provenance
 from jaxclear.results import histories
 from jaxclear.results.state_history import StateHistory
 
-XYZ = ["x", "y", "z"]
+XYZ = np.array(["x", "y", "z"], object)
 # Fields of each history with dimension, unit and meaning; {} is the name of the body or joint.
 BODY = {
     "com": ("axis", "m", "centre of mass of {}"),
@@ -64,7 +65,8 @@ def to_dataset(history: StateHistory, worn: dict, attributes: dict) -> Any:
             put(f"energy.{name}", ("time",), getattr(energies, name), "J", name.replace("_", " "))
     coordinates = {
         "time": ("time", np.asarray(history.time), {"units": "s"}),
-        "axis": XYZ,
-        "component": ["w", *XYZ],
+        "axis": ("axis", XYZ),
+        "component": ("component", np.array(["w", *XYZ], object)),
     }
-    return xarray.Dataset(columns, coordinates, attributes | {"jax": jax.__version__})
+    said = attributes | {"jax": jax.__version__, "mechanism": str(mechanism)}
+    return xarray.Dataset(columns, coordinates, {"what": "run"} | said | provenance())

@@ -13,6 +13,7 @@ import numpy as np
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, expect
+from jaxclear.ground.datasets import Column, dataset
 from jaxclear.multibody.chain import Chain
 from jaxclear.multibody.product_of_exponentials import TipError
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
@@ -70,6 +71,27 @@ class PointingError(eqx.Module):
         unshared = dict.fromkeys(self._shares(self.model), np.nan)
         rows["exact"] = _sizes(self.pointing_angle, self.position_error) | unshared
         return pandas.DataFrame.from_dict(rows, orient="index").rename_axis("joint")
+
+    def to_dataset(self) -> Any:
+        """Everything over the saving times as an xarray Dataset with units and provenance: errors,
+        and the twist [m, rad] that each joint contributes."""
+        twist, over = ("time", "component"), ("time", "joint", "component")
+        parts = np.stack([self.contributions[name] for name in self.names], axis=1)
+        meaning = "twist of the tip; first three components in m, the others in rad"
+        columns = {
+            "pointing angle": Column(("time",), self.pointing_angle, "rad"),
+            "position error": Column(("time",), self.position_error, "m"),
+            "exact": Column(twist, self.exact, "m, rad", meaning),
+            "model": Column(twist, self.model, "m, rad", f"{meaning}; first order"),
+            "contribution": Column(over, parts, "m, rad", f"{meaning}; of one joint"),
+        }
+        coordinates = {
+            "time": Column(("time",), self.time, "s"),
+            "joint": Column(("joint",), list(self.names)),
+            "component": Column(("component",), ["x", "y", "z", "about x", "about y", "about z"]),
+        }
+        said: dict[str, Any] = {"tip": self.tip, "base": self.base, "warnings": self.warnings}
+        return dataset(columns, coordinates, what="pointing error", **said)
 
     def _parts(self, by_play):
         if not by_play:

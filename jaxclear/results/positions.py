@@ -10,12 +10,15 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import Marker
 from jaxclear.formulations.quasi_static import Posed, Standing, standing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
+from jaxclear.ground.datasets import Column, dataset
+from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.wording import listed
 
 __all__ = ["Positions"]
@@ -101,6 +104,31 @@ class Positions(eqx.Module):
         parent's marker; without friction."""
         check_known("joint", joint, self.scene.mechanism.connections, " in this mechanism")
         return self._over(lambda now: sp.stack([x for p in now.reactions[joint] for x in p]))
+
+    def to_dataset(self) -> Any:
+        """Everything over the positions as an xarray Dataset with units and provenance: drives,
+        bodies, journals in their gaps."""
+        scene, columns = self.scene, {}
+        over, axis = ("position",), ("position", "axis")
+        for name in scene.held:
+            own: Any = scene.mechanism.connections[name].joint
+            values = self.coordinate(name)[:, 0]
+            columns[name] = Column(over, values, own.units[0], "coordinate of a drive")
+        for name in scene.mechanism.bodies:
+            pose = self.body(name)
+            columns[f"{name}.com"] = Column(axis, pose.com, "m", f"centre of mass of {name}")
+            turn = quaternion_from_rotation(np.asarray(pose.rotation))
+            meaning = f"orientation of {name}, scalar first"
+            columns[f"{name}.quaternion"] = Column(("position", "component"), turn, "1", meaning)
+        for name in self.seats:
+            meaning = f"journal against bearing of {name}, bearing axes"
+            columns[f"{name}.offset"] = Column(axis, self.offset(name), "m", meaning)
+        columns["found"] = Column(over, self.found, "1", "whether the mechanism closes")
+        coordinates = {
+            "axis": Column(("axis",), ["x", "y", "z"]),
+            "component": Column(("component",), ["w", "x", "y", "z"]),
+        }
+        return dataset(columns, coordinates, what="positions", mechanism=str(scene.mechanism))
 
     def _over(self, one: Callable[[Standing], Any]) -> Any:
         def row(position, q, seats):

@@ -19,6 +19,7 @@ from jaxclear.ground.arguments import (
 from jaxclear.integrators import Checks, Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import chunk_size, evaluate_all
+from jaxclear.studies.datasets import of_samples
 from jaxclear.studies.growing import Plan, responses_of, until_accurate
 from jaxclear.studies.sampling import check_sampled, draw, groups, usual_scramblings
 from jaxclear.studies.statistics.accuracy import asked_of
@@ -149,6 +150,11 @@ class MonteCarlo(eqx.Module):
             for i in range(self.count)
         ]
         return pandas.DataFrame(columns)
+
+    def to_dataset(self) -> Any:
+        """All samples as an xarray Dataset: variables and responses by name with units, how each
+        ended, its checks; what was asked and by what it was computed as attributes."""
+        return of_samples(self)
 
     def good(self, response: str) -> tuple[np.ndarray, np.ndarray]:
         """A response of the samples that did not fail, and their scramblings."""

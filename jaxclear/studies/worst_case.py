@@ -23,6 +23,7 @@ from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.datasets import of_corners
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
@@ -54,6 +55,10 @@ class WorstCase(eqx.Module):
     least: dict[str, Extreme]
     largest: dict[str, Extreme]
     runs: int = eqx.field(static=True)
+
+    def to_dataset(self) -> Any:
+        """Everything as an xarray Dataset by response, end and variable, with provenance."""
+        return of_corners(self)
 
     def table(self) -> Any:
         """A pandas table, a row a response: nominal, least and largest, of first order and found,

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import time
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -21,6 +22,13 @@ FLAGS = [
     "--host-resolver-rules=MAP * ~NOTFOUND",
     "--remote-debugging-pipe",
 ]
+# The browser reads from 3 and writes to 4.
+BEGIN = """
+import os, sys
+for own, place in zip(map(int, sys.argv[1:3]), (3, 4)):
+    os.dup2(own, place)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
 
 
 class Page:
@@ -76,11 +84,9 @@ def opened(path, folder):
     """A page, its scripts run; closed at the end."""
     to_browser, from_browser = os.pipe(), os.pipe()
     own = {to_browser[0], from_browser[1]}
-    # The browser reads from 3 and writes to 4; the shell puts the pipes there.
-    command = f'exec "$0" "$@" 3<&{to_browser[0]} 4>&{from_browser[1]}'
-    arguments = [PATH, *FLAGS, f"--user-data-dir={folder}", "about:blank"]
+    ends = [str(to_browser[0]), str(from_browser[1])]
     process = subprocess.Popen(
-        ["sh", "-c", command, *arguments],
+        [sys.executable, "-c", BEGIN, *ends, PATH, *FLAGS, f"--user-data-dir={folder}"],
         pass_fds=own,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -118,7 +118,9 @@ def _mesh(name: str, given: Any) -> Triangles:
 
         if not Path(given).is_file():
             raise ValueError(f"{what} is {str(given)!r}, and there is no such file.")
-        read = meshio.read(given)
+        # meshio guesses whether an STL file is a text by a number that may overflow.
+        with np.errstate(over="ignore"):
+            read = meshio.read(given)
         cells = [own.data for own in read.cells if own.type == "triangle"]
         if not cells:
             raise ValueError(f"{what}, {given}, holds no triangles.")

@@ -17,6 +17,7 @@ from jaxclear.studies import verdict
 from jaxclear.studies.advice.comparison import Comparison
 from jaxclear.studies.advice.curve import PRESENT, REFERENCE, Choice
 from jaxclear.studies.advice.pilot import Trial, describe
+from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.verdict import Criterion, MeasuredError
 
@@ -112,6 +113,10 @@ class Advice(eqx.Module):
             for place in range(len(curve.trials))
         ]
         return pandas.DataFrame(rows)
+
+    def to_dataset(self) -> Any:
+        """The table as an xarray Dataset over the trials, with provenance."""
+        return of_rows("advice", "trial", self.table(), self.asked, result=self.sentence())
 
 
 def checked_accuracy(accuracy: Any) -> float:

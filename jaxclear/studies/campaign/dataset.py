@@ -43,7 +43,9 @@ def dataset_of(samples: Samples) -> Any:
         told = {"long_name": "worst figure that a run found out about itself"}
         columns[WORST] = kept[WORST].assign_attrs(told)
         columns[WHEN] = kept[WHEN].assign_attrs(units="s", long_name="when the worst was met")
-    columns[FINISHED] = kept[FINISHED].assign_attrs(long_name="mark of who computed it, 0 if none")
+    # The marks themselves are longer than a number of netCDF's third version.
+    done = (kept[FINISHED] != 0).astype("int8")
+    columns[FINISHED] = done.assign_attrs(long_name="1 for a chunk that is finished")
     figures = [f"{check}, {place}" if place else check for check, place in samples.figures]
     coordinates = {"figure": figures} if figures else {}
     plan = samples.plan._asdict()

@@ -2,28 +2,12 @@
 
 import hashlib
 import json
-import platform
-from importlib import metadata
 
-import jax
 import numpy as np
 
+from jaxclear.ground.versions import told_versions
+
 __all__ = ["change", "mark_of", "told_versions"]
-
-LIBRARIES = ("jaxclear", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr")
-
-
-def told_versions() -> dict[str, str]:
-    """Name and version of what computes here: libraries, Python, the kind of device."""
-    found = {"python": platform.python_version()}
-    for library in LIBRARIES:
-        try:
-            found[library] = metadata.version(library)
-        except metadata.PackageNotFoundError:
-            found[library] = "unknown"
-    device = jax.devices()[0]
-    kind = platform.machine() if device.platform == "cpu" else device.device_kind
-    return found | {"device": f"{device.platform} ({kind})"}
 
 
 def mark_of(versions: dict[str, str]) -> int:

@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.datasets import of_design
 from jaxclear.studies.design.abstract_limit import AbstractLimit
 from jaxclear.studies.design.freedom import NOMINAL
 from jaxclear.studies.design.question import Question
@@ -157,6 +158,10 @@ class Design(eqx.Module):
                 }
             )
         return pandas.DataFrame(rows)
+
+    def to_dataset(self) -> Any:
+        """Variables, limits and rounds as an xarray Dataset, with provenance."""
+        return of_design(self)
 
     def limit_table(self) -> Any:
         """A pandas table of the limits: number, 95 % error, bound, whether it holds, price of a

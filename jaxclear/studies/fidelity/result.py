@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.statistics.scrambled import Statistic
 
 
@@ -82,6 +83,12 @@ class MultiFidelity(eqx.Module):
         ]
         last = "; the problem was sampled plainly." if len(self.used) == 1 else "."
         return f"{'; '.join(said)}{last}"
+
+    def to_dataset(self) -> Any:
+        """The table as an xarray Dataset by response, with provenance."""
+        return of_rows(
+            "multi-fidelity", "response", self.table(), self.problem, result=self.sentence()
+        )
 
     def table(self) -> Any:
         """A pandas table: one row a response; mean and standard deviation with 95 % errors, how

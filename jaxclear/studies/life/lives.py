@@ -14,6 +14,7 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
+from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.identity import in_texts
 from jaxclear.studies.life.living import Living
 from jaxclear.studies.life.result import WearLife
@@ -66,6 +67,12 @@ class WearLives(eqx.Module):
 
     def __str__(self) -> str:
         return self.sentence()
+
+    def to_dataset(self) -> Any:
+        """The table as an xarray Dataset over the lives, with provenance."""
+        return of_rows(
+            "wear lives", "life", self.table(), self.problem, result=str(self), seed=self.seed
+        )
 
     def table(self) -> Any:
         """A pandas table, a row a life: variables, cycles reached, the quantities at the end, the

@@ -2,6 +2,7 @@
 after how many cycles one of them reaches a limit.
 """
 
+import json
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -11,10 +12,12 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from jaxclear.ground.arguments import check_known, check_number
+from jaxclear.ground.datasets import provenance
 from jaxclear.integrators import Checks
 from jaxclear.results.response import concerned
 from jaxclear.results.saved_state import State
 from jaxclear.simulation.wear import Worn
+from jaxclear.studies.identity import in_texts
 from jaxclear.studies.life.curves import first_crossing, through_rates, without_overshoot
 from jaxclear.studies.life.nodes import Cells, Node
 from jaxclear.studies.life.settling import Settling
@@ -266,7 +269,9 @@ class WearLife(eqx.Module):
         columns["error of depth"] = ("cycles", self.errors, {"units": "1"})
         columns["error of volume"] = ("cycles", self.errors_of_volume, {"units": "1"})
         told = {"result": self.sentence(), "warnings": " ".join(self.warnings)}
-        return xarray.Dataset(columns, {"cycles": self.cycles}, told | self.checks.attributes())
+        told |= {"what": "wear life", "problem": json.dumps(in_texts(self.problem))}
+        said = told | self.checks.attributes() | provenance()
+        return xarray.Dataset(columns, {"cycles": self.cycles}, said)
 
 
 def _around(at: float, cycles: np.ndarray, errors: np.ndarray) -> float:

@@ -18,6 +18,7 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.simulation.wear import Worn
+from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.life.cycle import (
     Cycle,
     as_problem,
@@ -110,6 +111,16 @@ class Settled(eqx.Module):
 
     def __str__(self) -> str:
         return "\n".join([self.sentence(), *self.warnings])
+
+    def to_dataset(self) -> Any:
+        """The table as an xarray Dataset over the cycles, with provenance."""
+        return of_rows(
+            "settled cycle",
+            "cycle",
+            self.table().set_index("cycle"),
+            self.problem,
+            result=str(self),
+        )
 
     def table(self) -> Any:
         """A pandas table, a row a cycle: how far its ends are apart and where most, the volume

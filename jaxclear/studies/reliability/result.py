@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.datasets import of_reliability
 from jaxclear.studies.limit_state import AbstractLimitState
 from jaxclear.studies.reliability.design_point import DesignPoint
 from jaxclear.studies.reliability.estimate import Probability
@@ -102,6 +103,10 @@ class Reliability(eqx.Module):
             for name, own in self.estimates.items()
         ]
         return pandas.DataFrame(rows).set_index("method")
+
+    def to_dataset(self) -> Any:
+        """Methods and design points as an xarray Dataset, with provenance."""
+        return of_reliability(self)
 
     def design_points(self) -> Any:
         """A pandas table: one row a design point; beta, values, and importance [1] by variable."""

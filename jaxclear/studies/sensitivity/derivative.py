@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from jaxclear.studies.datasets import of_derivatives
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.scrambled import student
 
@@ -95,6 +96,11 @@ class Sensitivity(eqx.Module):
         known = dict(zip(problem.names, problem.variable_units, strict=True)) | self.units
         above = self.units.get(response) or problem.units()[response]
         return f"({above})/({known[variable]})"
+
+    def to_dataset(self) -> Any:
+        """Derivatives, their errors and every method's as an xarray Dataset by response and
+        variable, with provenance; the sample has its own."""
+        return of_derivatives(self)
 
     def table(self) -> Any:
         """A pandas table: one row a derivative, by response and variable; first the answer, then

@@ -21,6 +21,7 @@ from jaxclear.ground.arguments import check_count, check_flags
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.datasets import of_indices
 from jaxclear.studies.sampling import LEAST_SHARE, check_sampled, groups, usual_scramblings
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
@@ -35,6 +36,11 @@ class SobolIndices(eqx.Module):
     total: dict[tuple[str, str], Statistic]
     runs: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
+
+    def to_dataset(self) -> Any:
+        """Both indices with their intervals as an xarray Dataset by response and variable, with
+        provenance."""
+        return of_indices(self)
 
     def table(self) -> Any:
         """A pandas table by response and variable: both indices with their errors."""

@@ -20,6 +20,7 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.datasets import of_corrected
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.surface.drawing import all_values, scrambled_normal
@@ -65,6 +66,11 @@ class Corrected(eqx.Module):
             text += f' "{name}": the surface has a leave-one-out R2 of '
             text += f"{self.surface.quality[name]:.2f} and is not used; its numbers are sampled."
         return text
+
+    def to_dataset(self) -> Any:
+        """Means and deviations by response and probabilities by limit as an xarray Dataset, with
+        provenance."""
+        return of_corrected(self)
 
     def table(self) -> Any:
         """A pandas table: one row a response, mean and standard deviation with 95 % errors."""

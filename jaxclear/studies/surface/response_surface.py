@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.ground.arguments import check_known
 from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.datasets import of_surface
 from jaxclear.studies.surface.polynomials import Polynomials, products
 
 # Below this leave-one-out R2 a surface does not stand for runs.
@@ -67,6 +68,10 @@ class ResponseSurface(eqx.Module):
             low = f", below {TRUSTED}: the surface does not stand for runs; sample instead."
             text += "." if self.trusted(name) else low
         return text
+
+    def to_dataset(self) -> Any:
+        """Runs, coefficients and quality as an xarray Dataset, with provenance."""
+        return of_surface(self)
 
     def table(self) -> Any:
         """A pandas table: one row a response."""

@@ -1,0 +1,105 @@
+"""Results as xarray Datasets: numbers by name with units, and where they come from as attributes.
+
+Values and attributes are of kinds that netCDF and Zarr keep: numbers, texts, no truths and no
+objects. What computed them and what was asked stand in the attributes `versions` and `problem`, as
+JSON.
+"""
+
+import datetime
+import json
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxclear.ground.versions import told_versions
+
+__all__ = ["Column", "dataset", "of_table", "provenance"]
+
+# "depth [m]": a label with its unit.
+LABEL = re.compile(r"^(.*?) ?\[([^\[\]]*)\]$")
+
+
+class Column(NamedTuple):
+    """Values over dimensions, their unit ("" for texts) and what they are."""
+
+    dims: tuple[str, ...]
+    values: Any
+    unit: str = ""
+    meaning: str = ""
+    kind: str = ""
+
+
+def dataset(
+    columns: Mapping[str, Column],
+    coordinates: Mapping[str, Column] | None = None,
+    *,
+    what: str,
+    problem: Mapping[str, str] | None = None,
+    **said: Any,
+) -> Any:
+    """An xarray Dataset of `what`; `problem`: a text for each part of what was asked; `said`: more
+    attributes. An index that is not given as a coordinate counts."""
+    import xarray
+
+    attributes: dict[str, Any] = {"what": what}
+    if problem is not None:
+        attributes["problem"] = json.dumps(dict(problem))
+    attributes |= {name: _plain(value) for name, value in said.items()}
+    attributes |= provenance()
+    return xarray.Dataset(
+        {name: _variable(own) for name, own in columns.items()},
+        {name: _variable(own) for name, own in (coordinates or {}).items()},
+        attributes,
+    )
+
+
+def provenance() -> dict[str, str]:
+    """What computed this and when, as attributes."""
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    return {"versions": json.dumps(told_versions()), "created": now}
+
+
+def of_table(table: Any, dimension: str, units: Mapping[str, str] | None = None) -> dict:
+    """Columns of a pandas table along a dimension; units are those of the labels "name [unit]", or
+    of `units`. A label that holds "/" or "%" is spelt out."""
+    found = {}
+    for label in table.columns:
+        own = LABEL.match(str(label))
+        name, unit = (own[1], own[2]) if own else (str(label), (units or {}).get(label, ""))
+        values = table[label].to_numpy()
+        numbers = np.asarray(values).dtype.kind in "fiub"
+        found[_spelt(name)] = Column((dimension,), values, unit or ("1" if numbers else ""))
+    return found
+
+
+def _spelt(name: str) -> str:
+    return name.replace("%", "percent").replace("/", " per ")
+
+
+def _variable(column: Column) -> tuple:
+    values = np.asarray(column.values)
+    if values.dtype.kind == "b":
+        values = values.astype(np.int8)
+    if values.dtype.kind in "OU":
+        # As objects: Zarr has no settled form for texts of a fixed length.
+        texts = [_text(one) for one in values.ravel()]
+        values = np.array(texts, object).reshape(values.shape)
+    attributes = {"units": column.unit, "long_name": column.meaning, "kind": column.kind}
+    return column.dims, values, {name: text for name, text in attributes.items() if text}
+
+
+def _text(value: Any) -> str:
+    return "" if value is None or (isinstance(value, float) and np.isnan(value)) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    """An attribute that every format keeps."""
+    if isinstance(value, (bool, np.bool_)):
+        return int(value)
+    if isinstance(value, (str, int, float)):
+        return value
+    if isinstance(value, Iterable):
+        return " ".join(str(one) for one in value)
+    return str(value)

@@ -1,0 +1,139 @@
+"""A run, or positions of a mechanism, at a glance; and the figure of any result."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import expect
+from jaxclear.ground.wording import described, listed
+from jaxclear.plot.canvas import check_run, panels, readable, warned
+from jaxclear.plot.cycles import settled, wear_lives
+from jaxclear.plot.design import design
+from jaxclear.plot.life import wear_life
+from jaxclear.plot.pointing import pointing_budget
+from jaxclear.plot.shares import (
+    corrected,
+    multi_fidelity,
+    reliability,
+    sobol_indices,
+    surface,
+    worst_case,
+)
+from jaxclear.plot.signal import reached
+from jaxclear.plot.studies import monte_carlo, sensitivity, work_precision
+from jaxclear.results.pointing_error import PointingError
+from jaxclear.results.positions import Positions
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.studies.advice.advice import Advice
+from jaxclear.studies.campaign.result import Campaign
+from jaxclear.studies.design.result import Design
+from jaxclear.studies.fidelity.result import MultiFidelity
+from jaxclear.studies.life.lives import WearLives
+from jaxclear.studies.life.result import WearLife
+from jaxclear.studies.life.settled import Settled
+from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.reliability.result import Reliability
+from jaxclear.studies.sensitivity.derivative import Sensitivity
+from jaxclear.studies.statistics.sobol_indices import SobolIndices
+from jaxclear.studies.surface.correction import Corrected
+from jaxclear.studies.surface.response_surface import ResponseSurface
+from jaxclear.studies.worst_case import WorstCase
+
+__all__ = ["overview", "positions", "result"]
+
+
+@answering
+def overview(run: Trajectory, *, ax: Any = None) -> Any:
+    """How far each body has gone from its start over time, how fast it turns, and the normal forces
+    of joints with contacts. `ax`: three axes."""
+    check_run(run)
+    sheet = panels("overview", ax, 3, 1, (8.0, 8.0), sharex=True)
+    places, turns, forces = sheet.axes.flat
+    kept = reached(run, -np.inf)
+    time = np.asarray(run.time)[kept]
+    ways = {}
+    for name in run.mechanism.bodies:
+        motion = run.body(name)
+        com = np.asarray(motion.com)[kept]
+        ways[name] = np.linalg.norm(com - com[0], axis=1)
+        turns.plot(time, np.linalg.norm(np.asarray(motion.spin)[kept], axis=1), lw=1.0, label=name)
+    factor, unit = readable(np.concatenate(list(ways.values())), "m")
+    for name, way in ways.items():
+        places.plot(time, factor * way, lw=1.0, label=name)
+    places.set_ylabel(f"way from the start [{unit}]")
+    turns.set_ylabel("angular velocity [rad/s]")
+    for name in run.formulation.contact_joints(run.mechanism):
+        force = np.asarray(run.contact(name).normal_force)[kept].sum(axis=1)
+        forces.plot(time, force, lw=0.8, label=name)
+    forces.set_ylabel("normal force [N]")
+    forces.set_xlabel("time [s]")
+    places.legend(fontsize=7, ncols=4)
+    if forces.lines:
+        forces.legend(fontsize=7, ncols=4)
+    sheet.title(run.result.partition(",")[0].rstrip(".") + ".", fontsize=9)
+    return warned(sheet, {"": run})
+
+
+@answering
+def positions(found: Positions, *, ax: Any = None) -> Any:
+    """Where centres of mass are (x and y), and where journals lie in their gaps, over the positions
+    that were asked for. `ax`: two axes."""
+    expect(found, Positions, "the positions", "what jaxclear.positions returns")
+    sheet = panels("positions", ax, 1, 2, (10.0, 4.4))
+    left, right = sheet.axes.flat
+    coms = {name: np.asarray(found.body(name).com) for name in found.scene.mechanism.bodies}
+    factor, unit = readable(np.concatenate(list(coms.values())), "m")
+    for name, com in coms.items():
+        left.plot(factor * com[:, 0], factor * com[:, 1], "o-", ms=3, lw=0.8, label=name)
+    left.set_aspect("equal", adjustable="datalim")
+    left.set_xlabel(f"x [{unit}]")
+    left.set_ylabel(f"y [{unit}]")
+    left.legend(fontsize=7)
+    seats = {name: np.asarray(found.offset(name)) for name in found.seats}
+    every = np.concatenate(list(seats.values())) if seats else np.zeros((0, 3))
+    factor, unit = readable(every, "m")
+    for name, offset in seats.items():
+        right.plot(factor * offset[:, 0], factor * offset[:, 1], "o", ms=3, label=name)
+    right.set_aspect("equal", adjustable="datalim")
+    right.set_xlabel(f"x of the journal in its bearing [{unit}]")
+    right.set_ylabel(f"y [{unit}]")
+    if seats:
+        right.legend(fontsize=7)
+    lost = int(np.sum(~np.asarray(found.found)))
+    sheet.title(f"{len(found.found)} positions, {lost} not found", fontsize=10)
+    return sheet.done()
+
+
+# The figure of each kind of result.
+FIGURES: dict[type, Callable] = {
+    Advice: work_precision,
+    Campaign: lambda found, **how: monte_carlo(found.sample, **how),
+    Corrected: corrected,
+    Design: design,
+    MonteCarlo: monte_carlo,
+    MultiFidelity: multi_fidelity,
+    PointingError: pointing_budget,
+    Positions: positions,
+    Reliability: reliability,
+    ResponseSurface: surface,
+    Sensitivity: sensitivity,
+    Settled: settled,
+    SobolIndices: sobol_indices,
+    Trajectory: overview,
+    WearLife: wear_life,
+    WearLives: wear_lives,
+    WorstCase: worst_case,
+}
+
+
+@answering
+def result(found: Any, *, ax: Any = None) -> Any:
+    """The figure of any result of jaxclear: of a run, of a study. `ax`: axes to draw in, as many as
+    its own function takes. Raises `ValueError` for what is none."""
+    draw = FIGURES.get(type(found))
+    if draw is None:
+        kinds = listed(sorted(kind.__name__ for kind in FIGURES))
+        raise ValueError(f"the result is {described(found)}; it must be one of {kinds}.")
+    return draw(found, ax=ax)
