@@ -74,6 +74,7 @@ from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.reliability.reliability import reliability
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
+from jaxclear.studies.statistics.shapley import shapley_effects
 from jaxclear.studies.statistics.sobol_indices import sobol_indices
 from jaxclear.studies.surface.correction import corrected
 from jaxclear.studies.surface.surface import surface
@@ -156,6 +157,7 @@ __all__ = [
     "seated",
     "sensitivity",
     "settled",
+    "shapley_effects",
     "simulate",
     "sobol_indices",
     "stiffness",

@@ -72,7 +72,7 @@ def sobol_indices(
     """Sobol' indices of every response by every variable, from `samples` (variables + 2) runs.
 
     Raises `ValueError` for correlated variables: their shares of a variance are not defined, and
-    Shapley effects (Owen 2014, doi:10.1137/130936233) are what to ask instead.
+    `jaxclear.shapley_effects` are what to ask instead.
     """
     check_sampled(problem, samples, seed)
     check_flags("sobol_indices", progress_bar=progress_bar)
@@ -81,8 +81,8 @@ def sobol_indices(
     if not problem.inputs.independent:
         raise ValueError(
             "Sobol' indices need independent variables; those of this problem are correlated, so "
-            "that a variance has no shares. Shapley effects tell what each then contributes; "
-            "jaxclear has none, so give the samples of jaxclear.monte_carlo to a program that does."
+            "that a variance has no shares. Shapley effects tell what each then contributes: "
+            "jaxclear.shapley_effects."
         )
     count = len(problem.names)
     group = groups(samples, parts)

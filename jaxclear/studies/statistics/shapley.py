@@ -1,0 +1,199 @@
+"""What each variable contributes to the variance of a response, dependent or not:
+`jaxclear.shapley_effects`.
+
+Where variables depend on each other, a variance has no shares of single ones. Shapley's value gives
+each the mean of what it adds to the variance explained, over all orders in which the variables may
+become known; the effects are not negative and sum to 1. What a set of variables explains is the
+covariance of two samples that share these and are drawn anew in the others, given these.
+
+Source: Owen 2014, SIAM/ASA J. Uncertain. Quantif. 2, 245, doi:10.1137/130936233; orders drawn by
+chance: Song, Nelson & Staum 2016, SIAM/ASA J. Uncertain. Quantif. 4, 1060, doi:10.1137/15M1048070.
+"""
+
+import itertools
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags
+from jaxclear.integrators import Outcome
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.inputs import Inputs
+from jaxclear.studies.sampling import LEAST_SHARE, check_sampled, groups
+from jaxclear.studies.scrambling import scrambled_shares
+from jaxclear.studies.statistics.scrambled import Statistic, student
+from jaxclear.studies.surface.response_surface import ResponseSurface
+
+SCRAMBLINGS = 16
+# All sets of so many variables are gone through; of more, orders drawn by chance, so many in all.
+MOST_VARIABLES, ORDERS = 8, 64
+# Evaluations of a surface at once.
+TOGETHER = 1024
+
+# A variable, which are known before it, and how often among all orders [1].
+Step = tuple[int, frozenset[int], float]
+
+
+class ShapleyEffects(eqx.Module):
+    """`effects` [1] by (response, variable), each with its 95 % interval; those of a response sum
+    to 1. `runs` of the problem (of its surface, where one was given) and how many samples `failed`;
+    `remark` says what a surface leaves out."""
+
+    problem: AbstractProblem
+    effects: dict[tuple[str, str], Statistic]
+    runs: int = eqx.field(static=True)
+    failed: int = eqx.field(static=True)
+    remark: str = eqx.field(static=True, default="")
+
+    def table(self) -> Any:
+        """A pandas table by response and variable: each effect with its error."""
+        import pandas
+
+        rows = [
+            {
+                "response": response,
+                "variable": variable,
+                "effect": own.value,
+                "error (95 %)": own.error,
+            }
+            for (response, variable), own in self.effects.items()
+        ]
+        return pandas.DataFrame(rows).set_index(["response", "variable"])
+
+
+@answering
+def shapley_effects(
+    of: AbstractProblem | ResponseSurface,
+    samples: int = 1024,
+    *,
+    seed: int = 0,
+    progress_bar: bool = False,
+) -> ShapleyEffects:
+    """Shapley effects of every variable on every response, for independent variables and dependent
+    ones.
+
+    `of`: a problem, or its `jaxclear.surface`, which is what to give of a mechanism: runs are
+    `samples` times the sets of variables, 2^variables up to 8 of them, and about 65 times the
+    variables beyond, where orders are drawn by chance. Raises `ValueError` with a sentence for what
+    cannot be asked.
+    """
+    surface = of if isinstance(of, ResponseSurface) else None
+    problem: Any = of if surface is None else surface.problem
+    check_sampled(problem, samples, seed)
+    check_count("samples of shapley_effects", samples, at_least=2 * SCRAMBLINGS)
+    check_flags("shapley_effects", progress_bar=progress_bar)
+    group, count = groups(samples, SCRAMBLINGS), len(problem.names)
+    steps = _all_steps(count) if count <= MOST_VARIABLES else _some_steps(count, seed)
+    every = {known | {variable} for variable, known, _ in steps}
+    sets = sorted(every, key=lambda known: (len(known), sorted(known)))
+    values = _samples(problem.inputs, sets, group, seed)
+    if surface is None:
+        found = evaluate_all(problem, values, progress_bar=progress_bar, label="Shapley effects")
+        reached = np.asarray(found.outcome) == Outcome.REACHED
+        responses = found.responses
+    else:
+        responses = _on_surface(surface.bare(), values)
+        reached = np.ones(len(values), bool)
+    good = np.all(reached.reshape(len(sets), -1), axis=0)
+    effects = {}
+    for name in problem.response_names:
+        rows = np.asarray(responses[name]).reshape(len(sets), -1)[:, good]
+        for i, own in enumerate(_effects(rows, sets, steps, group[good], count)):
+            effects[name, problem.names[i]] = own
+    return ShapleyEffects(problem, effects, len(values), int((~good).sum()), _remark(surface))
+
+
+def _all_steps(count: int) -> list[Step]:
+    """Steps through all sets, each as often as it occurs among all orders."""
+    return [
+        (variable, frozenset(known), 1 / (count * math.comb(count - 1, size)))
+        for size in range(count)
+        for known in itertools.combinations(range(count), size)
+        for variable in sorted(set(range(count)) - set(known))
+    ]
+
+
+def _some_steps(count: int, seed: int) -> list[Step]:
+    """Steps of orders drawn by chance, each with its reverse."""
+    rng = np.random.default_rng((seed, ORDERS))
+    some = [rng.permutation(count).tolist() for _ in range(ORDERS // 2)]
+    return [
+        (variable, frozenset(order[:place]), 1 / ORDERS)
+        for half in some
+        for order in (half, half[::-1])
+        for place, variable in enumerate(order)
+    ]
+
+
+def _samples(inputs: Inputs, sets: list[frozenset[int]], group: np.ndarray, seed: int) -> Any:
+    """Values (sets * samples, variables): for each set a sample that shares its variables with the
+    last one, which shares all, and is drawn anew in the others, given these."""
+    count = len(inputs.names)
+    shares = [
+        scrambled_shares(size, 2 * count, np.random.default_rng((seed, i)))
+        for i, size in enumerate(np.bincount(group))
+    ]
+    normal = scipy.special.ndtri(np.clip(np.concatenate(shares), LEAST_SHARE, 1 - LEAST_SHARE))
+    matrix = np.eye(count) if inputs.independent else np.asarray(inputs.correlation)
+    scores = normal[:, :count] @ np.linalg.cholesky(matrix).T
+    rows = []
+    for known in sets:
+        one, rest = sorted(known), [i for i in range(count) if i not in known]
+        drawn = scores.copy()
+        if rest:
+            follow = matrix[np.ix_(rest, one)] @ np.linalg.inv(matrix[np.ix_(one, one)])
+            left = matrix[np.ix_(rest, rest)] - follow @ matrix[np.ix_(one, rest)]
+            anew = normal[:, count + np.array(rest)] @ np.linalg.cholesky(left).T
+            drawn[:, rest] = scores[:, one] @ follow.T + anew
+        rows.append(drawn)
+    return inputs.of_scores(jnp.asarray(np.concatenate(rows)))
+
+
+def _effects(rows, sets, steps, group, count) -> list[Statistic]:
+    """Effect of each variable from responses (sets, samples), the last set being all variables."""
+    away = rows - rows[-1].mean()
+    parts: dict[frozenset[int], np.ndarray] = {frozenset(): np.zeros(SCRAMBLINGS)}
+    for known, own in zip(sets, away, strict=True):
+        sums = np.bincount(group, own * away[-1], SCRAMBLINGS)
+        parts[known] = sums / np.maximum(np.bincount(group, minlength=SCRAMBLINGS), 1)
+    variance = float(parts[sets[-1]].mean())
+    if variance <= 0:
+        return [Statistic(0.0, 0.0, 0.0)] * count
+    found = []
+    for i in range(count):
+        gains = np.array([w * (parts[k | {v}] - parts[k]) for v, k, w in steps if v == i])
+        own = gains.sum(axis=0)
+        value = float(own.mean() / variance)
+        # A ratio of means, by its linear part.
+        spread = (own - value * parts[sets[-1]]).var(ddof=1) / SCRAMBLINGS
+        if count > MOST_VARIABLES:
+            # Orders come in pairs, which chance has drawn.
+            pairs = gains.mean(axis=1).reshape(-1, 2).sum(axis=1)
+            spread += len(pairs) * pairs.var(ddof=1)
+        half = float(student(SCRAMBLINGS) * np.sqrt(spread) / variance)
+        found.append(Statistic(value, value - half, value + half))
+    return found
+
+
+@eqx.filter_jit
+def _on_surface(surface, values):
+    return jax.lax.map(surface, values, batch_size=TOGETHER)
+
+
+def _remark(surface: ResponseSurface | None) -> str:
+    """Which responses a surface does not stand for."""
+    if surface is None:
+        return ""
+    rough = [name for name in surface.problem.response_names if not surface.trusted(name)]
+    return " ".join(
+        f'"{name}": the surface has a leave-one-out R2 of {surface.quality[name]:.2f}; its effects '
+        "are those of what it explains."
+        for name in rough
+    )
