@@ -99,7 +99,7 @@ def test_many_variables_are_taken_in_orders_drawn_by_chance():
     off = [abs(own.value - value) / own.error for own, value in zip(told, truth, strict=True)]
     # Of twelve 95 % intervals, two may miss, none by far.
     assert sum(one > 1 for one in off) <= 2 and max(off) < 2
-    assert max(own.error for own in told) < 0.06
+    assert max(own.error for own in told) < 0.15
     assert sum(own.value for own in told) == pytest.approx(1.0)
 
 
