@@ -19,6 +19,7 @@ from tests.rigs.wearing_ring import (
     FORCE,
     LENGTH,
     RADIUS,
+    SAVES,
     SLOPE,
     STIFFNESS,
     TURN,
@@ -83,6 +84,27 @@ def test_between_stages_and_until_a_limit(lived):
     assert abs(found.cycles - lived.law.turns(limit)) < found.error
     never = life.until("volume", 1.0)
     assert np.isinf(never.cycles) and "not 1." in never.sentence
+
+
+def test_wear_that_hangs_on_the_saving_times_is_told(lived):
+    """Four cells of the wall for a saving interval make waves of a quarter of the depth: told by
+    cycles whose intervals are cells, true of others. Over the life they level; the volume is the
+    same."""
+    life, asked = lived.life(), lived.problem
+    told, rare = life.by_saves, (SAVES - 1) // 4 + 1
+    few = jc.Problem(
+        asked.mechanism, asked.response, {}, duration=TURN, integrator=asked.integrator, save=rare
+    )
+    other = jc.wear_life(few, lived.turns)
+    mine, waved = (each.stages[0].settled.wear["B"]["bearing"] for each in (life, other))
+    off = np.sqrt(np.mean((waved - mine) ** 2)) / np.mean(mine)
+    assert off > 0.1 and told[0] == pytest.approx(off, rel=0.05)
+    assert "a fourth of its saving times" in life.sentence()
+    ends = [np.asarray(each.worn()["B"]["bearing"]) for each in (life, other)]
+    assert np.sqrt(np.mean((ends[1] - ends[0]) ** 2)) < told.max() * np.mean(ends[0])
+    volumes = [each.over_life("volume")[-1] for each in (life, other)]
+    np.testing.assert_allclose(*volumes, rtol=5e-3)
+    assert list(life.table()["by saving times"]) == list(told)
 
 
 def test_jumps_of_fixed_length_are_of_first_order(lived):
@@ -313,8 +335,8 @@ def test_noise_takes_no_steps_back_and_belongs_to_the_error():
 
 def test_scatter_that_no_step_mends_is_told_not_fought():
     """Rates that scatter by 2 % about a smooth law without saying so, as cycles do that settle now
-    here, now there: few steps are taken back. Scatter of a single cell is known from four steps, so
-    what is told covers the true error in three lives of four, not in 95 of 100."""
+    here, now there: few steps are taken back, and what is told covers the true error in 95 of 100.
+    """
     covered, counts = [], []
     for seed in range(100):
         rng = np.random.default_rng(seed)
@@ -327,7 +349,7 @@ def test_scatter_that_no_step_mends_is_told_not_fought():
         counts.append(len(found.nodes) + found.rejected)
         told = last.error[0] + 1.96 * np.sqrt(last.variance[0])
         covered.append(abs(last.depth[0] - (np.sqrt(3.0) - 1)) < told)
-    assert max(counts) < 40 and np.median(counts) < 15
+    assert max(counts) < 50 and np.median(counts) < 12
     assert np.mean(covered) >= 0.95
 
 

@@ -27,14 +27,18 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, beginning
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.loop import run
-from jaxclear.simulation.wear import Worn, unworn
+from jaxclear.simulation.wear import Worn, deposit, unworn
 from jaxclear.studies.life.periodicity import apart
 from jaxclear.studies.problem import Problem
+
+# Of saving times are left, to tell what hangs on them.
+FOURTH = 4
 
 
 class Cycle(eqx.Module):
     """What is kept of a cycle: the motion at its `end`, by joint and surface the depth [m] and the
-    volume [m3] that `wore` and `lost`, the problem's `responses`, how far its two ends are `apart`
+    volume [m3] that `wore` and `lost`, the depth that `wore_by_fourths` of its saving times alone,
+    the problem's `responses`, how far its two ends are `apart`
     (`periodicity`), how its run ended (`outcome`) and when [s], and what that found out about
     itself. Arrays on the host.
     """
@@ -42,6 +46,7 @@ class Cycle(eqx.Module):
     end: SavedMotion
     wore: Worn
     lost: dict[str, dict[str, Array]]
+    wore_by_fourths: Worn
     responses: dict[str, Array]
     apart: dict[str, Array]
     outcome: Int[Array, ""]
@@ -98,6 +103,7 @@ def compiled_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle,
         end,
         jax.tree.map(lambda after, before: after - before, found.worn, worn),
         volumes(found),
+        _by_fourths(found, worn),
         {name: jnp.asarray(own(found), float) for name, own in asked.response.items()},
         apart(found.history),
         found.outcome,
@@ -119,6 +125,20 @@ def cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajecto
 def kind_of_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> Cycle:
     """A cycle with shapes in place of numbers; nothing is simulated."""
     return eqx.filter_eval_shape(compiled_cycle, asked, begin, worn)[0]
+
+
+def _by_fourths(found: Trajectory, worn: Worn) -> Worn:
+    """Depth [m] that the run would have worn with every fourth of its saving times: beside what it
+    wore, how far that hangs on these times."""
+    history = found.history
+    model, count = history.model(), len(history.time)
+    states = history.states[np.unique([*range(0, count, FOURTH), count - 1])]
+
+    def one(worn, ends):
+        return deposit(model.system, model.layout, worn, *ends), None
+
+    after = jax.lax.scan(one, worn, (states[:-1], states[1:]))[0]
+    return jax.tree.map(lambda after, before: after - before, after, worn)
 
 
 def volumes(found: Trajectory) -> Worn:

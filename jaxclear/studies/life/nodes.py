@@ -58,10 +58,11 @@ class Node(NamedTuple):
 
 class Trial(NamedTuple):
     """A step that was tried, kept or taken back: the node `after` it; the estimate [m] of each
-    cell; its `shares` of what each surface wears in the step, beyond what noise explains, and up
-    to which share it is `smooth`."""
+    cell; its `shares` of what each surface wears in the step, beyond what `noise` explains
+    (shares too), and up to which share it is `smooth`."""
 
     after: Node
     estimate: np.ndarray
     shares: np.ndarray
+    noise: np.ndarray
     smooth: float

@@ -19,8 +19,8 @@ from jaxclear.results.saved_state import State
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.identity import in_texts
 from jaxclear.studies.life.curves import first_crossing, through_rates, without_overshoot
-from jaxclear.studies.life.nodes import Cells, Node
-from jaxclear.studies.life.settling import Settling
+from jaxclear.studies.life.nodes import Cells
+from jaxclear.studies.life.saves import Stage, share_by_saves
 from jaxclear.studies.problem import Problem
 
 # A normal variable stays within this many deviations in 95 % of cases.
@@ -28,14 +28,7 @@ CONFIDENCE = 1.96
 # The slope of a response is taken over twice this share of the life.
 SLOPE_OVER = 1e-3
 DEPTH, VOLUME = "depth", "volume"
-
-
-class Stage(NamedTuple):
-    """A point of a life at which cycles were run: the `node` of the steps, and how the motion
-    `settled` there."""
-
-    node: Node
-    settled: Settling
+TINY = np.finfo(float).tiny
 
 
 class Lifetime(NamedTuple):
@@ -91,8 +84,17 @@ class WearLife(eqx.Module):
     def errors(self) -> np.ndarray:
         """Error of the depth at each stage, as a share of it: what the steps may be off and the
         95 % interval of what noise has left, root mean squares over the cells, of the worst
-        surface."""
+        surface. What hangs on the saving times of a cycle comes beside it (`by_saves`)."""
         return self._errors(slice(0, len(self.surfaces)))
+
+    @property
+    def by_saves(self) -> np.ndarray:
+        """By which share the depth that a cycle wears at each stage, root mean square over the
+        cells of the worst surface, would be another one with every fourth of its saving times, at
+        which surfaces are updated. A bound of what the life is off: surfaces that wear on level
+        some of it."""
+        count = len(self.surfaces)
+        return np.array([share_by_saves(stage, self.cells, count) for stage in self.stages])
 
     @property
     def errors_of_volume(self) -> np.ndarray:
@@ -103,7 +105,7 @@ class WearLife(eqx.Module):
         first, found = self.stages[0].node.depth, []
         for node in (stage.node for stage in self.stages):
             off = node.error + CONFIDENCE * self.cells.sizes(np.sqrt(node.variance))
-            depth = np.maximum(self.cells.sizes(node.depth - first), np.finfo(float).tiny)
+            depth = np.maximum(self.cells.sizes(node.depth - first), TINY)
             found.append(float(np.max((off / depth)[which], initial=0.0)) if node.cycles else 0.0)
         return np.array(found)
 
@@ -223,6 +225,13 @@ class WearLife(eqx.Module):
             )
         if self.error > self.tolerance:
             text += f" That is more than the {100 * self.tolerance:.2g} % asked for."
+        by_saves = float(self.by_saves.max())
+        if by_saves > self.tolerance:
+            text += (
+                " With a fourth of its saving times, at which surfaces are updated, a cycle would "
+                f"spread wear otherwise, by up to {100 * by_saves:.2g} % of the depth of cells; "
+                "volumes do not hang on them."
+            )
         return text
 
     def __str__(self) -> str:
@@ -251,6 +260,7 @@ class WearLife(eqx.Module):
                 ]
         columns["error of depth"] = self.errors
         columns["error of volume"] = self.errors_of_volume
+        columns["by saving times"] = self.by_saves
         columns["periodic"] = [stage.settled.periodic for stage in self.stages]
         return pandas.DataFrame(columns)
 
@@ -268,6 +278,7 @@ class WearLife(eqx.Module):
             columns[name] = ("cycles", self.over_life(name), {"units": unit})
         columns["error of depth"] = ("cycles", self.errors, {"units": "1"})
         columns["error of volume"] = ("cycles", self.errors_of_volume, {"units": "1"})
+        columns["by saving times"] = ("cycles", self.by_saves, {"units": "1"})
         told = {"result": self.sentence(), "warnings": " ".join(self.warnings)}
         told |= {"what": "wear life", "problem": json.dumps(in_texts(self.problem))}
         said = told | self.checks.attributes() | provenance()

@@ -62,6 +62,13 @@ class Settling(NamedTuple):
         return self._errors([c.wore for c in self.taken])
 
     @property
+    def by_saves(self) -> Worn:
+        """By how much `wear` would be another one with every fourth of the saving times [m]."""
+        return _means(
+            [jax.tree.map(lambda a, b: a - b, c.wore_by_fourths, c.wore) for c in self.taken]
+        )
+
+    @property
     def lost(self) -> Worn:
         """Volume [m3] that a cycle takes, by joint and surface."""
         return _means([c.lost for c in self.taken])

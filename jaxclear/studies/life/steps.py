@@ -43,6 +43,8 @@ OF_SCATTER = float(np.linalg.norm(WEIGHTS) / np.linalg.norm(ERRORS))
 TOLD = 2.0
 # A step aims at this share of the error allowed, and is at most so many times the one before.
 SAFETY, GROWTH, LEAST = 0.9, 3.0, 0.1
+# A step is at most this share of one that was taken back, which grows so many times a step.
+BELOW, WIDENS = 0.7, 1.3
 # A step that is this many times too long is given up after its second rate.
 HOPELESS = 2.0
 # Noise that an estimate consists of within two standard errors is no error.
@@ -82,10 +84,11 @@ def live(
     give way to cycles one by one."""
     nodes, rejected, failures, length = [start], 0, 0, first
     refused: tuple[float, float] | None = None
-    scatter = 0.0
+    scatter, ceiling = 0.0, cycles
     trials: list[Trial] = []
     while cycles - nodes[-1].cycles > 1e-9 * cycles:
         now, left = nodes[-1], cycles - nodes[-1].cycles
+        length = min(length, ceiling)
         length = left / np.ceil(left / length - 1e-9)
         try:
             if min(length, left) <= len(STAGES) * now.rate.cost:
@@ -106,11 +109,13 @@ def live(
         helps = refused is None or error < refused[1] * length / refused[0]
         if trial is None or (error > max(tolerance, scatter) and helps):
             rejected, refused = rejected + 1, (length, error)
+            ceiling = BELOW * length
         else:
             nodes.append(trial.after)
             hear(length / cycles)
+            ceiling *= WIDENS
             if error > tolerance:
-                scatter = max(scatter, TOLD * error)
+                scatter, ceiling = max(scatter, TOLD * error), cycles
                 factor = max(1.0, refused[0] / length if refused else 1.0)
             refused = None
         length *= float(np.clip(factor, LEAST, GROWTH))
@@ -194,7 +199,8 @@ def _stepped(
     grown = depth - now.depth
     estimate = length * sum(w * own.wear for w, own in zip(ERRORS, rates, strict=True))
     noise = length * np.sqrt(sum((w * r.noise) ** 2 for w, r in zip(ERRORS, rates, strict=True)))
-    shares = _beyond(cells.shares(estimate, grown), cells.shares(noise, grown))
+    known = cells.shares(noise, grown)
+    shares = _beyond(cells.shares(estimate, grown), known)
     change = _change(cells, rates[0], rates[-1])
     smooth = np.minimum(shares, SMOOTH * change**2)
     scattered = shares - smooth
@@ -204,7 +210,7 @@ def _stepped(
     told = float((error + OF_SCATTER * scattered).max(initial=0.0))
     variance = now.variance + length**2 * left
     after = Node(now.cycles + length, depth, rates[-1], whole, variance)
-    return Trial(after, estimate, shares, SMOOTH * change**2), told
+    return Trial(after, estimate, shares, known, SMOOTH * change**2), told
 
 
 def _change(cells: Cells, one: Rate, other: Rate) -> float:

@@ -5,9 +5,10 @@ the whole life: a cubic spline through them, integrated, is of higher order than
 a step is apart from it is that step's error. It knows the law that the rates follow where a single
 step supposes one; of the two the lesser is told.
 
-Rates that scatter without saying so: how much is known from all steps that were tried, those taken
-back among them. Were they left out, steps whose rates lie by chance on a line would be kept and
-believed. From few steps a scatter is little known, and Student's factor widens what is told.
+Rates that scatter without saying so (means over cycles tell their noise): how much is known from
+all steps that were tried, those taken back among them. Were they left out, steps whose rates lie by
+chance on a line would be kept and believed. From few steps a scatter is little known, and Student's
+factor widens what is told.
 """
 
 from collections.abc import Sequence
@@ -77,9 +78,10 @@ def _scatter(trials: Sequence[Trial], surfaces: int) -> np.ndarray:
     import scipy.stats
 
     smooth = np.array([trial.smooth for trial in trials])
+    noise = np.array([trial.noise for trial in trials]).T
     for i, shares in enumerate(np.array([trial.shares for trial in trials]).T):
         beyond = shares[shares > CLEARLY * smooth]
-        if not len(beyond):
+        if not len(beyond) or noise[i].any():
             continue
         # Also the steps tell in which smooth rates could not have made as much.
         telling = shares[smooth <= np.sqrt(np.mean(beyond**2))]

@@ -18,7 +18,8 @@ from jaxclear.studies.identity import in_texts
 from jaxclear.studies.life.cycle import as_problem
 from jaxclear.studies.life.living import Living
 from jaxclear.studies.life.nodes import Node
-from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
+from jaxclear.studies.life.result import DEPTH, VOLUME, WearLife
+from jaxclear.studies.life.saves import Stage
 from jaxclear.studies.life.settled import check_period
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.steps import CycleFailed, Stepped, live, live_along, live_by_jumps
