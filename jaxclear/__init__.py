@@ -32,10 +32,12 @@ from jaxclear import integrators as integrator
 from jaxclear.components import clearance, drive, joint, load
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
+from jaxclear.components.time_table import TimeTable
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.files.model_import import NotImported, read_mjcf, read_urdf
 from jaxclear.files.scene import Scene
 from jaxclear.files.scene_file import read_scene, write_scene
+from jaxclear.files.schema import scene_schema
 from jaxclear.ground import numerics, pose
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
@@ -113,6 +115,7 @@ __all__ = [
     "Scene",
     "SimulationError",
     "State",
+    "TimeTable",
     "Trajectory",
     "UnusualMagnitude",
     "Variable",
@@ -153,6 +156,7 @@ __all__ = [
     "read_urdf",
     "reliability",
     "response",
+    "scene_schema",
     "scenes",
     "seated",
     "sensitivity",

@@ -30,6 +30,14 @@ class AbstractFunctionOfTime(AbstractQuantified):
     def __call__(self, time: Scalar) -> Any:
         """Its value, or several, at a time [s]."""
 
+    def integral(self, time: Scalar) -> Any:
+        """Its integral from 0 to a time [s]; None where it knows none, as unless overridden."""
+        return None
+
+    def check_motion(self) -> None:
+        """Raises `ValueError` with a sentence where it is no position of a drive because its speed
+        jumps; nothing is refused unless overridden."""
+
 
 def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)) -> None:
     """Raises `ValueError` for a function in a field of a part that fails at a time, or returns

@@ -13,11 +13,14 @@ from types import MappingProxyType
 from typing import Any
 
 from jaxclear.components.body import Body, Connection, Marker
+from jaxclear.components.time_table import TimeTable
 from jaxclear.files.by_scipy import from_scipy, table_of
 from jaxclear.files.forms import (
     AbstractForm,
     ByName,
     Choice,
+    FileName,
+    Listed,
     Number,
     NumberArray,
     Numbers,
@@ -28,6 +31,7 @@ from jaxclear.files.forms import (
     form_of,
 )
 from jaxclear.files.naming_order import bodies_in_order, connections_in_order
+from jaxclear.files.tables import time_table
 from jaxclear.ground.wording import public_name
 from jaxclear.laws import contact, material
 from jaxclear.laws.contact import AbstractNormalLaw
@@ -123,7 +127,19 @@ INSTEAD: dict[type, tuple[Callable[..., Any], dict[str, Argument]]] = {
                 Number({"unit": "1", "above": 0}), False, None, _attribute("spread")
             ),
         },
-    )
+    ),
+    TimeTable: (
+        time_table,
+        {
+            "times": Argument(NumberArray(), False, None, _attribute("times")),
+            "values": Argument(NumberArray(), False, None, _attribute("values")),
+            "interpolation": Argument(Text(), False, None, _attribute("interpolation")),
+            "beyond": Argument(Text(), False, None, _attribute("beyond")),
+            "factor": Argument(Number({"unit": "1"}), False, None, _attribute("factor")),
+            "csv": Argument(FileName(), False, None, _nothing),
+            "columns": Argument(Listed(Text()), False, None, _nothing),
+        },
+    ),
 }
 # The argument for which a text alone stands.
 ALONE: Mapping[Any, str] = MappingProxyType({Marker: "body"})

@@ -19,6 +19,7 @@ __all__ = [
     "AbstractForm",
     "ByName",
     "Choice",
+    "FileName",
     "Flag",
     "Listed",
     "Number",
@@ -75,6 +76,11 @@ class Flag(AbstractForm):
 @dataclasses.dataclass(frozen=True)
 class Text(AbstractForm):
     """A name or word."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FileName(AbstractForm):
+    """The name of a file, beside the one that names it."""
 
 
 @dataclasses.dataclass(frozen=True)

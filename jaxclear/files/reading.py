@@ -15,6 +15,7 @@ from jaxclear.files.forms import (
     AbstractForm,
     ByName,
     Choice,
+    FileName,
     Flag,
     Listed,
     Number,
@@ -86,6 +87,14 @@ def _(form: Flag, node: Node, path: str, folder: Path) -> Any:
 @read.register
 def _(form: Text, node: Node, path: str, folder: Path) -> Any:
     return _text(node, path)
+
+
+@read.register
+def _(form: FileName, node: Node, path: str, folder: Path) -> Any:
+    try:
+        return folder / _text(node, path)
+    except ValueError as error:
+        raise misread(node, path, str(error)) from None
 
 
 @read.register

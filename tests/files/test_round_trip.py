@@ -91,6 +91,12 @@ OWN = {
     ("ContactForce", "memory"): None,
     ("ContactForce", "dissipation"): {"kind": "LankaraniNikravesh", "restitution": 0.75},
     ("State", "motion"): None,
+    ("TimeTable", "csv"): None,
+    ("TimeTable", "columns"): None,
+    ("TimeTable", "times"): [0.0, 0.25, 0.5, 1.0],
+    ("TimeTable", "values"): [0.0, 1 / 3, 2.0, 0.0],
+    ("TimeTable", "interpolation"): "monotone",
+    ("TimeTable", "beyond"): "straight",
 }
 
 

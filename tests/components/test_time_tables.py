@@ -1,0 +1,114 @@
+"""Tables over time: through their numbers, smooth as they say, differentiable, and refused where a
+drive would jump."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import interpolate
+
+import jaxclear as jc
+
+TIMES = np.array([0.0, 0.1, 0.25, 0.5, 0.7, 1.0])
+VALUES = np.sin(3 * TIMES)
+BETWEEN = np.linspace(0.0, 1.0, 101)
+REFERENCE = {
+    "cubic": interpolate.CubicSpline(TIMES, VALUES),
+    "monotone": interpolate.PchipInterpolator(TIMES, VALUES),
+    "linear": interpolate.make_interp_spline(TIMES, VALUES, 1),
+}
+
+
+SLOW = pytest.mark.slow
+INTERPOLATIONS = ["cubic", *(pytest.param(n, marks=SLOW) for n in ("monotone", "linear"))]
+
+
+@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
+def test_it_is_scipys_interpolation(interpolation):
+    table = jc.TimeTable(TIMES, VALUES, interpolation, factor=2.0)
+    found = jax.vmap(table)(jnp.asarray(BETWEEN))
+    np.testing.assert_allclose(found, 2 * REFERENCE[interpolation](BETWEEN), atol=1e-14)
+
+
+@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
+@pytest.mark.parametrize("beyond", [pytest.param("held", marks=SLOW), "straight"])
+def test_its_integral_is_that_of_its_values(interpolation, beyond):
+    """By trapezia on 2e5 pieces, beyond both ends too; these are off by their steps' square."""
+    table = jc.TimeTable(TIMES, VALUES, interpolation, beyond=beyond)
+    for end in (-0.4, 0.33, 1.0, 1.7):
+        at = jnp.linspace(0.0, end, 200_001)
+        wanted = jnp.trapezoid(jax.vmap(table)(at), at)
+        np.testing.assert_allclose(table.integral(end), wanted, atol=1e-9)
+
+
+@SLOW
+def test_a_repeated_table_has_no_kink_where_it_begins_anew():
+    times = np.linspace(0.0, 2.0, 81)
+    table = jc.TimeTable(times, np.cos(np.pi * times), beyond="repeated")
+    at = jnp.array([-1.3, 1.999999, 2.000001, 7.1])
+    rate = jax.vmap(jax.grad(table))
+    # A spline of 40 pieces a turn follows a cosine to the fourth power of a piece.
+    np.testing.assert_allclose(jax.vmap(table)(at), np.cos(np.pi * at), atol=1e-6)
+    np.testing.assert_allclose(rate(at), -np.pi * np.sin(np.pi * at), atol=1e-4)
+    np.testing.assert_allclose(table.integral(8.5), np.sin(np.pi * 8.5) / np.pi, atol=1e-6)
+
+
+def test_derivatives_by_values_are_those_of_a_changed_table():
+    def at_a_time(values):
+        return jc.TimeTable(TIMES, values)(0.37)
+
+    found = jax.jacfwd(at_a_time)(jnp.asarray(VALUES))
+    wanted = [at_a_time(VALUES + row) - at_a_time(VALUES) for row in np.eye(6)]
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
+
+
+@SLOW
+def test_a_drive_and_loads_take_a_table():
+    """A crank that a table turns moves as one that the function itself turns."""
+    function = lambda time: 2 * time + 0.3 * jnp.sin(5 * time)
+    table = jc.TimeTable.sampled(function, np.linspace(0.0, 1.0, 401), beyond="straight")
+    for drive in (
+        jc.drive.Position(table),
+        jc.drive.Speed(jc.TimeTable.sampled(jax.grad(function), np.linspace(0.0, 1.0, 401))),
+    ):
+        for own, other in zip(
+            drive.motion(0.4321), jc.drive.Position(function).motion(0.4321), strict=True
+        ):
+            # Spline: fourth, third and second power of a piece of 2.5 ms.
+            np.testing.assert_allclose(own, other, rtol=2e-5)
+    force = jc.TimeTable([0.0, 1.0], [[0.0, 1.0], [2.0, 3.0]], "linear")
+    np.testing.assert_allclose(jc.load.Force(jc.Marker("rod"), force).value(0.5), [1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: jc.TimeTable([0.0], [1.0]), "two or more finite numbers"),
+        (lambda: jc.TimeTable([0.0, 0.0], [1.0, 2.0]), "must rise"),
+        (lambda: jc.TimeTable([0.0, 1.0], [1.0]), "one row, for each of its 2 times"),
+        (lambda: jc.TimeTable([0.0, 1.0], [1.0, np.nan]), "must be finite"),
+        (lambda: jc.TimeTable([0.0, 1.0], [1.0, 2.0], "cubical"), 'Did you mean "cubic"'),
+        (lambda: jc.TimeTable([0, 1], [1, 2], beyond="repeated"), "end with the value"),
+        (lambda: jc.drive.Position(jc.TimeTable(TIMES, VALUES, "linear")), "its speed jumps"),
+        (lambda: jc.drive.Position(jc.TimeTable(TIMES, VALUES)), "held beyond its ends, where it"),
+        (lambda: jc.load.JointTorque("A", jc.TimeTable([0, 1], [[1, 2], [3, 4]])), "1 number"),
+    ],
+)
+def test_what_is_no_table_is_refused(make, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        make()
+
+
+def test_a_csv_file_gives_a_table(tmp_path):
+    path = tmp_path / "force.csv"
+    path.write_text("t, Fx, Fy, note\n0, 1, 2, a\n0.5, 3, 4, b\n1, 5, 6, c\n")
+    table = jc.TimeTable.from_csv(path, "t", ["Fx", "Fy"], "linear")
+    np.testing.assert_allclose(table(0.25), [2.0, 3.0])
+    for names, sentence in (
+        (("time", "Fx"), 'no column "time" in force.csv'),
+        (("t", "note"), "holds what is no number"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            jc.TimeTable.from_csv(path, *names)
+    with pytest.raises(ValueError, match=r"none\.csv is no file"):
+        jc.TimeTable.from_csv(tmp_path / "none.csv", "t", "Fx")
