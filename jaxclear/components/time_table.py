@@ -161,7 +161,12 @@ class TimeTable(AbstractFunctionOfTime):
 
     def _piece(self, time: Any) -> tuple[Any, Any]:
         """The piece in which a time lies, and how far [s]."""
-        index = jnp.sum(self.times[1:-1] <= time)
+        last = len(self.times) - 2
+        index = jnp.zeros((), int)
+        # Bisection, one number of the table at a time: kernels read long arrays so.
+        for power in reversed(range(last.bit_length())):
+            further = jnp.minimum(index + (1 << power), last)
+            index = jnp.where(self.times[further] <= time, further, index)
         return index, time - self.times[index]
 
 
