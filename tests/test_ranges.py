@@ -26,6 +26,8 @@ TOGETHER = {
     "costs": (2.0, 1.0),
     "deviations": (0.0, 1.0),
     "shares": (0.5, 0.5),
+    "times": (0.0, 1.0),
+    "values": (0.0, 1.0),
     "low": -1.0,
     "high": 1.0,
 }

@@ -131,8 +131,8 @@ class Speed(AbstractDrive):
         function = _as_number(self.function)
         time = jnp.asarray(time, float)
         speed, acceleration = jax.jvp(function, (time,), (jnp.ones_like(time),))
-        known = isinstance(self.function, AbstractFunctionOfTime)
-        exact = self.function.integral(time) if known else None
+        given: Any = self.function
+        exact = given.integral(time) if isinstance(given, AbstractFunctionOfTime) else None
         travelled = self._travelled(time, function) if exact is None else exact
         return self.start + travelled, speed, acceleration
 

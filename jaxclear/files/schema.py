@@ -133,11 +133,11 @@ def _(form: Part, known: dict[str, Schema]) -> Schema:
     if not all(_is_ours(family) for family in form.families):
         return {"type": ["string", "object"]}
     made = builders(form.families)
-    places = {}
+    places: dict[str, tuple[str, Mapping[str, Argument]]] = {}
     for name, kind in kinds.items():
         places[name] = (full_name(kind), arguments(kind))
-    for name, (build, own) in made.items():
-        places[f"{name} (product)" if name in known else name] = (full_name(build), own)
+    for name, (build, taken) in made.items():
+        places[name] = (full_name(build), taken)
     single = len(form.families) == 1 and form.families[0] in kinds.values()
     refs = []
     for name, (full, own) in sorted(places.items()):

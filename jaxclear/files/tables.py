@@ -20,7 +20,7 @@ def time_table(
 ) -> TimeTable:
     """`times` and `values`, or a file `csv` and the names of its `columns`, that of the time first.
     Raises `ValueError` with a sentence."""
-    further = {"beyond": beyond, "factor": factor}
+    further: dict[str, Any] = {"beyond": beyond, "factor": factor}
     if (csv is None) == (times is None) or (csv is None) != (columns is None):
         raise ValueError("TimeTable needs times and values, or csv and columns.")
     if csv is None:
