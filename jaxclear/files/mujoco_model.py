@@ -18,11 +18,12 @@ FREE = 0
 
 
 class Compiled(NamedTuple):
-    """A model of MuJoCo, its file's name, and names of meshes left out."""
+    """A model of MuJoCo, its file's name, names of meshes left out, and what MuJoCo warned of."""
 
     model: Any
     name: str
     without: tuple[str, ...]
+    warned: tuple[str, ...] = ()
 
 
 def compiled(path: Any, *, floating: bool) -> Compiled:
@@ -41,16 +42,21 @@ def compiled(path: Any, *, floating: bool) -> Compiled:
         raise ValueError(f"{path} is no file; give that of a model in URDF or MJCF.")
     import mujoco
 
+    # It would write a log into the working directory.
+    before, warned = mujoco.get_mju_user_warning(), dict[str, None]()
+    mujoco.set_mju_user_warning(lambda said: warned.setdefault(" ".join(str(said).split())))
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         # Welded bodies keep their names.
         spec.compiler.fusestatic = False
         if floating:
             _float(spec)
-        return _compiled(spec, path.name)
+        return _compiled(spec, path.name)._replace(warned=tuple(warned))
     except (ValueError, mujoco.FatalError, UnicodeError, OSError) as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise ValueError(f"MuJoCo cannot read {path.name}: {said}.") from None
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _float(spec: Any) -> None:
@@ -134,7 +140,7 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
         found.append(
             f"meshes that MuJoCo finds no file for or cannot read ({listed(compiled.without)})"
         )
-    return found
+    return found + [f"MuJoCo says: {said.rstrip('.')}" for said in compiled.warned]
 
 
 def _of_joints(what: str, names: list[str]) -> str:

@@ -59,7 +59,7 @@ PUBLIC = {
     "ur_description/urdf/ur5_robot.urdf": False,
     "panda_description/urdf/panda.urdf": False,
     "kinova_description/robots/kinova.urdf": False,
-    "finger_edu_description/robots/finger_edu.urdf": False,
+    "z1_description/urdf/z1.urdf": False,
     "solo_description/robots/solo12.urdf": True,
     "bolt_description/robots/bolt.urdf": True,
 }
@@ -150,6 +150,19 @@ def test_what_is_no_mechanism_is_refused_with_a_sentence(text, sentence, tmp_pat
     path.write_text(text)
     with pytest.raises(ValueError, match=sentence):
         jc.read_urdf(path)
+
+
+def test_what_mujoco_warns_of_is_told_and_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    link = """<inertial><mass value='1'/>
+      <inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>"""
+    robot = f"""<robot name='r'><link name='a'>{link}</link><link name='b'>{link}</link>
+      <joint name='turn' type='revolute'><parent link='a'/><child link='b'/>
+      <limit lower='0' upper='0' effort='1' velocity='1'/></joint></robot>"""
+    (tmp_path / "r.urdf").write_text(robot)
+    with pytest.warns(jc.NotImported, match="MuJoCo says: .*equal lower and upper limits"):
+        jc.read_urdf("r.urdf")
+    assert [path.name for path in tmp_path.iterdir()] == ["r.urdf"]
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
