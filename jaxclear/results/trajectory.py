@@ -4,6 +4,7 @@ Poses, contacts, reactions and energies are computed from the saved states when 
 pays for none of them. The methods here are fronts of the functions that do it.
 """
 
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -22,7 +23,7 @@ from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import explain
-from jaxclear.results import carrying, dataset, events, histories, modes
+from jaxclear.results import carrying, dataset, events, histories, modes, vtk
 from jaxclear.results.histories import (
     BodyHistory,
     ContactHistory,
@@ -267,3 +268,12 @@ class Trajectory(eqx.Module):
         attributes = {**said, "accepted_steps": int(self.accepted_steps)}
         attributes.update(self.checks.attributes())
         return dataset.to_dataset(self.history, self.worn, attributes)
+
+    def to_vtk(self, folder: Any, *, frames: int = 200, meshes: Any = None) -> Path:
+        """Writes a time series for ParaView into a folder: `run.pvd` names a file for each of at
+        most so many `frames`, spread over the saving times; returns its path. Each holds bodies
+        (shapes and `meshes` as in `plot.animate`) and worn walls where they are then, the
+        `velocity` [m/s] of points, the `body` of cells (0 the ground, then in the order of
+        `mechanism.bodies`) and the `worn depth` [m] at the end of the run. Needs
+        `pip install "jaxclear[mesh]"`."""
+        return vtk.write(self, folder, frames, meshes)

@@ -15,9 +15,9 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.plot.animation import shapes
 from jaxclear.plot.animation.animate import Animation
 from jaxclear.results.relative_motion import relative_motion
+from jaxclear.results.solids import shapes
 from tests.plot import browser
 
 SLOW_INTEGRATOR = jc.integrator.ImplicitStep()

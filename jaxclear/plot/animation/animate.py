@@ -22,9 +22,9 @@ from jaxclear.components.body import GROUND
 from jaxclear.components.load import Gravity
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_number
-from jaxclear.plot.animation.figures import checked_meshes, parts, size_of
 from jaxclear.plot.animation.insets import inset
 from jaxclear.plot.canvas import check_run
+from jaxclear.results.solids.parts import checked_meshes, parts, size_of
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["Animation", "animate"]

@@ -13,10 +13,9 @@ import numpy as np
 from jaxclear.components.body import GROUND, Connection
 from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.wording import described
-from jaxclear.plot.animation import shapes
-from jaxclear.plot.animation.shapes import Triangles
 from jaxclear.results.relative_motion import marker_frame, relative_motion
-from jaxclear.results.trajectory import Trajectory
+from jaxclear.results.solids import shapes
+from jaxclear.results.solids.shapes import Triangles
 
 __all__ = ["checked_meshes", "parts", "size_of"]
 
@@ -25,7 +24,7 @@ __all__ = ["checked_meshes", "parts", "size_of"]
 PIN, AROUND_IT, LONG = 0.016, 1.35, 0.06
 
 
-def size_of(run: Trajectory) -> float:
+def size_of(run: Any) -> float:
     """The longest side [m] of the box in which all joints and centres of mass move."""
     places = [np.asarray(run.body(name).com) for name in run.mechanism.bodies]
     for connection in run.mechanism.connections.values():
@@ -40,7 +39,7 @@ def size_of(run: Trajectory) -> float:
     return float(np.ptp(every, axis=0).max()) or 1.0
 
 
-def parts(run: Trajectory, meshes: Mapping[str, Triangles], size: float) -> dict[str, Triangles]:
+def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, Triangles]:
     """Triangles of every body, and of the ground, by name."""
     ends: dict[str, list[np.ndarray]] = {name: [] for name in (GROUND, *run.mechanism.bodies)}
     found: dict[str, list[Triangles]] = {name: [] for name in ends}
@@ -93,14 +92,14 @@ def _rail(joint: Any, size: float, travel: tuple[float, float]) -> tuple:
     return shapes.joined(rails), shapes.box((width, width, long))
 
 
-def _travel(run: Trajectory, name: str) -> tuple[float, float]:
+def _travel(run: Any, name: str) -> tuple[float, float]:
     """Least and largest place [m] of a child's marker along the z axis of its parent's."""
     along = relative_motion(run, name).offset[:, 2]
     along = along[np.isfinite(along)]
     return float(along.min()), float(along.max())
 
 
-def checked_meshes(run: Trajectory, meshes: Any) -> dict[str, Triangles]:
+def checked_meshes(run: Any, meshes: Any) -> dict[str, Triangles]:
     """Meshes by body: of files (through meshio), or of points and triangles."""
     if meshes is None:
         return {}
