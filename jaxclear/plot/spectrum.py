@@ -63,7 +63,7 @@ def spectrum(
     root = np.sqrt(density[1:])
     factor, unit = readable(root, own.unit)
     sheet = panels("spectrum", ax, size=(7.0, 4.4))
-    sheet.one.semilogy(frequency[1:], factor * root, lw=1.0, color="C0")
+    sheet.one.loglog(frequency[1:], factor * root, lw=1.0, color="C0")
     if period is not None:
         for number in range(1, HARMONICS + 1):
             if number / period < frequency[-1]:
