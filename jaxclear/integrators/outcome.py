@@ -51,6 +51,14 @@ class Outcome(AbstractOutcome):
         "stiffness, loads and start, or take shorter steps.",
     )
 
+    SINGULAR_POSITION = (
+        11,
+        "The mechanism is at a singular position, a linkage stretched flat, say: its loops leave "
+        "more than one way to go on there, and their reactions are not determined. Change a "
+        "length a little, keep the motion away from it, or take integrator.Adaptive() or shorter "
+        "steps, which pass such places more often.",
+    )
+
     @property
     def began(self) -> bool:
         """Whether there was a run at all."""

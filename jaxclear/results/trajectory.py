@@ -31,6 +31,7 @@ from jaxclear.results.histories import (
     ReactionHistory,
 )
 from jaxclear.results.saved_state import SavedMotion, State
+from jaxclear.results.singular_position import singular_position
 from jaxclear.results.state_history import StateHistory
 
 
@@ -108,7 +109,10 @@ class Trajectory(eqx.Module):
         of."""
         sentence = Outcome(int(self.outcome)).sentence
         if not self.succeeded:
-            return f"The run ended early, after {float(self.ended):.6g} s. {sentence}"
+            told = f"The run ended early, after {float(self.ended):.6g} s. {sentence}"
+            if self.outcome != Outcome.SINGULAR_POSITION:
+                return told
+            return f"{told} {singular_position(self.history, self.ended)}"
         if not self.warnings:
             return sentence
         return f"{sentence.removesuffix('.')}, with warnings: {' '.join(self.warnings)}"

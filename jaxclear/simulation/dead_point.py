@@ -2,7 +2,8 @@
 
 Forces grow without bound there, so a run ends for what seems another reason. Looked for only where
 a run has ended early: the loops are closed anew, from the last saved state on, with the drives as
-they move; where that fails no motion exists.
+they move; where that fails no motion exists. A run of one mechanism that ended at a singular
+position (`singular_position`) says that too.
 """
 
 import dataclasses
@@ -11,6 +12,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.ground.quantity import constant, is_traced
@@ -23,10 +25,19 @@ from jaxclear.multibody.start_equations import (
     position_blocks,
     stacked,
 )
+from jaxclear.results.singular_position import singular_position
 from jaxclear.results.trajectory import Trajectory
 
 # Instants of the saving intervals around which the run ended; steps to close the loops at each.
 INSTANTS, ITERATIONS = 256, 12
+# How runs end that meet a singular position.
+MAY_BE_SINGULAR = (
+    Outcome.STEP_TOO_SMALL,
+    Outcome.TOO_MANY_STEPS,
+    Outcome.NOT_FINITE,
+    Outcome.ENERGY_GAINED,
+    Outcome.LOOP_TORN,
+)
 # What may be left of a closure [rad, longest arms].
 CLOSED = 1e-6
 
@@ -36,7 +47,13 @@ def diagnosed(trajectory: Trajectory) -> Trajectory:
     anything and is left alone (`diagnosed_outcome`)."""
     if is_traced(trajectory.outcome) or trajectory.succeeded:
         return trajectory
-    return dataclasses.replace(trajectory, outcome=diagnosed_outcome(trajectory))
+    outcome = diagnosed_outcome(trajectory)
+    near = None
+    if not np.ndim(outcome) and int(outcome) in MAY_BE_SINGULAR:
+        near = singular_position(trajectory.history, trajectory.ended)
+    if near is not None:
+        outcome = jnp.full_like(outcome, int(Outcome.SINGULAR_POSITION))
+    return dataclasses.replace(trajectory, outcome=outcome)
 
 
 def diagnosed_outcome(trajectory: Trajectory) -> Int[Array, ""]:

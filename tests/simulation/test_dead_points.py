@@ -1,5 +1,9 @@
-"""Drives that lead closed loops to places they cannot reach."""
+"""Drives that lead closed loops to places they cannot reach, and linkages that are stretched flat
+on their way."""
 
+import re
+
+import numpy as np
 import pytest
 
 import jaxclear as jc
@@ -70,6 +74,7 @@ def test_a_loop_torn_by_long_steps_is_not_called_a_dead_point():
     steps = jc.integrator.FixedStep(2e-3, "semi_implicit")
     run = jc.simulate(scene, 0.05, save=26, integrator=steps, throw=False)
     assert not run.succeeded and "dead point" not in run.result
+    assert "singular" not in run.result
 
 
 @pytest.mark.slow
@@ -87,3 +92,37 @@ def test_a_sample_beyond_a_dead_point_says_so():
     # Close to the dead point forces are large enough to end a run that could go on.
     assert told[study.values[:, 0] + 0.015 > 0.1701].all() and not told[~beyond].any()
     assert "beyond a dead point" in study.rerun(int(told.argmax())).result
+
+
+def change_point(coupler=0.25):
+    """A four-bar whose shortest and longest links are together as long as the others: it is flat
+    whenever its crank points along the ground."""
+    crank, rocker, ground = 0.1, 0.2, 0.15
+    link = lambda length: jc.Body(1.0, 1e-3, (0.5 * length, 0.0))
+    hinge = jc.joint.Revolute()
+    return jc.Mechanism(
+        {"crank": link(crank), "coupler": link(coupler), "rocker": link(rocker)},
+        {
+            "O": jc.Connection(hinge, "ground", "crank"),
+            "A": jc.Connection(hinge, "crank", "coupler", at=(crank, 0.0)),
+            "B": jc.Connection(
+                hinge, jc.Marker("coupler", (coupler, 0.0)), jc.Marker("rocker", (rocker, 0.0))
+            ),
+            "D": jc.Connection(hinge, "ground", "rocker", at=(ground, 0.0)),
+        },
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+        start={"O": 0.6},
+        guess={"A": 0.2, "D": 1.4},
+    )
+
+
+def test_a_run_that_ends_at_a_singular_position_says_so():
+    """With the loop, and the time at which the crank points along the ground."""
+    run = jc.simulate(change_point(), 1.0, save=101, integrator=RUNGS["implicit"], throw=False)
+    assert run.outcome == Outcome.SINGULAR_POSITION
+    assert "is at a singular position" in run.result and 'through joint "B"' in run.result
+    told = float(re.search(r"about ([0-9.]+) s", run.result)[1])
+    before = round(float(run.ended) / 0.01) - 1
+    crank, speed, time = run.coordinate("O")[before, 0], run.speed("O")[before, 0], run.time[before]
+    turns = float(crank + speed * (told - time)) / np.pi
+    assert abs(told - float(run.ended)) < 0.01 and abs(turns - round(turns)) < 0.01
