@@ -12,6 +12,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
 from jaxclear.native.calls import CALLS, called, is_an_error
+from jaxclear.native.program import scan_counts
 from jaxclear.native.writer import Unsupported
 
 # Turns after which a loop within the loop is given up.
@@ -213,7 +214,7 @@ def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
 
 
 def _scan(p: dict, turn: Callable) -> Callable:
-    fixed, carried = p["num_consts"], p["num_carry"]
+    fixed, carried = scan_counts(p)
 
     def run(*inputs):
         carry, rows, given = inputs[fixed:][:carried], inputs[fixed + carried :], []

@@ -151,6 +151,11 @@ STRUCTURES = (
     "struct XLA_FFI_Metadata_Extension { XLA_FFI_Extension_Base extension_base; "
     "XLA_FFI_Metadata* metadata; };",
 )
+# Structures that later versions call otherwise, and lay out alike.
+RENAMED = {
+    "XLA_FFI_InternalExtension": "XLA_FFI_Extension_Base",
+    "XLA_FFI_InvokeContext": "XLA_FFI_ExecutionContext",
+}
 
 
 @functools.cache
@@ -160,6 +165,8 @@ def interface_version() -> tuple[int, int]:
     """
     header = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text()
     plain = re.sub(r"\s+", " ", re.sub(r"//[^\n]*", "", header))
+    for now, before in RENAMED.items():
+        plain = plain.replace(now, before)
     if not all(part in plain for part in STRUCTURES):
         raise Unsupported("XLA's foreign function interface of this jaxlib")
     found = [re.search(rf"#define XLA_FFI_API_{part} (\d+)", header) for part in ("MAJOR", "MINOR")]

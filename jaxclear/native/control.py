@@ -7,6 +7,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from jaxclear.native.arithmetic import compare
+from jaxclear.native.program import scan_counts
 from jaxclear.native.rules import array_of, each, refuse_memory, rule, write_closed
 from jaxclear.native.writer import FLOAT, STOP_FLAG, TRUTH, WHOLE, Unsupported, Writer, kind_of
 
@@ -37,7 +38,7 @@ def _scan(writer, equation, *arguments):
     p = equation.params
     if p["length"] > LONGEST_WRITTEN_OUT:
         raise Unsupported("a long scan inside the loop")
-    constants, carried = p["num_consts"], p["num_carry"]
+    constants, carried = scan_counts(p)
     fixed, carry, rows = (
         arguments[:constants],
         list(arguments[constants:][:carried]),

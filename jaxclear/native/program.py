@@ -35,6 +35,16 @@ class Program(NamedTuple):
     within: bool = False
 
 
+def scan_counts(params: dict[str, Any]) -> tuple[int, int]:
+    """Constants and carried values of a scan, which JAX counts from 0.12 on by the trees of its
+    arguments."""
+    if "num_consts" in params:
+        return params["num_consts"], params["num_carry"]
+    given = range(len(params["jaxpr"].in_avals))
+    constants, carried, _ = params["ft_in"].update(given).unpack()
+    return len(list(constants)), len(list(carried))
+
+
 def avals_of(program: Program) -> tuple[list, list]:
     """Shapes and types of (constants of both programs in turn, state)."""
     first, second = program.condition.in_avals[: program.condition_constants], program.body.in_avals
@@ -69,7 +79,8 @@ def packed(values: Sequence[Any]) -> np.ndarray:
 
 def loops_marked(program: Any, within: bool) -> Any:
     """A program whose loops of this room are marked as standing `within` another loop, or not."""
-    if isinstance(program, ClosedJaxpr):
+    # From JAX 0.11 on the two are one class.
+    if isinstance(program, ClosedJaxpr) and ClosedJaxpr is not Jaxpr:
         return ClosedJaxpr(loops_marked(program.jaxpr, within), program.consts)
 
     def marked(value):

@@ -15,7 +15,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
 from jaxclear.native.calls import CALLS, called
-from jaxclear.native.program import Program, avals_of, row_of
+from jaxclear.native.program import Program, avals_of, row_of, scan_counts
 
 # Tangents in one body: more of them outgrow the registers.
 SIDE_BY_SIDE = 2
@@ -79,7 +79,8 @@ def _moved_by(equation: Any, inputs: list[bool]) -> list[bool]:
         c, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
         return list(_settled(p["body_jaxpr"], inputs[c:b], inputs[b:])[0])
     if name == "scan":
-        fixed, carried = p["num_consts"], p["num_consts"] + p["num_carry"]
+        fixed, carried = scan_counts(p)
+        carried += fixed
         parts = inputs[:fixed], inputs[fixed:carried], inputs[carried:]
         now, out = _settled(p["jaxpr"], *parts)
         return [*now, *out[len(now) :]]
