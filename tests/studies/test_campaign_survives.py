@@ -4,8 +4,11 @@ import multiprocessing
 import os
 import random
 import signal
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -134,3 +137,28 @@ def test_a_mechanism_travels_to_workers(tmp_path):
         assert np.array_equal(own, found.responses[name], equal_nan=True)
     assert found.warnings() == plain.warnings()
     assert found.sentence() == plain.sentence()
+
+
+ON_TWO = """
+import sys
+
+import jax
+import jaxclear as jc
+from tests.studies.test_campaign_survives import CHUNK, problem
+
+assert jax.local_device_count() == 2
+jc.campaign(problem(), 5 * CHUNK - 3, folder=sys.argv[1], seed=5)
+"""
+
+
+def test_two_devices_share_a_chunk_and_give_the_same_numbers(tmp_path):
+    """The processor posing as two devices."""
+    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    said = [sys.executable, "-c", ON_TWO, str(tmp_path / "two")]
+    subprocess.run(said, check=True, env=os.environ | flags, cwd=Path(__file__).parents[2])
+    two = jc.open_campaign(tmp_path / "two")
+    assert two.plan.chunk == 2 * CHUNK
+    one = jc.monte_carlo(problem(), 5 * CHUNK - 3, seed=5)
+    assert np.array_equal(two.values, one.values)
+    for name, own in one.responses.items():
+        assert np.array_equal(own, two.responses[name], equal_nan=True)

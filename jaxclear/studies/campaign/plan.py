@@ -16,6 +16,7 @@ import numpy as np
 from jaxclear.native import stops
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import CHUNK_MEMORY, asked_of_lapack, evaluate_chunk
+from jaxclear.studies.campaign.devices import devices, laid_out, on_all_devices
 from jaxclear.studies.sampling import draw, groups
 
 __all__ = ["Evaluation", "Plan", "Stopped", "planned"]
@@ -72,7 +73,7 @@ def planned(
     batch = int(min(problem.most_together(), fits, samples))
     if chunk is None:
         most = MOST_CHEAP_CHUNKS if problem.at_once() else MOST_CHUNKS
-        chunk = -(-samples // most)
+        chunk = max(-(-samples // most), batch * devices())
     return Plan(samples, seed, sampling, scramblings, batch, -(-chunk // batch) * batch)
 
 
@@ -87,7 +88,7 @@ class Evaluation:
 
     def compiled(self) -> SampleResult:
         """What a batch of work as little as possible gives; compiles the program."""
-        nominal = jnp.tile(self.problem.nominal(), (self.plan.batch, 1))
+        nominal = np.tile(self.problem.nominal(), (self.plan.batch * devices(), 1))
         found, lapack = _evaluated(self.problem.idle(), nominal)
         self._compiled, self._calls_lapack = True, bool(lapack)
         return found
@@ -102,7 +103,7 @@ class Evaluation:
         with self._compiling:
             if not self._compiled:
                 self.compiled()
-        batch, count = self.plan.batch, len(values)
+        batch, count = self.plan.batch * devices(), len(values)
         # The last batch is filled up with copies, so that all run the one compiled program.
         padded = np.concatenate([values, np.repeat(values[-1:], -count % batch, axis=0)])
         found = [self._one(piece) for piece in padded.reshape(-1, batch, values.shape[1])]
@@ -112,7 +113,7 @@ class Evaluation:
         # Programs that call LAPACK go one by one (see `native.calls_lapack`).
         lock = self._alone if self._calls_lapack else _Free()
         with lock:
-            found, _ = _evaluated(self.problem, jnp.asarray(values))
+            found, _ = _evaluated(self.problem, values)
         if stops() != self.begun:
             raise Stopped
         return found
@@ -126,7 +127,7 @@ class _Free:
     def __exit__(self, *reason: Any) -> None: ...
 
 
-def _evaluated(problem: AbstractProblem, values: Any) -> tuple[SampleResult, Any]:
-    """What a batch gives, on the host, and whether its program calls LAPACK."""
+def _evaluated(problem: AbstractProblem, values: np.ndarray) -> tuple[SampleResult, Any]:
+    """What a batch on each device gives, on the host, and whether its program calls LAPACK."""
     evaluate: Callable = asked_of_lapack
-    return jax.tree.map(np.asarray, evaluate(evaluate_chunk, problem, values))
+    return jax.tree.map(np.asarray, evaluate(on_all_devices(), problem, laid_out(values)))

@@ -12,6 +12,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.native import stop, stoppable
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.batch import threads_of
+from jaxclear.studies.campaign.devices import devices
 from jaxclear.studies.campaign.plan import Evaluation, Stopped
 from jaxclear.studies.campaign.samples import Samples
 
@@ -49,7 +50,9 @@ def by_threads(
     """Computes chunks side by side, and waits for those that other processes are at. Raises
     `KeyboardInterrupt` when it is interrupted; the chunks in work are then lost."""
     left = list(numbers)
-    with stoppable(), ThreadPoolExecutor(threads_of()) as pool:
+    # Several devices are busy side by side as it is.
+    threads = threads_of() if devices() == 1 else 1
+    with stoppable(), ThreadPoolExecutor(threads) as pool:
         try:
             while left:
                 found = pool.map(lambda number: done(samples, evaluation, number), left)
