@@ -8,6 +8,7 @@ study takes them from here, bit for bit; from the first that differs on, it comp
 
 import importlib.util
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +36,11 @@ class Store:
         """The store in a folder, which is made where there is none. Raises `ValueError` with a
         sentence where it holds something else, `ImportError` without zarr."""
         folder = checked_folder(folder)
+        before = folder / f".{RECORDS}.before"
+        if before.exists() and not (folder / RECORDS).exists():
+            before.rename(folder / RECORDS)
         if not (folder / RECORDS).exists():
-            if folder.exists() and any(folder.iterdir()):
+            if folder.exists() and any(not path.name.startswith(".") for path in folder.iterdir()):
                 raise ValueError(
                     f"the folder {folder} is not empty and holds no study; give another one."
                 )
@@ -70,7 +74,7 @@ class Store:
         """Keeps a record that was computed from these numbers."""
         parts = [np.asarray(leaf, float).ravel() for leaf in jax.tree.leaves(record)]
         row = np.concatenate([[WHOLE], begun, *parts])
-        current = self.place and self.place == self._written()
+        current = self.place and self.place == self._rows_there()
         self.rows = np.vstack([self.rows, row]) if self.place else row[None]
         self.place += 1
         if current:
@@ -78,22 +82,34 @@ class Store:
                 self.folder / RECORDS, append_dim="record", consolidated=False
             )
         else:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self._dataset(self.rows).to_zarr(
-                self.folder / RECORDS,
-                mode="w",
-                consolidated=False,
-                encoding={NUMBERS: {"chunks": (1, len(row))}},
-            )
+            self._written_anew(len(row))
 
     def conclude(self, result: Any) -> None:
         """Keeps the study's result, an xarray Dataset, beside its records."""
         self.folder.mkdir(parents=True, exist_ok=True)
         result.to_zarr(self.folder / RESULT, mode="w", consolidated=False)
 
-    def _written(self) -> int:
-        """Records that the folder holds."""
-        return len(_read(self.folder / RECORDS)[1]) if (self.folder / RECORDS).exists() else 0
+    def _rows_there(self) -> int:
+        """Records that the folder holds, those that were not written to their end too: what follows
+        these would not be found again."""
+        if not (self.folder / RECORDS).exists():
+            return 0
+        import zarr
+
+        kept: Any = zarr.open_group(self.folder / RECORDS, mode="r")
+        return kept[NUMBERS].shape[0]
+
+    def _written_anew(self, width: int) -> None:
+        """All records, beside those that are there until they are whole."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        beside, before = self.folder / f".{RECORDS}.new", self.folder / f".{RECORDS}.before"
+        encoding = {NUMBERS: {"chunks": (1, width)}}
+        self._dataset(self.rows).to_zarr(beside, mode="w", consolidated=False, encoding=encoding)
+        shutil.rmtree(before, ignore_errors=True)
+        if (self.folder / RECORDS).exists():
+            (self.folder / RECORDS).rename(before)
+        beside.rename(self.folder / RECORDS)
+        shutil.rmtree(before, ignore_errors=True)
 
     def _dataset(self, rows: np.ndarray) -> Any:
         import xarray

@@ -12,9 +12,10 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.native import stop
-from jaxclear.studies.campaign import work
+from jaxclear.studies.campaign import requests, work
 from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.sampling import draw, groups
+from jaxclear.studies.store import RECORDS, Store
 
 LIMITS = {"fit": (0.2, 0.9)}
 
@@ -40,7 +41,7 @@ def plain():
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("campaign") / "kept"
-    jc.campaign(problem(), 10_000, folder=place, seed=3)
+    jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096)
     return place
 
 
@@ -52,11 +53,11 @@ def assert_same_study(one, other):
 
 
 def contents(place):
-    """Every file of a folder, by its path."""
+    """Every file of a folder, by its path; not what those left who were too late to begin."""
     return {
         str(path.relative_to(place)): path.read_bytes()
         for path in sorted(place.rglob("*"))
-        if path.is_file()
+        if path.is_file() and not path.relative_to(place).parts[0].startswith(".")
     }
 
 
@@ -125,7 +126,7 @@ def test_an_interrupted_campaign_goes_on(plain, folder, tmp_path, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(Samples, "write", interrupted)
         with pytest.raises(KeyboardInterrupt, match=r"1 of 3 chunks \(of 4096 samples\) are kept"):
-            jc.campaign(problem(), 10_000, folder=place, seed=3)
+            jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096)
     partly = jc.open_campaign(place)
     assert partly.finished == 4096
     assert not partly.is_complete
@@ -134,7 +135,9 @@ def test_an_interrupted_campaign_goes_on(plain, folder, tmp_path, monkeypatch):
     assert int((partly.to_dataset()["outcome"] == -1).sum()) == 10_000 - 4096
     written = []
     monkeypatch.setattr(Samples, "write", lambda *a: (written.append(a[1]), write(*a)))
-    assert_same_study(jc.campaign(problem(), 10_000, folder=place, seed=3).sample, plain)
+    assert_same_study(
+        jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096).sample, plain
+    )
     assert sorted(written) == [1, 2]
     assert contents(place) == contents(folder)
 
@@ -154,9 +157,9 @@ def test_a_chunk_that_was_not_finished_counts_for_nothing(folder, tmp_path, monk
         patched.setattr(Samples, "_put", ends)
         patched.setattr(work, "threads_of", lambda: 1)
         with pytest.raises(SystemExit):
-            jc.campaign(problem(), 10_000, folder=place, seed=3)
+            jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096)
     assert jc.open_campaign(place).finished == 0
-    jc.campaign(problem(), 10_000, folder=place, seed=3)
+    jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096)
     assert contents(place) == contents(folder)
 
 
@@ -164,7 +167,7 @@ def test_two_at_one_folder_share_its_chunks(plain, folder, tmp_path):
     """Each chunk is computed once; both wait for the other's and end with all samples."""
     place = tmp_path / "kept"
     found = []
-    ask = lambda: found.append(jc.campaign(problem(), 10_000, folder=place, seed=3))
+    ask = lambda: found.append(jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096))
     others = [threading.Thread(target=ask) for _ in range(2)]
     for other in others:
         other.start()
@@ -177,13 +180,13 @@ def test_two_at_one_folder_share_its_chunks(plain, folder, tmp_path):
 
 def test_another_problem_is_refused_with_what_differs(folder, tmp_path):
     with pytest.raises(ValueError, match='distribution of "bore".standard_deviation is 0.3'):
-        jc.campaign(problem(0.8), 10_000, folder=folder, seed=3)
+        jc.campaign(problem(0.8), 10_000, folder=folder, seed=3, chunk=4096)
     with pytest.raises(ValueError, match='distribution of "bore"'):
         jc.open_campaign(folder, problem(0.8))
     with pytest.raises(ValueError, match="with seed=3, not 4"):
         jc.campaign(problem(), 10_000, folder=folder, seed=4)
     with pytest.raises(ValueError, match="with samples=10000, not 20000"):
-        jc.campaign(problem(), 20_000, folder=folder, seed=3)
+        jc.campaign(problem(), 20_000, folder=folder, seed=3, chunk=4096)
     with pytest.raises(ValueError, match="holds no campaign"):
         jc.open_campaign(tmp_path)
     (tmp_path / "diary").write_text("mine")
@@ -197,4 +200,62 @@ def test_chunks_of_other_versions_warn(folder, monkeypatch):
     now = {"jax": "99.0"}
     monkeypatch.setattr("jaxclear.studies.campaign.samples.told_versions", lambda: now)
     with pytest.warns(UserWarning, match=r"jax 0\S* then, 99.0 now"):
-        jc.campaign(problem(), 10_000, folder=folder, seed=3)
+        jc.campaign(problem(), 10_000, folder=folder, seed=3, chunk=4096)
+
+
+def test_any_study_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
+    """Half of what it asks is computed, then the process ends; the other half follows."""
+    asked = jc.FunctionProblem(
+        lambda a, b: a**2 * b, {n: jc.Dimension(2.0, jc.distribution.Normal(0.1)) for n in "ab"}
+    )
+    plain = jc.sensitivity(asked, sample=64, difference_samples=32)
+    computed = []
+    evaluate, add = requests.evaluate_all, Store.add
+
+    def counted(*arguments, **options):
+        computed.append(1)
+        return evaluate(*arguments, **options)
+
+    def ends(self, begun, record):
+        if len(computed) == 2:
+            raise SystemExit
+        add(self, begun, record)
+
+    monkeypatch.setattr(requests, "evaluate_all", counted)
+    ask = {"folder": tmp_path / "kept", "study": jc.sensitivity, "difference_samples": 32}
+    with monkeypatch.context() as patched:
+        patched.setattr(Store, "add", ends)
+        with pytest.raises(SystemExit):
+            jc.campaign(asked, 64, **ask)
+    found = jc.campaign(asked, 64, **ask)
+    assert str(found.table()) == str(plain.table())
+    # The second set of samples was lost.
+    whole = len(list((tmp_path / "kept").iterdir()))
+    assert whole >= 3
+    assert len(computed) == whole + 1
+    jc.campaign(asked, 64, **ask)
+    assert len(computed) == whole + 1
+    other = jc.FunctionProblem(lambda a, b: a * b, asked.variables)
+    with pytest.raises(ValueError, match="of another problem: function is"):
+        jc.campaign(other, 64, **ask)
+    with pytest.raises(ValueError, match="must be one of"):
+        jc.campaign(asked, 64, folder=tmp_path / "kept", study=jc.monte_carlo)
+    with pytest.raises(ValueError, match="sensitivity has no client"):
+        jc.campaign(asked, 64, client=1, **ask)
+
+
+def test_records_after_one_that_was_not_finished_are_found_again(tmp_path):
+    """A process died while it wrote its second record; the next one writes two more."""
+    numbers = [np.full(2, float(i)) for i in range(4)]
+    kind = np.zeros(3)
+    one = Store.opened(tmp_path, "records", {})
+    one.add(numbers[0], kind + 0)
+    broken = one._dataset(np.zeros((1, 6)))
+    broken.to_zarr(tmp_path / RECORDS, append_dim="record", consolidated=False)
+    for known in (1, 3):
+        store = Store.opened(tmp_path, "records", {})
+        for i in range(known):
+            assert np.array_equal(store.taken(numbers[i], kind), kind + i)
+        for i in range(known, 3):
+            assert store.taken(numbers[i], kind) is None
+            store.add(numbers[i], kind + i)

@@ -147,7 +147,7 @@ import jaxclear as jc
 from tests.studies.test_campaign_survives import CHUNK, problem
 
 assert jax.local_device_count() == 2
-jc.campaign(problem(), 5 * CHUNK - 3, folder=sys.argv[1], seed=5)
+jc.campaign(problem(), 5 * CHUNK - 3, folder=sys.argv[1], seed=5, chunk=2 * CHUNK)
 """
 
 

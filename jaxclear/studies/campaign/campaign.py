@@ -20,6 +20,7 @@ from jaxclear.studies.campaign.plan import Evaluation, Plan, planned
 from jaxclear.studies.campaign.recorded import RecordedProblem, in_json
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.campaign.samples import KIND, Samples
+from jaxclear.studies.campaign.studies import kept_study
 from jaxclear.studies.campaign.work import Heard, by_threads
 from jaxclear.studies.campaign.workers import by_workers, check_client
 from jaxclear.studies.identity import in_texts
@@ -35,15 +36,16 @@ SAMPLED = ("sampling", "scramblings")
 @answering
 def campaign(
     problem: AbstractProblem,
-    samples: int = 1024,
+    samples: int | None = None,
     *,
     folder: str | Path,
-    seed: int = 0,
+    study: Callable | None = None,
+    seed: int | None = None,
     chunk: int | None = None,
     client: Any = None,
     progress_bar: bool = False,
-    **sampled: Any,
-) -> Campaign:
+    **settings: Any,
+) -> Any:
     """A Monte Carlo study of any size, kept in a folder (Zarr) chunk by chunk: values, responses,
     outcomes, warnings, seed, versions and what the problem is.
 
@@ -52,16 +54,26 @@ def campaign(
     process, the chunks in work, one a thread, are all that is lost. Several processes may work at
     one folder: each chunk is claimed by one. Memory does not grow with the samples.
 
-    `samples`, `seed`, and in `sampled` also `sampling` and `scramblings`, as in `monte_carlo`,
+    `samples`, `seed`, and in `settings` also `sampling` and `scramblings`, as in `monte_carlo`,
     whose samples these are: a sample has the same values and, on one kind of machine, the same
     responses to the last bit in whatever chunks and threads it is computed. `chunk`: samples in a
     file, rounded up to whole batches; an older folder keeps its own. `client`: a
     `dask.distributed.Client`, whose workers compute and write the chunks, in a folder that all of
     them see. `progress_bar` shows rate, time left, failures.
+
+    `study`: another one to keep, `jaxclear.sensitivity`, `sobol_indices`, `surface`, `worst_case`,
+    `design`, `wear_life` or `wear_lives`, with its own arguments in `settings`; its own result is
+    returned. Its samples or lives are kept as they are computed, by one process at a time.
+
     Raises `ValueError` with a sentence for what cannot be asked, `ImportError` without zarr.
     """
-    asked = _asked(problem, samples, seed, chunk, sampled)
     check_flags("campaign", progress_bar=progress_bar)
+    if study is not None:
+        given = {"samples": samples, "seed": seed, "chunk": chunk, "client": client}
+        given["progress_bar"] = progress_bar or None
+        return kept_study(study, problem, folder, given, settings)
+    samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
+    asked = _asked(problem, samples, seed, chunk, settings)
     if client is not None:
         check_client(client)
     evaluation = Evaluation(problem, asked)

@@ -21,9 +21,11 @@ from jaxclear.studies.sampling import draw, groups
 
 __all__ = ["Evaluation", "Plan", "Stopped", "planned"]
 
-# A campaign has about this many chunks at the most: of runs, and of problems whose samples cost
-# less than a file.
-MOST_CHUNKS, MOST_CHEAP_CHUNKS = 1024, 32
+# A campaign has about this many chunks at the most. Samples that are cheap beside a file come in
+# fewer and larger ones.
+MOST_CHUNKS, MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK = 1024, 32, 1 << 14
+# Samples are drawn in blocks of whole chunks, about so many, because a small draw costs as much.
+DRAWN = 1 << 14
 
 
 class Stopped(Exception):
@@ -50,11 +52,6 @@ class Plan(NamedTuple):
         """First sample of a chunk, and the one after its last."""
         return number * self.chunk, min((number + 1) * self.chunk, self.samples)
 
-    def values(self, problem: AbstractProblem, number: int) -> np.ndarray:
-        """Values (samples, variables) of a chunk."""
-        span = self.span(number)
-        return draw(problem, self.samples, self.seed, self.sampling, self.scramblings, span)
-
     def groups(self) -> np.ndarray:
         """The scrambling (samples,) of every sample."""
         return groups(self.samples, self.scramblings)
@@ -72,8 +69,10 @@ def planned(
     fits = max(CHUNK_MEMORY // max(problem.sample_memory(), 1), 1)
     batch = int(min(problem.most_together(), fits, samples))
     if chunk is None:
-        most = MOST_CHEAP_CHUNKS if problem.at_once() else MOST_CHUNKS
-        chunk = max(-(-samples // most), batch * devices())
+        # Runs have an idle form; what is evaluated at once has none.
+        cheap = problem.idle() is problem
+        most, least = (MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK) if cheap else (MOST_CHUNKS, 1)
+        chunk = max(-(-samples // most), least, batch * devices())
     return Plan(samples, seed, sampling, scramblings, batch, -(-chunk // batch) * batch)
 
 
@@ -85,6 +84,8 @@ class Evaluation:
         self.begun = stops()
         self._compiling, self._alone = threading.Lock(), threading.Lock()
         self._compiled = self._calls_lapack = False
+        self._drawing = threading.Lock()
+        self._drawn: dict[int, np.ndarray] = {}
 
     def compiled(self) -> SampleResult:
         """What a batch of work as little as possible gives; compiles the program."""
@@ -97,6 +98,21 @@ class Evaluation:
         """The same with shapes in place of numbers; compiles nothing."""
         nominal = jnp.tile(self.problem.nominal(), (self.plan.batch, 1))
         return eqx.filter_eval_shape(evaluate_chunk, self.problem, nominal)
+
+    def values(self, number: int) -> np.ndarray:
+        """Values (samples, variables) of a chunk."""
+        chunk = self.plan.chunk
+        size = max(DRAWN // chunk, 1) * chunk
+        first, last = self.plan.span(number)
+        block = first // size
+        with self._drawing:
+            if block not in self._drawn:
+                # Threads may still be at the block before.
+                self._drawn = {n: own for n, own in self._drawn.items() if n == block - 1}
+                plan, ends = self.plan, (block * size, min((block + 1) * size, self.plan.samples))
+                how = plan.seed, plan.sampling, plan.scramblings
+                self._drawn[block] = draw(self.problem, plan.samples, *how, ends)
+            return self._drawn[block][first - block * size : last - block * size]
 
     def chunk(self, values: np.ndarray) -> SampleResult:
         """What the samples of a chunk give. Raises `Stopped` where Ctrl-C ended the program."""

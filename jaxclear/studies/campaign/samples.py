@@ -10,9 +10,10 @@ import json
 import os
 import secrets
 import shutil
+import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ KIND = "a Monte Carlo campaign"
 SAMPLES, CLAIMS, VERSIONS = "samples.zarr", "claims", "versions"
 VALUES, RESPONSES, OUTCOME, ENDED = "values", "responses", "outcome", "ended"
 WORST, WHEN, FINISHED = "check_worst", "check_time", "finished"
+# Age [s] of what a process that began no campaign left behind.
+ABANDONED = 3600.0
 # An outcome that no sample has.
 UNKNOWN = -1
 
@@ -99,7 +102,7 @@ class Samples:
         try:
             beside.rename(path / SAMPLES)
         except OSError:
-            shutil.rmtree(beside)
+            shutil.rmtree(beside, ignore_errors=True)
         return cls(path)
 
     def is_finished(self, number: int) -> bool:
@@ -157,11 +160,12 @@ class Samples:
         import filelock
 
         path = self.folder / CLAIMS / f"{number:08d}"
-        path.parent.mkdir(exist_ok=True)
         lock = filelock.FileLock(path, timeout=0, thread_local=False)
         try:
+            path.parent.mkdir(exist_ok=True)
             lock.acquire()
-        except filelock.Timeout:
+        except (filelock.Timeout, FileNotFoundError):
+            # Somebody is at it, or has finished the campaign and tidies up.
             yield False
             return
         try:
@@ -173,7 +177,10 @@ class Samples:
         """Takes away claims, and what chunks that were never finished left."""
         shutil.rmtree(self.folder / CLAIMS, ignore_errors=True)
         for left in self.folder.glob(f".{SAMPLES}.*"):
-            shutil.rmtree(left, ignore_errors=True)
+            # Another process may be about to begin.
+            with suppress(FileNotFoundError):
+                if time.time() - left.stat().st_mtime > ABANDONED:
+                    shutil.rmtree(left, ignore_errors=True)
         for left in (self.folder / SAMPLES).rglob("*.partial"):
             left.unlink(missing_ok=True)
 
@@ -208,6 +215,10 @@ class Samples:
 
 def _array(group, name, shape, chunk, dims, kind=float, fill=np.nan):
     """An empty array in chunks along its first axis."""
+    from zarr.codecs import BloscCodec
+
+    # Digits of responses are noise to a compressor: what there is to gain, the fastest one gains.
+    codec = BloscCodec(cname="lz4", clevel=1, shuffle="shuffle")
     group.create_array(
         name,
         shape=shape,
@@ -215,4 +226,5 @@ def _array(group, name, shape, chunk, dims, kind=float, fill=np.nan):
         dtype=kind,
         fill_value=fill,
         dimension_names=dims,
+        compressors=codec,
     )

@@ -34,11 +34,11 @@ def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
     """Computes a chunk and keeps it: how many of its samples failed; None where another thread or
     process is at it."""
     with samples.claimed(number) as mine:
-        if not mine:
-            return None
         if samples.is_finished(number):
             return failures(samples.found(slice(*samples.plan.span(number))))
-        values = samples.plan.values(evaluation.problem, number)
+        if not mine:
+            return None
+        values = evaluation.values(number)
         found = evaluation.chunk(values)
         samples.write(number, values, found)
         return failures(found)

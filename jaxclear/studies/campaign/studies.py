@@ -1,0 +1,75 @@
+"""Which studies a campaign keeps beside Monte Carlo, and how each is asked."""
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from jaxclear.ground.wording import described, listed
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.campaign.requests import kept_requests
+from jaxclear.studies.design.design import design
+from jaxclear.studies.life.lives import wear_lives
+from jaxclear.studies.life.wear_life import wear_life
+from jaxclear.studies.sensitivity.sensitivity import sensitivity
+from jaxclear.studies.statistics.sobol_indices import sobol_indices
+from jaxclear.studies.store import checked_folder
+from jaxclear.studies.surface.surface import surface
+from jaxclear.studies.worst_case import worst_case
+
+__all__ = ["kept_study"]
+
+# What they keep, in words. Some keep records of their own; of others all samples are kept.
+OWN_RECORDS = {wear_life: "a wear life", wear_lives: "wear lives", design: "a design"}
+BY_SAMPLES = {
+    sensitivity: "a sensitivity study",
+    sobol_indices: "a study of Sobol' indices",
+    surface: "a response surface",
+    worst_case: "a worst case",
+}
+# How studies call the number of their samples.
+COUNTS = ("samples", "sample")
+
+
+def kept_study(
+    study: Any,
+    problem: AbstractProblem,
+    folder: Any,
+    given: dict[str, Any],
+    settings: dict[str, Any],
+) -> Any:
+    """What a study answers, from a folder as far as it is there. `given`: arguments of the campaign
+    that the study may have, absent where None. Raises `ValueError` with a sentence for a study that
+    is not kept, or an argument that it has not."""
+    if not callable(study) or study not in OWN_RECORDS | BY_SAMPLES:
+        known = [f"jaxclear.{own.__name__}" for own in OWN_RECORDS | BY_SAMPLES]
+        raise ValueError(
+            f"study of campaign is {described(study)}; it must be one of {listed(known)}, or left "
+            "out for a Monte Carlo study."
+        )
+    settings = settings | _named(study, {n: own for n, own in given.items() if own is not None})
+    path: Path = checked_folder(folder)
+    try:
+        if study in OWN_RECORDS:
+            return study(problem, store=path, **settings)
+        with kept_requests(path, BY_SAMPLES[study]):
+            return study(problem, **settings)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"The study was interrupted. What it had computed is kept in {path}; ask the same "
+            "again, and it goes on from there."
+        ) from None
+
+
+def _named(study: Callable, given: dict[str, Any]) -> dict[str, Any]:
+    """What is given, by the names that the study has for it."""
+    takes = inspect.signature(study).parameters
+    found = {}
+    for name, value in given.items():
+        known = [own for own in (COUNTS if name == "samples" else (name,)) if own in takes]
+        if not known:
+            raise ValueError(
+                f"jaxclear.{study.__name__} has no {name}; leave it out of the campaign."
+            )
+        found[known[0]] = value
+    return found
