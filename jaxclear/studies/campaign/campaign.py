@@ -76,20 +76,10 @@ def campaign(
     asked = _asked(problem, samples, seed, chunk, settings)
     if client is not None:
         check_client(client)
-    evaluation = Evaluation(problem, asked)
     try:
-        kind = evaluation.compiled if client is None else evaluation.traced
-        kept, left = _begun(folder, problem, asked, kind)
-        evaluation.plan = kept.plan
-        with _progress(progress_bar, kept.plan, left) as heard:
-            if client is None:
-                by_threads(kept, evaluation, left, heard)
-            else:
-                by_workers(client, kept, problem, left, heard)
-        kept.tidy()
+        return _sampled(problem, asked, folder, client, progress_bar)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_interrupted(folder)) from None
-    return Campaign(kept, problem)
 
 
 @answering
@@ -102,6 +92,23 @@ def open_campaign(folder: str | Path, problem: AbstractProblem | None = None) ->
         return Campaign(kept, RecordedProblem.of_json(kept.told["recorded"]))
     expect(problem, AbstractProblem, "problem of open_campaign", "a jaxclear.Problem")
     refuse_other(kept.folder, kept.told, KIND, in_texts(problem))
+    return Campaign(kept, problem)
+
+
+def _sampled(
+    problem: AbstractProblem, asked: Plan, folder: Any, client: Any, shown: bool
+) -> Campaign:
+    """All samples of a plan, those computed that are not in the folder."""
+    evaluation = Evaluation(problem, asked)
+    kind = evaluation.compiled if client is None else evaluation.traced
+    kept, left = _begun(folder, problem, asked, kind)
+    evaluation.plan = kept.plan
+    with _progress(shown, kept.plan, left) as heard:
+        if client is None:
+            by_threads(kept, evaluation, left, heard)
+        else:
+            by_workers(client, kept, problem, left, heard)
+    kept.tidy()
     return Campaign(kept, problem)
 
 
