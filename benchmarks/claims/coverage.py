@@ -5,11 +5,14 @@ scatter of the answers asks for: jaxclear.sensitivity repeated with other random
         [--reference RUNS] [--pathwise] [--kept FOLDER] [--json FILE]
 
 The truth is the integral over the tolerance of the response times the score function, by a grid of
-`--reference` runs and what the ends add; its own error is that of half the grid. `ball`: a journal
+`--reference` runs and what the ends add; its own error is how far a third of the grid is off.
+`ball`: a journal
 dropped in its bearing, 1 to 6 bounces. `crank`: the slider-crank at 50 rad/s or 5000 rpm over two
 turns. `four-bar`: mean force over 0.1 turns. The last columns are stated over true standard
-error of the Monte Carlo mean of the same samples. With `--kept` every repetition is written down as
-it ends, one line each, and a later call goes on where the last one stopped.
+error of the Monte Carlo mean of the same samples, and variance (of answers that are agreed) times
+runs beside the best method's: an answer takes the runs of all methods, of which one confirms the
+other. With `--kept` every repetition is written down as it ends, one line each, and a later call
+goes on where the last one stopped.
 """
 
 import argparse
@@ -32,6 +35,8 @@ FALL = np.sqrt(2 * CLEARANCE / GRAVITY)
 BALLS = {"ball1": 1.6, "ball2": 2.0, "ball3": 3.5, "ball6": 5.0}
 CRANKS = {"crank 50 rad/s": (50.0, 2e-5), "crank 5000 rpm": (523.6, 5e-6)}
 LEAST_TIMES = 1.96
+# Runs of a study of one variable by method: its sample and the two ends; four times its own sample.
+RUNS = {"regression": 256 + 2, "differences": 4 * 128, "pathwise": 128}
 
 
 def ball(name: str) -> jc.Problem:
@@ -93,6 +98,7 @@ def reference(problem: jc.Problem, runs: int) -> dict[str, tuple[float, float]]:
     own = problem.variables[problem.names[0]].distribution
     spread, bound = float(own.standard_deviation), float(own.bound)
     cut = stats.truncnorm(-bound / spread, bound / spread, scale=spread)
+    runs = runs // 3 * 3
     at = ((np.arange(runs) + 0.5) / runs * 2 - 1) * bound
     values = float(problem.nominal()[0]) + np.concatenate([at, [-bound, bound]])
     found = evaluate_all(problem, jnp.asarray(values)[:, None])
@@ -101,8 +107,8 @@ def reference(problem: jc.Problem, runs: int) -> dict[str, tuple[float, float]]:
         inner, ends = response[:-2], response[-2:]
         score = inner * at / spread**2 * cut.pdf(at) * (2 * bound / runs)
         ends = float((ends[1] - ends[0]) * cut.pdf(bound))
-        halves = [2 * score[i::2].sum() for i in (0, 1)]
-        truth[name] = float(score.sum()) + ends, 0.5 * abs(halves[0] - halves[1])
+        # The middles of the grid's threes are a grid of their own.
+        truth[name] = float(score.sum()) + ends, abs(score.sum() - 3 * score[1::3].sum())
     return truth
 
 
@@ -151,7 +157,10 @@ def rows_of(studies: list[list[dict]], truth: dict) -> list[dict]:
         exact, own = truth[first["response"]]
         away = value[fine] - exact
         held = np.abs(away) <= error[fine] + own
-        scatter = np.sqrt(np.mean(away**2)) if fine.any() else np.nan
+        rms = np.sqrt(np.mean(away**2)) if fine.any() else np.nan
+        # An answer that is not agreed is the middle of all methods, and says so.
+        sure = told["agreed"][fine] if told["agreed"].any() else np.ones(fine.sum(), bool)
+        scatter = np.sqrt(np.mean(away[sure] ** 2)) if fine.any() else np.nan
         rows.append(
             {
                 "response": first["response"],
@@ -162,12 +171,28 @@ def rows_of(studies: list[list[dict]], truth: dict) -> list[dict]:
                 "truth": exact,
                 "its error": own,
                 "bias": away.mean() if fine.any() else np.nan,
-                "half width over 1.96 rms error": error[fine].mean() / (LEAST_TIMES * scatter),
+                "scatter": scatter,
+                "half width over 1.96 rms error": error[fine].mean() / (LEAST_TIMES * rms),
                 "stated over true error of the mean": np.sqrt(np.mean(told["stated"] ** 2))
                 / told["mean"].std(ddof=1),
                 "CPU s a study": float(np.median(told["CPU s"])),
+                "runs": RUNS.get(first["method"], 0),
+                "variance x runs": scatter**2 * RUNS.get(first["method"], 0),
             }
         )
+    return _compared(rows)
+
+
+def _compared(rows: list[dict]) -> list[dict]:
+    """Variance x runs over that of the best method; the answer's runs are those of all methods."""
+    for row in rows:
+        own = [r for r in rows if r["response"] == row["response"] and r["method"] in RUNS]
+        if row["method"] not in RUNS:
+            row["runs"] = sum(r["runs"] for r in own)
+            row["variance x runs"] = row["runs"] * (row["scatter"] ** 2)
+        best = min(r["variance x runs"] for r in own)
+        row["variance over the best"] = (row["scatter"] / min(r["scatter"] for r in own)) ** 2
+        row["variance x runs over the best"] = row["variance x runs"] / best
     return rows
 
 

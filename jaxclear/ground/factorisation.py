@@ -93,6 +93,25 @@ def eliminate(equations: list[Any]) -> list[Any]:
     return [line[n] for line in lines]
 
 
+def orientation(matrix: list[list]) -> Any:
+    """Sign of the determinant of a square matrix, rows of scalars; by Gauss's elimination with
+    partial pivoting."""
+    lines = [jnp.stack([jnp.asarray(x, float) for x in row]) for row in matrix]
+    n, sign = len(lines), jnp.ones(())
+    for k in range(n):
+        for i in range(k + 1, n):
+            larger = jnp.abs(lines[i][k]) > OFF_THE_TIES * jnp.abs(lines[k][k])
+            lines[k], lines[i] = (
+                jnp.where(larger, lines[i], lines[k]),
+                jnp.where(larger, lines[k], lines[i]),
+            )
+            sign = jnp.where(larger, -sign, sign)
+        sign = sign * jnp.sign(lines[k][k])
+        own = lines[k] / lines[k][k]
+        lines[k + 1 :] = [line - line[k] * own for line in lines[k + 1 :]]
+    return sign
+
+
 def to_array(rows: Rows) -> jnp.ndarray:
     """Rows of sparse scalars as an array; entries that are structurally zero are filled in, not
     stacked.

@@ -39,17 +39,23 @@ MOST_TURNS = 25
 SETTLED = 1e-9
 # Steps from a position to the next that lead along the way on which the mechanism was assembled.
 STEPS_BETWEEN = 4
+# Steps where the way of assembly changes; and a coordinate [rad, m] that moves further than this
+# within STEPS_BETWEEN of a position has jumped.
+MOST_BETWEEN, JUMP = 64, 1.0
 # Of a Newton step, in radians or shares of the longest arm.
 LONGEST = 0.5
 
 
 class Spot(eqx.Module):
     """Where the mechanism stands at one position: entries of the tree's coordinates, numbers of the
-    seats that are not zero by construction, and by how much the last turn moved them [1]."""
+    seats that are not zero by construction, by how much the last turn moved them [1], and on which
+    of its ways the mechanism is assembled: the sign of the loops' determinant, which changes where
+    two of them meet and nowhere else (0 where there is no loop)."""
 
     q: Array
     seats: dict[str, Array]
     change: Array
+    branch: Array
 
 
 class Way(eqx.Module):
@@ -107,7 +113,8 @@ def turned(scene: Posed, spot: Spot, way: Way) -> Spot:
         size = jnp.max(jnp.abs(step / speed_scales(system, arm)))
         q = retract(system, q, step * jnp.minimum(1.0, LONGEST / size))
         changes.append(size)
-    return Spot(q, seats, jnp.max(jnp.stack([*changes, jnp.zeros(())])))
+    branch = factorisation.orientation(rows) if count else jnp.zeros(())
+    return Spot(q, seats, jnp.max(jnp.stack([*changes, jnp.zeros(())])), branch)
 
 
 def settle(scene: Posed, start: Spot, way: Way) -> Spot:
@@ -151,7 +158,7 @@ def _tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, way: Way) -> Spot:
     inverse = jax.vmap(lambda unit: _eliminated(rows, unit))(jnp.eye(len(here)))
     found = -jnp.sum(inverse * right[:, None], axis=0)
     q = jax.jvp(place, (here[:count],), (found[:count],))[1]
-    return Spot(q, unflatten(found[count:]), jnp.zeros(()))
+    return Spot(q, unflatten(found[count:]), jnp.zeros(()), jnp.zeros(()))
 
 
 def _eliminated(rows: Array, right: Array) -> Array:
@@ -169,7 +176,8 @@ def positions_at(
         for name, own in way.moving.items()
     }
     finite = jnp.all(jnp.isfinite(spots.q), axis=-1)
-    found = finite & (spots.change <= SETTLED)
+    # From where the nominal mechanism stands a sample may fall to another way of assembly.
+    found = finite & (spots.change <= SETTLED) & (spots.branch == starts.branch)
     return Positions(scene, position, spots.q, seats, found, way.side, way.moving)
 
 
@@ -182,7 +190,29 @@ def _settled(scene: Posed, start: Spot, way: Way) -> Spot:
 def _assembled(scene: Posed, way: Way) -> tuple[Spot, Array]:
     start = assemble_arrays(scene.mechanism)
     seats = {name: jnp.zeros(len(own)) for name, own in way.moving.items()}
-    return Spot(start.coordinates, seats, jnp.zeros(())), is_sound(scene.mechanism, start)
+    spot = Spot(start.coordinates, seats, jnp.zeros(()), jnp.zeros(()))
+    return spot, is_sound(scene.mechanism, start)
+
+
+def _led(scene: Posed, start: Spot, before: np.ndarray, now: np.ndarray, way: Way) -> Spot:
+    """The spot at the next position, led there in steps: in many more where the way of assembly
+    changes. Raises `ValueError` where it jumps, however short the steps."""
+    for count in (STEPS_BETWEEN, MOST_BETWEEN):
+        spot, longest = start, 0.0
+        for share in np.arange(1, count + 1) / count:
+            last, spot = spot, _settled(scene.at(before + share * (now - before)), spot, way)
+            longest = max(longest, float(jnp.max(jnp.abs(spot.q - last.q), initial=0.0)))
+        if spot.branch == start.branch or not spot.change <= SETTLED:
+            return spot
+    # Two ways of assembly that meet, as those of a parallelogram, are passed step by step.
+    if longest > JUMP * STEPS_BETWEEN / MOST_BETWEEN:
+        named = ", ".join(f"{n} = {x:.6g}" for n, x in zip(scene.held, now, strict=True))
+        raise ValueError(
+            f"the mechanism jumps to another way of its assembly before {named}: a dead point lies "
+            "between this position and the one before, or close by. Give positions on one side of "
+            "it."
+        )
+    return spot
 
 
 def spots_along(scene: Posed, position: np.ndarray, way: Way) -> Spot:
@@ -191,8 +221,7 @@ def spots_along(scene: Posed, position: np.ndarray, way: Way) -> Spot:
     spot, sound = _assembled(scene.at(position[0]), way)
     spots, before = [], position[0]
     for i, now in enumerate(position):
-        for share in np.arange(1, STEPS_BETWEEN + 1) / STEPS_BETWEEN if i else (1.0,):
-            spot = _settled(scene.at(before + share * (now - before)), spot, way)
+        spot = _led(scene, spot, before, now, way) if i else _settled(scene.at(now), spot, way)
         if not (sound and spot.change <= SETTLED):
             named = ", ".join(f"{n} = {x:.6g}" for n, x in zip(scene.held, now, strict=True))
             raise ValueError(

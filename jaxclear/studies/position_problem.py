@@ -145,7 +145,10 @@ class PositionProblem(AbstractProblem):
         if outcome == Outcome.REACHED:
             return "the mechanism stands at every position."
         if outcome == Outcome.UNASSEMBLED:
-            return "the mechanism cannot be assembled at every position."
+            return (
+                "the mechanism cannot be assembled at every position, or only on another way than "
+                "the nominal one."
+            )
         said = Outcome(outcome).sentence
         return f"{said[0].lower()}{said[1:]}"
 

@@ -2,11 +2,16 @@
 derivatives are those of the solved equations.
 """
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import brentq, minimize
 
 import jaxclear as jc
+from jaxclear.formulations.quasi_static import posed
+from jaxclear.simulation.positions import positions_at, settle, spots_along, way_of
 
 CRANK, COUPLER, FOLLOWER, GROUND, CLEARANCE, GRAVITY = 0.1, 0.4, 0.3, 0.3, 0.3e-3, 9.81
 ANGLES = np.array([0.2, 1.5, 2.8, 4.1, 5.4])
@@ -173,3 +178,29 @@ def test_a_position_out_of_reach_is_named():
     )
     with pytest.raises(ValueError, match=r"at position 2 \(pin = 1.2\)"):
         jc.positions(crank, {"pin": [0.1, 0.6, 1.2]})
+
+
+def test_the_way_of_assembly_is_told_and_a_fall_to_the_other_is_found_out():
+    """A four-bar closes in two ways, whose loops' determinants have opposite signs."""
+    scene = posed(four_bar(""), ("O",))
+    way, places = way_of(scene), ANGLES[:2, None]
+    here = spots_along(scene, places, way)
+    assert np.all(here.branch == here.branch[0]) and abs(here.branch[0]) == 1
+    # Started near the other way, mirrored at the line from A to D, but told to be on this one.
+    elbow = np.arctan2(CRANK * np.sin(ANGLES[:2]), CRANK * np.cos(ANGLES[:2]) - GROUND)
+    mirrored = np.array(here.q)
+    for i, angle in enumerate(elbow):
+        stands = positions_at(
+            scene, places[i : i + 1], jax.tree.map(lambda x: x[i : i + 1], here), way
+        )
+        follower = float(stands.coordinate("D")[0, 0])
+        coupler = float(stands.coordinate("A")[0, 0])
+        mirrored[i] = np.where(np.isclose(here.q[i], follower), 2 * angle - follower, mirrored[i])
+        turned = 2 * angle - (ANGLES[i] + coupler) - ANGLES[i]
+        mirrored[i] = np.where(np.isclose(here.q[i], coupler), turned, mirrored[i])
+    fallen = eqx.tree_at(lambda spot: spot.q, here, jnp.asarray(mirrored))
+    there = positions_at(scene, places, fallen, way)
+    assert not np.any(there.found) and np.all(positions_at(scene, places, here, way).found)
+    gone = jax.vmap(lambda own, start: settle(scene.at(own), start, way))(places, fallen)
+    np.testing.assert_array_equal(gone.branch, -here.branch)
+    assert np.all(gone.change < 1e-9)

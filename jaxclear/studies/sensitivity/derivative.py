@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxclear.studies.datasets import of_derivatives
 from jaxclear.studies.monte_carlo import MonteCarlo
-from jaxclear.studies.statistics.scrambled import student
+from jaxclear.studies.statistics.scrambled import skewed_half
 
 # An answer this many times less certain than another is large agrees with anything, and confirms
 # nothing.
@@ -49,11 +49,10 @@ class Estimate(NamedTuple):
 
 
 def from_parts(parts: np.ndarray, bias: float = 0.0) -> Estimate:
-    """The mean of contributions (scramblings,), with their Student interval and a bias."""
+    """The mean of contributions (scramblings,), with their interval and a bias."""
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return refused("the sample has too few independent scramblings to tell an error.")
-    half = student(len(parts)) * parts.std(ddof=1) / np.sqrt(len(parts))
-    error = float(np.hypot(half, bias))
+    error = float(np.hypot(skewed_half(parts), bias))
     return Estimate(float(parts.mean()), error, parts=tuple(parts.tolist()), bias=float(bias))
 
 

@@ -80,7 +80,7 @@ def skewed_half(parts: np.ndarray) -> float:
     count, spread = len(parts), float(parts.std(ddof=1))
     times = student(count)
     half = times * spread / np.sqrt(count)
-    if spread == 0.0:
+    if spread == 0.0 or count < 3:
         return half
     skewness = abs(float(scipy.stats.skew(parts, bias=False)))
     return half + skewness * spread * (2 * times**2 + 1) / (6 * count)
