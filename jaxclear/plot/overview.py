@@ -17,6 +17,7 @@ from jaxclear.plot.shares import (
     corrected,
     multi_fidelity,
     reliability,
+    shapley_effects,
     sobol_indices,
     surface,
     worst_case,
@@ -36,6 +37,7 @@ from jaxclear.studies.life.settled import Settled
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.sensitivity.derivative import Sensitivity
+from jaxclear.studies.statistics.shapley import ShapleyEffects
 from jaxclear.studies.statistics.sobol_indices import SobolIndices
 from jaxclear.studies.surface.correction import Corrected
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -120,6 +122,7 @@ FIGURES: dict[type, Callable] = {
     ResponseSurface: surface,
     Sensitivity: sensitivity,
     Settled: settled,
+    ShapleyEffects: shapley_effects,
     SobolIndices: sobol_indices,
     Trajectory: overview,
     WearLife: wear_life,

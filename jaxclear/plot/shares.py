@@ -13,6 +13,7 @@ from jaxclear.plot.canvas import panels, readable
 from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.reliability.result import Reliability
+from jaxclear.studies.statistics.shapley import ShapleyEffects
 from jaxclear.studies.statistics.sobol_indices import SobolIndices
 from jaxclear.studies.surface.correction import Corrected
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -23,6 +24,7 @@ __all__ = [
     "error_budget",
     "multi_fidelity",
     "reliability",
+    "shapley_effects",
     "sobol_indices",
     "surface",
     "worst_case",
@@ -113,6 +115,24 @@ def sobol_indices(study: SobolIndices, *, ax: Any = None) -> Any:
     sheet.legend(ncols=2)
     sheet.title(f"Sobol' indices, {study.runs} runs", fontsize=10)
     return sheet.done()
+
+
+@answering
+def shapley_effects(study: ShapleyEffects, *, ax: Any = None) -> Any:
+    """Effect of each variable, with 95 % intervals. `ax`: axes for each response."""
+    expect(study, ShapleyEffects, "the study", "what jaxclear.shapley_effects returns")
+    names = list(dict.fromkeys(response for response, _ in study.effects))
+    variables = list(dict.fromkeys(variable for _, variable in study.effects))
+    size = (WIDE * len(names), 1.4 + 0.4 * len(variables))
+    sheet = panels("shapley_effects", ax, 1, len(names), size)
+    for axis, name in zip(sheet.axes.flat, names, strict=True):
+        for row, variable in enumerate(variables):
+            _interval(axis, row, *study.effects[name, variable], color="C0")
+        _rows(axis, variables)
+        axis.axvline(0.0, color="0.7", lw=0.8)
+        axis.set_xlabel(f"Shapley effect on {name} [1]")
+    sheet.title(f"Shapley effects, {study.runs} runs", fontsize=10)
+    return sheet.done([study.remark] if study.remark else [])
 
 
 @answering

@@ -17,6 +17,7 @@ __all__ = [
     "of_corrected",
     "of_derivatives",
     "of_design",
+    "of_effects",
     "of_indices",
     "of_reliability",
     "of_rows",
@@ -86,6 +87,17 @@ def of_derivatives(study: Any) -> Any:
         pairs[f"{method} error"] = {key: one.error for key, one in own.items()}
         pairs[f"{method} refusal"] = {key: one.refusal for key, one in own.items()}
     return _of_pairs("sensitivity", study.sample.problem, pairs, samples=study.sample.count)
+
+
+def of_effects(study: Any) -> Any:
+    """Of `ShapleyEffects`."""
+    pairs = {
+        "effect": {key: one.value for key, one in study.effects.items()},
+        "effect low": {key: one.low for key, one in study.effects.items()},
+        "effect high": {key: one.high for key, one in study.effects.items()},
+    }
+    said = {"runs": study.runs, "failed": study.failed, "remark": study.remark}
+    return _of_pairs("Shapley effects", study.problem, pairs, **said)
 
 
 def of_indices(study: Any) -> Any:

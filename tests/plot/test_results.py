@@ -46,6 +46,7 @@ STUDIES = {
     "Sensitivity": lambda folder: jc.sensitivity(problem(), sample=128, difference_samples=64),
     "WorstCase": lambda folder: jc.worst_case(problem(), samples=16),
     "SobolIndices": lambda folder: jc.sobol_indices(problem(), 64),
+    "ShapleyEffects": lambda folder: jc.shapley_effects(problem(), 64),
     "ResponseSurface": lambda folder: jc.surface(problem()),
     "Corrected": lambda folder: jc.corrected(jc.surface(problem()), 8, limits={"long": TOO_LONG}),
     "Reliability": lambda folder: jc.reliability(problem(), TOO_LONG),
@@ -62,7 +63,7 @@ def results(tmp_path_factory):
 
 
 # Kinds that take a run or a life to have: the slow suite.
-LONG = {"Corrected", "Reliability", "Design", "MultiFidelity"}
+LONG = {"Corrected", "ShapleyEffects", "Reliability", "Design", "MultiFidelity"}
 EACH = [pytest.param(kind, marks=[pytest.mark.slow] * (kind in LONG)) for kind in STUDIES]
 OF_RUNS = ["Trajectory", "PointingError", "Positions", "Settled", "WearLife", "WearLives", "Advice"]
 

@@ -25,6 +25,7 @@ from jaxclear.ground.arguments import check_count, check_flags
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.datasets import of_effects
 from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.sampling import LEAST_SHARE, check_sampled, groups
 from jaxclear.studies.scrambling import scrambled_shares
@@ -51,6 +52,11 @@ class ShapleyEffects(eqx.Module):
     runs: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
     remark: str = eqx.field(static=True, default="")
+
+    def to_dataset(self) -> Any:
+        """Effects with their intervals as an xarray Dataset by response and variable, with
+        provenance."""
+        return of_effects(self)
 
     def table(self) -> Any:
         """A pandas table by response and variable: each effect with its error."""
