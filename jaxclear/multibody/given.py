@@ -17,6 +17,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import System
 from jaxclear.multibody.topology import coordinate_joint
 from jaxclear.multibody.tree import Motion
+from jaxclear.multibody.turned_round import at_start
 
 
 class Source(NamedTuple):
@@ -59,6 +60,8 @@ def coordinate_equations(
     wanted = joint.start(given)
     if where.branch is not None:
         own, turns = q[where.branch], False
+        branch, still = system.topology.branches[where.branch], (0.0,) * len(joint.told(given))
+        wanted = at_start(branch, joint, wanted, still)[0]
     else:
         own = joint.coordinates_at(kinematics.relative_motion(where.closure, motions)[1])
         turns = True
@@ -70,11 +73,13 @@ def coordinate_equations(
 
 
 def speed_equations(
-    system: System, motions: tuple[Motion, ...], v: tuple, where: Source, given: tuple
+    system: System, motions: tuple[Motion, ...], q: tuple, v: tuple, where: Source, given: tuple
 ) -> Equations:
-    """Speeds that are to be `given`; `v` are those of the tree, by branch."""
+    """Speeds that are to be `given`; `q` and `v` are those of the tree, by branch."""
     if where.branch is not None:
-        own = v[where.branch]
+        own, branch = v[where.branch], system.topology.branches[where.branch]
+        place = at_start(branch, where.joint, q[where.branch], own)[0]
+        given = at_start(branch, where.joint, place, given)[1]
     else:
         own = where.joint.speeds_at(*kinematics.relative_motion(where.closure, motions)[2])
     missed = tuple(jnp.asarray(sp.sub(a, b), float) for a, b in zip(own, given, strict=True))

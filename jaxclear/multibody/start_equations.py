@@ -18,6 +18,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
 from jaxclear.multibody.tree import Motion
+from jaxclear.multibody.turned_round import at_start
 
 LOOP, GIVEN, JOURNAL, GUESS = "loop", "given", "journal", "guess"
 # Largest change of a coordinate in one step [rad, longest arms]: keeps the search on the branch of
@@ -84,8 +85,11 @@ def guess(mechanism: Mechanism) -> tuple[Array, Array]:
     for branch, link in zip(system.topology.branches, system.links, strict=True):
         if branch.coordinate_count:
             known = rough.get(branch.name)
-            q.extend(link.joint.home if known is None else link.joint.start(known))
-        v.extend(mechanism.speeds.get(branch.name, (0.0,) * branch.speed_count))
+            own = link.joint.home if known is None else link.joint.start(known)
+            fast = mechanism.speeds.get(branch.name, (0.0,) * branch.speed_count)
+            own, fast = at_start(branch, link.joint, own, fast)
+            q.extend(own)
+            v.extend(fast)
     return sp.stack(q), sp.stack(v)
 
 
@@ -172,11 +176,11 @@ def position_blocks(asked: Ask, q: Array, time: Any) -> list[Block]:
 
 def speed_blocks(asked: Ask, q: Array, v: Array, time: Any) -> list[Block]:
     """What is left to change in the speeds, in order."""
-    _, own_v, motions = motions_at(asked, q, v, time)
+    own_q, own_v, motions = motions_at(asked, q, v, time)
     blocks = [_closure_block(asked, motions, n, c, LOOP, True) for n, c in _loops(asked)]
     for name, values in asked.mechanism.given["speeds"].items():
         where = given.source(asked.mechanism, asked.system, name)
-        found = given.speed_equations(asked.system, motions, own_v, where, values)
+        found = given.speed_equations(asked.system, motions, own_q, own_v, where, values)
         told = (True,) * len(values)
         blocks.append(_given_block(asked, GIVEN, name, where, found, told))
     return blocks + [

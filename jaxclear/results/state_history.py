@@ -17,6 +17,8 @@ from jaxclear.ground.wording import unknown
 from jaxclear.multibody import kinematics, state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
+from jaxclear.multibody.topology import joint_of
+from jaxclear.multibody.turned_round import goes_backwards, rows_turned_round
 from jaxclear.native import over_rows
 
 
@@ -46,12 +48,18 @@ class StateHistory(eqx.Module):
         topology = self.mechanism.topology
         floating = [b.body for b in topology.branches if b.connection is None]
         check_known(name, [*self.mechanism.connections, *floating], "joint or floating body")
+        start = topology.coordinate_count
         for branch in topology.branches:
             if name == (branch.body if branch.connection is None else branch.connection):
-                if not speeds:
-                    return self.states[:, branch.coordinates]
-                start = topology.coordinate_count
-                return self.states[:, start + branch.speeds.start : start + branch.speeds.stop]
+                last = start + branch.speeds.stop
+                found = (
+                    self.states[:, branch.coordinates],
+                    self.states[:, start + branch.speeds.start : last],
+                )
+                joint = joint_of(branch, self.mechanism.bodies, self.mechanism.connections)
+                if goes_backwards(branch, joint):
+                    found = rows_turned_round(joint, *found)
+                return found[speeds]
         raise ValueError(
             f'"{name}" carries no coordinates: it is driven, has clearance, or closes a loop.'
         )
