@@ -3,8 +3,11 @@ is needed, starts no device, and of the user's settings changes two, which its t
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -76,3 +79,81 @@ def test_importing_starts_no_device(imported):
 
 def test_importing_loads_nothing_that_may_come_later(imported):
     assert not LATE & set(imported["modules"])
+
+
+def test_all_joins_every_extra_of_users():
+    """What is left out serves those who work on the package."""
+    project = Path(__file__).parents[1] / "pyproject.toml"
+    extras = tomllib.loads(project.read_text())["project"]["optional-dependencies"]
+    users = sorted(set(extras) - {"all", "book", "dev", "peers", "test"})
+    assert extras["all"] == [f"jaxclear[{','.join(users)}]"]
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_what_the_package_reads(tmp_path):
+    """Built, unpacked, and used from elsewhere, without the working tree."""
+    root = Path(__file__).parents[1]
+    tree = tmp_path / "tree"
+    ignored = shutil.ignore_patterns(".git", "build", "*.egg-info", "__pycache__")
+    shutil.copytree(root, tree, ignore=ignored)
+    pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
+    subprocess.run([*pip, "wheel", "--no-deps", "-w", tmp_path, tree], check=True)
+    wheel = next(tmp_path.glob("jaxclear-*.whl"))
+    place = tmp_path / "installed"
+    subprocess.run([*pip, "install", "--no-deps", "--target", place, wheel], check=True)
+    kept = {str(p.relative_to(place)) for p in place.rglob("*") if p.is_file()}
+    for path in (root / "jaxclear").rglob("*"):
+        name = str(path.relative_to(root)).removeprefix("jaxclear/commands/before_jax/")
+        if path.is_file() and path.suffix != ".pyc":
+            assert name in kept, name
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    code = "from jaxclear_command.cli import main; main(['parameters'])"
+    said = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment | {"PYTHONPATH": str(place)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert 'connections["B"].joint.clearance' in said
+
+
+SPAWNED = """
+import multiprocessing
+
+import numpy as np
+
+import jaxclear as jc
+
+
+def end(_=None):
+    rig = jc.Mechanism(
+        bodies={"rod": jc.Body(mass=0.5, inertia=2e-3, com=(0.1, 0.0))},
+        connections={"pin": jc.Connection(jc.joint.Revolute(), "ground", "rod")},
+        loads={"gravity": jc.load.Gravity((0.0, -9.81))},
+    )
+    run = jc.simulate(rig, 0.01, save=3, integrator=jc.integrator.FixedStep(1e-4))
+    return np.asarray(run.states)[-1].tolist()
+
+
+if __name__ == "__main__":
+    here = end()
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        assert pool.map(end, range(2)) == [here, here]
+    print("the same")
+"""
+
+
+@pytest.mark.slow
+def test_spawned_processes_compute_the_same(tmp_path):
+    (tmp_path / "spawned.py").write_text(SPAWNED)
+    root = str(Path(__file__).parents[1])
+    done = subprocess.run(
+        [sys.executable, tmp_path / "spawned.py"],
+        env=os.environ | {"PYTHONPATH": root},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "the same"

@@ -31,7 +31,7 @@ def compiled_quickly(
     @functools.cache
     def quick(unknown: frozenset[str]) -> Callable[..., Any]:
         own: Any = {name: value for name, value in options.items() if name not in unknown}
-        return eqx.filter_jit(function, compiler_options=own)
+        return eqx.filter_jit(function, compiler_options=own)  # type: ignore[call-overload]
 
     @functools.wraps(function)
     def call(*arguments):
