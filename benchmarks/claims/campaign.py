@@ -29,8 +29,8 @@ def four_bar_in_motion() -> jc.Problem:
 
 
 PROBLEMS: dict[str, tuple[Callable[[], Any], int, int]] = {
-    "four-bar, 0.05 s of motion": (four_bar_in_motion, 128, 256),
-    "four-bar, 36 positions": (four_bar_positions, 1 << 14, 1 << 15),
+    "four-bar, 0.05 s of motion": (four_bar_in_motion, 128, 512),
+    "four-bar, 36 positions": (four_bar_positions, 1 << 14, 1 << 17),
     "stack of ten": (stack, 1 << 17, 1 << 20),
 }
 
