@@ -120,6 +120,7 @@ def parallel_rows() -> list[dict[str, Any]]:
                 "largest depth [um]": 1e6 * float(life.over_life("depth")[-1]),
                 "error told [%]": 100 * life.error,
                 "of the volume [%]": 100 * float(life.errors_of_volume[-1]),
+                "a cycle by its saves, at most [%]": 100 * float(life.by_saves.max()),
                 "CPU [s]": spent,
             }
         )
