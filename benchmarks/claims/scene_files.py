@@ -2,6 +2,7 @@
 Python; accelerations of public robots from URDF beside MuJoCo's; and what becomes of mutated files.
 """
 
+import json
 import tempfile
 import time
 from pathlib import Path
@@ -78,7 +79,10 @@ def main() -> None:
     report("Scene files: mutated files", [row], options)
     models = dict(list(PUBLIC.items())[:1]) if options.quick else PUBLIC
     report("Scene files: accelerations beside MuJoCo's", differences(models), options)
-    print(about("benchmarks.claims.scene_files", options.json))
+    if options.json is not None:
+        known = json.loads(options.json.read_text())
+        told = {"about": about("benchmarks.claims.scene_files", options.json)}
+        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
 
 
 if __name__ == "__main__":

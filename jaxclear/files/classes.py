@@ -39,7 +39,7 @@ from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation.saving import Saving
 from jaxclear.studies.distribution import FromScipy
-from jaxclear.studies.variable import Variable
+from jaxclear.studies.variable import AbstractMechanismVariable, Variable
 
 __all__ = ["Argument", "arguments", "builders", "full_name", "members"]
 
@@ -141,6 +141,8 @@ INSTEAD: dict[type, tuple[Callable[..., Any], dict[str, Argument]]] = {
         },
     ),
 }
+# The class of a mapping that says no kind, where it is not the only one.
+USUAL: Mapping[Any, type] = MappingProxyType({AbstractMechanismVariable: Variable})
 # The argument for which a text alone stands.
 ALONE: Mapping[Any, str] = MappingProxyType({Marker: "body"})
 

@@ -10,7 +10,16 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.files.classes import ALONE, INSTEAD, Argument, arguments, builders, full_name, members
+from jaxclear.files.classes import (
+    ALONE,
+    INSTEAD,
+    USUAL,
+    Argument,
+    arguments,
+    builders,
+    full_name,
+    members,
+)
 from jaxclear.files.forms import (
     AbstractForm,
     ByName,
@@ -214,6 +223,8 @@ def _only_member(form: Part, known: dict, made: dict, node: Node, path: str) -> 
     """The class of a mapping that does not say its kind."""
     if len(form.families) == 1 and form.families[0] in known.values():
         return form.families[0]
+    if form.families[0] in USUAL:
+        return USUAL[form.families[0]]
     raise misread(node, path, f"says no {KIND}; it must be {_one_of(known, made)}.")
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import singledispatch
 from typing import Any
 
-from jaxclear.files.classes import ALONE, Argument, arguments, builders, full_name, members
+from jaxclear.files.classes import ALONE, USUAL, Argument, arguments, builders, full_name, members
 from jaxclear.files.forms import (
     AbstractForm,
     ByName,
@@ -138,7 +138,7 @@ def _(form: Part, known: dict[str, Schema]) -> Schema:
         places[name] = (full_name(kind), arguments(kind))
     for name, (build, taken) in made.items():
         places[name] = (full_name(build), taken)
-    single = len(form.families) == 1 and form.families[0] in kinds.values()
+    single = len(form.families) == 1 and form.families[0] in {*kinds.values(), *USUAL}
     refs = []
     for name, (full, own) in sorted(places.items()):
         if any(argument.needed and argument.form is None for argument in own.values()):

@@ -19,6 +19,8 @@ __all__ = ["Misread", "Node", "misread", "parsed", "text_of"]
 LARGEST, MOST_VALUES, DEEPEST = 32_000_000, 1_000_000, 60
 # Longest number [characters]: Python refuses to read whole numbers of thousands of digits.
 LONGEST_NUMBER = 400
+# Longest place and sentence of a refusal [characters]: a name may be as long as a file.
+LONGEST_PLACE, LONGEST_SENTENCE = 300, 1500
 YAML, JSON = (".yaml", ".yml"), (".json",)
 # YAML 1.2.2, section 10.3.2, https://yaml.org/spec/1.2.2/.
 NULLS = {"", "~", "null", "Null", "NULL"}
@@ -57,7 +59,10 @@ class Node:
 def misread(node: Node, path: str, sentence: str) -> Misread:
     """What is wrong with a value at a place."""
     line = f"line {node.line}, " if node.line else ""
-    return Misread(f"{line}{path}: {sentence}")
+    place = path if len(path) <= LONGEST_PLACE else f"{path[:LONGEST_PLACE]}..."
+    if len(sentence) > LONGEST_SENTENCE:
+        sentence = f"{sentence[:LONGEST_SENTENCE]}..."
+    return Misread(f"{line}{place}: {sentence}")
 
 
 def text_of(path: Path) -> str:
