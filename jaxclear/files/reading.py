@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 
 from jaxclear.files.classes import (
     ALONE,
@@ -36,6 +35,7 @@ from jaxclear.files.forms import (
     Whole,
 )
 from jaxclear.files.places import NumberPlaces, steps_of
+from jaxclear.files.plain_values import as_float, is_number, nested, plain_text
 from jaxclear.files.text import Misread, Node, misread
 from jaxclear.ground.wording import listed, unknown
 
@@ -55,28 +55,28 @@ def read(form: AbstractForm, node: Node, path: str, folder: Path) -> Any:
 
 @read.register
 def _(form: Number, node: Node, path: str, folder: Path) -> Any:
-    if not _is_number(node):
+    if not is_number(node):
         raise misread(node, path, f"is {node.said}; it must be one number{_unit(form.metadata)}.")
-    return _as_float(node, path)
+    return as_float(node, path)
 
 
 @read.register
 def _(form: Numbers, node: Node, path: str, folder: Path) -> Any:
-    if _is_number(node):
-        return _as_float(node, path)
+    if is_number(node):
+        return as_float(node, path)
     if not isinstance(node.value, list):
         raise misread(
             node, path, f"is {node.said}; it must be {_how_many(form)}{_unit(form.metadata)}."
         )
     for index, entry in enumerate(node.value):
-        if not _is_number(entry):
+        if not is_number(entry):
             raise misread(entry, f"{path}[{index}]", f"is {entry.said}; it must be a number.")
-    return tuple(_as_float(entry, path) for entry in node.value)
+    return tuple(as_float(entry, path) for entry in node.value)
 
 
 @read.register
 def _(form: NumberArray, node: Node, path: str, folder: Path) -> Any:
-    return jnp.asarray(_nested(node, path), float)
+    return jnp.asarray(nested(node, path), float)
 
 
 @read.register
@@ -95,13 +95,13 @@ def _(form: Flag, node: Node, path: str, folder: Path) -> Any:
 
 @read.register
 def _(form: Text, node: Node, path: str, folder: Path) -> Any:
-    return _text(node, path)
+    return plain_text(node, path)
 
 
 @read.register
 def _(form: FileName, node: Node, path: str, folder: Path) -> Any:
     try:
-        return folder / _text(node, path)
+        return folder / plain_text(node, path)
     except ValueError as error:
         raise misread(node, path, str(error)) from None
 
@@ -109,7 +109,7 @@ def _(form: FileName, node: Node, path: str, folder: Path) -> Any:
 @read.register
 def _(form: Place, node: Node, path: str, folder: Path) -> Any:
     entries = node.value if isinstance(node.value, list) and node.value else [node]
-    paths = tuple(_text(entry, path) for entry in entries)
+    paths = tuple(plain_text(entry, path) for entry in entries)
     for entry, words in zip(entries, paths, strict=True):
         try:
             steps_of(words)
@@ -159,7 +159,7 @@ def _(form: Part, node: Node, path: str, folder: Path) -> Any:
         if named is None:
             kind = _only_member(form, known, made, node, path)
         else:
-            kind = _known(_text(named, f"{path}.{KIND}"), named, known, made, path)
+            kind = _known(plain_text(named, f"{path}.{KIND}"), named, known, made, path)
     elif isinstance(values, str) and alone is not None:
         kind, given = form.families[0], {alone: node}
     elif isinstance(values, str):
@@ -246,7 +246,7 @@ def _one_of(known: dict, made: dict) -> str:
 def _looks_like(form: AbstractForm, node: Node) -> bool:
     """Whether a value is written as things of a form are."""
     value = node.value
-    if isinstance(form, (Number, Numbers)) and _is_number(node):
+    if isinstance(form, (Number, Numbers)) and is_number(node):
         return True
     if isinstance(form, Part):
         return isinstance(value, (dict, str))
@@ -259,37 +259,6 @@ def _looks_like(form: AbstractForm, node: Node) -> bool:
     if isinstance(form, Flag):
         return isinstance(value, bool)
     return isinstance(form, ByName) and isinstance(value, dict)
-
-
-def _is_number(node: Node) -> bool:
-    return isinstance(node.value, (int, float)) and not isinstance(node.value, bool)
-
-
-def _as_float(node: Node, path: str) -> float:
-    try:
-        return float(node.value)
-    except OverflowError:
-        raise misread(node, path, "is a number beyond all that a computer holds.") from None
-
-
-def _text(node: Node, path: str) -> str:
-    if isinstance(node.value, str):
-        return node.value
-    if node.raw is not None:
-        return node.raw
-    raise misread(node, path, f"is {node.said}; it must be a text.")
-
-
-def _nested(node: Node, path: str) -> Any:
-    """Numbers in nested lists, all of one shape."""
-    if _is_number(node):
-        return _as_float(node, path)
-    if not isinstance(node.value, list):
-        raise misread(node, path, f"is {node.said}; it must be a list of numbers.")
-    found = [_nested(entry, path) for entry in node.value]
-    if len({np.shape(entry) for entry in found}) > 1:
-        raise misread(node, path, "is a list whose entries have different lengths.")
-    return found
 
 
 def _how_many(form: Numbers) -> str:
