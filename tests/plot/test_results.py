@@ -181,7 +181,7 @@ def test_a_result_of_runs_is_drawn_and_kept(run, kind, tmp_path):
         jc.scenes.slider_crank(wear=True, crank_speed=50.0),
         duration=period,
         variables={"clearance": jc.Variable(clearance, tolerance=20e-6)},
-        response={"depth": jc.response.PeakWornDepth("B", "bearing")},
+        response={"peak": jc.response.PeakWornDepth("B", "bearing")},
         integrator=jc.integrator.ImplicitStep(),
     )
     found = {
