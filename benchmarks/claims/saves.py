@@ -79,7 +79,7 @@ def main() -> None:
     options = arguments(__doc__)
     rungs = dict(list(RUNGS.items())[:1]) if options.quick else RUNGS
     rows = [
-        measured(name, integrator, batch, 3 if options.quick else 15)
+        measured(name, integrator, batch, 3 if options.quick else 7)
         for name, integrator in rungs.items()
         for batch in ((0,) if options.quick else (0, BATCH))
     ]

@@ -29,7 +29,7 @@ from jaxclear.native.program import (
     loops_marked,
     row_of,
 )
-from jaxclear.native.tangent import bundled
+from jaxclear.native.tangent import bundled, by_portions, side_by_side
 from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, tell
 from jaxclear.native.writer import Unsupported
 
@@ -99,8 +99,7 @@ def _shapes(*avals, program, rank):
 def _batch(values, dims, *, program, rank):
     bundle = bundled(program, values, dims, rank)
     if bundle is not None:
-        out = loop_p.bind(*bundle.values, program=bundle.program, rank=bundle.rank)
-        return bundle.results(out, rank)
+        return loop_p.bind(*bundle.values, program=bundle.program, rank=rank), bundle.axes
     size = next(v.shape[d] for v, d in zip(values, dims, strict=True) if d is not None)
     moved = [
         jnp.broadcast_to(v, (size, *jnp.shape(v))) if d is None else jnp.moveaxis(v, d, 0)
@@ -150,6 +149,12 @@ def _unpacked(packed: Any, avals: Sequence[Any]) -> list:
     return out
 
 
+def _by_portions(*values, program, rank, samples):
+    run = lambda given, narrower, rank: loop_p.bind(*given, program=narrower, rank=rank)
+    size = side_by_side(program.narrow, samples)
+    return by_portions(values, program.narrow, rank, size, run)
+
+
 def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU):
     if not program.length:
         tell(ctx, reason)
@@ -160,9 +165,12 @@ def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU):
 def _lower_on_cpu(ctx, *values, program, rank):
     if os.environ.get("JAXCLEAR_PLAIN_LOOPS", "0") not in ("", "0"):
         return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=SWITCHED_OFF)
+    samples = int(np.prod(ctx.avals_in[-1].shape[:rank]))
+    if program.narrow is not None and side_by_side(program.narrow, samples) < program.narrow.count:
+        lower = mlir.lower_fun(_by_portions, multiple_results=True)
+        return lower(ctx, *values, program=program, rank=rank, samples=samples)
     try:
-        batch = ctx.avals_in[-1].shape[:rank]
-        kernel = kernels.build(program, widest() if int(np.prod(batch)) > 1 else 1)
+        kernel = kernels.build(program, widest() if samples > 1 else 1)
         # The compiled program keeps it.
         ctx.module_context.add_keepalive(kernel)
         lower = mlir.lower_fun(_native, multiple_results=True)

@@ -21,7 +21,8 @@ class Program(NamedTuple):
     the body that nothing but other tangents depends on; `motion`: the loop without the last of
     them. `length`: of a loop that takes so many turns, which the state's first number counts, and
     whose body gives a row of results behind the state, kept for every turn (0: of any other).
-    `within`: it stands in the body of another loop, whose kernel it is a part of.
+    `within`: it stands in the body of another loop, whose kernel it is a part of. `narrow`: the
+    loop of one of the tangents that it takes side by side.
     """
 
     condition: ClosedJaxpr
@@ -33,6 +34,17 @@ class Program(NamedTuple):
     motion: "Program | None" = None
     length: int = 0
     within: bool = False
+    narrow: "Narrow | None" = None
+
+
+class Narrow(NamedTuple):
+    """A loop of which several tangents are wanted, `count` of them: which of its inputs differ
+    between these (`batched`) and which parts of its last state and of a row do (`moving`)."""
+
+    program: Program
+    batched: tuple[bool, ...]
+    moving: tuple[bool, ...]
+    count: int
 
 
 def scan_counts(params: dict[str, Any]) -> tuple[int, int]:

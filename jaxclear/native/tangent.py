@@ -15,7 +15,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
 from jaxclear.native.calls import CALLS, called
-from jaxclear.native.program import Program, avals_of, row_of, scan_counts
+from jaxclear.native.program import Narrow, Program, avals_of, row_of, scan_counts
 
 # Tangents in one body: more of them outgrow the registers.
 SIDE_BY_SIDE = 2
@@ -129,6 +129,7 @@ def tangent_program(
         body_constants=known,
         tangents=frozenset(tangents),
         motion=program,
+        narrow=None,
     )
 
 
@@ -141,31 +142,12 @@ def motion_in(program: Program) -> list[int]:
 
 
 class Bundle(NamedTuple):
-    """Several tangents of one motion: the loop that takes them and its `values`, whose leading axes
-    are `rank` in number; `moving`: which parts of state and row are tangents that differ;
-    `tangents`: how many there are."""
+    """Several tangents of one motion: the loop that takes them side by side, its `values`, and the
+    axis of the tangents in each of its results (None: it is the same for all)."""
 
     program: Program
     values: list[Any]
-    rank: int
-    moving: tuple[bool, ...]
-    tangents: int
-
-    def results(self, out: Sequence[Any], rank: int) -> tuple[list[Any], list[int | None]]:
-        """(parts of the last state, the axis of the tangents in each) for the loop of this rank
-        that was asked for all of them."""
-        apart, state = self.rank > rank, len(avals_of(self.program)[1])
-        found: list[Any] = []
-        for place, (part, moves) in enumerate(zip(out, self.moving, strict=True)):
-            if moves:
-                # A table has its rows in front of what stands in them.
-                own = self.rank + (place >= state)
-                ahead = jnp.moveaxis(part, own, 1 if apart else 0)
-                ahead = ahead.reshape(-1, *ahead.shape[2:]) if apart else ahead
-                found.append(ahead[: self.tangents])
-            else:
-                found.append(part[0] if apart else part)
-        return found, [0 if moves else None for moves in self.moving]
+    axes: list[int | None]
 
 
 def bundled(
@@ -177,40 +159,67 @@ def bundled(
     differing = {i for i, d in enumerate(batched[c:]) if d}
     if any(batched[:c]) or not differing <= program.tangents:
         return None
-    values = list(map(jnp.asarray, values))
     moving = moving_state(program, batched[c : c + b], batched[c + b :])
     state = len(values) - c - b
     batched = [*batched[: c + b], *moving[:state]]
-    count = next(v.shape[d] for v, d in zip(values, dims, strict=True) if d is not None)
-    side_by_side = min(SIDE_BY_SIDE, count if rank else -(-count // LANES))
-    # Within a kernel there are no further lanes.
-    side_by_side = count if program.within else side_by_side
-    portions = -(-count // side_by_side)
-    wide = _widened(program, batched, moving[state:], side_by_side)
+    count = next(np.shape(v)[d] for v, d in zip(values, dims, strict=True) if d is not None)
+    narrow = Narrow(program, tuple(batched), moving, count)
 
     def arranged(value, dim, differs):
         if not differs:
-            return jnp.broadcast_to(value, (portions, *value.shape)) if portions > 1 else value
-        if dim is None:
-            value = jnp.broadcast_to(value, (count, *value.shape))
-        else:
-            value = jnp.moveaxis(value, dim, 0)
-        # The last one stands in for those that the last portion lacks.
-        value = value[np.arange(portions * side_by_side).clip(max=count - 1)]
-        value = value.reshape(portions, side_by_side, *value.shape[1:])
-        value = jnp.moveaxis(value, 1, 1 + rank)
-        return value if portions > 1 else value[0]
+            return value
+        if dim is not None:
+            return jnp.moveaxis(value, dim, rank)
+        lead, rest = np.shape(value)[:rank], np.shape(value)[rank:]
+        return jnp.broadcast_to(jnp.expand_dims(value, rank), (*lead, count, *rest))
 
     arranged_values = [arranged(*each) for each in zip(values, dims, batched, strict=True)]
-    return Bundle(wide, arranged_values, rank + (portions > 1), moving, count)
+    # A table has its rows in front of what stands in them.
+    axes = [rank + (i >= state) if moves else None for i, moves in enumerate(moving)]
+    return Bundle(_widened(narrow, count), arranged_values, axes)
 
 
-def _widened(program: Program, batched: Sequence[bool], row: Sequence[bool], count: int) -> Program:
-    """The loop whose batched inputs, and parts of its `row`, have a leading axis of so many
-    tangents."""
+def side_by_side(narrow: Narrow, samples: int) -> int:
+    """How many of the tangents a kernel takes at once, which goes through so many samples: of one
+    alone the others are further samples."""
+    alone = -(-narrow.count // LANES)
+    return min(SIDE_BY_SIDE, narrow.count if samples > 1 else alone)
+
+
+def by_portions(values: Sequence[Any], narrow: Narrow, rank: int, size: int, run: Any) -> list[Any]:
+    """What the loop of all tangents gives, by one that takes `size` of them at once: `run(values,
+    program, rank)`."""
+    portions = -(-narrow.count // size)
+    # The last one stands in for those that the last portion lacks.
+    places = np.arange(portions * size).clip(max=narrow.count - 1)
+
+    def arranged(value, differs):
+        if not differs:
+            return jnp.broadcast_to(value, (portions, *value.shape))
+        value = jnp.moveaxis(value, rank, 0)[places]
+        return jnp.moveaxis(value.reshape(portions, size, *value.shape[1:]), 1, 1 + rank)
+
+    given = [arranged(*each) for each in zip(values, narrow.batched, strict=True)]
+    out = run(given, _widened(narrow, size), rank + 1)
+    state = len(avals_of(narrow.program)[1])
+    found: list[Any] = []
+    for place, (part, moves) in enumerate(zip(out, narrow.moving, strict=True)):
+        if not moves:
+            found.append(part[0])
+            continue
+        axis = rank + (place >= state)
+        ahead = jnp.moveaxis(part, axis + 1, 1)
+        ahead = ahead.reshape(-1, *ahead.shape[2:])[: narrow.count]
+        found.append(jnp.moveaxis(ahead, 0, axis))
+    return found
+
+
+def _widened(narrow: Narrow, count: int) -> Program:
+    """The loop whose inputs and results that differ have a leading axis of so many tangents."""
+    program = narrow.program
     c, b = program.condition_constants, program.body_constants
-    axes = [0 if each else None for each in batched[c:]]
-    out_axes = [*axes[b:], *(0 if each else None for each in row)]
+    axes = [0 if each else None for each in narrow.batched[c:]]
+    out_axes = [0 if each else None for each in narrow.moving]
     turns, tests = jaxpr_as_fun(program.body), jaxpr_as_fun(program.condition)
 
     def wide(aval, axis):
@@ -230,7 +239,8 @@ def _widened(program: Program, batched: Sequence[bool], row: Sequence[bool], cou
         places = [*[None] * c, *axes[b:]]
         return tests(*(n if a is None else n[0] for n, a in zip(numbers, places, strict=True)))
 
-    return program._replace(condition=_traced(test, asked), body=body, motion=None)
+    whole = narrow if count == narrow.count else None
+    return program._replace(condition=_traced(test, asked), body=body, motion=None, narrow=whole)
 
 
 def _traced(function, avals) -> ClosedJaxpr:

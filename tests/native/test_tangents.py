@@ -96,3 +96,26 @@ def test_what_moves_nothing_keeps_its_value_and_has_no_slope():
 def test_reverse_mode_is_refused_with_a_sentence():
     with pytest.raises(ValueError, match=r"steps_per_save.*forward\s+mode"):
         jax.grad(lambda p: END(while_loop)(p).sum())(AT)
+
+
+def test_in_a_batch_the_motion_is_shared_by_tangents_as_well(monkeypatch):
+    """Two of four stand side by side in one body, whichever map comes first."""
+    built, build = [], loop.kernels.build
+    monkeypatch.setattr(
+        loop.kernels, "build", lambda program, lanes: built.append(program) or build(program, lanes)
+    )
+
+    def slopes(p):
+        push = lambda t: jax.jvp(END(while_loop), (p,), (t,))
+        return jax.vmap(push, out_axes=(None, 0))(jnp.eye(4))
+
+    batch = AT * jnp.linspace(0.9, 1.1, 11)[:, None]
+    value, slope = jax.jit(jax.vmap(slopes))(batch)
+    np.testing.assert_allclose(
+        value, jax.vmap(END(jax.lax.while_loop))(batch), rtol=ROUNDING, atol=ROUNDING
+    )
+    assert slope.shape == (11, 4, 3)
+    (program,) = built
+    state = program.body.in_avals[program.body_constants :]
+    # Count, time, place, speed, largest value, and two tangents each of place and speed.
+    assert [a.shape for a in state] == [()] * 5 + [(2,)] * 2
