@@ -166,7 +166,10 @@ def _lower_on_cpu(ctx, *values, program, rank):
     if os.environ.get("JAXCLEAR_PLAIN_LOOPS", "0") not in ("", "0"):
         return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=SWITCHED_OFF)
     samples = int(np.prod(ctx.avals_in[-1].shape[:rank]))
-    if program.narrow is not None and side_by_side(program.narrow, samples) < program.narrow.count:
+    if (
+        program.narrow is not None
+        and side_by_side(program.narrow, samples) < program.narrow.tangents
+    ):
         lower = mlir.lower_fun(_by_portions, multiple_results=True)
         return lower(ctx, *values, program=program, rank=rank, samples=samples)
     try:

@@ -38,13 +38,13 @@ class Program(NamedTuple):
 
 
 class Narrow(NamedTuple):
-    """A loop of which several tangents are wanted, `count` of them: which of its inputs differ
+    """A loop of which so many `tangents` are wanted: which of its inputs differ
     between these (`batched`) and which parts of its last state and of a row do (`moving`)."""
 
     program: Program
     batched: tuple[bool, ...]
     moving: tuple[bool, ...]
-    count: int
+    tangents: int
 
 
 def scan_counts(params: dict[str, Any]) -> tuple[int, int]:

@@ -182,16 +182,16 @@ def bundled(
 def side_by_side(narrow: Narrow, samples: int) -> int:
     """How many of the tangents a kernel takes at once, which goes through so many samples: of one
     alone the others are further samples."""
-    alone = -(-narrow.count // LANES)
-    return min(SIDE_BY_SIDE, narrow.count if samples > 1 else alone)
+    alone = -(-narrow.tangents // LANES)
+    return min(SIDE_BY_SIDE, narrow.tangents if samples > 1 else alone)
 
 
 def by_portions(values: Sequence[Any], narrow: Narrow, rank: int, size: int, run: Any) -> list[Any]:
     """What the loop of all tangents gives, by one that takes `size` of them at once: `run(values,
     program, rank)`."""
-    portions = -(-narrow.count // size)
+    portions = -(-narrow.tangents // size)
     # The last one stands in for those that the last portion lacks.
-    places = np.arange(portions * size).clip(max=narrow.count - 1)
+    places = np.arange(portions * size).clip(max=narrow.tangents - 1)
 
     def arranged(value, differs):
         if not differs:
@@ -209,7 +209,7 @@ def by_portions(values: Sequence[Any], narrow: Narrow, rank: int, size: int, run
             continue
         axis = rank + (place >= state)
         ahead = jnp.moveaxis(part, axis + 1, 1)
-        ahead = ahead.reshape(-1, *ahead.shape[2:])[: narrow.count]
+        ahead = ahead.reshape(-1, *ahead.shape[2:])[: narrow.tangents]
         found.append(jnp.moveaxis(ahead, 0, axis))
     return found
 
@@ -239,7 +239,7 @@ def _widened(narrow: Narrow, count: int) -> Program:
         places = [*[None] * c, *axes[b:]]
         return tests(*(n if a is None else n[0] for n, a in zip(numbers, places, strict=True)))
 
-    whole = narrow if count == narrow.count else None
+    whole = narrow if count == narrow.tangents else None
     return program._replace(condition=_traced(test, asked), body=body, motion=None, narrow=whole)
 
 
