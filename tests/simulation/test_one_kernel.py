@@ -1,5 +1,5 @@
-"""A run is one kernel, from its start to its last saving time, on every rung; its numbers are those
-of a run whose saving intervals are kernels each by itself.
+"""A run is one kernel, from its start to its last saving time, on every rung of fixed steps; its
+numbers are those of a run whose saving intervals are kernels each by itself.
 """
 
 import equinox as eqx
@@ -21,13 +21,11 @@ RUNGS = {
     "fixed, short steps in contact": jc.integrator.FixedStep(1e-4, contact_steps=5.0),
     "on groups": jc.integrator.FixedStep(2e-5, "munthe_kaas4"),
     "implicit": jc.integrator.ImplicitStep(),
-    "adaptive": jc.integrator.Adaptive(),
     "Moreau-Jean": jc.integrator.MoreauJean(),
     "non-colliding": jc.integrator.NonColliding(),
 }
-# Over some ten impacts rounding grows little; an error control decides by it, so few of them.
-ROUNDING = {"adaptive": 1e-6}
-SPAN = {"adaptive": 3e-3}
+# Over some ten impacts rounding grows little.
+ROUNDING = 1e-9
 QUICK = ("implicit",)
 
 
@@ -35,7 +33,7 @@ def told(rung, saves=jc.Saving(7)):
     """States at the saving times, figures and events of a run, and its kernels."""
     integrator, built, build = RUNGS[rung], [], kernel.build
     rig = integrator.formulation.seen(jc.scenes.slider_crank())
-    times = saving_times(SPAN.get(rung, 0.02), saves.at)
+    times = saving_times(0.02, saves.at)
 
     def whole():
         start = assemble_arrays(rig)
@@ -66,11 +64,10 @@ def test_a_run_is_one_kernel_and_keeps_its_numbers(rung, monkeypatch):
     # One that leaves its rows; before, one without rows for every saving interval.
     assert [bool(program.length) for program in kernels] == [True]
     assert by_save and not any(program.length for program in by_save)
-    limit = ROUNDING.get(rung, 1e-9)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
         assert one.shape == other.shape
-        allowed = limit * (1e-9 + np.max(np.abs(other), initial=0.0))
-        np.testing.assert_allclose(one, other, rtol=limit, atol=allowed)
+        allowed = ROUNDING * (1e-9 + np.max(np.abs(other), initial=0.0))
+        np.testing.assert_allclose(one, other, rtol=ROUNDING, atol=allowed)
 
 
 @pytest.mark.slow
