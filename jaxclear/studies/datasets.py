@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxclear.ground.datasets import Column, dataset, of_table
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.identity import in_texts
+from jaxclear.studies.texts import in_texts
 
 __all__ = [
     "of_corners",

@@ -29,7 +29,8 @@ from jaxclear.files.reading import read
 from jaxclear.files.scene_file import RUN, TOP, scene_text
 from jaxclear.files.text import parsed
 from jaxclear.files.writing import in_plain_values
-from jaxclear.studies.identity import first_difference, in_texts
+from jaxclear.studies.identity import first_difference
+from jaxclear.studies.texts import in_texts
 
 # Told by a function, so no file holds it.
 CODE = {"Condition"}

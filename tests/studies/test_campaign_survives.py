@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.ground import forking
 from jaxclear.studies.campaign.samples import FINISHED, SAMPLES
 from tests.studies.test_campaign import contents, problem
 
@@ -26,8 +25,6 @@ SAMPLES_ASKED = CHUNK * CHUNKS - 1000
 
 
 def run(folder, samples=SAMPLES_ASKED):
-    # The server of forks has imported jaxclear and computed nothing, so it has no threads of XLA.
-    forking._forked = False
     return jc.campaign(problem(), samples, folder=folder, seed=5, chunk=CHUNK)
 
 

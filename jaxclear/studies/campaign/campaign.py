@@ -23,9 +23,9 @@ from jaxclear.studies.campaign.samples import KIND, Samples
 from jaxclear.studies.campaign.studies import kept_study
 from jaxclear.studies.campaign.work import Heard, by_threads
 from jaxclear.studies.campaign.workers import by_workers, check_client
-from jaxclear.studies.identity import in_texts
 from jaxclear.studies.sampling import check_sampled, usual_scramblings
 from jaxclear.studies.store import checked_folder, refuse_other
+from jaxclear.studies.texts import in_texts
 
 __all__ = ["campaign", "open_campaign"]
 

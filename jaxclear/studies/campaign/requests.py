@@ -16,8 +16,8 @@ import numpy as np
 
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import KEEPER, chunk_size, evaluate_all, threads_of
-from jaxclear.studies.identity import in_texts
 from jaxclear.studies.store import Store
+from jaxclear.studies.texts import in_texts
 
 __all__ = ["kept_requests"]
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.identity import in_texts
 from jaxclear.studies.store import Store
+from jaxclear.studies.texts import in_texts
 
 # Samples a batch: one record of the store, and one chunk of the compiled program.
 BATCH = 32

@@ -15,7 +15,6 @@ from jaxclear.ground.arguments import check_count, check_flags, check_number, ex
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.datasets import of_rows
-from jaxclear.studies.identity import in_texts
 from jaxclear.studies.life.living import Living
 from jaxclear.studies.life.result import WearLife
 from jaxclear.studies.life.settling import Patience
@@ -23,6 +22,7 @@ from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import draw
 from jaxclear.studies.store import Store
+from jaxclear.studies.texts import in_texts
 
 
 class WearLives(eqx.Module):

@@ -17,11 +17,11 @@ from jaxclear.integrators import Checks
 from jaxclear.results.response import concerned
 from jaxclear.results.saved_state import State
 from jaxclear.simulation.wear import Worn
-from jaxclear.studies.identity import in_texts
 from jaxclear.studies.life.curves import first_crossing, through_rates, without_overshoot
 from jaxclear.studies.life.nodes import Cells
 from jaxclear.studies.life.saves import Stage, share_by_saves
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.texts import in_texts
 
 # A normal variable stays within this many deviations in 95 % of cases.
 CONFIDENCE = 1.96

@@ -14,7 +14,6 @@ from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
-from jaxclear.studies.identity import in_texts
 from jaxclear.studies.life.cycle import as_problem
 from jaxclear.studies.life.living import Living
 from jaxclear.studies.life.nodes import Node
@@ -25,6 +24,7 @@ from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.steps import CycleFailed, Stepped, live, live_along, live_by_jumps
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store import Store
+from jaxclear.studies.texts import in_texts
 
 # Ends of a cycle this far apart are the same, as in `settled`.
 SETTLED = 1e-3

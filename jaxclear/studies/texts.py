@@ -1,0 +1,234 @@
+"""A problem in texts, one for each of its parts: two problems are one where these are the same,
+also in another process, and where one of them lies in a folder.
+
+A function is told by what it does and with what: its code and that of the functions in it, what it
+holds and has by default, and the things outside that it uses by name. What libraries bring is told
+by its name: whoever keeps texts keeps the libraries' versions beside them.
+"""
+
+import dataclasses
+import dis
+import functools
+import hashlib
+import importlib.util
+import inspect
+import re
+import sysconfig
+from collections.abc import Iterator
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.studies.base import AbstractProblem
+
+__all__ = ["in_texts", "parts_of", "texts_of"]
+
+# Longest text of one piece, in characters; what is longer ends in a digest.
+LONGEST = 60
+# Of a digest.
+DIGITS = 16
+# Where in memory a thing lies is no part of what it is.
+ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
+# Where libraries lie.
+LIBRARIES = tuple(
+    Path(sysconfig.get_paths()[kind]) for kind in ("stdlib", "platstdlib", "purelib", "platlib")
+)
+
+
+def in_texts(problem: AbstractProblem) -> dict[str, str]:
+    """A text for each part of a problem, by its path. Numbers with all their digits, large arrays
+    and functions by a digest."""
+    found: dict[str, str] = {}
+    for what, part in problem.parts().items():
+        _tell(part, what, found)
+    for name in problem.names:
+        _tell(problem.variables[name].distribution, f'distribution of "{name}"', found)
+    if problem.correlation is not None:
+        _tell(problem.correlation, "correlation of the variables", found)
+    return found
+
+
+def texts_of(thing: Any) -> dict[str, str]:
+    """As `in_texts`, of any thing."""
+    found: dict[str, str] = {}
+    _tell(thing, "", found)
+    return found
+
+
+def parts_of(thing: Any) -> dict[str, Any] | None:
+    """What a thing consists of, each by what follows its own name; None for what is one piece."""
+    if dataclasses.is_dataclass(thing) and not isinstance(thing, type):
+        return {f".{f.name}": getattr(thing, f.name) for f in dataclasses.fields(thing)}
+    if isinstance(thing, dict):
+        return {f'["{key}"]': value for key, value in thing.items()}
+    if isinstance(thing, (tuple, list)):
+        return {f"[{i}]": value for i, value in enumerate(thing)}
+    if isinstance(thing, functools.partial):
+        return {".function": thing.func, ".given": thing.args, ".named": thing.keywords}
+    return None
+
+
+def _tell(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...] = ()) -> None:
+    """Puts the texts of a thing and of its parts into `found`. `inside`: whose part it is."""
+    if id(thing) in inside:
+        found[path] = "what it is a part of"
+        return
+    inside = (*inside, id(thing))
+    if eqx.is_array(thing) or isinstance(thing, np.ndarray):
+        found[path] = _array(np.asarray(thing))
+    elif isinstance(thing, ModuleType):
+        found[path] = _module(thing)
+    elif isinstance(thing, type):
+        found[path] = f"the class {_tell_class(thing, found, inside)}"
+    elif (function := _function(thing)) is not None:
+        _tell_function(function, path, found, inside)
+    elif (parts := parts_of(thing)) is not None:
+        found[path] = _tell_class(type(thing), found, inside)
+        for key, part in parts.items():
+            _tell(part, f"{path}{key}", found, inside)
+    else:
+        _tell_piece(thing, path, found, inside)
+
+
+def _tell_piece(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...]) -> None:
+    """What has no parts that are known: by how it shows itself, or by what it holds."""
+    shown = repr(sorted(map(repr, thing)) if isinstance(thing, (set, frozenset)) else thing)
+    held = getattr(thing, "__dict__", {})
+    if ADDRESS.search(shown) and held:
+        found[path] = _tell_class(type(thing), found, inside)
+        for name, value in held.items():
+            _tell(value, f"{path}.{name}", found, inside)
+    else:
+        found[path] = _short(ADDRESS.sub("", shown))
+
+
+def _tell_class(kind: type, found: dict[str, str], inside: tuple[int, ...]) -> str:
+    """The name of a class. What the functions of one that no library brings do is told once."""
+    for owner in kind.__mro__:
+        path = f"class {owner.__module__}.{owner.__qualname__}"
+        if path in found or _of_library(owner.__module__):
+            continue
+        found[path] = "told"
+        for name in vars(owner):
+            member = inspect.getattr_static(owner, name)
+            member = member.fget if isinstance(member, property) else getattr(owner, name, None)
+            told = not name.startswith("__") or name == "__call__"
+            if told and (function := _function(member)) is not None:
+                _tell_function(function, f"{path}.{name}", found, inside)
+    return kind.__name__
+
+
+def _function(thing: Any) -> Any:
+    """The function that was written: of what JAX or a decorator has made of it, too; else None."""
+    if not callable(thing) or isinstance(thing, type):
+        return None
+    thing = inspect.unwrap(thing)
+    return thing if getattr(thing, "__code__", None) is not None else None
+
+
+def _tell_function(
+    function: Any, path: str, found: dict[str, str], inside: tuple[int, ...]
+) -> None:
+    """A function by what it does and with what."""
+    text = _digest(_code(function.__code__).encode())
+    found[path] = f"the function {function.__name__} {text}"
+    for what, part in _held(function):
+        _tell(part, f"{path} {what}", found, inside)
+    outside = function.__globals__
+    if _of_library(outside.get("__name__", "")):
+        return
+    for name in sorted(_names_outside(function.__code__)):
+        place = f"{outside.get('__name__')}.{name}"
+        # Told once: two functions may call one another.
+        if name in outside and place not in found:
+            found[place] = "told"
+            _tell(outside[name], place, found)
+
+
+def _held(function: Any) -> Iterator[tuple[str, Any]]:
+    """What a function holds, by what it is called in texts."""
+    if inspect.ismethod(function):
+        yield "of", function.__self__
+    for i, cell in enumerate(function.__closure__ or ()):
+        yield f"holds [{i}]", _content(cell)
+    for i, value in enumerate(function.__defaults__ or ()):
+        yield f"by default [{i}]", value
+    for name, value in (function.__kwdefaults__ or {}).items():
+        yield f"by default {name}", value
+
+
+def _content(cell: Any) -> Any:
+    """What is in a cell, which is empty until the name that it stands for has a value."""
+    try:
+        return cell.cell_contents
+    except ValueError:
+        return None
+
+
+def _code(code: CodeType) -> str:
+    """What a code does, without where it was written; of the functions in it, too."""
+    constants = []
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            constants.append(_code(constant))
+        elif isinstance(constant, frozenset):
+            constants.append(repr(sorted(map(repr, constant))))
+        else:
+            constants.append(repr(constant))
+    return repr((code.co_code, constants, code.co_names, code.co_varnames))
+
+
+def _names_outside(code: CodeType) -> set[str]:
+    """The names by which a code, and what is written in it, reaches things outside."""
+    names = {
+        step.argval for step in dis.get_instructions(code) if step.opname.startswith("LOAD_GLOBAL")
+    }
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            names |= _names_outside(constant)
+    return names
+
+
+@functools.cache
+def _of_library(module: str) -> bool:
+    """Whether a module is jaxclear's, Python's, or of an installed library."""
+    top = module.partition(".")[0]
+    if top in ("jaxclear", "builtins"):
+        return True
+    if top == "__main__":
+        return False
+    try:
+        found = importlib.util.find_spec(top)
+    except (ImportError, ValueError):
+        return False
+    if found is None or found.origin is None:
+        return False
+    places = Path(found.origin).parents
+    return found.origin in ("built-in", "frozen") or any(place in places for place in LIBRARIES)
+
+
+def _module(module: ModuleType) -> str:
+    """A library by its name; a user's own module with a digest of its file."""
+    file = getattr(module, "__file__", None)
+    if _of_library(module.__name__) or file is None or not Path(file).is_file():
+        return f"the module {module.__name__}"
+    return f"the module {module.__name__} {_digest(Path(file).read_bytes())}"
+
+
+def _array(values: np.ndarray) -> str:
+    if values.ndim == 0:
+        return repr(values.item())
+    if values.dtype == object:
+        return _short(ADDRESS.sub("", repr(values.tolist())))
+    return f"an array {values.shape} {values.dtype} {_digest(np.ascontiguousarray(values))}"
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}... {_digest(text.encode())}"
+
+
+def _digest(content: Any) -> str:
+    return hashlib.sha256(content).hexdigest()[:DIGITS]

@@ -1,0 +1,126 @@
+"""Problems told by the same texts are one: of a function, what it does and with what."""
+
+import functools
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxclear as jc
+from jaxclear.studies.identity import first_difference
+from jaxclear.studies.texts import in_texts, texts_of
+
+MODULE = """
+import functools
+import jax
+import jax.numpy as jnp
+
+FACTOR = {factor}
+
+def inner(x):
+    return FACTOR * x
+
+def by_global(v):
+    return inner(v["a"])
+
+def by_nested(v):
+    turned = lambda x: {nested} * x
+    return turned(v["a"])
+
+def by_keyword(v, *, factor={factor}):
+    return factor * v["a"]
+
+by_partial = functools.partial(lambda factor, v: factor * v["a"], {factor})
+by_jit = jax.jit(by_global)
+by_set = lambda v: jnp.sum(jnp.asarray([v[n] for n in ("a", "b") if n in {{"a", "b", "c"}}]))
+
+def again(n):
+    return {factor} if n == 0 else again(n - 1)
+
+def by_itself(v):
+    return again(3) * v["a"]
+
+class Law:
+    def __init__(self):
+        self.factor = {factor}
+
+    def __call__(self, v):
+        return self.factor * v["a"]
+
+by_object = Law()
+"""
+NAMES = ["by_global", "by_partial", "by_jit", "by_itself", "by_object", "by_keyword"]
+
+
+def written(factor=2.0, nested=2.0):
+    held = {"__name__": "a_users_module"}
+    exec(MODULE.format(factor=factor, nested=nested), held)
+    return held
+
+
+def asked(function):
+    variables = {"a": jc.Dimension(1.0, tolerance=0.1), "b": jc.Dimension(1.0, tolerance=0.1)}
+    return jc.FunctionProblem(lambda a, b: function({"a": a, "b": b}), variables)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_a_function_uses_belongs_to_it(name):
+    one, same, other = (written(factor)[name] for factor in (2.0, 2.0, 3.0))
+    assert texts_of(one) == texts_of(same)
+    assert texts_of(one) != texts_of(other)
+
+
+def test_functions_within_a_function_belong_to_it():
+    one, same, other = (written(nested=nested)["by_nested"] for nested in (2.0, 2.0, 3.0))
+    assert texts_of(one) == texts_of(same) != texts_of(other)
+
+
+def test_problems_of_functions_that_differ_outside_are_two():
+    one, same, other = (asked(written(factor)["by_global"]) for factor in (2.0, 2.0, 3.0))
+    assert in_texts(one) == in_texts(same)
+    assert first_difference(one, same) == ""
+    assert "another function" in first_difference(one, other)
+
+
+def test_what_a_class_does_belongs_to_its_objects():
+    def law(power):
+        class Own(eqx.Module):
+            stiffness: float
+
+            def force(self, x):
+                return self.stiffness * x**power
+
+        return Own(1.0)
+
+    assert texts_of(law(2)) == texts_of(law(2)) != texts_of(law(3))
+
+
+def test_long_texts_that_differ_at_their_end_are_two():
+    assert texts_of("x" * 100 + "1") != texts_of("x" * 100 + "2")
+    assert texts_of(jnp.arange(3)) != texts_of(jnp.arange(3.0))
+
+
+def test_texts_hold_no_address():
+    for thing in (jnp.sin, jax.jit(jnp.cos), functools.partial(jnp.add, 1.0), eqx.Module()):
+        assert not any(" at 0x" in text for text in texts_of(thing).values())
+
+
+PROGRAM = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import a_users_own, hashlib
+from jaxclear.studies.texts import texts_of
+print(hashlib.sha256(repr([sorted(texts_of(getattr(a_users_own, n)).items())
+      for n in sys.argv[2:]]).encode()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_texts_are_the_same_in_another_process(tmp_path):
+    (tmp_path / "a_users_own.py").write_text(MODULE.format(factor=2.0, nested=2.0))
+    arguments = [sys.executable, "-c", PROGRAM, str(tmp_path), *NAMES, "by_set", "by_nested"]
+    told = {subprocess.check_output(arguments, text=True) for _ in range(3)}
+    assert len(told) == 1
