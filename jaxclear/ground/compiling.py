@@ -26,12 +26,14 @@ def compiled_quickly(
 ) -> Callable[..., Any]:
     """As `equinox.filter_jit`, compiled with these options of XLA's. Within another program it is
     part of that one, and compiled as that one is."""
-    plain = eqx.filter_jit(function)
+    # Its annotations leave out what it hands on to `jax.jit`.
+    compiled: Any = eqx.filter_jit
+    plain = compiled(function)
 
     @functools.cache
     def quick(unknown: frozenset[str]) -> Callable[..., Any]:
-        own: Any = {name: value for name, value in options.items() if name not in unknown}
-        return eqx.filter_jit(function, compiler_options=own)  # type: ignore[call-overload]
+        own = {name: value for name, value in options.items() if name not in unknown}
+        return compiled(function, compiler_options=own)
 
     @functools.wraps(function)
     def call(*arguments):

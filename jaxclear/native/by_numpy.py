@@ -70,6 +70,7 @@ PLAIN: dict[str, Callable] = {
     "abs": np.abs,
     "sign": np.sign,
     "square": np.square,
+    "one_minus_square": lambda a: (1 + a) * (1 - a),
     "sqrt": np.sqrt,
     "sin": np.sin,
     "cos": np.cos,

@@ -10,6 +10,7 @@ CALLS = (
     "pjit",
     "closed_call",
     "core_call",
+    "eval_jaxpr",
     "remat",
     "checkpoint",
     "remat2",

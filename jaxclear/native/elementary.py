@@ -32,10 +32,16 @@ def _absolute(writer, x):
     )
 
 
+# Sum, difference and product.
+_PIECES = {
+    FLOAT: ("fadd contract", "fsub contract", "fmul contract"),
+    WHOLE: ("add", "sub", "mul"),
+}
+
 # fmt: off
 _LIBRARY = (
-    "exp", "exp2", "expm1", "log", "log1p", "tan", "tanh", "sinh", "cosh", "asin", "acos", "asinh",
-    "acosh", "atanh", "erf", "cbrt",
+    "exp", "exp2", "expm1", "log", "log1p", "log2", "tan", "tanh", "sinh", "cosh", "asin", "acos",
+    "asinh", "acosh", "atanh", "erf", "cbrt",
 )
 # fmt: on
 
@@ -142,6 +148,39 @@ def _square(writer, equation, a):
     return each(
         lambda x: x * x if known(x) else writer.operate(word + " {type} {0}, {0}", kind, x), a
     )
+
+
+@rule("one_minus_square")
+def _one_minus_square(writer, equation, a):
+    """In two factors, as JAX has it: close to 1 the square itself has lost the difference."""
+    kind = kinds_of(equation)[0]
+    add, sub, mul = _PIECES[kind]
+    one = 1.0 if kind == FLOAT else 1
+
+    def both(x):
+        if known(x):
+            return (one + x) * (one - x)
+        more = writer.operate(f"{add} {{type}} {{0}}, {{1}}", kind, one, x)
+        less = writer.operate(f"{sub} {{type}} {{0}}, {{1}}", kind, one, x)
+        return writer.operate(f"{mul} {{type}} {{0}}, {{1}}", kind, more, less)
+
+    return each(both, a)
+
+
+@rule("polynomial")
+def _polynomial(writer, equation, a, *coefficients):
+    """By Horner's scheme; the coefficient of the highest power is the last."""
+    if set(kinds_of(equation)) != {FLOAT}:
+        raise Unsupported("a polynomial of whole numbers")
+
+    def one(x, *factors):
+        result = factors[-1]
+        for factor in reversed(factors[:-1]):
+            product = _product(writer, result, x)
+            result = writer.operate("fadd contract {type} {0}, {1}", FLOAT, product, factor)
+        return result
+
+    return each(one, a, *coefficients)
 
 
 @rule("integer_pow")

@@ -84,6 +84,25 @@ def _concatenate(writer, equation, *arrays):
     return np.concatenate(arrays, equation.params["dimension"])
 
 
+@rule("pad")
+def _pad(writer, equation, a, value):
+    """Entries put around and between those of an array; at an edge a negative count cuts off."""
+    config = equation.params["padding_config"]
+    spread = array_of(
+        value[()], tuple(n + max(n - 1, 0) * c[2] for n, c in zip(a.shape, config, strict=True))
+    )
+    spread[tuple(slice(None, None, c[2] + 1) for c in config)] = a
+    widths = [(max(low, 0), max(high, 0)) for low, high, _ in config]
+    wide = array_of(value[()], tuple(n + sum(w) for n, w in zip(spread.shape, widths, strict=True)))
+    inner = tuple(slice(w[0], w[0] + n) for n, w in zip(spread.shape, widths, strict=True))
+    wide[inner] = spread
+    cut = [
+        (max(-low, 0), n - max(-high, 0))
+        for n, (low, high, _) in zip(wide.shape, config, strict=True)
+    ]
+    return wide[tuple(slice(*c) for c in cut)]
+
+
 @rule("stack")
 def _stack(writer, equation, *arrays):
     return np.stack(arrays, equation.params["axis"])

@@ -16,6 +16,7 @@ from equinox import internal as eqxi
 from equinox.internal._loop.common import maybe_set_p, select_if_vmap_p
 from jax import lax
 from jax.extend.core import jaxprs_in_params
+from jax.extend.core.primitives import closed_call_p
 
 import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import explain, verdict, while_loop
@@ -27,6 +28,8 @@ from jaxclear.native.while_loops import once
 ROUNDING = 1e-13
 LANES = 5
 INF, NAN = np.inf, np.nan
+# JAX writes these itself since then: squares from 1 in derivatives, calls of programs at hand.
+NEWEST = jax.__version_info__ >= (0, 12)
 X = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.5, 1e-300, -7e5, INF, -INF, NAN])
 # All pairs of six of them: an array of more than 64 numbers would stay in memory.
 FIRST, SECOND = (part.ravel() for part in np.meshgrid(*[X[[0, 1, 3, 5, 9, 11]]] * 2))
@@ -63,6 +66,18 @@ def own_vjp(x):
 
 own_jvp.defjvp(lambda x, t: (own_jvp(*x), 2.0 * t[0]))
 own_vjp.defvjp(lambda x: (3.0 * x, None), lambda _, t: (3.0 * t,))
+
+
+def called_by_name(x):
+    """The call that newer versions of JAX write for a program at hand, by its primitive."""
+    program = jax.make_jaxpr(lambda y: 3.0 * y)(x)
+    return closed_call_p.bind(x, call_jaxpr=program)[0] if NEWEST else 3.0 * x
+
+
+def polynomial(x, *factors):
+    if NEWEST:
+        return lax.polynomial(x, factors)
+    return functools.reduce(lambda sum, factor: sum * x + factor, reversed(factors))
 
 
 def set_at(allowed, array, value, i):
@@ -135,6 +150,10 @@ CASES = {
     "rev": [(lambda x: lax.rev(x, (0, 1)), (SMALL,))],
     "slice": [(lambda x: x[:, 0:3:2], (SMALL,)), (lambda t: t[3:9:2, 1:], (TABLE,))],
     "concatenate": [(lambda x: lax.concatenate([x, x], 1), (SMALL,))],
+    "pad": [
+        (lambda x, config=config: lax.pad(x, 7.0, config), (SMALL,))
+        for config in (((1, 2, 0), (0, 1, 2)), ((0, 0, 1), (-1, -1, 0)), ((-1, 0, 0), (2, -3, 1)))
+    ],
     "stack": [(lambda x: jnp.stack([x, 2 * x], 1), (SMALL,))],
     "unstack": [
         (functools.partial(unstacked, axis=axis), (values,))
@@ -181,6 +200,13 @@ CASES = {
     ],
     "scatter": [(lambda x, y, i: x.at[i, 1].set(y), (SMALL, 9.0, i)) for i in (0, 1)],
     "scatter-add": [(lambda x, y: x.at[1, 2].add(y), (SMALL, 9.0))],
+    "log2": [(getattr(lax, "log2", jnp.log2), (X,))],
+    "one_minus_square": [
+        (getattr(lax, "one_minus_square", lambda x: (1 + x) * (1 - x)), (values,))
+        for values in (X, 1.0 + 1e-9 * X[:6], N)
+    ],
+    "polynomial": [(polynomial, (X[:9], 2.0, -1.0, X[:9])), (polynomial, (0.3, 1.0, X, 4.0))],
+    "eval_jaxpr": [(called_by_name, (SMALL,))],
     "jit": [(jitted(jnp.sin), (SMALL,))],
     "remat2": [(jax.checkpoint(lambda x: 2.0 * x), (SMALL,))],
     "custom_jvp_call": [(own_jvp, (SMALL,))],
@@ -211,7 +237,10 @@ OTHER_NAMES = {
     "expand_dims": "reshape",
 }
 # Primitives that some allowed version of JAX does not know yet.
-SINCE = {"stack": (0, 10, 2), "unstack": (0, 10, 2)}
+SINCE = {
+    **dict.fromkeys(("stack", "unstack"), (0, 10, 2)),
+    **dict.fromkeys(("eval_jaxpr", "log2", "one_minus_square", "polynomial"), (0, 12)),
+}
 
 
 def inner_programs(jaxpr):
@@ -294,3 +323,31 @@ def test_every_rule_has_a_case(name):
         jaxpr = jax.make_jaxpr(function)(*arrays).jaxpr
         names = {e.primitive.name for inner in inner_programs(jaxpr) for e in inner.eqns}
         assert name in names or jax.__version_info__ < SINCE.get(name, ())
+
+
+def slope(function, arrays):
+    """The program of a case's derivative along its own floats, if there is one."""
+    moving = [i for i, a in enumerate(arrays) if np.issubdtype(np.result_type(a), np.floating)]
+
+    def along(*some):
+        given = dict(zip(moving, some, strict=True))
+        return function(*[given.get(i, jnp.asarray(a)) for i, a in enumerate(arrays)])
+
+    floats = [jnp.asarray(arrays[i]) for i in moving]
+    try:
+        return jax.make_jaxpr(lambda *x: jax.jvp(along, x, x))(*floats).jaxpr
+    except NotImplementedError:  # nextafter has none
+        return None
+
+
+# Reverse mode alone; and, since JAX 0.12, the bits of a number.
+NO_SLOPE = {"custom_vjp_call", *(["erf"] if NEWEST else [])}
+
+
+@pytest.mark.parametrize("name", sorted(CASES.keys() - NO_SLOPE))
+def test_what_jax_writes_for_a_slope_has_rules(name):
+    """Which primitives these are changes from one version of JAX to the next."""
+    for function, arrays in CASES[name]:
+        if (jaxpr := slope(function, arrays)) is not None:
+            names = {e.primitive.name for inner in inner_programs(jaxpr) for e in inner.eqns}
+            assert names <= RULES.keys()
