@@ -93,13 +93,16 @@ def many_in_doubt(checks: Checks, opens: bool) -> bool:
 
 
 def found_in_one(integrator: AbstractIntegrator, again: Callable[[Any], Trajectory]) -> Checks:
-    """What a second look at one run of a study finds to be off; `again`: that run, with an
-    integrator."""
+    """What a second look at one run of a study finds to be off; where nothing is and its impacts
+    are right, how well places in gaps agree. `again`: that run, with an integrator."""
     if integrator.with_finer_steps(FINER) is None:
         return Checks()
-    found = looked_at_again(again(integrator), integrator, again).checks
+    run = again(integrator)
+    found = looked_at_again(run, integrator, again).checks
     beyond = {check for check, over in found.beyond().items() if over} & set(FINDINGS)
-    return Checks({check: found.figures[check] for check in FINDINGS if check in beyond})
+    cleared = Check.IMPACT_STEP in set(run.checks.figures) - set(found.figures)
+    told = beyond or ({Check.PLACE_IN_GAP} if cleared else set())
+    return Checks({check: found.figures[check] for check in FINDINGS if check in told})
 
 
 def _opens(run: Trajectory) -> bool:

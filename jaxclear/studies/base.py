@@ -121,8 +121,9 @@ class AbstractProblem(AbstractQuantified):
         """How a sample ended, as the rest of a sentence that begins with its values."""
 
     def second_look(self, checks: Checks) -> Checks:
-        """What a second look at the nominal sample finds to be off, where the samples' own `checks`
-        (samples in front) bring many in doubt; no figures where nothing is to be told."""
+        """What a second look at the nominal sample finds to be off (figures beyond their limits) or
+        how well it agrees (below them), where the samples' own `checks` (samples in front) bring
+        many in doubt; no figures where nothing is to be told."""
         return Checks()
 
     def remark(self) -> str:

@@ -39,7 +39,7 @@ from jaxclear.studies.statistics.tolerance_interval import (
     free_interval,
     normal_interval,
 )
-from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
+from jaxclear.studies.warned import agreement, any_warning, counted, in_words, warned_of
 
 # What a study begins with that goes on until it is accurate.
 FIRST_SAMPLES = 256
@@ -65,7 +65,8 @@ class MonteCarlo(eqx.Module):
     scrambling: np.ndarray = eqx.field(default_factory=lambda: np.zeros(0, int))
     # What was asked of the means (half of 95 % intervals, by response) and not reached.
     unreached: str = eqx.field(static=True, default="")
-    # What a second look at the nominal sample has found, where many samples are in doubt.
+    # What a second look at the nominal sample has found, where many samples are in doubt: what is
+    # off, or how well it agrees.
     nominal: Checks = eqx.field(default_factory=Checks)
 
     @property
@@ -117,7 +118,13 @@ class MonteCarlo(eqx.Module):
         text = f"{self.count} samples, {len(self.failed)} failed, {len(self.warned)} with warnings"
         counts = counted(self.checks, np.isin(np.arange(self.count), self.warned))
         text = f"{text} ({in_words(counts)})." if counts else f"{text}."
-        told = (text, *self.doubts, self.unreached, self.problem.remark())
+        told = (
+            text,
+            agreement(self.nominal, counts),
+            *self.doubts,
+            self.unreached,
+            self.problem.remark(),
+        )
         return " ".join(filter(None, told))
 
     def _sentence(self, i):

@@ -12,13 +12,16 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy
+from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_count, check_known, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.scrambling import scrambled_shares
 
 __all__ = ["SAMPLINGS", "check_sampled", "draw", "extended", "groups", "usual_scramblings"]
@@ -28,6 +31,9 @@ SAMPLINGS = ("sobol", "random")
 MOST_SCRAMBLINGS = 16
 # Shares that have a finite score.
 LEAST_SHARE = 1e-12
+# Samples from which on their values are worth a compiled program, which takes a third of the time;
+# its last digits are its own, so that the whole sample decides, not the part that is drawn.
+MANY = 1 << 14
 
 
 def usual_scramblings(samples: int) -> int:
@@ -72,7 +78,7 @@ def draw(
         for i, (begin, end) in enumerate(itertools.pairwise(starts))
         if begin < last and end > first
     ]
-    return _values(problem, parts, seed, sampling)
+    return _values(problem, parts, seed, sampling, samples >= MANY)
 
 
 def extended(
@@ -81,16 +87,25 @@ def extended(
     """As many values (scramblings * drawn, variables) again, where every scrambling has `drawn`
     points: its next ones, one scrambling after the other."""
     parts = [(i, drawn, 2 * drawn) for i in range(scramblings)]
-    return _values(problem, parts, seed, sampling)
+    return _values(problem, parts, seed, sampling, False)
 
 
-def _values(problem, parts, seed, sampling):
+def _values(problem, parts, seed, sampling, compiled):
     count = len(problem.names)
     shares = np.concatenate(
         [_shares(count, span, (seed, i), sampling) for i, *span in parts] or [np.zeros((0, count))]
     )
     normal = scipy.special.ndtri(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
-    return np.asarray(problem.inputs.values(jnp.asarray(normal)))
+    values = _of_normal if compiled else Inputs.values
+    return np.asarray(values(problem.inputs, jnp.asarray(normal)))
+
+
+@eqx.filter_jit
+def _of_normal(
+    inputs: Inputs, normal: Float[Array, "samples variables"]
+) -> Float[Array, "samples variables"]:
+    """Values of the variables from independent standard normal numbers [1]."""
+    return inputs.values(normal)
 
 
 def _shares(count: int, span: Sequence[int], seed: tuple[int, int], sampling: str) -> np.ndarray:

@@ -14,7 +14,6 @@ import jaxclear as jc
 from jaxclear.native import stop
 from jaxclear.studies.campaign import requests, work
 from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.sampling import draw, groups
 from jaxclear.studies.store import RECORDS, Store
 
 LIMITS = {"fit": (0.2, 0.9)}
@@ -90,19 +89,6 @@ def test_a_folder_is_read_without_its_problem(plain, folder):
         found.rerun(0)
 
 
-@pytest.mark.parametrize("sampling", ["sobol", "random"])
-def test_a_sample_is_drawn_by_its_number(sampling):
-    """Within a scrambling, over several of unequal length, at both ends."""
-    plain = jc.FunctionProblem(
-        lambda a, b: a + b,
-        {name: jc.Dimension(1.0, jc.distribution.Normal(0.1)) for name in "ab"},
-    )
-    whole = draw(plain, 1003, 7, sampling, 13)
-    assert len(whole) == len(groups(1003, 13)) == 1003
-    for span in ((0, 1), (70, 170), (903, 1003)):
-        assert np.array_equal(draw(plain, 1003, 7, sampling, 13, span), whole[slice(*span)])
-
-
 def test_chunks_and_scramblings_are_the_users(plain, tmp_path):
     """Files are of another size; samples are the same. Other scramblings are another sample."""
     found = jc.campaign(problem(), 10_000, folder=tmp_path / "a", seed=3, chunk=5000)
@@ -130,7 +116,12 @@ def test_an_interrupted_campaign_goes_on(plain, folder, tmp_path, monkeypatch):
     partly = jc.open_campaign(place)
     assert partly.finished == 4096
     assert not partly.is_complete
-    assert "not complete: 4096 of 10000 samples" in partly.sentence()
+    told = "not complete: 4096 of 10000 samples are there, 6 of 16 scramblings whole"
+    assert told in partly.sentence()
+    # 346 samples of a seventh scrambling count to a whole one.
+    assert list(np.unique(partly.sample.scrambling)) == [0, 1, 2, 3, 4, 5]
+    fine, coarse = plain.mean("area"), partly.mean("area")
+    assert coarse.low < fine.value < coarse.high
     assert np.array_equal(partly.values, plain.values[:4096])
     assert int((partly.to_dataset()["outcome"] == -1).sum()) == 10_000 - 4096
     written = []
@@ -140,6 +131,25 @@ def test_an_interrupted_campaign_goes_on(plain, folder, tmp_path, monkeypatch):
     )
     assert sorted(written) == [1, 2]
     assert contents(place) == contents(folder)
+
+
+def test_what_too_few_scramblings_cannot_tell_is_unknown(tmp_path, monkeypatch):
+    """One whole scrambling of four: no statistic has an error, not a wrong one either."""
+    write = Samples.write
+    monkeypatch.setattr(work, "threads_of", lambda: 1)
+    with monkeypatch.context() as patched:
+        patched.setattr(Samples, "write", lambda *own: (write(*own), stop()))
+        with pytest.raises(KeyboardInterrupt):
+            jc.campaign(problem(), 10_000, folder=tmp_path, seed=3, chunk=4096, scramblings=4)
+    partly = jc.open_campaign(tmp_path)
+    assert "1 of 4 scramblings whole, too few to tell the errors" in partly.sentence()
+    row = partly.summary().iloc[1]
+    assert np.isfinite(row["mean"])
+    assert np.isnan(row["standard error"])
+    for known in ("mean", "standard deviation", "median", "95 %"):
+        assert row[f"{known} error"] == np.inf
+    whole = jc.campaign(problem(), 10_000, folder=tmp_path, seed=3, scramblings=4)
+    assert np.isfinite(whole.mean("area").error)
 
 
 @pytest.mark.parametrize("writes", range(4))

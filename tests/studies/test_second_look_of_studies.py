@@ -4,10 +4,12 @@ bounces each of which is nearly right lead elsewhere, which no figure of a sampl
 import dataclasses
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.integrators import Check
+from jaxclear.integrators import Check, Checks
+from jaxclear.integrators.checks import Figure
 from jaxclear.simulation import second_look
 from jaxclear.studies import problem as problems
 from tests.rigs.bouncing_journal import CLEARANCE, LEFT_THERE, falling
@@ -32,7 +34,7 @@ def bounces(step):
 
 @pytest.fixture(scope="module")
 def study():
-    return jc.monte_carlo(bounces(6e-5), 32)
+    return jc.monte_carlo(bounces(6e-5), 32, chunk=32)
 
 
 def test_what_is_off_in_all_samples_is_said(study):
@@ -48,6 +50,35 @@ def test_steps_that_are_right_say_nothing(study):
     found = jc.monte_carlo(bounces(3e-5), 32)
     assert second_look.many_in_doubt(found.checks, opens=True)
     assert found.doubts == () and found.sentence().startswith("32 samples, 0 failed")
+    assert found.nominal.figures[Check.PLACE_IN_GAP].worst.max() < 0.03
+
+
+def test_samples_that_warn_of_impacts_hear_that_the_nominal_ones_are_right(study):
+    """The nominal run's places agree: a study tells it beside how many samples warn."""
+    right = Checks({Check.PLACE_IN_GAP: Figure(np.array([0.0123]), np.zeros(1), ("B",))})
+    steep = Figure(np.full((32, 1), 0.4), np.zeros((32, 1)), ("B",))
+    warned = dataclasses.replace(study, checks=Checks({Check.IMPACT_STEP: steep}), nominal=right)
+    assert warned.sentence() == (
+        "32 samples, 0 failed, 32 with warnings (impact step in 32). The nominal sample was gone "
+        "through again with steps a quarter as long: its places in gaps agree within 0.012 of the "
+        "clearance, so that its impacts are right, whatever their steps."
+    )
+    for other in ({"nominal": Checks()}, {"nominal": study.nominal}, {"checks": Checks()}):
+        assert "agree within" not in dataclasses.replace(warned, **other).sentence()
+
+
+def test_a_campaign_has_its_nominal_sample_looked_at_once(study, tmp_path, monkeypatch):
+    """It says what the plain study says; so does its folder, without the problem too."""
+    found = jc.campaign(study.problem, 32, folder=tmp_path)
+
+    def look(*_):
+        raise AssertionError("gone through again")
+
+    monkeypatch.setattr(problems, "found_in_one", look)
+    again = jc.campaign(study.problem, 32, folder=tmp_path)
+    for one in (found, again, jc.open_campaign(tmp_path)):
+        assert one.sentence() == study.sentence()
+        assert one.sample.doubts == study.doubts
 
 
 def test_a_study_without_doubts_is_not_looked_at(study, monkeypatch):

@@ -108,6 +108,7 @@ def _sampled(
             by_threads(kept, evaluation, left, heard)
         else:
             by_workers(client, kept, problem, left, heard)
+    kept.settle(problem.second_look)
     kept.tidy()
     return Campaign(kept, problem)
 

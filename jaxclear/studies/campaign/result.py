@@ -23,6 +23,8 @@ __all__ = ["Campaign"]
 
 # Samples that are read together, about.
 READ = 1 << 16
+# Whole scramblings whose differences tell an error: those of fewer say anything.
+FEW_SCRAMBLINGS = 4
 
 
 class Campaign:
@@ -30,7 +32,8 @@ class Campaign:
     response at a time; `sample` is the whole study in memory, with all that it can be asked.
 
     `problem` is the one given, or what the folder remembers of it. Of an unfinished campaign these
-    are the samples that are there: `finished` of `count`.
+    are the samples that are there, `finished` of `count`; the errors of their statistics come from
+    the scramblings that are whole, and are unknown (infinite) as long as these are fewer than four.
     """
 
     def __init__(self, samples: Samples, problem: AbstractProblem):
@@ -162,14 +165,42 @@ class Campaign:
     def _unfinished(self) -> str:
         if self.is_complete:
             return ""
-        return f"The campaign is not complete: {self.finished} of {self.count} samples are there."
+        whole, every = len(self._whole()), self.plan.scramblings
+        known = (
+            "whose differences tell the errors of statistics"
+            if whole >= FEW_SCRAMBLINGS
+            else f"too few to tell the errors of statistics, which takes {FEW_SCRAMBLINGS}"
+        )
+        return (
+            f"The campaign is not complete: {self.finished} of {self.count} samples are there, "
+            f"{whole} of {every} scramblings whole, {known}."
+        )
 
     def _spans(self) -> list[slice]:
         return [slice(*self.plan.span(int(number))) for number in self._chunks]
 
-    def _groups(self) -> np.ndarray:
+    def _there(self) -> np.ndarray:
+        """The scrambling of every finished sample."""
         every = self.plan.groups()
         return np.concatenate([every[at] for at in self._spans()] or [every[:0]])
+
+    def _whole(self) -> np.ndarray:
+        """Scramblings of which all samples are finished."""
+        most = self.plan.scramblings
+        count = np.bincount(self._there(), minlength=most)
+        return np.flatnonzero(count == np.bincount(self.plan.groups(), minlength=most))
+
+    def _groups(self) -> np.ndarray:
+        """The independent part of every finished sample: its scrambling. Samples of one that is not
+        whole are counted to one that is; all are one part where too few are."""
+        there, whole = self._there(), self._whole()
+        if self.is_complete:
+            return there
+        if len(whole) < FEW_SCRAMBLINGS:
+            return np.zeros_like(there)
+        part = whole[np.arange(self.plan.scramblings) % len(whole)]
+        part[whole] = whole
+        return part[there]
 
     def _pieces(self) -> Iterator[slice]:
         """Finished samples in pieces of some chunks."""
@@ -219,6 +250,7 @@ class Campaign:
             found.checks,
             self._groups(),
             self._unfinished(),
+            self._samples.nominal(),
         )
 
 

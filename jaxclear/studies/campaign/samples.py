@@ -12,11 +12,12 @@ import secrets
 import shutil
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.integrators import Check, Checks, Outcome
@@ -32,6 +33,8 @@ KIND = "a Monte Carlo campaign"
 SAMPLES, CLAIMS, VERSIONS = "samples.zarr", "claims", "versions"
 VALUES, RESPONSES, OUTCOME, ENDED = "values", "responses", "outcome", "ended"
 WORST, WHEN, FINISHED = "check_worst", "check_time", "finished"
+# What is known of the nominal sample once all others are finished.
+NOMINAL = "second_look"
 # Age [s] of what a process that began no campaign left behind.
 ABANDONED = 3600.0
 # An outcome that no sample has.
@@ -49,7 +52,9 @@ class Samples:
         self.told: dict[str, Any] = dict(self.group.attrs)
         self.plan = Plan(**self.told["plan"])
         self.figures = [tuple(figure) for figure in self.told["figures"]]
-        self.arrays: dict[str, Any] = dict(self.group.arrays())
+        # Looking whether a chunk is empty costs as much as compressing it, and none is.
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            self.arrays: dict[str, Any] = dict(self.group.arrays())
         self._mark: int | None = None
 
     @classmethod
@@ -152,6 +157,36 @@ class Samples:
         by_name = {name: responses[:, i] for i, name in enumerate(names)}
         outcome = self.read(OUTCOME, at).astype(np.int32)
         return SampleResult(by_name, outcome, self.read(ENDED, at), Checks(figures))
+
+    def settle(self, look: Callable[[Checks], Checks]) -> None:
+        """Has the finished samples looked at, once, and keeps what was found. `look` is given the
+        worst figure of every check."""
+        if NOMINAL in self.told or not self.figures:
+            return
+        names = [check for check, _ in self.figures]
+        # Where the figures of each check begin; they stand together.
+        begins = {name: names.index(name) for name in names}
+        spans = (slice(*self.plan.span(n)) for n in self.finished())
+        parts = [np.maximum.reduceat(self.read(WORST, s), [*begins.values()], 1) for s in spans]
+        worst: Any = np.concatenate(parts)
+        own = {
+            Check[name]: Figure(worst[:, [i]], np.zeros_like(worst[:, [i]]), ("",))
+            for i, name in enumerate(begins)
+        }
+        self.told[NOMINAL] = [
+            [c.name, np.asarray(f.worst).tolist(), np.asarray(f.time).tolist(), list(f.places)]
+            for c, f in look(Checks(own)).figures.items()
+        ]
+        self.group.attrs.update({NOMINAL: self.told[NOMINAL]})
+
+    def nominal(self) -> Checks:
+        """What a second look at the nominal sample has found."""
+        kept: Any = self.told.get(NOMINAL, ())
+        figures = {
+            Check[name]: Figure(jnp.asarray(worst), jnp.asarray(when), tuple(places))
+            for name, worst, when, places in kept
+        }
+        return Checks(figures)
 
     @contextmanager
     def claimed(self, number: int) -> Iterator[bool]:

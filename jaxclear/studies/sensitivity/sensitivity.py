@@ -98,7 +98,8 @@ def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarl
 def _in_doubt(drawn: MonteCarlo, response: str, answer: Derivative) -> Derivative:
     """The answer, its verdict with what a second look at the nominal sample says of the
     response."""
-    found = zip(drawn.nominal.figures, drawn.doubts, strict=True)
+    beyond = [check for check, over in drawn.nominal.beyond().items() if np.any(over)]
+    found = zip(beyond, drawn.doubts, strict=True)
     said = [said for check, said in found if drawn.problem.concerned(response, check.concerns)]
     return dataclasses.replace(answer, verdict=" ".join([answer.verdict, *said]))
 
