@@ -59,10 +59,10 @@ def motion_table(runs: dict[str, Any]) -> pandas.DataFrame:
         for name in JOINTS:
             row[f"{name} swing [rad]"] = np.ptp(np.asarray(found.coordinate(name)))
             if kind != "ideal":
-                contact = found.contact(name)
-                normal = np.asarray(contact.normal_force).sum(1)
-                row[f"{name} mean normal force [N]"] = normal.mean()
-                row[f"{name} mean friction [N]"] = np.asarray(contact.traction).sum(1).mean()
+                mean = jc.response.MeanContactForce(name)(found)
+                friction = np.asarray(found.contact(name).traction).sum(1).mean()
+                row[f"{name} mean normal force [N]"] = float(mean)
+                row[f"{name} mean friction at the saves [N]"] = friction
         rows.append(row)
     return pandas.DataFrame(rows)
 

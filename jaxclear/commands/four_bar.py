@@ -99,10 +99,9 @@ def run_table(runs: dict[float, Any]) -> pandas.DataFrame:
 
 
 def _load_and_wear(run: Any) -> dict[str, float]:
-    force = np.asarray(run.contact("B").normal_force).sum(axis=1)
     depth = np.asarray(run.worn["B"]["bearing"])
     return {
-        "mean normal force [N]": force.mean(),
+        "mean normal force [N]": float(jc.response.MeanContactForce("B")(run)),
         "peak worn depth [um]": 1e6 * depth.max(),
         "share of wear in the two end rows [1]": depth[:, [0, -1]].sum() / depth.sum(),
     }

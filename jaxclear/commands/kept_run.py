@@ -48,15 +48,15 @@ def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas
 
 
 def joint_table(run: jc.Trajectory) -> pandas.DataFrame:
-    """A row for each joint with clearance: forces, contact and wear at the saving times."""
+    """A row for each joint with clearance: its forces and wear, contact at the saving times."""
     rows = []
     for name in run.formulation.contact_joints(run.mechanism):
         contact = run.contact(name)
         force = np.asarray(contact.normal_force).sum(axis=1)
         row = {
             "joint": name,
-            "mean normal force [N]": force.mean(),
-            "peak normal force at the saves [N]": force.max(),
+            "mean normal force [N]": float(jc.response.MeanContactForce(name)(run)),
+            "peak normal force [N]": float(jc.response.PeakContactForce(name)(run)),
             "share of saves in contact [1]": (force > 0).mean(),
             "largest indentation [um]": 1e6 * float(np.asarray(contact.indentation).max()),
         }
