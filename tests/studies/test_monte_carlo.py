@@ -195,6 +195,12 @@ def test_methods_that_disagree_say_so():
         "r", "v", {"regression": Estimate(1.0, 0.1), "differences": Estimate(2.0, 0.1)}
     )
     assert not apart.trustworthy and abs(apart.value - 1.5) < 1e-12 and apart.error >= 0.5
+    sharp = {"regression": Estimate(1.0, 0.01), "differences": Estimate(2.0, 0.12)}
+    sure = confirmed("r", "v", sharp)
+    # Near the more certain one, by the squares of the errors, and an interval that holds both.
+    assert not sure.trustworthy and abs(sure.value - 1.0) < 0.01
+    assert sure.value - sure.error <= 0.99 and sure.value + sure.error >= 2.12 - 1e-12
+    assert sure.error < 1.13
     vague = confirmed(
         "r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(5.0, 100.0)}
     )

@@ -2,12 +2,14 @@
 and the work that theory says they take.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxclear as jc
 from jaxclear.studies.fidelity.chain import chosen
+from jaxclear.studies.fidelity.model import models_of
 from tests.studies.test_monte_carlo import problem as pendulum_problem
 
 Normal = jc.distribution.Normal
@@ -101,6 +103,32 @@ def test_cheap_runs_that_fail_bring_no_bias(accurate):
     assert any("cheaper" in one.used for one in found)
     away = [(one.means["y"].value - 3.0) / one.means["y"].error for one in found]
     assert abs(np.mean(away)) < 0.5 and max(map(abs, away)) < 2
+
+
+def test_cheap_runs_that_fail_are_told(accurate):
+    broken = jc.FunctionProblem(lambda a, b: {"y": jnp.where(a > 0, jnp.nan, a + b)}, NUMBERS)
+    found = jc.multi_fidelity(accurate, {"broken": broken}, costs={"broken": 0.5})
+    share = found.pilot_failed["broken"]
+    assert share == pytest.approx(0.5, abs=0.05)
+    said = f'{100 * share:.2g} % of the runs of "broken" failed in the pilot sample'
+    assert said in found.sentence()
+
+
+def turns(count):
+    """A number that takes so many turns of a loop to work out."""
+    step = lambda _, y: jnp.sin(y) + 0.1
+    first = jnp.arange(200.0)
+    return lambda a, b: {"y": a + b * jax.lax.fori_loop(0, count, step, a + first).sum()}
+
+
+def test_the_cost_of_a_run_is_its_work_without_compilation():
+    """A fifth of the turns: a fifth of the work but for a clock's noise, whatever runs together."""
+    dear, cheap = (jc.FunctionProblem(turns(count), NUMBERS) for count in (100, 20))
+    model, rough = models_of(dear, {"rough": cheap}, 1024)
+    model, rough = model._replace(chunk=512), rough._replace(chunk=128)
+    values = np.random.default_rng(0).normal(size=(16, 2))
+    cost = rough.timed(values)[1] / model.timed(values)[1]
+    assert 0.1 < cost < 0.4
 
 
 def test_a_mechanism_by_longer_steps_has_the_mean_of_short_ones():

@@ -29,6 +29,8 @@ SCRAMBLINGS = 16
 PILOT_SHARE, PILOT_POINTS = 1 / 16, 4
 # What draws the pilot sample, which nothing else shares.
 PILOT_SEED = 811
+# Costs are measured to a power of this, so that another measurement says the same mostly.
+ROUNDED = 2**0.5
 
 
 class Question(NamedTuple):
@@ -68,9 +70,11 @@ def multi_fidelity(
     sample counted in. `accuracy`: half of the 95 % interval of each mean, as in `monte_carlo`; the
     study stops where it is reached. `costs` [1]: what a run of each cheaper problem costs beside
     one of the problem, by name ("cheaper" of one alone); by default their CPU time in the pilot
-    sample, to a power of two. The answer has no bias, whatever the cheaper problems say, but for
-    what stopping at an accuracy brings; where none pays, the problem is sampled plainly, and the
-    result's `sentence()` says so. Raises `ValueError` with a sentence for what cannot be asked.
+    sample without compilation, to half a power of two: all that a run takes, saving times, wear
+    maps and responses included, so that longer steps alone may save little. The answer has no bias,
+    whatever the cheaper problems say, but for what stopping at an accuracy brings; where none pays,
+    the problem is sampled plainly, and the result's `sentence()` says so. Raises `ValueError` with
+    a sentence for what cannot be asked.
     """
     check_sampled(problem, samples, seed, sampling)
     check_flags("multi_fidelity", progress_bar=progress_bar)
@@ -117,12 +121,14 @@ class _Pilot:
         count = points * question.parts
         values = draw(question.problem, count, seed, question.sampling, question.parts)
         names = question.names
-        self.told = [told_by(m, names, m.runs(values, question.progress_bar)) for m in models]
-        missing = [model for model in models[1:] if model.name not in known]
-        spent = {m.name: m.seconds(values[: m.chunk]) for m in (models[:1] if missing else [])}
-        spent |= {m.name: m.seconds(values[: m.chunk]) for m in missing}
-        first = spent.get(models[0].name, 1.0)
-        measured = {n: 2.0 ** np.round(np.log2(own / first)) for n, own in spent.items()}
+        plain = all(model.name in known for model in models[1:])
+        shown = question.progress_bar
+        run = lambda m: (m.runs(values, shown), 1.0) if plain else m.timed(values, shown)
+        found = {model.name: run(model) for model in models}
+        self.told = [told_by(model, names, found[model.name][0]) for model in models]
+        first = found[models[0].name][1]
+        spent = {name: seconds / first for name, (_, seconds) in found.items()}
+        measured = {n: ROUNDED ** np.round(np.log(x) / np.log(ROUNDED)) for n, x in spent.items()}
         self.costs = np.array([1.0, *((measured | known)[m.name] for m in models[1:])])
         self.work = count * float(self.costs.sum())
         own = self.told[0].responses
@@ -133,6 +139,11 @@ class _Pilot:
             )
         self.middle = np.nanmean(own, axis=0)
         self.size = np.sqrt(np.nanmean(own**2, axis=0))
+
+    def failed(self) -> dict[str, float]:
+        """Share [1] of the runs of each cheaper model that failed."""
+        shares = [float((~told.good).mean()) for told in self.told[1:]]
+        return {m.name: own for m, own in zip(self.models[1:], shares, strict=True)}
 
     def moments(self) -> list[np.ndarray]:
         """Of each model, (samples, 2 responses)."""
@@ -189,6 +200,7 @@ def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target)
         costs={m.name: float(c) for m, c in zip(models[1:], pilot.costs[1:], strict=True)},
         work=float(links.work),
         pilot=float(pilot.work),
+        pilot_failed=pilot.failed(),
         failed=int((~links.links[0].good).sum()),
         warned=int(np.sum(links.links[0].warned & links.links[0].good)),
         scramblings=blocks,

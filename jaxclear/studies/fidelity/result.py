@@ -20,7 +20,8 @@ class MultiFidelity(eqx.Module):
     of each costs beside one of the problem. `correlations` [1] by (model, response) are those of
     the pilot sample; `gains` [1] by response, how many times the work plain sampling would take to
     the same error; `work` and `pilot` are in runs of the problem. `failed` and `warned` count runs
-    of the problem.
+    of the problem; `pilot_failed` [1] is the share of each cheaper model's runs that failed in the
+    pilot sample.
     """
 
     problem: AbstractProblem
@@ -33,6 +34,7 @@ class MultiFidelity(eqx.Module):
     costs: dict[str, float]
     work: float
     pilot: float
+    pilot_failed: dict[str, float]
     failed: int = eqx.field(static=True)
     warned: int = eqx.field(static=True)
     scramblings: int = eqx.field(static=True)
@@ -43,12 +45,12 @@ class MultiFidelity(eqx.Module):
         """What ran, what it saved beside plain sampling of the same kind, and where nothing."""
         counted = [f"{self.runs[0]} runs of the problem"]
         counted += [
-            f'{n} of "{name}" (each {_share(self.costs[name])} of the work)'
+            f'{n} of "{name}" (each {_work(self.costs[name])})'
             for name, n in zip(self.used[1:], self.runs[1:], strict=True)
         ]
         text = f"{' and '.join(counted)} in {self.scramblings} independent scramblings: the work "
         text += f"of {self.work:.0f} runs of the problem, and {self.pilot:.0f} for the choice."
-        parts = [text, self._gained(), self._left_out(), self.unreached]
+        parts = [text, self._gained(), self._left_out(), self._broken(), self.unreached]
         if self.failed:
             parts.append(f"{self.failed} runs of the problem failed: numbers are of the others.")
         if self.warned:
@@ -78,11 +80,25 @@ class MultiFidelity(eqx.Module):
                 for (model, response), own in self.correlations.items()
                 if model == name
             )
-            + f", at {_share(self.costs[name])} of the work"
+            + f", at {_work(self.costs[name])}"
             for name in out
         ]
         last = "; the problem was sampled plainly." if len(self.used) == 1 else "."
         return f"{'; '.join(said)}{last}"
+
+    def _broken(self) -> str:
+        """Which models' runs failed, of which nothing is learned."""
+        told = [
+            f'{100 * share:.2g} % of the runs of "{name}"'
+            for name, share in self.pilot_failed.items()
+            if share > 0
+        ]
+        if not told:
+            return ""
+        return (
+            f"{' and '.join(told)} failed in the pilot sample and tell nothing; "
+            "jaxclear.monte_carlo of the cheaper problem says why."
+        )
 
     def to_dataset(self) -> Any:
         """The table as an xarray Dataset by response, with provenance."""
@@ -115,8 +131,10 @@ class MultiFidelity(eqx.Module):
         return pandas.DataFrame(rows).set_index("response")
 
 
-def _share(cost: float) -> str:
-    return f"1/{1 / cost:.0f}" if 0 < cost < 1 else f"{cost:.3g}"
+def _work(cost: float) -> str:
+    if cost == 1:
+        return "the same work"
+    return f"1/{1 / cost:.3g} of the work" if 0 < cost < 1 else f"{cost:.3g} times the work"
 
 
 def rate(sizes: np.ndarray) -> float:

@@ -160,10 +160,18 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
         best = estimates[order[0]]
         verdict = f"Unconfirmed: only {order[0]} has an answer."
         return answer(best.value, best.error, order[0], verdict)
-    values = [estimates[name].value for name in order]
-    middle, spread = 0.5 * (max(values) + min(values)), 0.5 * (max(values) - min(values))
-    spread += max(estimates[name].error for name in order)
+    middle, spread = _covering([estimates[name] for name in order])
     return answer(middle, spread, "spread of methods", "The methods disagree.")
+
+
+def _covering(estimates: list[Estimate]) -> tuple[float, float]:
+    """(a value near the more certain ones, half of an interval about it that holds the whole
+    interval of each): of equally certain ones the middle."""
+    values, errors = (np.array(own) for own in zip(*[e[:2] for e in estimates], strict=True))
+    # An error of zero would leave no weight to others that are as certain.
+    weights = np.maximum(errors, max(ROUNDING * errors.max(), np.finfo(float).tiny)) ** -2.0
+    middle = float(weights @ values / weights.sum())
+    return middle, float(np.max(np.abs(values - middle) + errors))
 
 
 def combined(estimates: dict[str, Estimate]) -> Estimate | None:

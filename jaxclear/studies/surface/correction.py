@@ -32,7 +32,7 @@ SURFACE_SCRAMBLINGS, SURFACE_POINTS, TOGETHER = 16, 8192, 1024
 FEWEST = 4
 
 
-class Statistic(NamedTuple):
+class CorrectedStatistic(NamedTuple):
     """A number and half the width of its 95 % interval, in one unit; `gain` [1] says how many times
     its variance is below that of the same runs without the surface."""
 
@@ -50,9 +50,9 @@ class Corrected(eqx.Module):
     """
 
     surface: ResponseSurface
-    means: dict[str, Statistic]
-    deviations: dict[str, Statistic]
-    probabilities: dict[str, Statistic]
+    means: dict[str, CorrectedStatistic]
+    deviations: dict[str, CorrectedStatistic]
+    probabilities: dict[str, CorrectedStatistic]
     runs: int
     failed: int
     scramblings: int
@@ -207,15 +207,17 @@ def _left(numbers, there, good, blocks, free, weight):
     return plain, left + weight * known.mean(), weight**2 * known.var(ddof=1) / len(known)
 
 
-def _mean(numbers, there, good, blocks, free, weight, unseen=0.0) -> Statistic:
+def _mean(numbers, there, good, blocks, free, weight, unseen=0.0) -> CorrectedStatistic:
     plain, left, own = _left(numbers, there, good, blocks, free, weight)
     variance = left.var(ddof=1) / blocks + own + unseen**2
     gain = (plain.var(ddof=1) / blocks + unseen**2) / variance if variance > 0 else np.inf
     width = student(blocks) * np.sqrt(variance)
-    return Statistic(float(left.mean()), float(width), float(gain if weight else 1.0))
+    return CorrectedStatistic(float(left.mean()), float(width), float(gain if weight else 1.0))
 
 
-def _moments(numbers, there, good, blocks, free, middle, weights) -> tuple[Statistic, Statistic]:
+def _moments(
+    numbers, there, good, blocks, free, middle, weights
+) -> tuple[CorrectedStatistic, CorrectedStatistic]:
     """Mean and standard deviation."""
     mean = _mean(numbers, there, good, blocks, free, weights[0])
     first = _left(numbers - middle, there - middle, good, blocks, free - middle, weights[0])
@@ -227,4 +229,4 @@ def _moments(numbers, there, good, blocks, free, middle, weights) -> tuple[Stati
     value, half = deviation_of_moments(first[1], second[1], second[2])
     plain = deviation_of_moments(first[0], second[0])[1]
     gain = float((plain / half) ** 2) if weights[1] and half > 0 else 1.0
-    return mean, Statistic(value, half, gain)
+    return mean, CorrectedStatistic(value, half, gain)
