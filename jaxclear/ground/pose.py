@@ -128,7 +128,9 @@ def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
     """Unit quaternion (w, x, y, z), w >= 0, of concrete rotation matrices (..., 3, 3)."""
     from scipy.spatial.transform import Rotation
 
-    xyzw = Rotation.from_matrix(np.asarray(rotation).reshape(-1, 3, 3)).as_quat(canonical=True)
+    # A copy: older versions of scipy refuse what may not be written to, as JAX's arrays.
+    matrices = np.array(rotation).reshape(-1, 3, 3)
+    xyzw = Rotation.from_matrix(matrices).as_quat(canonical=True)
     return np.roll(xyzw, 1, axis=-1).reshape(*np.shape(rotation)[:-2], 4)
 
 
