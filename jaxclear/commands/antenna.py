@@ -55,7 +55,7 @@ def motion_table(runs: dict[str, Any]) -> pandas.DataFrame:
     """One row a joint model: swing of both joints, and what they carry and lose."""
     rows = []
     for kind, found in runs.items():
-        row = {"joints": kind}
+        row: dict[str, Any] = {"joints": kind}
         for name in JOINTS:
             row[f"{name} swing [rad]"] = np.ptp(np.asarray(found.coordinate(name)))
             if kind != "ideal":
