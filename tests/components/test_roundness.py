@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.components.clearance.roundness import radius_deviation
 
 RADIUS, CLEARANCE = 10e-3, 50e-6
 OVAL = jc.clearance.Lobes(2, cosine=5e-6, sine=-3e-6)
@@ -87,3 +88,17 @@ def test_lobes_that_would_touch_twice_are_refused():
         bearing(jc.clearance.Lobes(5, cosine=3e-6))
     with pytest.raises(ValueError, match=r"no tuple of jaxclear\.clearance\.Lobes"):
         bearing(3.0)
+
+
+@pytest.mark.parametrize("number", [2, 3, 12, 37, 10**9])
+def test_any_number_of_lobes_is_turned_at_once(number):
+    lobes = (jc.clearance.Lobes(number, cosine=2e-6, sine=1e-6),)
+    angle = 0.3
+    value, slope, bend = radius_deviation(lobes, np.cos(angle), np.sin(angle))
+    turned, within = number * angle, 1e-15 * number**2
+    expected = 2e-6 * np.cos(turned) + 1e-6 * np.sin(turned)
+    if number < 100:
+        np.testing.assert_allclose(value, expected, atol=1e-6 * within)
+        derivative = number * (1e-6 * np.cos(turned) - 2e-6 * np.sin(turned))
+        np.testing.assert_allclose(slope, derivative, atol=1e-6 * within * number)
+    assert abs(bend + number**2 * value) <= 1e-15 * number**2

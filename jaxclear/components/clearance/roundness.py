@@ -35,14 +35,22 @@ def radius_deviation(lobes: Sequence[Lobes], x: Any, y: Any) -> tuple[Any, Any, 
     """r, r' and r'' [m] in the direction (x, y) of length 1."""
     value, slope, bend = 0.0, 0.0, 0.0
     for own in lobes:
-        c, s = x, y
-        for _ in range(own.number - 1):
-            c, s = c * x - s * y, s * x + c * y
         k = own.number
+        c, s = _turned(x, y, k)
         wave = own.cosine * c + own.sine * s
         value, bend = value + wave, bend - k * k * wave
         slope = slope + k * (own.sine * c - own.cosine * s)
     return value, slope, bend
+
+
+def _turned(x: Any, y: Any, times: int) -> tuple[Any, Any]:
+    """The direction at so many times the angle of (x, y), by squares: binary digits count."""
+    c, s = x, y
+    for digit in f"{times:b}"[1:]:
+        c, s = c * c - s * s, 2 * (c * s)
+        if digit == "1":
+            c, s = c * x - s * y, s * x + c * y
+    return c, s
 
 
 def touched(lobes: Sequence[Lobes], clearance: Any, offset: sp.Vec) -> tuple[Any, Any, Any]:
