@@ -213,7 +213,7 @@ COMMANDS = {
     "duration": ["antenna", "--duration", "inf"],
     "clearance": ["guide", "--clearance", "-1e-5"],
     "turns": ["four-bar", "--turns", "0"],
-    "study": [],
+    "command": [],
 }
 
 

