@@ -34,6 +34,8 @@ LEAST_SHARE = 1e-12
 # Samples from which on their values are worth a compiled program, which takes a third of the time;
 # its last digits are its own, so that the whole sample decides, not the part that is drawn.
 MANY = 1 << 14
+# Samples that the program takes at once.
+BLOCK = 1 << 12
 
 
 def usual_scramblings(samples: int) -> int:
@@ -96,12 +98,17 @@ def _values(problem, parts, seed, sampling, compiled):
         [_shares(count, span, (seed, i), sampling) for i, *span in parts] or [np.zeros((0, count))]
     )
     normal = scipy.special.ndtri(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
-    values = _of_normal if compiled else Inputs.values
-    return np.asarray(values(problem.inputs, jnp.asarray(normal)))
+    if not compiled:
+        return np.asarray(problem.inputs.values(jnp.asarray(normal)))
+    # Blocks of one size: a program for another number of rows rounds its last ones otherwise.
+    rows = len(normal)
+    blocks = np.concatenate([normal, np.zeros((-rows % BLOCK, count))]).reshape(-1, BLOCK, count)
+    found = [np.asarray(_of_block(problem.inputs, jnp.asarray(block))) for block in blocks]
+    return np.concatenate([*found, np.zeros((0, count))])[:rows]
 
 
 @eqx.filter_jit
-def _of_normal(
+def _of_block(
     inputs: Inputs, normal: Float[Array, "samples variables"]
 ) -> Float[Array, "samples variables"]:
     """Values of the variables from independent standard normal numbers [1]."""
