@@ -63,12 +63,7 @@ class Instant(NamedTuple):
 
     def means_of(self, name: str) -> list:
         """Those of the means that belong to a joint."""
-        start = 0
-        for joint, count in self.model.layout.impulses:
-            if joint == name:
-                return self.means[start : start + count]
-            start += count
-        raise KeyError(name)
+        return self.means[self.model.layout.impulses_of(name)]
 
     def forces(self, reports: dict[str, JointReport]) -> Forces:
         """Everything that acts, the clearance joints as reported."""

@@ -80,17 +80,26 @@ def eliminate(equations: list[Any]) -> list[Any]:
     lines = list(equations)
     n = len(lines)
     for k in range(n):
-        for i in range(k + 1, n):
-            larger = jnp.abs(lines[i][k]) > OFF_THE_TIES * jnp.abs(lines[k][k])
-            lines[k], lines[i] = (
-                jnp.where(larger, lines[i], lines[k]),
-                jnp.where(larger, lines[k], lines[i]),
-            )
+        _bring_up(lines, k)
         lines[k] = lines[k] / lines[k][k]
         lines[k + 1 :] = [line - line[k] * lines[k] for line in lines[k + 1 :]]
     for k in range(n - 1, 0, -1):
         lines[:k] = [line - line[k] * lines[k] for line in lines[:k]]
     return [line[n] for line in lines]
+
+
+def _bring_up(lines: list[Any], k: int) -> list[Any]:
+    """Exchanges lines so that the k-th has the pivot; whether each below it was exchanged with
+    it."""
+    exchanged = []
+    for i in range(k + 1, len(lines)):
+        larger = jnp.abs(lines[i][k]) > OFF_THE_TIES * jnp.abs(lines[k][k])
+        lines[k], lines[i] = (
+            jnp.where(larger, lines[i], lines[k]),
+            jnp.where(larger, lines[k], lines[i]),
+        )
+        exchanged.append(larger)
+    return exchanged
 
 
 def orientation(matrix: list[list]) -> Any:
@@ -99,13 +108,8 @@ def orientation(matrix: list[list]) -> Any:
     lines = [jnp.stack([jnp.asarray(x, float) for x in row]) for row in matrix]
     n, sign = len(lines), jnp.ones(())
     for k in range(n):
-        for i in range(k + 1, n):
-            larger = jnp.abs(lines[i][k]) > OFF_THE_TIES * jnp.abs(lines[k][k])
-            lines[k], lines[i] = (
-                jnp.where(larger, lines[i], lines[k]),
-                jnp.where(larger, lines[k], lines[i]),
-            )
-            sign = jnp.where(larger, -sign, sign)
+        for exchanged in _bring_up(lines, k):
+            sign = jnp.where(exchanged, -sign, sign)
         sign = sign * jnp.sign(lines[k][k])
         own = lines[k] / lines[k][k]
         lines[k + 1 :] = [line - line[k] * own for line in lines[k + 1 :]]

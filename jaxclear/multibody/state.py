@@ -80,6 +80,15 @@ class Layout:
     def impulse_start(self) -> int:
         return self.energy_start - sum(count for _, count in self.impulses)
 
+    def impulses_of(self, name: str) -> slice:
+        """Which of all impulses are those of a joint."""
+        start = 0
+        for joint, count in self.impulses:
+            if joint == name:
+                return slice(start, start + count)
+            start += count
+        raise KeyError(name)
+
 
 def lay_out(
     system: System, balance: bool = False, impulses: tuple[tuple[str, int], ...] = ()

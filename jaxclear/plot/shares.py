@@ -2,7 +2,7 @@
 and by models of two kinds, probabilities of failing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -92,15 +92,20 @@ def error_budget(study: MonteCarlo, *responses: str, ax: Any = None) -> Any:
     return sheet.done()
 
 
+def _by_variable(kind: str, told: Mapping[tuple[str, str], Any], ax: Any) -> Any:
+    """A panel for each response with a row for each variable, and the names of both."""
+    names = list(dict.fromkeys(response for response, _ in told))
+    variables = list(dict.fromkeys(variable for _, variable in told))
+    size = (WIDE * len(names), 1.4 + 0.4 * len(variables))
+    return panels(kind, ax, 1, len(names), size), names, variables
+
+
 @answering
 def sobol_indices(study: SobolIndices, *, ax: Any = None) -> Any:
     """First-order and total index of each variable, with 95 % intervals. `ax`: axes for each
     response."""
     expect(study, SobolIndices, "the study", "what jaxclear.sobol_indices returns")
-    names = list(dict.fromkeys(response for response, _ in study.first))
-    variables = list(dict.fromkeys(variable for _, variable in study.first))
-    size = (WIDE * len(names), 1.4 + 0.4 * len(variables))
-    sheet = panels("sobol_indices", ax, 1, len(names), size)
+    sheet, names, variables = _by_variable("sobol_indices", study.first, ax)
     for axis, name in zip(sheet.axes.flat, names, strict=True):
         for own, off, colour, label in (
             (study.first, -0.15, "C0", "first order"),
@@ -121,10 +126,7 @@ def sobol_indices(study: SobolIndices, *, ax: Any = None) -> Any:
 def shapley_effects(study: ShapleyEffects, *, ax: Any = None) -> Any:
     """Effect of each variable, with 95 % intervals. `ax`: axes for each response."""
     expect(study, ShapleyEffects, "the study", "what jaxclear.shapley_effects returns")
-    names = list(dict.fromkeys(response for response, _ in study.effects))
-    variables = list(dict.fromkeys(variable for _, variable in study.effects))
-    size = (WIDE * len(names), 1.4 + 0.4 * len(variables))
-    sheet = panels("shapley_effects", ax, 1, len(names), size)
+    sheet, names, variables = _by_variable("shapley_effects", study.effects, ax)
     for axis, name in zip(sheet.axes.flat, names, strict=True):
         for row, variable in enumerate(variables):
             _interval(axis, row, *study.effects[name, variable], color="C0")

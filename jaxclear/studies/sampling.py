@@ -15,22 +15,19 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_count, check_known, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.inputs import Inputs
-from jaxclear.studies.scrambling import scrambled_shares
+from jaxclear.studies.scrambling import normal_scores, scrambled_shares
 
 __all__ = ["SAMPLINGS", "check_sampled", "draw", "extended", "groups", "usual_scramblings"]
 
 SAMPLINGS = ("sobol", "random")
 # More scramblings leave each too few points; fewer leave their differences too few to tell from.
 MOST_SCRAMBLINGS = 16
-# Shares that have a finite score.
-LEAST_SHARE = 1e-12
 # Samples from which on their values are worth a compiled program, which takes a third of the time;
 # its last digits are its own, so that the whole sample decides, not the part that is drawn.
 MANY = 1 << 14
@@ -97,7 +94,7 @@ def _values(problem, parts, seed, sampling, compiled):
     shares = np.concatenate(
         [_shares(count, span, (seed, i), sampling) for i, *span in parts] or [np.zeros((0, count))]
     )
-    normal = scipy.special.ndtri(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
+    normal = normal_scores(shares)
     if not compiled:
         return np.asarray(problem.inputs.values(jnp.asarray(normal)))
     # Blocks of one size: a program for another number of rows rounds its last ones otherwise.

@@ -3,6 +3,9 @@
 import numpy as np
 import scipy
 
+# Shares that have a finite score.
+LEAST_SHARE = 1e-12
+
 
 def scrambled_shares(
     count: int, dimensions: int, rng: np.random.Generator, first: int = 0
@@ -15,3 +18,8 @@ def scrambled_shares(
         return engine.fast_forward(first).random(count - first)
     power = int(np.ceil(np.log2(max(count, 1))))
     return engine.random_base2(power)[:count]
+
+
+def normal_scores(shares: np.ndarray) -> np.ndarray:
+    """Standard normal numbers of which these shares [1] lie below."""
+    return scipy.special.ndtri(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))

@@ -2,10 +2,12 @@
 
 Dask decides who computes what, and asks again for what a lost worker was at. Only the problem
 travels (pickled by Dask, between processes of one user), once to each worker, and the number of a
-chunk; no samples do. A worker compiles the program once.
+chunk; no samples do. A worker compiles the program once, for
+later campaigns of the same problem too.
 """
 
 import functools
+import hashlib
 import secrets
 import time
 from collections import deque
@@ -42,7 +44,10 @@ def by_workers(
     are finished. Raises `RuntimeError` with a sentence where a chunk ends its workers."""
     import distributed
 
-    token, folder = secrets.token_hex(8), str(samples.folder.resolve())
+    folder = str(samples.folder.resolve())
+    # The texts that a folder is known by tell a worker whether it has compiled the problem before.
+    which = hashlib.sha256(samples.told["problem"].encode()).hexdigest()
+    token = f"{which} {secrets.token_hex(8)}"
     there = client.submit(_itself, problem, pure=False)
     left: deque[int] = deque(numbers)
     asked: dict[Any, int] = {}
@@ -87,6 +92,7 @@ def _itself(problem: AbstractProblem) -> AbstractProblem:
 
 def _on_worker(problem: AbstractProblem, folder: str, number: int, token: str) -> int | None:
     """Computes and keeps a chunk, on a worker."""
+    problem = _known(_Once(token.partition(" ")[0], problem))
     return done(*_ready(_Once(token, problem), folder), number)
 
 
@@ -102,6 +108,12 @@ class _Once:
 
     def __hash__(self) -> int:
         return hash(self.token)
+
+
+@functools.lru_cache(maxsize=4)
+def _known(known: _Once) -> AbstractProblem:
+    """The problem as it came first: what is compiled for it serves later campaigns too."""
+    return known.problem
 
 
 @functools.lru_cache(maxsize=4)

@@ -18,7 +18,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags
@@ -27,8 +26,8 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_effects
 from jaxclear.studies.inputs import Inputs
-from jaxclear.studies.sampling import LEAST_SHARE, check_sampled, groups
-from jaxclear.studies.scrambling import scrambled_shares
+from jaxclear.studies.sampling import check_sampled, groups
+from jaxclear.studies.scrambling import normal_scores, scrambled_shares
 from jaxclear.studies.statistics.scrambled import Statistic, student
 from jaxclear.studies.surface.response_surface import ResponseSurface
 
@@ -146,7 +145,7 @@ def _samples(inputs: Inputs, sets: list[frozenset[int]], group: np.ndarray, seed
         scrambled_shares(size, 2 * count, np.random.default_rng((seed, i)))
         for i, size in enumerate(np.bincount(group))
     ]
-    normal = scipy.special.ndtri(np.clip(np.concatenate(shares), LEAST_SHARE, 1 - LEAST_SHARE))
+    normal = normal_scores(np.concatenate(shares))
     matrix = np.eye(count) if inputs.independent else np.asarray(inputs.correlation)
     scores = normal[:, :count] @ np.linalg.cholesky(matrix).T
     rows = []

@@ -14,7 +14,6 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags
@@ -22,8 +21,8 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_indices
-from jaxclear.studies.sampling import LEAST_SHARE, check_sampled, groups, usual_scramblings
-from jaxclear.studies.scrambling import scrambled_shares
+from jaxclear.studies.sampling import check_sampled, groups, usual_scramblings
+from jaxclear.studies.scrambling import normal_scores, scrambled_shares
 from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
 
 
@@ -113,7 +112,7 @@ def _normal(variables: int, sizes: np.ndarray, seed: int) -> np.ndarray:
         scrambled_shares(size, variables, np.random.default_rng((seed, i)))
         for i, size in enumerate(sizes)
     ]
-    return scipy.special.ndtri(np.clip(np.concatenate(found), LEAST_SHARE, 1 - LEAST_SHARE))
+    return normal_scores(np.concatenate(found))
 
 
 def _first(rows: np.ndarray) -> float:
