@@ -21,8 +21,11 @@ from jaxclear.native.stopping import FLAG
 
 # What runs is started warm; then Ctrl-C comes from outside, as from a terminal.
 PROGRAM = """
-import os, sys, time
+import os, signal, sys, time
 import jaxclear as jc
+
+# A shell's background job is born deaf to Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 rig = jc.scenes.slider_crank(wear=False)
 step = jc.integrator.FixedStep(1e-6)
@@ -58,6 +61,9 @@ def answered(study):
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, study], stdout=subprocess.PIPE, text=True
     )
+    # Who is never answered fails, and does not wait.
+    patience = threading.Timer(300, process.kill)
+    patience.start()
     try:
         assert process.stdout.readline() == "begins\n"
         time.sleep(0.5)
@@ -67,6 +73,7 @@ def answered(study):
         assert said == "interrupted"
         return float(when) - asked, process.communicate(timeout=60)[0].splitlines()
     finally:
+        patience.cancel()
         process.kill()
 
 
