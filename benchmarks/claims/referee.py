@@ -1,23 +1,24 @@
 """What a run pays for judging itself: CPU time with its checks beside the same run without any, one
-run alone and a sample in a batch.
+run alone and a sample in a batch; and what a run in doubt pays for its second look.
 
 A run without checks is not offered to users; here its windows, its looks at saved states and the
-watch on its contacts are taken out by hand.
+watch on its contacts are taken out by hand, and so is the second look.
 """
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, side_by_side
+from benchmarks.measure import about, arguments, report, side_by_side
+from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.integrators import fixed_step, implicit_step
-from jaxclear.simulation import loop, referee, spot_checks
+from jaxclear.simulation import loop, referee, second_look, spot_checks
 from jaxclear.simulation.simulate import saving_times
 
 FIXED, IMPLICIT, ADAPTIVE, PERMANENT = (
@@ -36,6 +37,12 @@ CASES: dict[str, tuple[Callable[[], Any], Any, float]] = {
     "antenna, NonColliding": (jc.scenes.antenna, PERMANENT, 0.5),
     "ideal slider-crank, FixedStep": (lambda: jc.scenes.slider_crank("ideal"), FIXED, 0.1),
     "ideal slider-crank, Adaptive": (lambda: jc.scenes.slider_crank("ideal"), ADAPTIVE, 0.5),
+}
+# The same, in steps so long that the run is in doubt.
+IN_DOUBT: dict[str, tuple[Callable[[], Any], Any, float]] = {
+    "slider-crank, FixedStep(2e-5)": (jc.scenes.slider_crank, FIXED, 0.1),
+    "slider-crank, ImplicitStep(1e-4)": (jc.scenes.slider_crank, IMPLICIT, 0.25),
+    "four-bar, ImplicitStep(1e-4)": (jc.scenes.four_bar, IMPLICIT, 0.25),
 }
 QUICK = ("slider-crank, FixedStep", "ideal slider-crank, Adaptive")
 # As `simulate` and `Problem` save.
@@ -70,11 +77,11 @@ def program(case: str, saves: int, batch: int | None) -> Callable[[], Any]:
     rig = integrator.formulation.seen(build())
     start = jc.assemble(rig)
 
-    @eqx.filter_jit
-    def whole(rig, speeds, integrator, times):
+    def runs(rig, speeds, integrator, times):
         run = lambda v: loop.run(rig, start.coordinates, v, times, integrator)
         return run(speeds) if batch is None else jax.vmap(run)(speeds)
 
+    whole = compiled_quickly(runs, AROUND_A_KERNEL)
     shares = jnp.ones(()) if batch is None else 1 + SPREAD * jnp.arange(batch)[:, None]
     call = lambda: whole(rig, shares * start.speeds, integrator, times)
     jax.block_until_ready(call())
@@ -99,6 +106,38 @@ def row(case: str, saves: int, batch: int | None, repeats: int) -> dict[str, Any
     }
 
 
+@contextmanager
+def looked_at_once() -> Iterator[None]:
+    """Runs in here get no second look."""
+    most, second_look.MOST_STEPS = second_look.MOST_STEPS, -1
+    try:
+        yield
+    finally:
+        second_look.MOST_STEPS = most
+
+
+def second_look_row(case: str, repeats: int) -> dict[str, Any]:
+    """Milliseconds of CPU of `simulate` with and without the second look, all compiled before."""
+    build, integrator, duration = IN_DOUBT[case]
+    rig = build()
+
+    def twice() -> Any:
+        return jc.simulate(rig, duration, integrator=integrator).states
+
+    def once() -> Any:
+        with looked_at_once():
+            return twice()
+
+    spent = side_by_side({"with": twice, "without": once}, repeats)
+    return {
+        "scene and rung": case,
+        "steps": int(jc.simulate(rig, duration, integrator=integrator).accepted_steps),
+        "with a second look [ms]": round(spent["with"][1] * 1e3, 3),
+        "without [ms]": round(spent["without"][1] * 1e3, 3),
+        "ratio": round(spent["with"][1] / spent["without"][1], 2),
+    }
+
+
 def main() -> None:
     options = arguments(__doc__)
     rows = []
@@ -106,6 +145,12 @@ def main() -> None:
         rows.append(row(case, SAVES, None, 5 if options.quick else 20))
         rows.append(row(case, STUDY_SAVES, BATCH, 2 if options.quick else 5))
     report("CPU time of a run with its checks and without", rows, options)
+    doubted = [second_look_row(case, 3 if options.quick else 20) for case in IN_DOUBT]
+    report("CPU time of a run in doubt", doubted, options)
+    if options.json:
+        known = json.loads(options.json.read_text())
+        told = {"about": about("benchmarks.claims.referee", options.json)}
+        options.json.write_text(json.dumps(known | told, indent=1) + "\n")
 
 
 if __name__ == "__main__":

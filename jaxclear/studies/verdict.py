@@ -2,7 +2,8 @@
 
 Two runs of the reference, one ten times tighter than the other, tell how far it can be trusted.
 Where they agree to half the accuracy asked, every copy is compared with itself and the worst
-counts, with something to spare for copies that were not seen. Where they do not, single runs are
+counts, with something to spare for copies that were not seen; shorter runs, in which impacts meet
+the steps elsewhere, count with them. Where they do not, single runs are
 not reproducible (rattling is chaotic), and means over the copies are compared, with the 95 % error
 of their difference; as they are where only means are asked for. If the copies are too few to show
 the accuracy, the limit is what they can show, and the answer must say so.
@@ -30,7 +31,7 @@ SPARED = 3.0
 
 
 class Criterion(NamedTuple):
-    """How one response is judged: the reference's answers (copies,), their size, whether means are
+    """How one response is judged: the reference's answers (runs,), their size, whether means are
     compared, how far the reference can be trusted, the largest error that passes and the accuracy
     asked, these three as shares of the size."""
 
@@ -64,16 +65,19 @@ def criterion(
     accuracy: float,
     size: float | None = None,
     means: bool = False,
+    copies: int | None = None,
 ) -> Criterion:
     """What two runs of the reference demand of a response at this accuracy; its size is its root
-    mean square unless given.
+    mean square over the `copies` unless given, which stand before the shorter runs (None: there are
+    no others).
     """
-    size = float(np.sqrt(np.mean(tight**2))) if size is None else size
+    size = float(np.sqrt(np.mean(tight[:copies] ** 2))) if size is None else size
     trust = difference(loose, tight, size, False).error
-    if trust <= TRUSTED * accuracy and not (means and len(tight) >= FEWEST):
+    if trust <= TRUSTED * accuracy and not (means and len(tight[:copies]) >= FEWEST):
         return Criterion(tight, size, False, trust, _spare(len(tight)) * accuracy, accuracy)
-    if len(tight) < FEWEST:
+    if len(tight[:copies]) < FEWEST:
         return Criterion(tight, size, False, trust, max(accuracy, SLACK_OF_RUNS * trust), accuracy)
+    loose, tight = loose[:copies], tight[:copies]
     trust = sum(difference(loose, tight, size, True))
     return Criterion(
         0.5 * (loose + tight), size, True, trust, max(accuracy, SLACK_OF_MEANS * trust), accuracy
@@ -91,19 +95,21 @@ def criteria(
     accuracy: float,
     sizes: Mapping[str, float],
     means: bool,
+    copies: int | None = None,
 ) -> dict[str, Criterion]:
     """How each response is judged by the reference (looser, tight); `sizes` are those given by
-    the user.
+    the user; `copies`: see `criterion`.
     """
     loose, tight = (trial.responses for trial in reference)
     return {
-        name: criterion(loose[name], tight[name], accuracy, sizes.get(name), means)
+        name: criterion(loose[name], tight[name], accuracy, sizes.get(name), means, copies)
         for name in names
     }
 
 
 def error_of(answers: np.ndarray, criterion: Criterion) -> MeasuredError:
     """Error of a response by its standard; nan where a run failed."""
+    answers = answers[: len(criterion.reference)]
     if not np.all(np.isfinite(answers)):
         return MeasuredError(np.nan, np.nan)
     found = difference(answers, criterion.reference, criterion.size, criterion.by_means)

@@ -13,7 +13,7 @@ from jaxclear import plot
 from jaxclear.studies import verdict
 from jaxclear.studies.advice.choice import piloted
 from jaxclear.studies.advice.curve import REFERENCE
-from jaxclear.studies.advice.pilot import Trial, describe, evaluate_one, pilot_of
+from jaxclear.studies.advice.pilot import Trial, describe, evaluate_one, measure, pilot_of
 from jaxclear.studies.work_precision import default_candidates, loosened, steps, tight_reference
 
 STEPS = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
@@ -105,7 +105,10 @@ CANDIDATES = explicit("rk4") | {
 @pytest.fixture(scope="module")
 def advice():
     return jc.advise(
-        falls(), 1e-3, pilot=jc.PilotSettings(copies=3, duration=0.05), candidates=CANDIDATES
+        falls(),
+        1e-3,
+        pilot=jc.PilotSettings(copies=3, duration=0.05, shorter=0),
+        candidates=CANDIDATES,
     )
 
 
@@ -203,7 +206,10 @@ def test_chaos_is_said():
     )
     assert "copies" in sentence and found.comparison.criteria["place"].limit > 0.01
     alone = jc.advise(
-        question, 0.01, pilot=jc.PilotSettings(copies=1, duration=0.8), candidates=candidates
+        question,
+        0.01,
+        pilot=jc.PilotSettings(copies=1, duration=0.8, shorter=0),
+        candidates=candidates,
     )
     assert not alone.met and "at least 3 copies" in alone.sentence()
 
@@ -267,7 +273,7 @@ def test_what_holds_for_the_pilot_alone_is_found_out():
     found = jc.advise(
         falls(place, duration=0.025),
         1e-3,
-        pilot=jc.PilotSettings(copies=1),
+        pilot=jc.PilotSettings(copies=1, shorter=0),
         candidates=explicit("rk4"),
     )
     first = found.first
@@ -308,6 +314,20 @@ def test_the_worst_of_a_few_copies_leaves_something_to_those_not_seen():
     answers = np.linspace(1.0, 2.0, 9)
     limits = [verdict.criterion(answers[:n], answers[:n], 0.01).limit for n in (1, 3, 9)]
     assert limits == pytest.approx([0.01, 0.005, 0.0075])
+
+
+def test_an_error_told_is_not_that_of_one_lucky_run():
+    """Where in a step the journal touches decides what that step is off by: a run a little shorter
+    is off several times as much, and the error told knows it."""
+    short = pilot_of(falls(), jc.PilotSettings(copies=1, duration=0.05))
+    others = dataclasses.replace(short, shares=np.linspace(0.971, 0.999, 12))
+    step = jc.integrator.FixedStep(1e-4)
+    told, made = (
+        np.abs(1 - measure(pilot, step).responses["force"] / exact.responses["force"])
+        for pilot, exact in ((one, measure(one, tight_reference())) for one in (short, others))
+    )
+    assert told.shape == (4,) and 3 * told[0] < made.max() < 2 * told.max()
+    assert not len(pilot_of(swings(), jc.PilotSettings(copies=1)).shares)
 
 
 def test_copies_that_no_integrator_can_run_are_left_out():

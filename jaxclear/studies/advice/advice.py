@@ -211,7 +211,7 @@ def _doubts(found: Comparison) -> Iterator[str]:
     for name, criterion in criteria.items():
         loose, tight = (trial.responses[name] for trial in found.curves[REFERENCE].trials)
         apart = _percent(verdict.difference(loose, tight, criterion.size, False).error)
-        alone = verdict.criterion(loose, tight, found.accuracy, criterion.size)
+        alone = verdict.criterion(loose, tight, found.accuracy, criterion.size, copies=copies)
         if criterion.by_means and alone.by_means:
             yield (
                 f'Single runs do not converge in "{name}": two tight references differ by {apart} '
@@ -271,6 +271,7 @@ def _present(found: Comparison) -> str:
 def _seen(found: Comparison) -> str:
     copies, duration = len(found.pilot.values), found.pilot.duration
     many = "one run" if copies == 1 else f"{copies} copies"
+    many += f", {found.pilot.runs - copies} shorter runs," if found.pilot.runs > copies else ""
     return f"{many} over {'all of' if found.is_whole else 'the first'} {duration:.3g} s"
 
 

@@ -8,6 +8,7 @@ neighbour's is too. That setting and those beside it are then run over the whole
 (`confirmation`), because errors that grow with time are larger at the end of a longer run.
 """
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -69,18 +70,19 @@ def advise(
     check_double_precision()
     accuracy, scales = checked_accuracy(accuracy), {} if scales is None else scales
     settings = PilotSettings() if pilot is None else pilot
-    _check(problem, settings, batch, scales)
+    _check(problem, settings, batch, scales, means)
     tried = default_candidates(problem, settings.reference) if candidates is None else candidates
     check_candidates(tried, (REFERENCE, PRESENT))
-    check_flags("advise", means=means, progress_bar=progress_bar)
-    if means:
-        check_means(len(pilot_of(problem, settings).values))
+    check_flags("advise", progress_bar=progress_bar)
     with tqdm(total=len(tried) + 2, desc="advice", disable=not progress_bar) as bar:
-        short, known = piloted(problem, settings, scales)
+        short, known = piloted(problem, settings, scales, means)
         bar.update(1)
         curves = {PRESENT: Curve((measure(short, problem.integrator),), "")}
         bar.update(1)
-        criteria = verdict.criteria(known.trials, problem.response_names, accuracy, scales, means)
+        first = Comparison(
+            accuracy, short, {REFERENCE: known}, dict(scales), problem.response_names, means, batch
+        )
+        criteria = first.criteria
         run = once(short, (*known.trials, *curves[PRESENT].trials))
         for name, ordered in tried.items():
             most = (known.trials[-1].cost, _allowance(curves, criteria, batch))
@@ -89,8 +91,7 @@ def advise(
     if batch is not None:
         for name, curve in curves.items():
             curves[name] = _timed_in_batch(short, curve, criteria, batch)
-    names, followed = problem.response_names, {REFERENCE: known, **curves}
-    first = Comparison(accuracy, short, followed, dict(scales), names, means, batch)
+    first = dataclasses.replace(first, curves=first.curves | curves)
     found, doubt = confirmed(first, problem, tried, settings)
     if found is None:
         return Advice(problem, first, None, doubt)
@@ -98,14 +99,14 @@ def advise(
 
 
 def piloted(
-    problem: Problem, settings: PilotSettings, scales: Mapping[str, float]
+    problem: Problem, settings: PilotSettings, scales: Mapping[str, float], means: bool = False
 ) -> tuple[Pilot, Curve]:
     """The pilot and its reference. One whose duration nobody gave is doubled while a response is 0
     in it: a journal may not have touched yet.
     """
     asked, whole, longer = settings.duration is not None, float(problem.duration), None
     while True:
-        short = pilot_of(problem, settings, longer)
+        short = pilot_of(problem, settings, longer, means)
         try:
             return reference(short, settings.reference, scales)
         except NothingToMeasure:
@@ -138,8 +139,9 @@ def _timed_in_batch(
 
 
 def _check(
-    problem: Any, pilot: PilotSettings, batch: int | None, scales: Mapping[str, float]
+    problem: Any, pilot: PilotSettings, batch: int | None, scales: Mapping[str, float], means: bool
 ) -> None:
+    check_flags("advise", means=means)
     expect(scales, Mapping, "scales of advise", "a dictionary: a size by response")
     expect(problem, Problem, "what advice is given on", "a jaxclear.Problem")
     expect(pilot, PilotSettings, "the pilot", "a jaxclear.PilotSettings")
@@ -153,3 +155,5 @@ def _check(
     for name, size in scales.items():
         check_known("response", name, problem.response_names, " in this problem")
         check_number(f'the scale of response "{name}" (in its own unit)', size, above=0)
+    if means:
+        check_means(len(pilot_of(problem, pilot).values))

@@ -32,7 +32,8 @@ class Comparison(eqx.Module):
     def criteria(self) -> dict[str, Criterion]:
         """How each response is judged."""
         trials = self.curves[REFERENCE].trials
-        return verdict.criteria(trials, self.names, self.accuracy, self.sizes, self.means)
+        copies = len(self.pilot.values)
+        return verdict.criteria(trials, self.names, self.accuracy, self.sizes, self.means, copies)
 
     @property
     def is_whole(self) -> bool:

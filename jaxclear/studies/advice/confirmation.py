@@ -13,7 +13,7 @@ from jaxclear.integrators import AbstractIntegrator
 from jaxclear.studies import verdict
 from jaxclear.studies.advice.comparison import Comparison
 from jaxclear.studies.advice.curve import PRESENT, REFERENCE, Choice, Curve
-from jaxclear.studies.advice.pilot import Pilot, PilotSettings, Trial
+from jaxclear.studies.advice.pilot import PilotSettings, Trial
 from jaxclear.studies.advice.trials import (
     DEARER_THAN_REFERENCE,
     NO_FINER,
@@ -39,12 +39,12 @@ def confirmed(
     where none can be had."""
     if not settings.whole or first.is_whole:
         return None, ""
-    whole = Pilot(problem, first.pilot.values, first.pilot.whole)
+    whole = dataclasses.replace(first.pilot, problem=problem)
     try:
         whole, known = reference(whole, settings.reference, first.sizes)
     except ValueError as error:
         return None, f"Over the whole {whole.whole:.3g} s nothing is shown: {error}"
-    criteria = verdict.criteria(known.trials, first.names, first.accuracy, first.sizes, first.means)
+    criteria = dataclasses.replace(first, pilot=whole, curves={REFERENCE: known}).criteria
     run, most = once(whole, known.trials), DEARER_THAN_REFERENCE * known.trials[-1].cost
     curves, best = {REFERENCE: known}, known.trials[0].cost
     # A simulated second is dearer where there is more contact than in the pilot.
