@@ -35,6 +35,7 @@ from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.time_table import TimeTable
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.files.model_import import NotImported, read_mjcf, read_urdf
+from jaxclear.files.model_shapes import read_shapes
 from jaxclear.files.scene import Scene
 from jaxclear.files.scene_file import read_scene, write_scene
 from jaxclear.files.schema import scene_schema
@@ -61,7 +62,7 @@ from jaxclear.studies.advice.choice import advise
 from jaxclear.studies.advice.pilot import PilotSettings
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.campaign.campaign import campaign, open_campaign
-from jaxclear.studies.condition import Condition
+from jaxclear.studies.condition import Condition, Heating
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, design_front
 from jaxclear.studies.design.settings import DesignSettings
@@ -102,6 +103,7 @@ __all__ = [
     "DesignSettings",
     "Dimension",
     "FunctionProblem",
+    "Heating",
     "Marker",
     "Material",
     "Mechanism",
@@ -153,6 +155,7 @@ __all__ = [
     "quantity",
     "read_mjcf",
     "read_scene",
+    "read_shapes",
     "read_urdf",
     "reliability",
     "response",

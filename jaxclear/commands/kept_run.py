@@ -1,5 +1,5 @@
 """What is kept of a run of a scene file: its data set, a table of its joints, figures, the scene as
-it was run, and how it ended.
+it was run, and how it ended; and of a scene over positions where everything stands.
 """
 
 import json
@@ -17,9 +17,10 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.plot.canvas import canvas, readable, warned
 
-__all__ = ["joint_table", "keep"]
+__all__ = ["joint_table", "keep", "keep_positions"]
 
 DATA, JOINTS, SCENE, TOLD = "run.nc", "joints.csv", "scene.yaml", "run.json"
+STANDING, PLACES = "positions.nc", "positions.csv"
 # Lines in one figure; more would not be told apart.
 MOST_LINES = 8
 DOTS_PER_INCH = 130
@@ -35,16 +36,39 @@ def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas
         figure.savefig(folder / f"{title}.png", dpi=DOTS_PER_INCH)
     data = run.to_dataset()
     data.to_netcdf(folder / DATA, engine="scipy")
-    jc.write_scene(scene, folder / SCENE)
-    told = {
-        "title": f"Run of {name}",
-        "result": run.result,
-        "warnings": list(run.warnings),
-        "checks": str(run),
-        "versions": _versions(),
-    }
-    (folder / TOLD).write_text(json.dumps(told, indent=1), encoding="utf-8")
+    told = {"result": run.result, "warnings": list(run.warnings), "checks": str(run)}
+    _tell(scene, folder, {"title": f"Run of {name}", **told})
     return table
+
+
+def keep_positions(scene: jc.Scene, found: Any, folder: Path, name: str) -> pandas.DataFrame:
+    """Writes where a mechanism stands to a folder; a table of it, a row for each position."""
+    folder.mkdir(parents=True, exist_ok=True)
+    data = found.to_dataset()
+    columns = {}
+    for what in data.data_vars:
+        own = data[what]
+        if own.dims == ("position",) and what != "found":
+            columns[f"{what} [{own.units}]"] = own.values
+        elif own.dims == ("position", "axis"):
+            columns |= {
+                f"{what} {axis} [{own.units}]": own.values[:, i] for i, axis in enumerate("xyz")
+            }
+    table = pandas.DataFrame(columns)
+    table.to_csv(folder / PLACES, index=False)
+    plot.positions(found).savefig(folder / "positions.png", dpi=DOTS_PER_INCH)
+    data.to_netcdf(folder / STANDING, engine="scipy")
+    sentence = f"The mechanism stands at {len(table)} positions."
+    told = {"result": sentence, "warnings": [], "checks": sentence}
+    _tell(scene, folder, {"title": f"Positions of {name}", **told})
+    return table
+
+
+def _tell(scene: jc.Scene, folder: Path, told: dict[str, Any]) -> None:
+    """Keeps the scene, how it ended, and by which versions."""
+    jc.write_scene(scene, folder / SCENE)
+    told = told | {"versions": _versions()}
+    (folder / TOLD).write_text(json.dumps(told, indent=1), encoding="utf-8")
 
 
 def joint_table(run: jc.Trajectory) -> pandas.DataFrame:

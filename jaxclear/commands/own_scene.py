@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 import jaxclear as jc
-from jaxclear.commands.kept_run import keep
+from jaxclear.commands.kept_run import keep, keep_positions
 from jaxclear.commands.reported import report_samples, report_warnings
 
 __all__ = ["monte_carlo", "parameters", "run"]
@@ -53,12 +53,20 @@ def run(
     show: bool = True,
 ) -> None:
     """Runs a scene once, prints how it went, and writes data set, figures and tables to `folder`
-    (by default named after the file). `duration` [s] and `saves` instead of the file's own.
+    (by default named after the file); of a scene over positions where it stands. `duration` [s] and
+    `saves` instead of the file's own.
     """
+    folder = Path(f"{scene.stem}_run") if folder is None else folder
     with _mistakes():
         asked = _read(scene, duration=duration, save=saves)
+        if asked.positions is not None:
+            table = keep_positions(asked, asked.stand(), folder, scene.name)
+            click.echo(f"The mechanism stands at {len(table)} positions.")
+            click.echo(
+                f"Data set, figure and table in {folder.resolve()}; jaxclear report {folder}"
+            )
+            return
         found = asked.simulate(progress_bar=show, throw=False)
-    folder = Path(f"{scene.stem}_run") if folder is None else folder
     click.echo(str(found))
     table = keep(asked, found, folder, scene.name)
     if len(table):

@@ -38,6 +38,7 @@ from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation.saving import Saving
+from jaxclear.studies.condition import Condition, Heating
 from jaxclear.studies.distribution import FromScipy
 from jaxclear.studies.variable import AbstractMechanismVariable, Variable
 
@@ -87,6 +88,12 @@ def _given(what: str) -> Getter:
     return lambda mechanism: mechanism.given[what]
 
 
+def _expansion(heating: Heating) -> Any:
+    own = heating.expansion
+    return dict(own) if isinstance(own, tuple) else own
+
+
+EXPANSION = {"unit": "1/K", "meaning": "coefficient of linear expansion"}
 NUMBERS_BY_NAME = ByName(Numbers({"unit": "1"}))
 DIRECTION = Choice((Text(), Numbers({"unit": "1"}, (3,))))
 END = Choice((Text(), Part((Marker,), spelled_out=True)))
@@ -108,6 +115,11 @@ TOLD: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
         "stabilisation": (Part((Baumgarte, Projection)), _attribute("stabilisation")),
     },
     Saving: {"at": (Choice((Whole({"at_least": 2}), NumberArray())), _attribute("at"))},
+    Condition: {
+        "acts": (Part((Heating,)), _attribute("acts")),
+        "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
+    },
+    Heating: {"expansion": (Choice((Number(EXPANSION), ByName(Number(EXPANSION)))), _expansion)},
     Variable: {
         "where": (Place(), _attribute("where")),
         "tolerance": (Number({"unit": "1", "above": 0}), _nothing),

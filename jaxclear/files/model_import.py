@@ -1,16 +1,16 @@
-"""Mechanisms from URDF and MJCF: bodies with their inertias, joints with their axes, damping,
-stiffness and gravity. What is not taken over is named in a warning.
+"""Mechanisms from URDF and MJCF: bodies with their inertias, joints with their axes, and gravity;
+what acts on joints is in `model_loads`. What is not taken over is named in a warning.
 """
 
 import warnings
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.joint import Fixed, Free, Prismatic, Revolute, Spherical
-from jaxclear.components.load import Gravity, JointSpring
+from jaxclear.components.load import Gravity
+from jaxclear.files.model_loads import loads_of
 from jaxclear.files.mujoco_model import Compiled, compiled, names_of, not_taken_over
 from jaxclear.ground.answering import answering
 from jaxclear.multibody.mechanism import Mechanism
@@ -97,12 +97,20 @@ def read_mjcf(path: Any, *, floating: bool = False) -> Mechanism:
 
     Bodies have the frames, inertias and joints of the model: hinges are `Revolute`, slides
     `Prismatic`, balls `Spherical`, free joints `Free`, welds `Fixed`; coordinates count from the
-    model's reference configuration. Damping and stiffness of hinges and slides become `JointSpring`
-    loads, gravity a load. `floating`: roots without a joint get a free one. Bodies without inertia
-    that are welded become part of what they are welded to. Several joints of one body get bodies
-    between them, of 1e-12 of its mass. A `NotImported` warning names what is not taken over:
-    armature, dry friction, limits, contacts, actuators, constraints. `jaxclear[import]` installs
-    MuJoCo, which reads the file. Raises `ValueError` with a sentence.
+    model's reference configuration. Gravity becomes a load; of hinges and slides damping and
+    stiffness a `JointSpring`, armature a `RotorInertia`, dry friction a `JointFriction`, limits a
+    `JointStop`. Friction and limits are constraints in MuJoCo, soft ones, and forces here, chosen
+    after its own numbers and the inertia that it finds at the reference configuration: friction
+    creeps there as fast, a limit gives way to what runs into it as far and as long; under a steady
+    load it gives way further, 1 / (1 - d) times for MuJoCo's impedance d (20 times by default), so
+    give a `JointStop` of your own where that matters.
+
+    `floating`: roots without a joint get a free one. Bodies without inertia that are welded become
+    part of what they are welded to. Several joints of one body get bodies between them, of 1e-12 of
+    its mass. Geometries and their names are read by `read_shapes`. A `NotImported` warning names
+    what is not taken over: contacts, actuators, tendons, constraints, and what a ball or a free
+    joint has of the above. `jaxclear[import]` installs MuJoCo, which reads the file. Raises
+    `ValueError` with a sentence.
     """
     return _mechanism(compiled(path, floating=floating))
 
@@ -115,27 +123,16 @@ def _mechanism(read: Compiled) -> Mechanism:
         warnings.warn(
             f"{read.name}: not taken over: {'; '.join(missing)}.", NotImported, stacklevel=4
         )
-    tree = _Tree(model, bodies, joints)
+    tree = Tree(model, bodies, joints)
     if not tree.bodies:
         raise ValueError(f"{read.name} has no body with mass.")
-    loads: dict[str, Any] = dict(_springs(model, joints))
+    loads: dict[str, Any] = dict(loads_of(model, joints))
     if np.any(model.opt.gravity):
         loads["gravity"] = Gravity(tuple(map(float, model.opt.gravity)))
     return Mechanism(tree.bodies, tree.connections, loads, start=tree.start)
 
 
-def _springs(model: Any, joints: list[str]) -> Iterator[tuple[str, JointSpring]]:
-    """Springs and dampers of hinges and slides."""
-    for k, name in enumerate(joints):
-        stiffness = float(model.jnt_stiffness[k])
-        damping = float(model.dof_damping[model.jnt_dofadr[k]])
-        if model.jnt_type[k] > SPHERICAL and (stiffness or damping):
-            at = model.jnt_qposadr[k]
-            rest = float(model.qpos_spring[at] - model.qpos0[at])
-            yield f"{name} spring", JointSpring(name, stiffness or None, rest, damping or None)
-
-
-class _Tree:
+class Tree:
     """Bodies and connections of a model, and where free bodies start."""
 
     def __init__(self, model: Any, bodies: list[str], joints: list[str]):
@@ -208,7 +205,7 @@ class _Tree:
 
 
 def _inertia_of(model: Any, index: int) -> Inertia:
-    turn = _rotation(model.body_iquat[index])
+    turn = rotation_of(model.body_iquat[index])
     matrix = turn @ np.diag(model.body_inertia[index]) @ turn.T
     matrix = 0.5 * (matrix + matrix.T)
     return Inertia(float(model.body_mass[index]), np.array(model.body_ipos[index]), matrix)
@@ -221,7 +218,7 @@ def _carrier(own: Inertia) -> Body:
 
 
 def _place_of(model: Any, index: int) -> Place:
-    return Place(_rotation(model.body_quat[index]), np.array(model.body_pos[index]))
+    return Place(rotation_of(model.body_quat[index]), np.array(model.body_pos[index]))
 
 
 def _marker(body: str, place: Place) -> Marker:
@@ -232,7 +229,7 @@ def _marker(body: str, place: Place) -> Marker:
     return Marker(body, at, quaternion=_quaternion(place.rotation))
 
 
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
+def rotation_of(quaternion: np.ndarray) -> np.ndarray:
     """Rotation matrix of a quaternion (w, x, y, z)."""
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return np.array(
@@ -258,4 +255,4 @@ def _with_z(axis: np.ndarray) -> np.ndarray:
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
     # The turn about (0, 0, 1) x axis.
-    return _rotation(np.array([1 + z, -y, x, 0.0]))
+    return rotation_of(np.array([1 + z, -y, x, 0.0]))

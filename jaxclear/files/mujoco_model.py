@@ -3,6 +3,7 @@ Meshes that are not there are left out where bodies state their inertia themselv
 """
 
 import importlib.util
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,8 +14,9 @@ from jaxclear.ground.wording import described, listed
 
 __all__ = ["Compiled", "compiled"]
 
-# The first word of what MuJoCo says of a file of geometry that is not there.
-FREE = 0
+# Where a URDF begins, and what has MuJoCo keep what is only seen of it.
+ROBOT = re.compile(r"<robot\b[^>]*>")
+KEEP = '<mujoco><compiler discardvisual="false"/></mujoco>'
 
 
 class Compiled(NamedTuple):
@@ -26,10 +28,10 @@ class Compiled(NamedTuple):
     warned: tuple[str, ...] = ()
 
 
-def compiled(path: Any, *, floating: bool) -> Compiled:
+def compiled(path: Any, *, floating: bool, seen: bool = False) -> Compiled:
     """The model in a file of URDF or MJCF. `floating`: bodies that stand in the ground without a
-    joint, the roots, get a free one. Raises `ValueError` with a sentence, `ImportError` without
-    MuJoCo."""
+    joint, the roots, get a free one. `seen`: with geometries that are only seen. Raises
+    `ValueError` with a sentence, `ImportError` without MuJoCo."""
     check_flags("the import", floating=floating)
     if importlib.util.find_spec("mujoco") is None:
         raise ImportError(
@@ -46,7 +48,7 @@ def compiled(path: Any, *, floating: bool) -> Compiled:
     before, warned = mujoco.get_mju_user_warning(), dict[str, None]()
     mujoco.set_mju_user_warning(lambda said: warned.setdefault(" ".join(str(said).split())))
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = _with_visuals(path) if seen else mujoco.MjSpec.from_file(str(path))
         # Welded bodies keep their names.
         spec.compiler.fusestatic = False
         if floating:
@@ -57,6 +59,19 @@ def compiled(path: Any, *, floating: bool) -> Compiled:
         raise ValueError(f"MuJoCo cannot read {path.name}: {said}.") from None
     finally:
         mujoco.set_mju_user_warning(before)
+
+
+def _with_visuals(path: Path) -> Any:
+    """The file's content with a URDF's visual geometries, which are dropped unless it says no."""
+    import mujoco
+
+    text = path.read_text(encoding="utf-8")
+    begin = ROBOT.search(text)
+    if begin is None or "<mujoco" in text:
+        return mujoco.MjSpec.from_file(str(path))
+    spec = mujoco.MjSpec.from_string(f"{text[: begin.end()]}{KEEP}{text[begin.end() :]}")
+    spec.modelfiledir = str(path.resolve().parent)
+    return spec
 
 
 def _float(spec: Any) -> None:
@@ -111,8 +126,8 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
     of_joint = lambda values: [joints[model.dof_jntid[k]] for k in np.flatnonzero(values)]
     ball = model.jnt_type[model.dof_jntid] <= 1
     for what, names in (
-        ("armature", of_joint(model.dof_armature > 0)),
-        ("dry friction", of_joint(model.dof_frictionloss > 0)),
+        ("armature", of_joint((model.dof_armature > 0) & ball)),
+        ("dry friction", of_joint((model.dof_frictionloss > 0) & ball)),
         ("damping", of_joint((model.dof_damping > 0) & ball)),
         ("damping that is not linear", of_joint(np.any(model.dof_dampingpoly != 0, axis=-1))),
     ):
@@ -120,7 +135,7 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
     soft = (model.jnt_stiffness > 0) & (model.jnt_type <= 1)
     bent = np.any(np.atleast_2d(model.jnt_stiffnesspoly) != 0, axis=-1)
     for what, flags in (
-        ("limits", model.jnt_limited > 0),
+        ("limits", (model.jnt_limited > 0) & ~has_stop(model)),
         ("stiffness", soft),
         ("stiffness that is not linear", bent),
     ):
@@ -128,7 +143,7 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
             [_of_joints(what, [joints[k] for k in np.flatnonzero(flags)])] if any(flags) else []
         )
     if np.any((model.geom_contype > 0) | (model.geom_conaffinity > 0)):
-        found.append("contacts between geometries")
+        found.append("contacts between geometries (bodies pass through each other)")
     if np.any(model.body_gravcomp != 0):
         found.append("compensation of gravity")
     if model.opt.density > 0 or model.opt.viscosity > 0 or np.any(model.opt.wind != 0):
@@ -141,6 +156,12 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
             f"meshes that MuJoCo finds no file for or cannot read ({listed(compiled.without)})"
         )
     return found + [f"MuJoCo says: {said.rstrip('.')}" for said in compiled.warned]
+
+
+def has_stop(model: Any) -> np.ndarray:
+    """Which joints have limits that a stop can be: those of one coordinate, some way apart."""
+    wide = model.jnt_range[:, 1] - model.jnt_range[:, 0] > 2 * model.jnt_margin
+    return (model.jnt_limited > 0) & (model.jnt_type > 1) & wide
 
 
 def _of_joints(what: str, names: list[str]) -> str:

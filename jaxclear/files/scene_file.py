@@ -3,7 +3,7 @@
 ```yaml
 jaxclear_scene: 1
 mechanism: {bodies: ..., connections: ..., loads: ..., guess: ...}
-run: {duration: 0.5, integrator: FixedStep, save: 501}
+run: {duration: 0.5, integrator: FixedStep, save: 501}  # or {positions: {crank: [0, 0.1, 0.2]}}
 variables: {clearance: {where: connections.B.joint.clearance, tolerance: 1.0e-5}}
 responses: {peak: {kind: PeakContactForce, joint: B}}
 ```
@@ -21,6 +21,7 @@ from jaxclear.files.forms import (
     AbstractForm,
     ByName,
     Choice,
+    Flag,
     Listed,
     Number,
     NumberArray,
@@ -74,6 +75,8 @@ RUN: dict[str, AbstractForm] = {
     "integrator": Part((AbstractIntegrator,)),
     "save": Choice((Whole({"at_least": 2}), NumberArray(), Part((Saving,)))),
     "state": Choice((Text(), Part((State,)))),
+    "positions": ByName(NumberArray()),
+    "both_ways": Flag(),
 }
 
 
@@ -146,7 +149,8 @@ def _scene_of(node: Node, folder: Path) -> Scene:
     expect(found.get("mechanism"), Mechanism, "mechanism", "a mapping of bodies and connections")
     run = _mapping(values["run"], "run", RUN) if "run" in values else {}
     for name, own in run.items():
-        found[name] = None if own.value is None else read(RUN[name], own, f"run.{name}", folder)
+        if own.value is not None:
+            found[name] = read(RUN[name], own, f"run.{name}", folder)
     if "correlation" in values:
         found["correlation"] = _correlation(values["correlation"], folder)
     for name, variable in found.get("variables", {}).items():
@@ -203,6 +207,8 @@ def _values_of(scene: Scene) -> dict[str, Any]:
         "integrator": scene.integrator,
         "save": _plain_save(scene.save),
         "state": scene.state,
+        "positions": scene.positions,
+        "both_ways": scene.both_ways or None,
     }
     run = {name: plain(RUN[name], own, name) for name, own in told.items() if own is not None}
     found |= {"run": run} if run else {}

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxclear.components.time_table import TimeTable
 from jaxclear.files.classes import ALONE, Argument, arguments, members
 from jaxclear.files.forms import (
     AbstractForm,
@@ -149,9 +150,12 @@ def _no_data(thing: Any, known: dict[str, type]) -> str:
     """Why a thing has no place in a file."""
     names = listed(known)
     if callable(thing) and not isinstance(thing, eqx.Module):
+        told = f"is {described(thing)}: a file holds data, no code. Take one of {names}"
+        if TimeTable.__name__ not in known:
+            return f"{told}."
         return (
-            f"is {described(thing)}: a file holds data, no code. Take one of {names}; a function "
-            "of time becomes data by jaxclear.TimeTable.sampled(function, times)."
+            f"{told}; a function of time becomes data by jaxclear.TimeTable.sampled(function, "
+            "times)."
         )
     return f"is {described(thing)}; a file knows {names} there."
 

@@ -25,6 +25,7 @@ from jaxclear.ground.pose import Pose, frame_with_axis
 from jaxclear.ground.wording import listed, unknown
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
 from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody.exchange import at_rest_under
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
@@ -92,7 +93,8 @@ def posed(mechanism: Mechanism, held: tuple[str, ...]) -> Posed:
             joint = _held(name, joint)
         connections[name] = Connection(joint, connection.parent, connection.child)
     start, guess = (_free(mechanism.given[what], held) for what in ("start", "guess"))
-    bare = Mechanism(mechanism.bodies, connections, mechanism.loads, start=start, guess=guess)
+    loads = at_rest_under(mechanism.loads, held)
+    bare = Mechanism(mechanism.bodies, connections, loads, start=start, guess=guess)
     return Posed(bare, gaps, held)
 
 

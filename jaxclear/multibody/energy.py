@@ -35,8 +35,10 @@ def mechanical_energy(system: System, forces: Forces) -> tuple[Any, Any]:
     ground's origin.
     """
     kinetic, potential = 0.0, forces.stored
-    for link, motion in zip(system.links, forces.motions, strict=True):
+    for index, (link, motion) in enumerate(zip(system.links, forces.motions, strict=True)):
         v, w = motion.twist
+        if link.rotor is not None:
+            kinetic = kinetic + 0.5 * link.rotor * _speed(system, forces, index) ** 2
         kinetic = kinetic + 0.5 * (
             sp.add(sp.mul(link.mass, sp.dot(v, v)), sp.dot(w, sp.apply(link.inertia, w)))
             + sp.mul(2.0, sp.dot(v, sp.cross(w, link.first_moment)))
@@ -47,3 +49,12 @@ def mechanical_energy(system: System, forces: Forces) -> tuple[Any, Any]:
         )
         potential = sp.sub(potential, sp.dot(system.gravity, weighted))
     return kinetic, jnp.asarray(potential, float)
+
+
+def _speed(system: System, forces: Forces, index: int) -> Any:
+    """Speed [rad/s, m/s] of the single coordinate of a link's joint."""
+    (column,) = forces.motions[index].columns
+    twist = kinematics.joint_twist(system, forces.motions, index)
+    along = sp.add(sp.dot(column.linear, twist.linear), sp.dot(column.angular, twist.angular))
+    square = sp.add(sp.dot(column.linear, column.linear), sp.dot(column.angular, column.angular))
+    return along / square

@@ -13,11 +13,12 @@ from jaxclear.components.body import Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractDrivenJoint, AbstractJoint
 from jaxclear.components.joint.base import drive_of
+from jaxclear.components.load import AbstractCoordinateLoad
 from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.topology import Topology, coordinate_joint, free_joint, grow
 
-__all__ = ["exchanged", "told_for_start"]
+__all__ = ["at_rest_under", "exchanged", "told_for_start", "without_loads_on"]
 
 
 def exchanged(
@@ -95,3 +96,16 @@ def told_for_start(
     if afloat and name not in speeds and not afloat & {*speeds}:
         speeds[name] = (0.0,) * len(form.columns(form.home))
     return guess, speeds
+
+
+def without_loads_on(loads: Mapping[str, Any], joints: tuple[str, ...]) -> dict[str, Any]:
+    """The loads but for those on the coordinates of some joints."""
+    acts = lambda load: isinstance(load, AbstractCoordinateLoad) and load.connection in joints
+    return {name: load for name, load in loads.items() if not acts(load)}
+
+
+def at_rest_under(loads: Mapping[str, Any], held: tuple[str, ...]) -> dict[str, Any]:
+    """The loads that say where a mechanism stands of which some joints are held: neither those on
+    the coordinates of these nor inertias."""
+    idle = lambda x: isinstance(x, AbstractCoordinateLoad) and x.inertia_along() is not None
+    return {n: load for n, load in without_loads_on(loads, held).items() if not idle(load)}

@@ -20,7 +20,7 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, as_number, parameters
 from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
-from jaxclear.multibody.exchange import exchanged, told_for_start
+from jaxclear.multibody.exchange import exchanged, told_for_start, without_loads_on
 from jaxclear.multibody.in_words import in_words
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.magnitudes import warn_of_magnitudes
@@ -111,7 +111,7 @@ class Mechanism(AbstractQuantified):
             "stabilisation",
             "a jaxclear.Baumgarte, a jaxclear.Projection, or None for none",
         )
-        validation.check_tree(self.topology, self.connections)
+        validation.check_tree(self.topology, self.connections, self.loads)
         check_plane(self.topology, self.bodies, self.connections, self.loads)
         places = {"start": self.start, "guess": self.guess}
         validation.check_start(self.bodies, self.connections, places, self.speeds)
@@ -146,7 +146,9 @@ class Mechanism(AbstractQuantified):
 
     def with_joint(self, name: str, joint: AbstractJoint | AbstractClearance) -> "Mechanism":
         """The mechanism with another joint in place of one, such as one with clearance in place of
-        an ideal one; its name and markers, its start and its drive stay.
+        an ideal one; its name and markers, its start, its drive and loads on its coordinate stay.
+        Of a joint that had no drive and gets one, start and loads on the coordinate go: the drive
+        decides where it stands.
 
         `joint`: one that constrains no more than the old one does, or no less. Raises `ValueError`
         with a sentence for a name that there is not and a joint that does not fit.
@@ -156,8 +158,19 @@ class Mechanism(AbstractQuantified):
         start["guess"], start["speeds"] = told_for_start(
             self.topology, connections, self.bodies, name, start
         )
+        loads = self.loads
+        if drive_of(self.connections[name].joint) is None and drive_of(connections[name].joint):
+            loads = without_loads_on(loads, (name,))
+            start = {
+                what: {n: x for n, x in own.items() if n != name} for what, own in start.items()
+            }
+        return Mechanism(self.bodies, connections, loads, **start, stabilisation=self.stabilisation)
+
+    def with_loads(self, loads: Mapping[str, AbstractLoad]) -> "Mechanism":
+        """The mechanism under other loads; everything else stays. All loads but one: `{n: load for
+        n, load in mechanism.loads.items() if n != name}`."""
         return Mechanism(
-            self.bodies, connections, self.loads, **start, stabilisation=self.stabilisation
+            self.bodies, self.connections, loads, **self.given, stabilisation=self.stabilisation
         )
 
     def parameters(self) -> Any:

@@ -168,7 +168,16 @@ def _link(
         sp.scale(body.mass, centre),
         sp.shift_inertia(inertia, body.mass, sp.ZERO, centre),
         -1 if parent is None else subtree.index(parent),
+        _rotor(mechanism, branch.connection),
     )
+
+
+def _rotor(mechanism: Mechanism, connection: str | None) -> Any:
+    """Inertia of loads that moves with the coordinate of a joint alone; None for none."""
+    acting = [x for x in mechanism.loads.values() if isinstance(x, AbstractCoordinateLoad)]
+    own = [load.inertia_along() for load in acting if load.connection == connection]
+    own = [inertia for inertia in own if inertia is not None]
+    return sum(own) if own else None
 
 
 def coordinate_loads(system: System) -> list[tuple[str, AbstractCoordinateLoad]]:

@@ -32,7 +32,7 @@ class Link(eqx.Module):
     """A body ready for the recursions, its numbers in the link's own frame: mass [kg], first moment
     of mass [kg m] and inertia [kg m2] about its origin. `base`: the inboard joint's frame in the
     parent link; `frame`: the link's frame in the body's; `parent`: index in the subtree, -1 for
-    the ground.
+    the ground; `rotor`: inertia that moves with the joint's single speed alone, None for none.
     """
 
     joint: AbstractJoint
@@ -42,6 +42,7 @@ class Link(eqx.Module):
     first_moment: sp.Vec
     inertia: sp.Mat
     parent: int = eqx.field(static=True)
+    rotor: Scalar | None = None
 
 
 class Motion(NamedTuple):
@@ -241,6 +242,10 @@ def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[t
                     rows[position[other, m]][position[index, k]] = entry
             wrench = transform_wrench(motions[other].relative, wrench)
             other = links[other].parent
+    for index, link in enumerate(links):
+        if link.rotor is not None:
+            own = position[index, 0]
+            rows[own][own] = sp.add(rows[own][own], link.rotor)
     return tuple(map(tuple, rows))
 
 

@@ -157,13 +157,23 @@ def check_finite(what: str, part: Any) -> None:
             raise ValueError(f"{what} has {name} = {leaf}; it must be a finite number.")
 
 
-def check_tree(topology: Topology, connections: dict) -> None:
-    """Drives must fit the tree."""
+def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
+    """Drives and inertias of coordinates must fit the tree."""
     for name in topology.loops:
         if drive_of(connections[name].joint) is not None:
             raise ValueError(
                 f'joint "{name}" is driven but closes a loop of driven joints; a loop can follow '
                 "one of them only."
+            )
+    for name, load in loads.items():
+        if not isinstance(load, AbstractCoordinateLoad) or load.inertia_along() is None:
+            continue
+        if topology.branch_of(load.connection) is None:
+            why = "has clearance" if load.connection in topology.clearances else "closes a loop"
+            raise ValueError(
+                f'load "{name}" is an inertia on the coordinate of joint "{load.connection}", '
+                f"which {why}; only a joint that the tree carries can have it. Take the load out "
+                "(mechanism.with_loads), and add its inertia to a body if it matters."
             )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.arguments import check_known
 
-__all__ = ["RelativeMotion", "marker_frame", "relative_motion"]
+__all__ = ["RelativeMotion", "marker_frame", "relative_motion", "seen"]
 
 
 class RelativeMotion(NamedTuple):
@@ -25,7 +25,7 @@ class RelativeMotion(NamedTuple):
     spin: np.ndarray
 
 
-class _Seen(NamedTuple):
+class Seen(NamedTuple):
     """A marker in the ground frame over time."""
 
     rotation: np.ndarray
@@ -40,16 +40,17 @@ def marker_frame(marker: Marker) -> tuple[np.ndarray, np.ndarray]:
     return np.array(rotation), np.array(place)
 
 
-def _seen(run: Any, marker: Marker) -> _Seen:
+def seen(run: Any, marker: Marker) -> Seen:
+    """A marker in the ground frame over a run."""
     turn, at = marker_frame(marker)
     if marker.body == GROUND:
         rest = np.zeros((len(run.time), 3))
-        return _Seen(np.broadcast_to(turn, (len(rest), 3, 3)), rest + at, rest, rest)
+        return Seen(np.broadcast_to(turn, (len(rest), 3, 3)), rest + at, rest, rest)
     body = run.body(marker.body)
     rotation, spin = np.asarray(body.rotation), np.asarray(body.spin)
     place = np.asarray(body.origin) + rotation @ at
     velocity = np.asarray(body.velocity) + np.cross(spin, place - np.asarray(body.com))
-    return _Seen(rotation @ turn, place, velocity, spin)
+    return Seen(rotation @ turn, place, velocity, spin)
 
 
 def relative_motion(run: Any, name: str) -> RelativeMotion:
@@ -57,7 +58,7 @@ def relative_motion(run: Any, name: str) -> RelativeMotion:
     that there is not."""
     check_known("joint", name, run.mechanism.connections, " in this mechanism")
     connection = run.mechanism.connections[name]
-    parent, child = _seen(run, connection.parent), _seen(run, connection.child)
+    parent, child = seen(run, connection.parent), seen(run, connection.child)
     away = child.place - parent.place
     velocity = child.velocity - parent.velocity - np.cross(parent.spin, away)
     inwards = parent.rotation.transpose(0, 2, 1)

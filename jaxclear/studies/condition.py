@@ -1,6 +1,7 @@
 """What varies about a mechanism and is no number of it, such as a temperature."""
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -9,18 +10,44 @@ import jax
 from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.wording import described
+from jaxclear.multibody.heated import heated
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.studies.base import one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
 from jaxclear.studies.variable import AbstractMechanismVariable
 
-__all__ = ["Condition"]
+__all__ = ["Condition", "Heating"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Heating:
+    """What a temperature does, for a `Condition` to act by: `heated(mechanism, rise, expansion)`
+    for a `rise` [K] above the drawing's. `expansion`: coefficient of linear expansion [1/K], one
+    for all, or by body. It is data: a scene file holds it, and no function of one's own.
+    """
+
+    expansion: float | tuple[tuple[str, float], ...]
+
+    def __init__(self, expansion: float | Mapping[str, float]):
+        if isinstance(expansion, Mapping):
+            for name, value in expansion.items():
+                check_number(f'expansion of body "{name}" in a Heating', value, "1/K")
+            own: Any = tuple((str(name), float(value)) for name, value in expansion.items())
+        else:
+            check_number("expansion of a Heating", expansion, "1/K")
+            own = float(expansion)
+        object.__setattr__(self, "expansion", own)
+
+    def __call__(self, mechanism: Mechanism, rise: Any) -> Mechanism:
+        """The mechanism at this rise [K]."""
+        own = self.expansion
+        return heated(mechanism, rise, dict(own) if isinstance(own, tuple) else own)
 
 
 class Condition(AbstractMechanismVariable):
     """What varies and is no number of the mechanism itself, such as a temperature:
     `acts(mechanism, value)` returns the mechanism as it is under the condition, all other variables
-    set before.
+    set before. `Heating` is such a function for temperatures.
 
     `nominal` and `unit` are the condition's own; `acts(mechanism, nominal)` is the mechanism as it
     is studied at nominal. `distribution` or `tolerance` as of a `Variable`.

@@ -100,8 +100,7 @@ def test_names_joints_and_loads_are_the_files_own(tree):
     with pytest.warns(jc.NotImported, match="not taken over") as warned:
         mechanism = jc.read_mjcf(tree)
     sentence = str(warned[0].message)
-    assert 'armature of "pitch"' in sentence
-    assert 'limits of "pitch"' in sentence
+    assert "armature" not in sentence and "limits" not in sentence
     assert "contacts between geometries" in sentence
     assert warned[0].filename == __file__
     assert list(mechanism.bodies) == ["cart", "yaw carrier", "arm", "weight"]
@@ -112,7 +111,10 @@ def test_names_joints_and_loads_are_the_files_own(tree):
         "pitch": "Revolute",
         "weight weld": "Fixed",
     }
-    assert set(mechanism.loads) == {"rail spring", "yaw spring", "pitch spring", "gravity"}
+    springs = {"rail spring", "yaw spring", "pitch spring", "gravity"}
+    assert set(mechanism.loads) == springs | {"pitch armature", "pitch limits"}
+    stop = mechanism.loads["pitch limits"]
+    np.testing.assert_allclose([stop.lower, stop.upper], np.deg2rad([-30, 40]))
     spring = mechanism.loads["rail spring"]
     assert float(spring.stiffness) == 30.0
     # From the reference at 0.2 the spring rests at 0.1.
@@ -168,3 +170,105 @@ def test_what_mujoco_warns_of_is_told_and_nothing_is_written(tmp_path, monkeypat
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(ValueError, match="none.urdf is no file"):
         jc.read_urdf(tmp_path / "none.urdf")
+
+
+HINGE = """
+<mujoco><option gravity="0 0 0" timestep="0.002" tolerance="0" iterations="200"/>
+ <worldbody><body name="arm"><joint name="hinge" axis="0 1 0" pos="0.1 0 0" {}/>
+  <geom type="box" size="0.2 0.05 0.04" density="600" contype="0" conaffinity="0"/></body>
+ </worldbody>
+</mujoco>
+"""
+
+
+def hinge(tmp_path, attributes):
+    """The model of a hinge in MuJoCo, and what acts on its coordinate here by inertia there."""
+    import mujoco
+
+    path = tmp_path / "hinge.xml"
+    path.write_text(HINGE.format(attributes))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mechanism = jc.read_mjcf(path)
+    return mujoco.MjModel.from_xml_path(str(path)), mechanism.loads
+
+
+@pytest.mark.parametrize("solref", ["0.02 1", "0.05 0.3", "-900 -40"])
+def test_a_limit_pushes_a_hinge_as_in_mujoco(solref, tmp_path):
+    """Deeper than the width of the impedance's ramp; also where the damper would pull."""
+    import mujoco
+
+    model, loads = hinge(
+        tmp_path,
+        f'limited="true" range="-30 40" margin="0.01" armature="0.03" solreflimit="{solref}"',
+    )
+    data = mujoco.MjData(model)
+    inertia = 1 / float(model.dof_invweight0[0])
+    for angle in (0.75, -0.6, 0.2):
+        for speed in (-6.0, -0.5, 0.0, 0.5, 6.0):
+            data.qpos[0], data.qvel[0] = angle, speed
+            mujoco.mj_forward(model, data)
+            ours = float(loads["hinge limits"].force(0.0, angle, speed)[0]) / inertia
+            np.testing.assert_allclose(ours, data.qacc[0], rtol=1e-9, atol=1e-9)
+
+
+def test_dry_friction_holds_a_hinge_as_in_mujoco(tmp_path):
+    """Sliding it is the file's own; at rest it creeps as fast under a small steady torque."""
+    import mujoco
+
+    model, loads = hinge(tmp_path, 'frictionloss="0.02"')
+    data, friction = mujoco.MjData(model), loads["hinge friction"]
+    inertia = 1 / float(model.dof_invweight0[0])
+    for speed in (-3.0, 1.0, 4.0):
+        data.qvel[0] = speed
+        mujoco.mj_forward(model, data)
+        ours = float(friction.force(0.0, 0.0, speed)[0]) / inertia
+        np.testing.assert_allclose(ours, data.qacc[0], rtol=1e-9)
+    torque = 0.02 / 50
+    creep = float(friction.transition_speed) * np.arctanh(torque / 0.02)
+    data.qvel[0], data.qfrc_applied[0] = creep, torque
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.qacc[0], 0.0, atol=1e-3 * torque / inertia)
+
+
+def test_what_a_free_joint_has_besides_is_named(tmp_path):
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        LARGER.replace('type="ball"', 'type="ball" armature="0.1" frictionloss="1" damping="2"')
+    )
+    with pytest.warns(jc.NotImported) as warned:
+        jc.read_mjcf(path)
+    for what in ("armature", "dry friction", "damping"):
+        assert f'{what} of "mast joint"' in str(warned[0].message)
+
+
+def test_geometries_keep_their_names_and_places(tree, tmp_path):
+    """The box of a welded part stands in the body that it became a part of; volumes by Gauss."""
+    found = jc.read_shapes(tree)
+    assert {body: list(own) for body, own in found.items()} == {
+        "cart": ["box"],
+        "arm": ["rod"],
+        "weight": ["weight geometry 0"],
+    }
+    points, corners = found["cart"]["box"]
+    np.testing.assert_allclose(np.ptp(points, axis=0), (0.2, 0.4, 0.6))
+    ends = points[corners]
+    volume = np.einsum("ti,ti->t", ends[:, 0], np.cross(ends[:, 1], ends[:, 2])).sum() / 6
+    np.testing.assert_allclose(abs(volume), 0.2 * 0.4 * 0.6)
+    rod = found["arm"]["rod"].points
+    np.testing.assert_allclose(rod.min(), -0.03, atol=0.002)
+    np.testing.assert_allclose(rod[:, 0].max(), 0.43, atol=0.002)
+
+
+def test_a_robot_is_drawn_by_what_is_to_be_seen_of_it(tmp_path):
+    mass = "<inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/>"
+    shape = "<{0} name='{1}'><origin xyz='0 0 0.5'/><geometry>{2}</geometry></{0}>"
+    seen = shape.format("visual", "hull", "<cylinder radius='0.1' length='1'/>")
+    met = shape.format("collision", "block", "<box size='1 1 1'/>")
+    (tmp_path / "r.urdf").write_text(
+        f"<robot name='r'><link name='base'/><link name='a'>{mass}</inertial>{seen}{met}</link>"
+        "<joint name='j' type='continuous'><parent link='base'/><child link='a'/></joint></robot>"
+    )
+    assert {body: list(own) for body, own in jc.read_shapes(tmp_path / "r.urdf").items()} == {
+        "a": ["hull"]
+    }

@@ -32,8 +32,6 @@ from jaxclear.files.writing import in_plain_values
 from jaxclear.studies.identity import first_difference
 from jaxclear.studies.texts import in_texts
 
-# Told by a function, so no file holds it.
-CODE = {"Condition"}
 # Numbers that bound each other, words of a few, and what only fits together.
 TOGETHER = {
     "low": -1.0,
@@ -84,6 +82,11 @@ OWN = {
     ("Connection", "axis"): None,
     ("Connection", "at"): None,
     ("Variable", "tolerance"): None,
+    ("Condition", "tolerance"): None,
+    ("Condition", "acts"): {"kind": "Heating", "expansion": {"crank": 1e-5, "rod": 2e-5}},
+    ("Heating", "expansion"): {"crank": 1e-5, "rod": 2e-5},
+    ("JointStop", "lower"): -0.5,
+    ("JointStop", "upper"): 0.5,
     ("FromScipy", "scipy"): None,
     ("FromScipy", "numbers"): None,
     ("FromScipy", "about"): None,
@@ -253,16 +256,12 @@ def test_every_family_has_members():
 @pytest.mark.parametrize("name", sorted(REACHABLE))
 def test_every_argument_of_every_class_has_a_file_form(name):
     lacking = [n for n, own in arguments(REACHABLE[name][0]).items() if own.form is None]
-    assert lacking == {"Condition": ["acts", "tolerance"], "Variable": ["derived"]}.get(name, [])
+    assert lacking == {"Variable": ["derived"]}.get(name, [])
 
 
 @pytest.mark.parametrize("name", sorted({*REACHABLE} - {"Mechanism"}))
 def test_every_class_is_read_as_it_was_written(name, tmp_path):
     kind, form = REACHABLE[name]
-    if name in CODE:
-        with pytest.raises(ValueError, match="data, no code"):
-            read(form, as_node({"kind": name}), "here", tmp_path)
-        return
     built = read(form, as_node(of_class(kind)), "here", tmp_path)
     assert type(built) is kind
     written = in_plain_values(form, built, "here", MECHANISM)
@@ -313,6 +312,80 @@ def asked():
         correlation={("clearance", "masses"): 0.25},
         description="All that a scene may state.",
     )
+
+
+def asked_over_positions():
+    """A scene without time: where a four-bar stands, warmer or colder, with play in one joint."""
+    rig = jc.scenes.four_bar("planar")
+    return jc.Scene(
+        rig,
+        positions={rig.driven[0]: np.linspace(0.0, 1.0, 3)},
+        both_ways=True,
+        variables={
+            "clearance": jc.Variable(lambda m: m.connections["B"].joint.clearance, tolerance=1e-5),
+            "warmth": jc.Condition(
+                jc.Heating({"coupler": 11.5e-6, "crank": 23e-6}), 0.0, tolerance=40.0
+            ),
+        },
+        responses={"lost": jc.response.LostMotion("B")},
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", [".yaml", ".json"])
+def test_a_scene_over_positions_asks_the_same_after_it_was_written(ending, tmp_path):
+    scene, path = asked_over_positions(), tmp_path / f"scene{ending}"
+    jc.write_scene(scene, path)
+    again = jc.read_scene(path)
+    assert scene_text(again) == scene_text(scene)
+    one, other = scene.problem(), again.problem()
+    assert type(one) is jc.PositionProblem
+    assert in_texts(other) == in_texts(one)
+    stood = one.positions(one.nominal())
+    np.testing.assert_array_equal(again.stand().body("coupler").com, stood.body("coupler").com)
+
+
+def test_a_scene_is_a_run_or_positions(tmp_path):
+    rig = jc.scenes.slider_crank()
+    for given, sentence in (
+        ({"duration": 1.0, "positions": {"O": [0.1]}}, 'positions and "duration"'),
+        ({"both_ways": True}, "both_ways without positions"),
+        ({"positions": {"O": [[0.1]]}}, 'positions of joint "O" are .* numbers in a row'),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            jc.Scene(rig, **given)
+    with pytest.raises(ValueError, match="states positions, without time: ask scene.stand"):
+        jc.Scene(rig, positions={"O": [0.1]}).simulate()
+    with pytest.raises(ValueError, match="states no positions"):
+        jc.Scene(rig, 1.0).stand()
+
+
+def test_what_is_code_is_refused_by_its_place(tmp_path):
+    rig = jc.scenes.slider_crank()
+    where = lambda m: m.bodies["rod"].mass
+    derived = [(lambda m: m.bodies["rod"].inertia, lambda m: m.bodies["rod"].inertia[0])]
+    for scene, sentence in (
+        (
+            jc.Scene(rig, 1.0, variables={"w": jc.Condition(lambda m, x: m, 0.0, tolerance=1.0)}),
+            'variables."w".*.acts is the function <lambda>: .* data, no code. Take .*"Heating"',
+        ),
+        (
+            jc.Scene(rig, 1.0, variables={"m": jc.Variable(where, tolerance=0.1, derived=derived)}),
+            'variables."m".*.derived is .* holds data, no code',
+        ),
+        (
+            jc.Scene(rig, 1.0, responses={"x": lambda run: run.time[-1]}),
+            'responses."x".* is the function <lambda>: a file holds data, no code',
+        ),
+        (
+            rig.with_loads({"f": jc.load.JointTorque("A", lambda t: t)}),
+            'loads."f".*.value is the function <lambda>.*jaxclear.TimeTable.sampled',
+        ),
+        (jc.Problem, "what is written is the class Problem; it must be a jaxclear.Scene"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            jc.write_scene(scene, tmp_path / "scene.yaml")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("ending", [".yaml", ".json"])

@@ -16,6 +16,8 @@ import pytest
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.plot.animation.animate import Animation
+from jaxclear.plot.animation.insets import SECTORS, grown
+from jaxclear.plot.animation.pushes import pushes
 from jaxclear.results.relative_motion import relative_motion
 from jaxclear.results.solids import shapes
 from tests.plot import browser
@@ -79,6 +81,50 @@ def test_the_inset_holds_the_gap_of_the_run(page, run):
         centre[pressed] / np.linalg.norm(centre[pressed], axis=1)[:, None], ways[pressed], atol=1e-5
     )
     np.testing.assert_allclose(numbers(view["worn"]), run.worn_depth("B", "bearing")[:, 0])
+
+
+def test_arrows_end_where_contacts_are_and_push_the_journal(run):
+    """In the ground frame; they are there while the contact presses, and point as the force that
+    the journal receives but for friction."""
+    every = np.arange(len(run.time))
+    found = pushes(run, every, len(every), 0.2)
+    own, (matrices,) = run.contact("B"), found.matrices
+    force = np.asarray(own.normal_force)[:, 0]
+    assert found.largest == force.max() and found.names == ("B, contact",)
+    pressed = force > 0
+    marker = run.mechanism.connections["B"].parent
+    turn = np.asarray(run.body("rod").rotation)
+    hole = np.asarray(run.marker(marker.body, tuple(map(float, marker.at))))
+    place = hole + np.einsum("tij,tj->ti", turn, own.place[:, 0])
+    np.testing.assert_allclose(matrices[pressed, :3, 3], place[pressed], atol=1e-6)
+    along = matrices[:, :3, 2] / np.linalg.norm(matrices[:, :3, 2], axis=1)[:, None]
+    received = np.einsum("tij,tj->ti", turn, own.force)
+    aligned = np.einsum("ti,ti->t", along, received)[pressed]
+    np.testing.assert_allclose(aligned, force[pressed], rtol=1e-3)
+    size = np.linalg.norm(matrices[:, :3, 2], axis=1)
+    assert size[~pressed].max() < 1e-6 < 0.007 < size[pressed].min()
+
+
+def test_wear_grows_where_the_contact_is():
+    """Two places that wear one after the other, and once nothing touches."""
+    volume = np.array([0.0, 1.0, 2.0, 2.0, 3.0, 4.0, 5.0])
+    ways = np.array([[1.0, 0.0]] * 4 + [[-1.0, 0.0]] * 3)
+    touches = np.array([True, True, True, False, True, True, True])
+    share = grown(volume, touches, ways, np.array([0, 2, 4, 6])) / 255.0
+    assert np.all(np.diff(share.astype(float), axis=0) >= 0)
+    assert np.all(share[-1] == 1) and np.all(share[0] == 0)
+    right, left = share[:, 0], share[:, share.shape[1] // 2]
+    np.testing.assert_allclose(right, [0, 1, 1, 1], atol=0.01)
+    np.testing.assert_allclose(left, [0, 0, 1 / 3, 1], atol=0.01)
+
+
+def test_colours_are_told_for_every_frame(page, run):
+    (view,) = told(page)["joints"][0]["views"]
+    share = np.frombuffer(base64.b64decode(view["grown"]["u8"]), np.uint8)
+    share = share.reshape(view["grown"]["shape"])
+    assert share.shape == (page.frames, SECTORS) and np.all(share[-1] == 255)
+    assert share[0].max() < 255
+    assert len(told(page)["arrows"]) == 1
 
 
 def test_a_notebook_shows_the_page_and_a_file_keeps_it(page, tmp_path):

@@ -1,4 +1,6 @@
-"""Accelerations of a model as MuJoCo has them and as ours, at random places and speeds."""
+"""Accelerations of a model as MuJoCo has them and as ours, at random places and speeds; without
+limits and dry friction, which are forces here and constraints there.
+"""
 
 import sysconfig
 import warnings
@@ -20,7 +22,8 @@ from jaxclear.multibody.system import prepare
 ROBOTS = (
     Path(sysconfig.get_path("purelib")) / "cmeel.prefix" / "share" / "example-robot-data" / "robots"
 )
-# What an ideal tree has not, switched off there.
+# What a mechanism has not or has otherwise, switched off there and left out here.
+OTHERWISE = (jc.load.JointStop, jc.load.JointFriction)
 BIT = mujoco.mjtDisableBit
 OFF = (
     BIT.mjDSBL_CONTACT,
@@ -45,7 +48,8 @@ def unit(rng):
 def ideal_tree(path, floating):
     """MuJoCo's model without what the mechanism does not take over, and names of its joints."""
     model = compiled(path, floating=floating).model
-    model.dof_armature[:] = 0
+    # That of balls and free joints is not taken over.
+    model.dof_armature[model.jnt_type[model.dof_jntid] <= 1] = 0
     for bit in OFF:
         model.opt.disableflags |= int(bit)
     return model, names_of(model)[1]
@@ -88,6 +92,8 @@ def largest_difference(path, *, floating=False, draws=3):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", jc.NotImported)
         mechanism = jc.read_mjcf(path, floating=floating)
+    alike = {n: x for n, x in mechanism.loads.items() if not isinstance(x, OTHERWISE)}
+    mechanism = mechanism.with_loads(alike)
     model, joints = ideal_tree(path, floating)
     system = prepare(mechanism)
 

@@ -23,15 +23,17 @@ from jaxclear.components.load import Gravity
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_number
 from jaxclear.plot.animation.insets import inset
+from jaxclear.plot.animation.pushes import Pushes, arrow, pushes
 from jaxclear.plot.canvas import check_run
 from jaxclear.results.solids.parts import checked_meshes, parts, size_of
+from jaxclear.results.solids.shapes import Triangles
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["Animation", "animate"]
 
 # A run is shown in so many seconds [s], unless it lasts about as long; frames at the most.
 USUAL, SHORTEST, LONGEST, MOST_FRAMES = 10.0, 3.0, 60.0, 3000
-GREY = 0xB8BEC6
+GREY, RED = 0xB8BEC6, 0xC23B22
 # How far the eye is away, in diagonals of what it is to see, and how wide it is open [deg].
 AWAY, OPENING = 1.25, 40.0
 # Frames at which it is asked what is to be seen; cosine of the tilt of bodies that move in a plane.
@@ -67,14 +69,20 @@ def animate(
     meshes: Mapping[str, Any] | None = None,
     title: str | None = None,
 ) -> Animation:
-    """The run in space, with an inset for every joint with clearance: the journal in its bearing,
-    the gap magnified, its contacts with their forces, and how deep the wall has worn.
+    """The run in space, with an arrow for the normal force of every contact on its journal, and an
+    inset for every joint with clearance: the journal in its bearing, the gap magnified, its
+    contacts with their forces, and how deep the wall has worn by then.
+
+    Arrows grow with the root of the force. A run keeps worn depths at its end only: before, those
+    of each place stand in proportion to what has been worn near it, by the volume that the run
+    saved and where the contacts were.
 
     `slower`: how many seconds one second of the run takes [1] (below 1: faster); by default the
     whole run takes 10 s, or as long as it is between 3 and 60 s. `fps`: frames a second, from the
     saving times nearest to them. `meshes`: by the name of a body the path of a file (as meshio
-    reads it) or (points [m], triangles), in the body's frame; a body without one is the cuboid that
-    has its inertia. Needs `pip install "jaxclear[view]"`. Raises `ValueError`.
+    reads it) or (points [m], triangles), in the body's frame, or several of them by name
+    (`jaxclear.read_shapes` reads those of a URDF or MJCF file); a body without one is the cuboid
+    that has its inertia. Needs `pip install "jaxclear[view]"`. Raises `ValueError`.
     """
     check_run(run)
     if slower is not None:
@@ -92,8 +100,9 @@ def animate(
     wanted = np.linspace(0, duration, min(int(duration * slower * fps) + 2, MOST_FRAMES))
     time = np.asarray(run.time)[:last] - float(run.time[0])
     frames = np.unique(np.searchsorted(time, wanted - 1e-9 * duration).clip(0, last - 1))
-    told = _told(run, frames, last, slower, title)
-    page = _page(run, solids, frames, told)
+    forces = pushes(run, frames, last, size_of(run))
+    told = _told(run, frames, last, slower, title) | {"largest": forces.largest}
+    page = _page(run, solids, frames, told, forces)
     return Animation(page, len(frames), duration * slower)
 
 
@@ -105,11 +114,13 @@ def _reached(run: Trajectory) -> int:
     return len(good) if good.all() else int(np.argmin(good))
 
 
-def _told(run: Trajectory, frames: np.ndarray, last: int, slower: float, title: str | None) -> str:
-    """What the page's own script needs, as JSON; arrays as single numbers in base64."""
+def _told(
+    run: Trajectory, frames: np.ndarray, last: int, slower: float, title: str | None
+) -> dict[str, Any]:
+    """What the page's own script needs."""
     joints = run.formulation.contact_joints(run.mechanism)
     colours = _colours(run)
-    data = {
+    return {
         "title": title or "",
         "slower": slower,
         "time": np.asarray(run.time)[frames],
@@ -120,10 +131,12 @@ def _told(run: Trajectory, frames: np.ndarray, last: int, slower: float, title: 
         "joints": [inset(run, name, frames, last) for name in joints],
         "warnings": list(run.warnings),
     }
-    return json.dumps(data, default=_packed)
 
 
 def _packed(values: Any) -> dict[str, Any]:
+    """An array in base64: shares of 255 as bytes, everything else as single numbers."""
+    if values.dtype == np.uint8:
+        return {"shape": values.shape, "u8": base64.b64encode(values.tobytes()).decode()}
     array = np.ascontiguousarray(values, np.float32)
     return {"shape": array.shape, "f32": base64.b64encode(array.tobytes()).decode()}
 
@@ -134,7 +147,7 @@ def _colours(run: Trajectory) -> dict[str, str]:
     return {name: palette[i % len(palette)] for i, name in enumerate(run.mechanism.bodies)}
 
 
-def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: str) -> str:
+def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: dict, forces: Pushes) -> str:
     """The page: K3D's own, with the script of the insets in it."""
     import k3d
 
@@ -154,8 +167,7 @@ def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: str) -> str:
         if not len(own.points):
             continue
         colour = GREY if name == GROUND else int(colours[name][1:], 16)
-        arrays = own.points.astype(np.float32), own.corners.astype(np.uint32)
-        mesh = k3d.mesh(*arrays, color=colour, name=name, side="double")
+        mesh = _mesh(own, colour, name)
         moves = _moves(run, name, frames)
         if name != GROUND:
             mesh.model_matrix = {str(t): m for t, m in zip(time, moves, strict=True)}
@@ -163,11 +175,24 @@ def _page(run: Trajectory, solids: dict, frames: np.ndarray, told: str) -> str:
         ends = _ends(own.points)
         some = moves[:: max(len(moves) // LOOKS, 1)]
         corners.append(ends @ some[:, :3, :3].transpose(0, 2, 1) + some[:, None, :3, 3])
+    solid, told["arrows"] = arrow(), []
+    for name, own in zip(forces.names, forces.matrices, strict=True):
+        mesh = _mesh(solid, RED, f"force in {name}")
+        mesh.model_matrix = {str(t): m for t, m in zip(time, own, strict=True)}
+        told["arrows"].append(mesh.id)
+        scene += mesh
     scene.camera = _camera(run, frames, np.concatenate([own.reshape(-1, 3) for own in corners]))
     scene.snapshot_type = "full"
     script = resources.files("jaxclear.plot.animation").joinpath("viewer.js").read_text("utf-8")
-    safe = told.replace("</", "<\\/")
+    safe = json.dumps(told, default=_packed).replace("</", "<\\/")
     return scene.get_snapshot(9, additional_js_code=f"const RUN = {safe};\n{script}")
+
+
+def _mesh(own: Triangles, colour: int, name: str) -> Any:
+    import k3d
+
+    arrays = own.points.astype(np.float32), own.corners.astype(np.uint32)
+    return k3d.mesh(*arrays, color=colour, name=name, side="double")
 
 
 def _ends(points: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ slider lie before its walls. Another joint shows how deep its contacts are.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,17 @@ __all__ = ["inset"]
 
 # Directions in which a wall is drawn, and columns of the chart of forces.
 DIRECTIONS, COLUMNS = 180, 400
+# Sectors around in which wear is followed, and how far beside a contact it counts as near [deg].
+SECTORS, BESIDE = 72, 8.0
 TURN = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
+
+
+class Worn(NamedTuple):
+    """A worn wall along a circle: `depth` (cells,) [m] at the end, and the `share` of it that was
+    there at each frame, by sectors (frames, SECTORS), in bytes."""
+
+    depth: np.ndarray
+    share: np.ndarray
 
 
 def inset(run: Trajectory, name: str, frames: np.ndarray, last: int) -> dict[str, Any]:
@@ -52,10 +62,10 @@ def _round(
     wall: Any,
     ways: np.ndarray,
     contacts: list,
-    worn: np.ndarray | None,
+    worn: Worn | None,
 ) -> dict[str, Any]:
     """A journal in a hole: its `centre` (frames, 2) [m], the `wall` (directions,) [m], the `ways`
-    (frames, contacts, 2) towards its `contacts`, and how deep the wall has `worn` (cells,) [m]."""
+    (frames, contacts, 2) towards its `contacts`, and how deep the wall has `worn`."""
     return {
         "kind": "round",
         "title": title,
@@ -63,7 +73,8 @@ def _round(
         "wall": wall,
         "ways": ways,
         "of": contacts,
-        "worn": worn,
+        "worn": None if worn is None else worn.depth,
+        "grown": None if worn is None else worn.share,
     }
 
 
@@ -71,6 +82,41 @@ def _worn(run: Trajectory, name: str, surface: str) -> np.ndarray | None:
     """Depth of a surface [m], None where it does not wear."""
     own = run.worn.get(name, {}).get(surface)
     return None if own is None else np.asarray(own)
+
+
+def _wearing(
+    run: Trajectory, surface: tuple[str, str], history: Any, frames: np.ndarray, cut: Any
+) -> Worn:
+    """The wear of a `surface` (joint, its name) along a circle: `cut` holds the depth there at the
+    end, the contacts that wear it and the axes of its plane."""
+    depth, contacts, axes = cut
+    force = np.nan_to_num(np.asarray(history.normal_force)[:, contacts]).sum(axis=1)
+    ways = _ways(history, np.arange(len(force)), contacts, axes)[:, 0]
+    volume = np.nan_to_num(np.asarray(run.worn_volume(*surface)))
+    return Worn(depth, grown(volume, force > 0, ways, frames))
+
+
+def grown(
+    volume: np.ndarray, touches: np.ndarray, ways: np.ndarray, frames: np.ndarray
+) -> np.ndarray:
+    """Share of the end's depth that is worn at each of `frames`, in sectors around (frames,
+    SECTORS), as bytes: what the worn `volume` (time,) [m^3] has grown by is put where the contact
+    was, in the direction `ways` (time, 2), and all around where nothing `touches` at the saving
+    time."""
+    sector = np.arctan2(ways[:, 1], ways[:, 0]) / (2 * np.pi) * SECTORS
+    sector = np.floor(sector).astype(int) % SECTORS
+    gained = np.maximum(np.diff(volume, prepend=0.0), 0.0)
+    row = np.minimum(np.searchsorted(frames, np.arange(len(volume))), len(frames) - 1)
+    put = np.zeros((len(frames), SECTORS))
+    np.add.at(put, (row[touches], sector[touches]), gained[touches])
+    np.add.at(put, row[~touches], (gained[~touches] / SECTORS)[:, None])
+    put += 1e-3 * put.sum(axis=1, keepdims=True) / SECTORS
+    away = np.minimum(np.arange(SECTORS), SECTORS - np.arange(SECTORS)) * 360.0 / SECTORS
+    spread = np.exp(-0.5 * (away / BESIDE) ** 2)
+    around = spread[(np.arange(SECTORS)[:, None] - np.arange(SECTORS)) % SECTORS]
+    so_far = np.cumsum(put @ around, axis=0)
+    share = so_far / np.maximum(so_far[-1], 1e-300)
+    return np.round(255 * share).astype(np.uint8)
 
 
 def _ways(history: Any, frames: np.ndarray, contacts: list, axes: tuple[int, int]) -> np.ndarray:
@@ -88,16 +134,11 @@ def _bore(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
     """A planar journal."""
     worn = _worn(run, name, "bearing")
     centre = np.asarray(history.offset)[frames, :2]
-    return [
-        _round(
-            "across the axis",
-            centre,
-            _wall(joint),
-            _ways(history, frames, [0], (0, 1)),
-            [0],
-            None if worn is None else worn[:, 0],
-        )
-    ]
+    wear = None
+    if worn is not None:
+        wear = _wearing(run, (name, "bearing"), history, frames, (worn[:, 0], [0], (0, 1)))
+    ways = _ways(history, frames, [0], (0, 1))
+    return [_round("across the axis", centre, _wall(joint), ways, [0], wear)]
 
 
 def _ends(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
@@ -108,9 +149,12 @@ def _ends(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
     for end, centre in enumerate(joint.end_centres(tuple(offset.T), (tuple(axis.T),))):
         place = np.stack([np.broadcast_to(np.asarray(x), len(frames)) for x in centre[:2]], -1)
         ways = _ways(history, frames, [end], (0, 1))
-        depth = None if worn is None else worn[:, -end]
+        wear = None
+        if worn is not None:
+            cut = (worn[:, -end], [end], (0, 1))
+            wear = _wearing(run, (name, "bearing"), history, frames, cut)
         title = ("lower end", "upper end")[end]
-        found.append(_round(title, place, _wall(joint), ways, [end], depth))
+        found.append(_round(title, place, _wall(joint), ways, [end], wear))
     return found
 
 
@@ -120,9 +164,12 @@ def _ball(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
     wall = float(joint.clearance) * np.stack([np.cos(TURN), np.sin(TURN)], -1)
     found = []
     for title, axes in (("along z: x, y", (0, 1)), ("along y: x, z", (0, 2))):
-        depth = None if worn is None else _cut(worn, axes)
+        wear = None
+        if worn is not None:
+            cut = (_cut(worn, axes), [0], axes)
+            wear = _wearing(run, (name, "socket"), history, frames, cut)
         ways = _ways(history, frames, [0], axes)
-        found.append(_round(title, offset[:, axes], wall, ways, [0], depth))
+        found.append(_round(title, offset[:, axes], wall, ways, [0], wear))
     return found
 
 

@@ -12,9 +12,11 @@
       flat.shape = o.shape;
       return flat;
     }
+    if (o.u8 !== undefined) return Uint8Array.from(atob(o.u8), (c) => c.charCodeAt(0));
     for (const key of Object.keys(o)) o[key] = unpack(o[key]);
     return o;
   };
+  const newton = (f) => (f >= 1e3 ? (f / 1e3).toPrecision(3) + ' kN' : f.toPrecision(3) + ' N');
   const run = unpack(RUN), time = run.time, frames = time.length;
   const first = time[0], end = time[frames - 1];
   const make = (kind, parent, style, text) => {
@@ -49,6 +51,11 @@
       textShadow: '0 0 3px #fff, 0 0 3px #fff, 0 0 3px #fff', zIndex: 10,
     }, body.name);
   });
+  if (run.largest > 0) {
+    const row = make('div', list, {});
+    make('span', row, { color: '#c23b22' }, '\u2192 ');
+    make('span', row, {}, `contact forces, largest ${newton(run.largest)}`);
+  }
   const said = make('div', document.body, {
     position: 'absolute', left: '10px', bottom: `${LOW + 6}px`, font: '11px sans-serif',
     color: '#b3261e', width: `calc(100% - ${wide + 90}px)`, maxHeight: '20%', overflowY: 'auto',
@@ -108,7 +115,6 @@
     if (size >= 1e-6 || size === 0) return (metres * 1e6).toPrecision(3) + ' \u00b5m';
     return Number((metres * 1e9).toPrecision(3)) + ' nm';
   };
-  const newton = (f) => (f >= 1e3 ? (f / 1e3).toPrecision(3) + ' kN' : f.toPrecision(3) + ' N');
   const forceOf = (joint, frame, contact) => joint.force[frame * joint.contacts.length + contact];
   const depthOf = (joint, frame, contact) => joint.depth[frame * joint.contacts.length + contact];
   const long = (joint, force) => 8 + 30 * Math.sqrt(force / (joint.most || 1));
@@ -122,13 +128,16 @@
       const px = scale * x + (own + more) * x / r, py = scale * y + (own + more) * y / r;
       return [cx + px, cy - py];
     };
-    // The bearing, its colour the depth that is worn at the end.
+    // The bearing, its colour the depth that is worn by now.
+    const sectors = view.grown ? view.grown.length / frames : 0;
     for (let i = 0; i < count; i++) {
       const j = (i + 1) % count;
       pen.beginPath();
       pen.moveTo(...edge(i, 0)); pen.lineTo(...edge(j, 0));
       pen.lineTo(...edge(j, 13)); pen.lineTo(...edge(i, 13));
-      const depth = view.worn && view.worn[Math.floor(i * view.worn.length / count)];
+      const sector = Math.floor(i * sectors / count);
+      const depth = view.worn && view.worn[Math.floor(i * view.worn.length / count)]
+        * view.grown[frame * sectors + sector] / 255;
       pen.fillStyle = pen.strokeStyle = view.worn
         ? heat(Math.sqrt(depth / (joint.worn || 1))) : '#c3c8cf';
       pen.lineWidth = 0.7;
@@ -274,7 +283,7 @@
         pen.fillRect(8 + i, tall + 9, 1.5, 7);
       }
       pen.fillStyle = '#555';
-      pen.fillText(`worn at the end: 0 to ${shown(joint.worn)}`, 76, tall + 16);
+      pen.fillText(`worn by now: 0 to ${shown(joint.worn)} at the end`, 76, tall + 16);
     }
     chart(joint, now, tall + 25);
   };
@@ -302,6 +311,20 @@
     : run.slower > 1 ? `${run.slower.toPrecision(3)} times slower`
       : `${(1 / run.slower).toPrecision(3)} times faster`);
 
+  // Arrows of forces are seen through the bodies.
+  const overlaid = new Set();
+  const overlay = () => {
+    if (overlaid.size === run.arrows.length) return;
+    K3DInstance.getWorld().K3DObjects.children.forEach((one) => {
+      if (!run.arrows.includes(one.K3DIdentifier) || overlaid.has(one.K3DIdentifier)) return;
+      overlaid.add(one.K3DIdentifier);
+      one.traverse((part) => {
+        if (!part.material) return;
+        Object.assign(part.material, { depthTest: false, depthWrite: false, transparent: true });
+        part.renderOrder = 1000;
+      });
+    });
+  };
   const state = { playing: true, now: first, before: 0 };
   const frameAt = (now) => {
     let low = 0, high = frames - 1;
@@ -327,6 +350,7 @@
   const show = () => {
     const frame = frameAt(state.now);
     K3DInstance.setTime(state.now);
+    overlay();
     run.joints.forEach((joint) => draw(joint, frame, state.now));
     follow(frame);
     slider.value = state.now;

@@ -55,6 +55,8 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, T
         solid = meshes.get(name)
         joints = np.array(ends[name]).reshape(-1, 3)
         found[name].append(shapes.of_body(body, joints, size) if solid is None else solid)
+    if GROUND in meshes:
+        found[GROUND].append(meshes[GROUND])
     return {name: shapes.joined(own) for name, own in found.items()}
 
 
@@ -100,13 +102,19 @@ def _travel(run: Any, name: str) -> tuple[float, float]:
 
 
 def checked_meshes(run: Any, meshes: Any) -> dict[str, Triangles]:
-    """Meshes by body: of files (through meshio), or of points and triangles."""
+    """Meshes by body (and of the ground): of files (through meshio), or of points and triangles, or
+    several by name."""
     if meshes is None:
         return {}
     expect(meshes, Mapping, "meshes", "a dictionary from names of bodies")
     for name in meshes:
-        check_known("body", name, run.mechanism.bodies, " in this mechanism")
-    return {name: _mesh(name, given) for name, given in meshes.items()}
+        check_known("body", name, [*run.mechanism.bodies, GROUND], " in this mechanism")
+    found = {}
+    for name, given in meshes.items():
+        own = given if isinstance(given, Mapping) else {"": given}
+        parts = (_mesh(f"{name}, {part}" if part else name, one) for part, one in own.items())
+        found[name] = shapes.joined(parts)
+    return found
 
 
 def _mesh(name: str, given: Any) -> Triangles:

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxclear.components.body import Body
 
-__all__ = ["Triangles", "ball", "box", "joined", "of_body", "rod", "tube"]
+__all__ = ["Triangles", "ball", "box", "capsule", "joined", "of_body", "rod", "tube"]
 
 AROUND = 24
 # A flat body is drawn at least so thick, and a rod so thin, as shares of the mechanism's size.
@@ -90,6 +90,13 @@ def ball(radius: float) -> Triangles:
     """A sphere about the origin."""
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, AROUND // 2 + 1)
     return _turned(radius * np.stack([np.cos(angle), np.sin(angle)], -1))
+
+
+def capsule(radius: float, length: float) -> Triangles:
+    """A cylinder along z about the origin, of this length between the half spheres at its ends."""
+    angle = np.linspace(0, 0.5 * np.pi, AROUND // 4 + 1)
+    upper = np.stack([radius * np.cos(angle), 0.5 * length + radius * np.sin(angle)], -1)
+    return _turned(np.concatenate([upper[::-1] * [1, -1], upper]))
 
 
 def between(start: np.ndarray, end: np.ndarray, radius: float) -> Triangles:

@@ -1,4 +1,4 @@
-"""What acts on bodies besides joints: gravity, forces, torques, springs and dampers.
+"""What acts on bodies through markers: gravity, forces, torques, springs and dampers.
 
 A load sees the motion of the markers it acts on (`MarkerMotion`, in the ground frame) and returns
 forces and torques in the ground frame. Springs tell their stored energy, dampers their dissipated
@@ -20,28 +20,11 @@ from jaxclear.components.function_of_time import (
     value_at,
     vector_or_function,
 )
+from jaxclear.components.load.base import AbstractLoad, check_acts
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
-
-__all__ = [
-    "AbstractBodyLoad",
-    "AbstractCoordinateLoad",
-    "AbstractLoad",
-    "Action",
-    "Effect",
-    "Force",
-    "Gravity",
-    "JointSpring",
-    "JointTorque",
-    "MarkerMotion",
-    "MotorTorque",
-    "Spring",
-    "Torque",
-]
-__getattr__ = nothing_else("jaxclear.load", __all__)
+from jaxclear.ground.quantity import Scalar, quantity, vector
 
 
 class MarkerMotion(NamedTuple):
@@ -71,10 +54,6 @@ class Effect(NamedTuple):
     external: Any
 
 
-class AbstractLoad(AbstractQuantified):
-    """A load on bodies, or on the coordinate of a joint of the tree."""
-
-
 class AbstractBodyLoad(AbstractLoad):
     """Acts on bodies through markers."""
 
@@ -85,25 +64,6 @@ class AbstractBodyLoad(AbstractLoad):
     @abstractmethod
     def effect(self, time: Scalar, motions: tuple[MarkerMotion, ...]) -> Effect:
         """Forces and energies at an instant."""
-
-
-class AbstractCoordinateLoad(AbstractLoad):
-    """Acts on the single coordinate of a joint, child against parent: an angle or a displacement.
-
-    The joint may also close a loop or have clearance; then its coordinate is that of the ideal
-    joint that it would be, read between its two markers. An angle is followed over whole turns,
-    from where `start` or `guess` of the mechanism gives it, else from within half a turn of 0.
-    """
-
-    connection: eqx.AbstractVar[str]
-
-    @abstractmethod
-    def force(self, time: Scalar, position: Scalar, speed: Scalar) -> tuple[Any, Any, Any, Any]:
-        """(generalised force, stored energy, dissipated power, external power)."""
-
-    def reads_position(self) -> bool:
-        """Whether the force depends on the coordinate; it does unless overridden."""
-        return True
 
 
 # A hundred times that of the Earth.
@@ -204,13 +164,6 @@ class MotorTorque(AbstractBodyLoad):
         return Effect(actions, 0, 0, sp.dot(torque, sp.minus(motions[1].spin, motions[0].spin)))
 
 
-def _check_acts(spring: Any) -> None:
-    """Raises `ValueError` for a spring that is neither one nor a damper."""
-    if spring.stiffness is None and spring.damping is None:
-        name = type(spring).__name__
-        raise ValueError(f"load.{name} needs stiffness or damping, or both; it has neither.")
-
-
 class Spring(AbstractBodyLoad):
     """Spring and damper between two markers, along the line between them: F = k (l - l0) + d dl/dt,
     positive in tension.
@@ -223,7 +176,7 @@ class Spring(AbstractBodyLoad):
     damping: Scalar | None = quantity(None, "N s/m", "viscous damping", at_least=0)
 
     def __check_init__(self):
-        _check_acts(self)
+        check_acts(self)
 
     def markers(self):
         return (self.start, self.end)
@@ -246,55 +199,3 @@ class Spring(AbstractBodyLoad):
         reaction = tuple(sp.neg(x) for x in pull)
         actions = (Action(self.start, pull, sp.ZERO), Action(self.end, reaction, sp.ZERO))
         return Effect(actions, stored, dissipated, 0)
-
-
-class JointSpring(AbstractCoordinateLoad):
-    """Spring and damper on the coordinate of a joint that turns or slides, ideal or with clearance
-    (N m/rad, N m s/rad; N/m, N s/m if sliding). Angles count over whole turns, as
-    `AbstractCoordinateLoad` says.
-    """
-
-    connection: str = eqx.field(static=True)
-    stiffness: Scalar | None = quantity(
-        None, "N m/rad", "stiffness (N/m for a sliding joint)", at_least=0
-    )
-    rest: Scalar = quantity(0.0, "rad", "coordinate without force (m for a sliding joint)")
-    damping: Scalar | None = quantity(
-        None, "N m s/rad", "viscous damping (N s/m for a sliding joint)", at_least=0
-    )
-
-    def __check_init__(self):
-        _check_acts(self)
-
-    def force(self, time, position, speed):
-        force, stored, dissipated = 0, 0, 0
-        if self.stiffness is not None:
-            stretch = position - self.rest
-            force, stored = -self.stiffness * stretch, 0.5 * self.stiffness * stretch * stretch
-        if self.damping is not None:
-            force, dissipated = sp.sub(force, self.damping * speed), self.damping * speed * speed
-        return force, stored, dissipated, 0
-
-    def reads_position(self):
-        return self.stiffness is not None
-
-
-class JointTorque(AbstractCoordinateLoad):
-    """A torque [N m] (force [N] if sliding) on the coordinate of a joint, ideal or with clearance,
-    child against parent: a number or function of time.
-    """
-
-    connection: str = eqx.field(static=True)
-    value: Scalar | Callable = quantity(
-        unit="N m", meaning="torque, or a function of time", converter=number_or_function
-    )
-
-    def __check_init__(self):
-        check_function_of_time(self, "value")
-
-    def force(self, time, position, speed):
-        force = value_at(self.value, time)
-        return force, 0, 0, force * speed
-
-    def reads_position(self):
-        return False
