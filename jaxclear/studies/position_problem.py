@@ -21,14 +21,9 @@ from jaxclear.integrators import Outcome
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.positions import Positions
 from jaxclear.results.response import unit_of
-from jaxclear.simulation.positions import (
-    Spot,
-    Way,
-    both,
-    checked_positions,
-    spots_along,
-    way_of,
-)
+from jaxclear.simulation.position_path import spots_along
+from jaxclear.simulation.positions import both, checked_positions
+from jaxclear.simulation.spot import Spot, Way, way_of
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.inputs import correlation_matrix
@@ -136,6 +131,9 @@ class PositionProblem(AbstractProblem):
 
     def most_together(self):
         return LARGEST_CHUNK
+
+    def at_once(self):
+        return True
 
     def rerun(self, values, index, chunk) -> Positions:
         """The mechanism of one sample at all positions."""

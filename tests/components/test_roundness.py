@@ -102,3 +102,42 @@ def test_any_number_of_lobes_is_turned_at_once(number):
         derivative = number * (1e-6 * np.cos(turned) - 2e-6 * np.sin(turned))
         np.testing.assert_allclose(slope, derivative, atol=1e-6 * within * number)
     assert abs(bend + number**2 * value) <= 1e-15 * number**2
+
+
+def turning(law):
+    """A journal of 1 kg in a bearing with lobes that turns slowly, a quarter in the second."""
+    joint = jc.clearance.PlanarJournalBearing(
+        law, bearing_radius=RADIUS, clearance=CLEARANCE, roundness=(OVAL, TREFOIL)
+    )
+    drive = jc.drive.ConstantSpeed(0.5 * np.pi)
+    return jc.Mechanism(
+        {"ring": jc.Body(1.0, 1e-3), "journal": jc.Body(1.0, 1e-4)},
+        {
+            "post": jc.Connection(jc.joint.Revolute(drive=drive), "ground", "ring"),
+            "bearing": jc.Connection(joint, "ring", "journal"),
+        },
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+    )
+
+
+@pytest.mark.parametrize("rung", ["permanent", pytest.param("compliant", marks=pytest.mark.slow)])
+def test_a_slowly_pushed_journal_runs_along_its_lobed_bore(rung):
+    """In the bearing's axes the weight goes round, and the journal follows the curve whose support
+    function the gap is: e = (c + r) n + r' t. The compliant one sinks in by its weight over the
+    stiffness, 10 nm, and swings by its speed over its frequency, 30 nm."""
+    rig = turning(jc.contact.Linear(stiffness=1e9, restitution=0.5))
+    kinds = {
+        "permanent": (jc.integrator.NonColliding(1e-2), 1e-12),
+        "compliant": (jc.integrator.FixedStep(1e-5, "semi_implicit"), 6e-8),
+    }
+    integrator, within = kinds[rung]
+    state = jc.seated(rig) if rung == "compliant" else None
+    run = jc.simulate(rig, 1.0, save=41, integrator=integrator, state=state)
+    assert run.succeeded
+    # A mean over the step that ends there.
+    half = 0.5e-2 if rung == "permanent" else 0.0
+    angle = -0.5 * np.pi * (1 + run.times[1:] - half)
+    value, slope = wall(np.asarray(angle))
+    x, y = np.cos(angle), np.sin(angle)
+    curve = np.stack([(CLEARANCE + value) * x - slope * y, (CLEARANCE + value) * y + slope * x], 1)
+    np.testing.assert_allclose(run.contact("bearing").offset[1:, :2], curve, atol=within)

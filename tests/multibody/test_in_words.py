@@ -5,8 +5,7 @@ import pandas
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.sensitivity.derivative import Sensitivity, confirmed
-from jaxclear.studies.sensitivity.methods import Estimate
+from jaxclear.studies.sensitivity.derivative import Estimate, Sensitivity, confirmed
 
 
 @pytest.mark.parametrize("scene", jc.scenes.__all__)

@@ -11,7 +11,9 @@ from scipy.optimize import brentq, minimize
 
 import jaxclear as jc
 from jaxclear.formulations.quasi_static import posed
-from jaxclear.simulation.positions import positions_at, settle, spots_along, way_of
+from jaxclear.simulation.position_path import spots_along
+from jaxclear.simulation.positions import positions_at
+from jaxclear.simulation.spot import settle, way_of
 
 CRANK, COUPLER, FOLLOWER, GROUND, CLEARANCE, GRAVITY = 0.1, 0.4, 0.3, 0.3, 0.3e-3, 9.81
 ANGLES = np.array([0.2, 1.5, 2.8, 4.1, 5.4])

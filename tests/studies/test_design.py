@@ -115,6 +115,24 @@ def test_optax_finds_what_slsqp_finds():
 
 
 @pytest.mark.slow
+def test_what_is_counted_is_designed_by_slopes_known_with_noise_only():
+    """A gauge that reads the gap in whole steps of a third of the room: JAX knows no slope of it.
+    Steps of width q add q^2 / 12 to the variance (Sheppard)."""
+    step = ROOM / 3
+    gauge = jc.FunctionProblem(
+        lambda **x: {"gap": GAP + step * jnp.round((stack(**x)["gap"] - GAP) / step)},
+        {n: jc.Dimension(v, tolerance=20e-6) for n, v in zip(NAMES, NOMINAL, strict=True)},
+    )
+    settings = jc.DesignSettings(method="noisy", check=2048)
+    found = jc.design(gauge, reciprocal(), MEAN, tolerance=WIDE, settings=settings)
+    room = 3 * np.sqrt((ROOM / 3) ** 2 - step**2 / 12)
+    cost = optimum(3)[1] * ROOM / room
+    assert found.holds
+    np.testing.assert_allclose(found.cost, cost, rtol=0.02)
+    np.testing.assert_allclose(found.prices, [cost / room * ROOM / room], rtol=0.1)
+
+
+@pytest.mark.slow
 def test_sixty_tolerances_are_left_to_optax():
     count = 60
     slopes = np.where(np.arange(count) % 2, 1.0, -1.0) * (1 + np.arange(count) % 5)

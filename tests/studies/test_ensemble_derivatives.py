@@ -10,9 +10,9 @@ from scipy import stats
 import jaxclear as jc
 from jaxclear.studies.sampling import draw, groups
 from jaxclear.studies.sensitivity.derivative import combined, confirmed, from_parts
+from jaxclear.studies.sensitivity.differences import differences, moved
 from jaxclear.studies.sensitivity.direction import directions
 from jaxclear.studies.sensitivity.functional import Functional
-from jaxclear.studies.sensitivity.methods import differences
 
 D = jc.distribution
 SLOPES, SPREADS = np.array([1.0, -0.8, 0.5]), np.array([0.1, 0.2, 0.15])
@@ -218,8 +218,8 @@ def test_differences_of_a_quantile_tell_their_error():
     found = []
     for seed in range(60):
         values = draw(problem, 128, 100 + seed, scramblings=16)
-        sample = values, groups(128, 16)
-        found.append(differences(problem, sample, direction, [one])[one.label])
+        runs = moved(problem, (values, groups(128, 16)), direction)
+        found.append(differences(problem, runs, direction, [one])[one.label])
     away = np.array([estimate.value for estimate in found])
     half = np.array([estimate.error for estimate in found])
     assert np.mean(abs(away) <= half) > 0.85

@@ -14,6 +14,7 @@ import numpy as np
 from jaxclear.studies.design.discrete import chosen_from_catalogues
 from jaxclear.studies.design.lagrangian import cheapest_by_steps
 from jaxclear.studies.design.model import AbstractModel, Direct, surface_through
+from jaxclear.studies.design.noisy import cheapest_by_noise
 from jaxclear.studies.design.optimise import Candidate, Search, cheapest, judged
 from jaxclear.studies.design.population import Points, points
 from jaxclear.studies.design.question import Question, sizes_of
@@ -169,6 +170,10 @@ class _Seeking:
 
     def _best(self, starts: list, drawn: Points, low: np.ndarray, high: np.ndarray) -> Candidate:
         search = Search(self.question, self.model, drawn, self.shift, low, high)
+        if self.settings.noisy:
+            seed = self.settings.seed + len(self.rounds)
+            found = cheapest_by_noise(search, starts[0], self.runs, seed)
+            return chosen_from_catalogues(search, found)
         if self.settings.uses_steps(len(low)):
             return chosen_from_catalogues(search, cheapest_by_steps(search, starts[0]))
         return chosen_from_catalogues(search, cheapest(search, starts))

@@ -26,6 +26,9 @@ ROUNDING = 1e-9
 TOGETHER = 2.576 / 1.96
 # Weights from fewer scramblings are chance.
 FEWEST = 8
+# What is less certain than the best by more than this factor is not combined with it: it would add
+# a fifth of its certainty at most, and chance in the weights, and choosing what looks better.
+COMPARABLE = 2.0
 # Methods agree on what is wrong as well, where more than this share of their runs is in doubt.
 FEW_WARNED = 0.05
 
@@ -36,7 +39,8 @@ class Estimate(NamedTuple):
     error leaves out: such an estimate stands only beside one without doubt that agrees with it.
     `warned` [1] is the share of its runs with warnings that concern the response, `warnings` what
     they are. `parts` are the contributions of its independent scramblings, whose mean is the value;
-    `bias` [the value's unit] is what the error holds besides their scatter."""
+    `bias` [the value's unit] is what the error holds besides their scatter; `runs` is how many it
+    took."""
 
     value: float
     error: float
@@ -46,6 +50,7 @@ class Estimate(NamedTuple):
     warnings: str = ""
     parts: tuple[float, ...] = ()
     bias: float = 0.0
+    runs: int = 0
 
 
 def from_parts(parts: np.ndarray, bias: float = 0.0) -> Estimate:
@@ -147,8 +152,8 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
             continue
         partners = [other for other in order if other != name and _agree(best, estimates[other])]
         if partners:
-            verdict = _agreement(best, name, partners, order)
-            near = [name, *(p for p in partners if _agree(best, estimates[p], 1.0))]
+            verdict = _agreement(estimates, name, partners, order)
+            near = [name, *(p for p in partners if _joins(best, estimates[p]))]
             joined = combined({own: estimates[own] for own in near})
             if joined is not None:
                 names = " and ".join(n for n in near if estimates[n].parts)
@@ -232,10 +237,30 @@ def _agree(a: Estimate, b: Estimate, times: float = TOGETHER) -> bool:
     return bool(abs(a.value - b.value) <= times * np.hypot(a.error, b.error) + rounding)
 
 
-def _agreement(best: Estimate, name: str, partners: list[str], order: list[str]) -> str:
+def _joins(best: Estimate, other: Estimate) -> bool:
+    """Whether another estimate makes the best one more certain."""
+    return other.error <= COMPARABLE * best.error and _agree(best, other, 1.0)
+
+
+def confirms(estimates: dict[str, Estimate], name: str) -> bool:
+    """Whether a method confirms another one that is more certain."""
+    order = _by_certainty(estimates)
+    best = estimates[order[0]] if order else None
+    return (
+        best is not None and not best.doubt and name in order[1:] and _agree(best, estimates[name])
+    )
+
+
+def _agreement(
+    estimates: dict[str, Estimate], name: str, partners: list[str], order: list[str]
+) -> str:
+    best = estimates[name]
     others = [other for other in order if other != name and other not in partners]
     verdict = f"Agreed by {name} and {' and '.join(partners)}"
     verdict += f"; not by {' and '.join(others)}." if others else "."
+    nearest = min((estimates[other] for other in partners), key=lambda own: own.error)
+    if nearest.error > COMPARABLE * best.error and nearest.error > abs(best.value):
+        verdict += f" Agreement is within ±{nearest.error:.2g} only."
     if best.error > abs(best.value):
         verdict += " Not distinguishable from zero."
     return verdict

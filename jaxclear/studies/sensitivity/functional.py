@@ -64,6 +64,16 @@ class Functional(NamedTuple):
         """Whether it is a smooth function of means, whose bias a jackknife tells."""
         return self.kind != "quantile"
 
+    def deciding(self, responses: np.ndarray) -> float:
+        """How many samples (samples,) decide it: those beyond a quantile or a limit, or all."""
+        count = len(responses)
+        if self.kind == "quantile":
+            return count * min(self.number, 1.0 - self.number)
+        if self.kind not in KINDS:
+            return float(count)
+        beyond = int(np.sum(self._beyond(responses)))
+        return float(min(beyond, count - beyond))
+
     def place(self, sample: np.ndarray) -> float | None:
         """The value at which parts are told apart; None where none is."""
         if self.kind == "quantile":

@@ -157,7 +157,9 @@ def regressions(
         parts = pseudo_values(slope, group) + own.scatter()
         told = concern(problem, one.response, sample.checks, good)
         bias = abs(parts.mean()) * own.unknown
-        answers[one.label] = from_parts(parts, bias)._replace(warned=told[0], warnings=told[1])
+        answer = from_parts(parts, bias)
+        runs = sample.count + (0 if ends is None else ends.values[..., 0].size)
+        answers[one.label] = answer._replace(warned=told[0], warnings=told[1], runs=runs)
     return answers
 
 

@@ -1,8 +1,8 @@
 """Derivatives of statistics of responses with respect to what varies: `jaxclear.sensitivity`.
 
-Each direction is differentiated by several methods (`regression`, `methods`), each on a sample of
-its own, so that chance and bias of one are not those of another; their answers meet in one
-(`derivative`).
+Each direction is differentiated by several methods (`regression`, `differences`, `pathwise`), each
+on a sample of its own, so that chance and bias of one are not those of another; their answers meet
+in one (`derivative`).
 """
 
 import dataclasses
@@ -17,10 +17,18 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.identity import first_difference
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
 from jaxclear.studies.sampling import draw, groups, usual_scramblings
-from jaxclear.studies.sensitivity.derivative import Derivative, Sensitivity, confirmed
+from jaxclear.studies.sensitivity.derivative import (
+    Derivative,
+    Estimate,
+    Sensitivity,
+    confirmed,
+    confirms,
+    refused,
+)
+from jaxclear.studies.sensitivity.differences import differences, looks, moved, refusal
 from jaxclear.studies.sensitivity.direction import Direction, directions
 from jaxclear.studies.sensitivity.functional import Functional, functionals
-from jaxclear.studies.sensitivity.methods import differences, pathwise
+from jaxclear.studies.sensitivity.pathwise import pathwise
 from jaxclear.studies.sensitivity.regression import regressions, runs_at_ends
 
 METHODS = ("regression", "differences", "pathwise")
@@ -48,9 +56,10 @@ def sensitivity(
     any of "mean", "standard deviation", ("quantile", share [1]), ("above", limit), ("below",
     limit), for every response, or {response: statistics}; limits in the response's unit, the share
     of parts beyond one is a probability of failure. `methods`: any of "regression" (a polynomial,
-    corrected by the score function), "differences", "pathwise" (fixed-step
-    integrators only; the cheapest where nothing opens and closes; through contacts it is shown only
-    where another method agrees with it, and is never the answer).
+    corrected by the score function), "differences" (over `difference_samples`, or a first 32 of
+    them where these confirm a more certain answer), "pathwise" (fixed-step integrators only; the
+    cheapest where nothing opens and closes; through contacts it is shown only where another method
+    agrees with it, and is never the answer).
     Raises `ValueError` with a sentence for a name that there is not, and for a sample of another
     problem.
     """
@@ -67,18 +76,49 @@ def sensitivity(
     ends: dict[int, Any] = {}
     found: dict[Direction, dict] = {}
     for direction in wanted:
-        answers = found[direction] = {}
+        answers: dict[str, dict[str, Estimate]] = {}
         place = direction.variable
         if "regression" in methods:
             if place not in ends:
                 parts = len(np.unique(drawn.scrambling))
                 ends[place] = runs_at_ends(problem, place, parts, seed + 3, **bar)
             answers["regression"] = regressions(drawn, direction, asked, ends[place])
-        for name, method, own in (("differences", differences, 1), ("pathwise", pathwise, 2)):
-            if name in methods:
-                shared = _shared(problem, difference_samples, seed + own)
-                answers[name] = method(problem, shared, direction, asked, **bar)
+        sampled = lambda own: _shared(problem, difference_samples, seed + own)
+        if "pathwise" in methods:
+            answers["pathwise"] = pathwise(problem, sampled(2), direction, asked, **bar)
+        if "differences" in methods:
+            answers["differences"] = _differences(
+                problem, sampled(1), direction, (asked, answers), **bar
+            )
+        found[direction] = {name: answers[name] for name in METHODS if name in answers}
     return _met(found, asked, drawn)
+
+
+def _differences(
+    problem: AbstractProblem,
+    sample: tuple[np.ndarray, np.ndarray],
+    direction: Direction,
+    before: tuple[list[Functional], dict[str, dict[str, Estimate]]],
+    **bar: bool,
+) -> dict[str, Estimate]:
+    """By differences on as much of a sample as is needed: all of it, unless the first look confirms
+    more certain answers to all that is asked. `before`: what is asked, and the answers of other
+    methods."""
+    asked, others = before
+    why = refusal(problem, direction)
+    if why:
+        return {one.label: refused(why) for one in asked}
+    values, group = sample
+    runs, answers = None, {}
+    for look in looks(group):
+        now = moved(problem, (values[look], group[look]), direction, **bar)
+        runs = now if runs is None else runs.and_also(now)
+        answers = differences(problem, runs, direction, asked)
+        own = [{"differences": answers[one.label]} for one in asked]
+        known = [{name: of[one.label] for name, of in others.items()} for one in asked]
+        if all(confirms(a | b, "differences") for a, b in zip(known, own, strict=True)):
+            break
+    return answers
 
 
 def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarlo) -> Sensitivity:

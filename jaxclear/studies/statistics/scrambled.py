@@ -43,7 +43,7 @@ class Statistic(NamedTuple):
 UNKNOWN = Statistic(np.nan, np.nan, np.nan)
 
 
-def student(groups: int) -> float:
+def student(groups: float) -> float:
     """Half the width of a 95 % interval in standard errors, which come from so many groups."""
     return float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, groups - 1)) if groups > 1 else np.inf
 

@@ -1,10 +1,8 @@
-"""Ways to the derivative of a statistic by runs at other values, and by tangents of runs.
+"""Derivatives of statistics through every step of every run.
 
-`differences` runs the same samples with one variable moved up and down (common random numbers), by
-two steps, and extrapolates to none (Richardson). `pathwise` carries the tangent through every step:
-exact for the discrete run and cheap. Where contacts open and close that is not the derivative of
-the motion: it stands only where another method confirms it. Behind many impacts it grows without
-bound, and is refused. Beside them stands `regression`, which needs no runs of its own.
+The tangent of a run is exact for the discrete run and cheap. Where contacts open and close that is
+not the derivative of the motion: it stands only where another method confirms it. Behind many
+impacts it grows without bound, and is refused.
 """
 
 import equinox as eqx
@@ -20,69 +18,11 @@ from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refuse
 from jaxclear.studies.sensitivity.direction import Direction
 from jaxclear.studies.sensitivity.functional import Functional
 from jaxclear.studies.sensitivity.regression import pseudo_values
-from jaxclear.studies.statistics.scrambled import student
 from jaxclear.studies.warned import concern
 
 # From this many times the typical size of single derivatives on, the error of their mean shows that
 # a mean does not exist.
 REFUSAL_SPREAD = 30.0
-# Fewer differences have no error worth the name.
-FEWEST = 8
-# Where the two steps differ by more than chance, what a third would still move the answer: the
-# extrapolation gains a factor of 4 a halving at least.
-REMAINDER = 0.25
-
-
-def differences(
-    problem: AbstractProblem,
-    sample: tuple[np.ndarray, np.ndarray],
-    direction: Direction,
-    wanted: list[Functional],
-    *,
-    progress_bar: bool = False,
-) -> dict[str, Estimate]:
-    """Central differences over common random numbers, `sample`: values (samples, variables) and
-    their scramblings (samples,), by one step of the direction and half of it, extrapolated."""
-    values, group = sample
-    step = direction.step(problem)
-    if not problem.inputs.distributions[direction.variable].is_continuous() and direction.number:
-        why = "the variable comes in single sizes; its width has no meaning by itself."
-        return {one.label: refused(why) for one in wanted}
-    speed = direction.velocities(problem, values)
-    shifts = np.array([-1.0, -0.5, 0.5, 1.0]) * step
-    axis = np.eye(values.shape[1])[direction.variable]
-    moved = np.concatenate([values + shift * speed[:, None] * axis for shift in shifts])
-    found = evaluate_all(
-        problem, jnp.asarray(moved), progress_bar=progress_bar, label="differences"
-    )
-    good = np.all((found.outcome == Outcome.REACHED).reshape(4, -1), axis=0)
-    runs = np.tile(good, 4)
-    answers = {}
-    for one in wanted:
-        if good.sum() < FEWEST:
-            answers[one.label] = refused(
-                f"only {good.sum()} of {len(good)} samples ran at all four widths."
-            )
-            continue
-        rows = np.asarray(found.responses[one.response]).reshape(4, -1)[:, good]
-
-        def slopes(kept, rows=rows, one=one):
-            far_down, down, up, far_up = (one.value(row[kept]) for row in rows)
-            wide, narrow = (far_up - far_down) / (2 * step), (up - down) / step
-            return np.array([wide, narrow, (4 * narrow - wide) / 3])
-
-        parts = pseudo_values(slopes, group[good]).reshape(-1, 3)
-        if not one.smooth:
-            # What a jackknife would correct is less than the noise that it would bring.
-            parts += slopes(np.ones(int(good.sum()), bool)) - parts.mean(axis=0)
-        gap = parts[:, 2] - parts[:, 1]
-        half = student(len(gap)) * gap.std(ddof=1) / np.sqrt(len(gap)) if len(gap) > 1 else np.inf
-        # A gap within its own noise is no sign of curvature.
-        bias = REMAINDER * max(abs(gap.mean()) - half, 0.0)
-        told = concern(problem, one.response, found.checks, runs)
-        answer = from_parts(parts[:, 2], bias)
-        answers[one.label] = answer._replace(warned=told[0], warnings=told[1])
-    return answers
 
 
 @eqx.filter_jit
@@ -133,7 +73,8 @@ def pathwise(
         share, words = concern(problem, one.response, found.checks, good)
         responses, tangents = np.asarray(found.responses[one.response])[good].T
         answer = _mean_tangent(one, responses, tangents, group[good])
-        answers[one.label] = answer._replace(doubt=doubt, warned=share, warnings=words)
+        told = {"doubt": doubt, "warned": share, "warnings": words, "runs": len(good)}
+        answers[one.label] = answer._replace(**told)
     return answers
 
 

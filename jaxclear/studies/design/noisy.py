@@ -1,0 +1,138 @@
+"""The cheapest candidate where slopes are known with noise only: by steps of optax, each on new
+runs.
+
+What jumps, rattles or counts has no slope that a surface or JAX could tell. But a design moves the
+distributions of its parts, so a limited number changes with the design as its sample's weights do
+(score function), whatever the response. The surface takes up what it explains, as in
+`verification`; its own slopes are exact. Each step sees few new runs at the place it has come to,
+and the steps die away, so that their noise averages out. What the ends of distributions that are
+cut off add to what the surface leaves is not seen; verification sees it.
+
+Source: score functions: Rubinstein & Shapiro 1993, Discrete Event Systems, Wiley; steps that die
+away: Robbins & Monro 1951, Ann. Math. Stat. 22, 400, doi:10.1214/aoms/1177729586.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.studies.design.abstract_limit import Sample
+from jaxclear.studies.design.freedom import NOMINAL
+from jaxclear.studies.design.lagrangian import descend
+from jaxclear.studies.design.model import AbstractModel
+from jaxclear.studies.design.optimise import Candidate, Search
+from jaxclear.studies.design.population import Points, points
+from jaxclear.studies.design.question import Question
+from jaxclear.studies.design.runs import Runs
+from jaxclear.studies.sensitivity.direction import Direction, weights
+
+# How often multipliers are set anew, steps between, and new runs of each step.
+ROUNDS, STEPS, RUNS = 6, 60, 64
+
+
+def cheapest_by_noise(search: Search, start: np.ndarray, runs: Runs, seed: int) -> Candidate:
+    """The candidate that the mean of the last steps gives."""
+    seen = _Seen(search, runs, seed)
+    place, forces = descend(seen.told, start, search.low, search.high, ROUNDS, STEPS)
+    cost = float(search.question.price(jnp.asarray(place)))
+    return Candidate(place, cost, seen.lately(), forces * seen.whole)
+
+
+class _Seen:
+    """What the steps see: new runs each, and what they told of the limits since the multipliers
+    were set last."""
+
+    def __init__(self, search: Search, runs: Runs, seed: int):
+        self.search, self.runs, self.seed = search, runs, seed
+        self.excesses: list[np.ndarray] = []
+        self.whole = abs(float(search.question.price(jnp.asarray(search.low)))) or 1.0
+
+    def told(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cost and excesses, (1 + limits,), and their slopes, (1 + limits, free)."""
+        question, model = self.search.question, self.search.model
+        count = len(question.freedom.names)
+        drawn = points(count, RUNS, self.seed + 7919 * (1 + len(self.excesses)))
+        values = np.asarray(question.values(jnp.asarray(place), drawn.normal))
+        responses = self.runs.ask(values, "steps")
+        good = np.isfinite(responses).all(axis=1)
+        names = self.runs.problem.response_names
+        known = np.where(good[:, None], responses, 0.0).T
+        told = dict(zip(names, known, strict=True))
+        scores = scores_of(question, self.runs.problem, place, drawn.normal)
+        found, slopes = noisy(
+            question,
+            model,
+            self.search.points,
+            Batch(values, told, scores, good / good.sum()),
+            jnp.asarray(place),
+        )
+        if not self.excesses:
+            self.whole = abs(float(found[0])) or 1.0
+        found = np.array(found)
+        found[1:] += self.search.shift
+        self.excesses.append(found[1:])
+        return found, np.asarray(slopes)
+
+    def lately(self) -> np.ndarray:
+        """Excesses (limits,), a mean over the last steps."""
+        return np.mean(self.excesses[-STEPS // 2 :], axis=0)
+
+
+class Batch(eqx.Module):
+    """Runs of one step: values (runs, variables), responses (runs,) by name, scores (runs, free)
+    and shares (runs,), 0 for those that failed."""
+
+    values: Float[Array, "runs variables"]
+    responses: dict[str, Float[Array, " runs"]]
+    scores: Float[Array, "runs free"]
+    shares: Float[Array, " runs"]
+
+
+def scores_of(
+    question: Question, problem: Any, place: np.ndarray, normal: np.ndarray
+) -> np.ndarray:
+    """Score functions (runs, free) of parts by the free numbers, between 0 and 1: the relative
+    growth of their density as each of these grows."""
+    freedom = question.freedom
+    _, tolerance = (np.asarray(own) for own in freedom.decoded(jnp.asarray(place)))
+    columns = []
+    for choice in freedom.choices:
+        i = choice.variable
+        usual, name = float(freedom.usual[i]), freedom.names[i]
+        nominal = choice.kind == NOMINAL
+        by = Direction(name, i, None if nominal else usual)
+        speed = choice.high - choice.low if nominal else np.log(choice.high / choice.low)
+        # Of the distribution as wide as the design has it; by the logarithm of a tolerance.
+        speed *= usual / tolerance[i] if nominal else usual
+        columns.append(speed * weights(problem, by, normal))
+    return np.stack(columns, axis=1)
+
+
+@eqx.filter_jit
+def noisy(question: Question, model: AbstractModel, drawn: Points, batch: Batch, place: Any) -> Any:
+    """Cost and excesses of a candidate, (1 + limits,), and their slopes, (1 + limits, free): of a
+    large sample of the surface, corrected by a batch of runs."""
+
+    def both(own):
+        samples = question.samples(own, model, drawn)
+        grown = batch.shares * (1.0 + batch.scores @ (own - jax.lax.stop_gradient(own)))
+        share = grown / jnp.sum(grown)
+        surface = model(batch.values)
+        excesses = []
+        for limit, sample in zip(question.limits, samples, strict=True):
+            if limit.response in surface and not limit.extreme():
+                here = batch.responses[limit.response], surface[limit.response]
+                values = jnp.concatenate([sample.values, *here])
+                sample = Sample(
+                    values, jnp.concatenate([sample.weights, share, -share]), sample.ends
+                )
+            excesses.append(limit.excess(sample))
+        found = jnp.append(question.price(own), jnp.stack(excesses) / question.sizes)
+        return found, found
+
+    slopes, found = jax.jacrev(both, has_aux=True)(place)
+    return found, slopes
