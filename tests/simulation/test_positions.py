@@ -206,3 +206,57 @@ def test_the_way_of_assembly_is_told_and_a_fall_to_the_other_is_found_out():
     gone = jax.vmap(lambda own, start: settle(scene.at(own), start, way))(places, fallen)
     np.testing.assert_array_equal(gone.branch, -here.branch)
     assert np.all(gone.change < 1e-9)
+
+
+def six_bar():
+    """A crank (0.2358 m) drives the coupler of a four-bar by a rod: two loops, up to six ways to
+    assemble it at one position, so that several have one sign."""
+    lengths = {"crank": 0.2358, "rod": 0.1781, "left": 0.3715, "coupler": 0.3219, "right": 0.2281}
+    hinge = lambda parent, child, at=(0.0, 0.0), of=(0.0, 0.0): jc.Connection(
+        jc.joint.Revolute(), jc.Marker(parent, at), jc.Marker(child, of)
+    )
+    end = {name: (length, 0.0) for name, length in lengths.items()}
+    return jc.Mechanism(
+        {name: jc.Body(1.0, 1e-2, (0.5 * length, 0.0)) for name, length in lengths.items()},
+        {
+            "F": hinge("ground", "crank", (0.8732, -0.1047)),
+            "E": hinge("crank", "rod", end["crank"]),
+            "O": hinge("ground", "left"),
+            "A": hinge("left", "coupler", end["left"]),
+            "B": hinge("coupler", "right", end["coupler"], end["right"]),
+            "D": hinge("ground", "right", (0.7587, 0.0)),
+            "C": hinge("rod", "coupler", end["rod"], (0.3165, 0.277)),
+        },
+        guess={"E": 1.76604, "O": 0.505952, "A": -1.350362, "D": -2.872894},
+    )
+
+
+SIX_BAR_START = 1.3691
+
+
+@pytest.fixture(scope="module")
+def far_apart():
+    return jc.positions(six_bar(), {"F": SIX_BAR_START + np.array([0.0, 0.75, 1.5])})
+
+
+@pytest.mark.slow
+def test_a_path_of_far_positions_is_that_of_near_ones(far_apart):
+    near = jc.positions(six_bar(), {"F": SIX_BAR_START + np.linspace(0.0, 1.5, 61)})
+    moved = np.abs(np.diff(np.asarray(near.coordinates), axis=0))
+    assert moved.max() < 0.3
+    np.testing.assert_allclose(far_apart.coordinates, near.coordinates[::30], atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("turns", "sentence"),
+    [
+        ([0.0, 0.5, 1.0, 1.5, 1.7], "cannot be assembled at position 4"),
+        ([0.0, 1.5, 2.0], "jumps to another way of its assembly before F = 3.3691"),
+    ],
+)
+def test_a_path_that_jumps_is_refused_though_the_loops_keep_their_sign(turns, sentence):
+    """The way on which it was assembled ends 1.55 rad on, at a dead point; others of the same sign
+    go on, 0.7 rad away."""
+    with pytest.raises(ValueError, match=sentence):
+        jc.positions(six_bar(), {"F": SIX_BAR_START + np.array(turns)})

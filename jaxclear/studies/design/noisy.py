@@ -67,7 +67,7 @@ class _Seen:
             question,
             model,
             self.search.points,
-            Batch(values, told, scores, good / good.sum()),
+            Batch(jnp.asarray(values), jnp.asarray(scores), jnp.asarray(good / good.sum()), told),
             jnp.asarray(place),
         )
         if not self.excesses:
@@ -83,13 +83,13 @@ class _Seen:
 
 
 class Batch(eqx.Module):
-    """Runs of one step: values (runs, variables), responses (runs,) by name, scores (runs, free)
-    and shares (runs,), 0 for those that failed."""
+    """Runs of one step: values (runs, variables), scores (runs, free), shares (runs,), 0 for those
+    that failed, and responses (runs,) by name."""
 
     values: Float[Array, "runs variables"]
-    responses: dict[str, Float[Array, " runs"]]
     scores: Float[Array, "runs free"]
     shares: Float[Array, " runs"]
+    responses: dict[str, Any]
 
 
 def scores_of(

@@ -73,8 +73,9 @@ def pathwise(
         share, words = concern(problem, one.response, found.checks, good)
         responses, tangents = np.asarray(found.responses[one.response])[good].T
         answer = _mean_tangent(one, responses, tangents, group[good])
-        told = {"doubt": doubt, "warned": share, "warnings": words, "runs": len(good)}
-        answers[one.label] = answer._replace(**told)
+        answers[one.label] = answer._replace(
+            doubt=doubt, warned=share, warnings=words, runs=len(good)
+        )
     return answers
 
 

@@ -59,9 +59,8 @@ def sensitivity(
     corrected by the score function), "differences" (over `difference_samples`, or a first 32 of
     them where these confirm a more certain answer), "pathwise" (fixed-step integrators only; the
     cheapest where nothing opens and closes; through contacts it is shown only where another method
-    agrees with it, and is never the answer).
-    Raises `ValueError` with a sentence for a name that there is not, and for a sample of another
-    problem.
+    agrees with it, and is never the answer). Raises `ValueError` with a sentence for a name that
+    there is not, and for a sample of another problem.
     """
     expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
     _check(sample, difference_samples, methods, seed)
@@ -72,26 +71,33 @@ def sensitivity(
         _check_sample(problem, drawn)
     else:
         drawn = monte_carlo(problem, drawn, seed=seed, progress_bar=progress_bar)
-    bar = {"progress_bar": progress_bar}
-    ends: dict[int, Any] = {}
     found: dict[Direction, dict] = {}
+    ends: dict[int, Any] = {}
+    bar = {"progress_bar": progress_bar}
     for direction in wanted:
         answers: dict[str, dict[str, Estimate]] = {}
-        place = direction.variable
         if "regression" in methods:
-            if place not in ends:
-                parts = len(np.unique(drawn.scrambling))
-                ends[place] = runs_at_ends(problem, place, parts, seed + 3, **bar)
-            answers["regression"] = regressions(drawn, direction, asked, ends[place])
+            own = _ends(drawn, direction, ends, seed, **bar)
+            answers["regression"] = regressions(drawn, direction, asked, own)
         sampled = lambda own: _shared(problem, difference_samples, seed + own)
         if "pathwise" in methods:
             answers["pathwise"] = pathwise(problem, sampled(2), direction, asked, **bar)
         if "differences" in methods:
-            answers["differences"] = _differences(
-                problem, sampled(1), direction, (asked, answers), **bar
-            )
+            before = asked, answers
+            answers["differences"] = _differences(problem, sampled(1), direction, before, **bar)
         found[direction] = {name: answers[name] for name in METHODS if name in answers}
     return _met(found, asked, drawn)
+
+
+def _ends(
+    drawn: MonteCarlo, direction: Direction, known: dict[int, Any], seed: int, progress_bar: bool
+) -> Any:
+    """Runs at the ends of a variable, once for all its directions."""
+    place = direction.variable
+    if place not in known:
+        parts = len(np.unique(drawn.scrambling))
+        known[place] = runs_at_ends(drawn.problem, place, parts, seed + 3, progress_bar)
+    return known[place]
 
 
 def _differences(
