@@ -9,7 +9,7 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.reported import report_warnings
 from jaxclear.integrators import Check, Checks
-from jaxclear.integrators.checks import Figure
+from jaxclear.integrators.figures import Figure
 from jaxclear.integrators.reasons import REASONS
 from jaxclear.plot.canvas import MOST_SENTENCES, canvas, captioned
 from jaxclear.results.pointing_error import pointing_error

@@ -1,7 +1,8 @@
 """What is asked of a run, as plain numbers, and how far two runs are apart.
 
 Errors are shares of the answer itself; of places, of the longest way that a body has gone (of a
-hundred clearances where that is longer); of offsets in a joint, of its clearance; of drift, of the
+hundred times how far a journal comes from its bearing's centre where that is longer: its clearance
+and what the contact gives way); of offsets in a joint, of its clearance; of drift, of the
 longest arm. Forces are those of the joints with clearance, or else the reactions of all
 joints.
 """
@@ -36,9 +37,9 @@ GAPS = 100.0
 
 class Answers(eqx.Module):
     """Places (bodies, time, 3) [m]; offsets (gaps, time, 3) and clearances of the joints [m]; mean
-    and peak forces by joint [N], and how far both differ between every second saving time and
-    the others (2, joints); energies lost in friction and turned over [J]; worn volumes and
-    depths by joint; drift and longest arm [m]."""
+    and peak forces by joint [N], and how far both, if they are of saved instants, differ between
+    every second saving time and the others (2, joints); energies lost in friction and turned over
+    [J]; worn volumes and depths by joint; drift and longest arm [m]."""
 
     place: Any
     offset: Any
@@ -88,9 +89,13 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
         means = jnp.mean(forces, axis=1)
     if run.formulation.forces_are_means:
         forces = forces[:, 1:]
-    unsampled = _between_halves(forces)
-    if gaps:  # the means are of impulses that the runs carry
+    unsampled, peaks = _between_halves(forces), jnp.max(forces, axis=1)
+    if gaps:  # the means are of impulses that the runs carry, peaks those of all steps
         unsampled = unsampled.at[0].set(0.0)
+        every = np.array([_peaks_of_steps(run, name) for name in gaps])
+        asked = jnp.stack([jc.response.PeakContactForce(name)(run) for name in gaps])
+        peaks = jnp.where(every, asked, peaks)
+        unsampled = unsampled.at[1].set(jnp.where(every, 0.0, unsampled[1]))
     lost, turned = jnp.zeros(()), jnp.zeros(())
     if balance:
         energies = run.energy_balance()
@@ -102,7 +107,7 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
         offset,
         clearance,
         means,
-        jnp.max(forces, axis=1),
+        peaks,
         unsampled,
         lost,
         turned,
@@ -111,6 +116,15 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
         jnp.max(jnp.array([*drifts, 0.0])),
         jnp.asarray(longest_arm(run.history.model().system)),
     )
+
+
+def _peaks_of_steps(run: jc.Trajectory, name: str) -> bool:
+    """Whether every rung knows the joint's peak force from all of its steps, as
+    `jaxclear.response.PeakContactForce` says; elsewhere it is that of the saving times."""
+    if name not in run.mechanism.topology.clearances or run.formulation.forces_are_means:
+        return False
+    joint = run.mechanism.connections[name].joint
+    return not isinstance(joint, jc.clearance.SliderGuide) and joint.contact.memory is not None
 
 
 def _between_halves(forces: Any) -> Any:
@@ -149,7 +163,8 @@ def apart(one: Answers, other: Answers) -> dict[str, float]:
     """Largest difference in each response, as a share of `other`'s; nan where there is none."""
     ways = [run.place - run.place[:, :1] for run in (one, other)]
     travelled = np.max(np.abs(ways[1]))
-    travelled = max(travelled, GAPS * np.max(other.clearance, initial=0.0))
+    reached = np.linalg.norm(other.offset, axis=-1)
+    travelled = max(travelled, GAPS * np.max(other.clearance, initial=np.max(reached, initial=0.0)))
     scale = max(SMALL_ENERGY * float(other.turnover), 1e-15)
     found = {
         "place": _share(*ways, travelled),

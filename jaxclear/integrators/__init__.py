@@ -14,7 +14,8 @@ from jaxclear.integrators.base import (
     Advance,
     Interval,
 )
-from jaxclear.integrators.checks import Check, Checks, Figure
+from jaxclear.integrators.checks import Check
+from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.integrators.fixed_step import FixedStep
 from jaxclear.integrators.implicit_step import ImplicitStep
 from jaxclear.integrators.moreau_jean import MoreauJean

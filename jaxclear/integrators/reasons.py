@@ -23,6 +23,10 @@ REASONS: dict[Check, str] = {
         "what a quarter of the step changes is nearly all that is wrong: somewhat less than the "
         "promised accuracy of places in gaps, 5 % of the clearance, as it looks at fifty instants"
     ),
+    Check.MEAN_FORCE: (
+        "nearly all that is wrong, as of places in gaps: the accuracy of mean forces that steps "
+        "of rk4 promise, half of that of implicit steps"
+    ),
     Check.HALVED_FORCES: (
         "forces at an instant swing about their mean; a tenth is what reading them off a figure "
         "takes"

@@ -17,8 +17,8 @@ from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import is_traced
-from jaxclear.integrators.checks import Checks
 from jaxclear.integrators.events import Events
+from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism

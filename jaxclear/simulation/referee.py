@@ -17,16 +17,8 @@ from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.pose import REST
-from jaxclear.integrators.checks import (
-    CONTACTS,
-    LOOPS,
-    SPEEDS,
-    SURFACES,
-    WHOLE,
-    Check,
-    Checks,
-    Figure,
-)
+from jaxclear.integrators.checks import CONTACTS, LOOPS, SPEEDS, SURFACES, WHOLE, Check
+from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import contact_point, energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm

@@ -17,8 +17,13 @@ import numpy as np
 
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.checks import Check, Checks, Figure
+from jaxclear.integrators.checks import Check
+from jaxclear.integrators.figures import Checks, Figure
+from jaxclear.integrators.stepping import SLIVER
+from jaxclear.multibody.state import ENERGIES
+from jaxclear.results.histories import contact_impulse
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.friction_steps import rubs
 from jaxclear.simulation.rebound import RESOLVED
 
 # Length of the steps beside those of the run.
@@ -26,7 +31,13 @@ FINER = 0.25
 # Share of a study's samples in doubt from which on its nominal one is looked at.
 MANY = 0.1
 # What a second look may find.
-FINDINGS = (Check.PLACE_IN_GAP, Check.HALVED_WEAR, Check.HALVED_MOTION)
+FINDINGS = (Check.PLACE_IN_GAP, Check.MEAN_FORCE, Check.HALVED_WEAR, Check.HALVED_MOTION)
+# What speaks of steps too long for a contact, and is dropped where a run with steps a quarter as
+# long is within its limit and finds nothing off.
+OF_CONTACT_STEPS = (Check.CONTACT_STEP, Check.CREEP_STEP, Check.REBOUND_STEP)
+# By how much, beside themselves, peaks of forces (of the deepest indentations, a power of 3/2) may
+# change there, and what friction takes.
+PEAKS, LOST = 0.2, 0.05
 # Figures from which on a run is in doubt: of mechanisms drawn at random every one whose places in
 # gaps were off by more than promised was beyond one of them (benchmarks/attack.py).
 DOUBTS = {
@@ -49,7 +60,7 @@ def looked_at_again(
     another integrator. Its numbers stay as they are."""
     if is_traced((run.outcome, run.states)) or not run.succeeded:
         return run
-    finer = integrator.with_finer_steps(FINER)
+    finer = _finer(run, integrator)
     if finer is None or run.accepted_steps > MOST_STEPS or not _in_doubt(run):
         return run
     other = again(finer)
@@ -60,9 +71,23 @@ def looked_at_again(
     for check, (found, places) in apart.items():
         figure = Figure(jnp.asarray(found), jnp.full(len(places), run.ended), places)
         figures[check] = _worse(figure, figures.get(check))
-    if _impacts_are_right(run.checks, {check: found.max() for check, (found, _) in apart.items()}):
+    worst = {check: found.max() for check, (found, _) in apart.items()}
+    if _impacts_are_right(run.checks, worst):
         del figures[Check.IMPACT_STEP]
+    if _all_is_right(run, other, worst):
+        figures = {check: own for check, own in figures.items() if not _resolved(check, other)}
     return dataclasses.replace(run, checks=Checks(figures))
+
+
+def _finer(run: Trajectory, integrator: AbstractIntegrator) -> AbstractIntegrator | None:
+    """The integrator with steps a quarter as long as those that were taken: steps end at saving
+    times, and may be far shorter than the step that was asked for."""
+    asked = integrator.asked_step()
+    if asked is None:
+        return integrator.with_finer_steps(FINER)
+    interval = np.max(np.diff(run.time))
+    taken = interval / np.ceil(interval / asked * (1 - SLIVER))
+    return integrator.with_finer_steps(FINER * float(taken / asked))
 
 
 def _in_doubt(run: Trajectory) -> bool:
@@ -121,6 +146,45 @@ def _impacts_are_right(checks: Checks, worst: dict[Check, float]) -> bool:
     return bool(little and np.max(rises.worst) <= RESOLVED)
 
 
+def _resolved(check: Check, other: Trajectory) -> bool:
+    """Whether a check speaks of steps too long for a contact, and those of the other run are
+    not."""
+    known = other.checks.figures.get(check)
+    return check in OF_CONTACT_STEPS and known is not None and np.max(known.worst) <= check.limit
+
+
+def _all_is_right(run: Trajectory, other: Trajectory, worst: dict[Check, float]) -> bool:
+    """Whether mean and peak forces, what wears and what friction takes are as in the other run; not
+    where nothing tells of friction."""
+    if Check.MEAN_FORCE not in worst:
+        return False
+    if any(found > check.limit for check, found in worst.items()):
+        return False
+    deepest = [one.checks.figures[Check.INDENTATION].worst for one in (run, other)]
+    if _share(*np.asarray(deepest)) > PEAKS / 1.5:
+        return False
+    if run.history.balanced:
+        return _share(*(_friction_loss(one) for one in (run, other))) <= LOST
+    return bool(run.worn) or not rubs(run.history.model())
+
+
+def _share(one: np.ndarray, other: np.ndarray) -> float:
+    """Largest difference beside the largest of both."""
+    largest = np.maximum(np.abs(one), np.abs(other)).max()
+    return float(np.abs(one - other).max() / largest) if largest > 0 else 0.0
+
+
+def _friction_loss(run: Trajectory) -> np.ndarray:
+    """What friction has taken [J]."""
+    states = np.asarray(run.states)
+    return states[-1, run.history.layout().energy_start + ENERGIES.index("friction_loss")]
+
+
+def _impulses(run: Trajectory, joints: tuple[str, ...]) -> np.ndarray:
+    """What the normal forces of each joint have given over the run [N s]."""
+    return np.array([float(contact_impulse(run.history, name)[-1]) for name in joints])
+
+
 def _apart(
     run: Trajectory, other: Trajectory, gaps: bool
 ) -> dict[Check, tuple[np.ndarray, tuple[str, ...]]]:
@@ -133,6 +197,12 @@ def _apart(
         found[Check.HALVED_MOTION] = (off.max(keepdims=True), ("",))
     elif gaps and sunk is not None:
         found[Check.PLACE_IN_GAP] = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)
+    if _opens(run) and sunk is not None:
+        joints = tuple(dict.fromkeys(sunk.places))
+        one, two = (_impulses(each, joints) for each in (run, other))
+        largest = max(one.max(), two.max())
+        shares = abs(one - two) / largest if largest > 0 else np.zeros(len(joints))
+        found[Check.MEAN_FORCE] = (shares, joints)
     if run.worn:
         wears = [_worn_apart(run.worn[joint], other.worn[joint]) for joint in run.worn]
         found[Check.HALVED_WEAR] = (np.array(wears), tuple(run.worn))

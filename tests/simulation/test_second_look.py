@@ -8,6 +8,7 @@ import pytest
 import jaxclear as jc
 from benchmarks.attacks.structures import structures
 from jaxclear.integrators import Check, Checks
+from jaxclear.integrators.figures import Figure
 from jaxclear.results.response import concerned
 from jaxclear.simulation import second_look
 
@@ -22,6 +23,7 @@ def pushed():
         integrator=jc.integrator.FixedStep(step),
         save=201,
         state=jc.State(concentric=case.concentric),
+        balance=True,
     )
 
 
@@ -86,6 +88,72 @@ def test_impacts_that_a_second_look_finds_right_are_not_accused_of_their_steps()
     )
     assert run.warnings == () and Check.IMPACT_STEP not in run.checks.figures
     assert run.checks.figures[Check.PLACE_IN_GAP].worst.max() < 0.01
+
+
+def test_it_takes_a_quarter_of_the_steps_that_saving_times_have_left(pushed):
+    """Steps end at every saving time: a quarter of one that was asked for may be the same run."""
+    run, asked = pushed(2e-5), []
+
+    def again(finer):
+        asked.append(float(finer.step))
+        return run
+
+    interval = float(run.time[1])
+    for step in (2e-5, 0.6 * interval, 0.5):
+        second_look.looked_at_again(run, jc.integrator.FixedStep(step), again)
+    shares = interval / np.array(asked)
+    assert shares == pytest.approx([4 * np.ceil(interval / 2e-5), 8, 4])
+
+
+def rising(run, figure, factor=1.0):
+    """The run with another figure of its steps in contact, its forces so many times as large."""
+    steps = Figure(np.full(4, figure), np.zeros(4), ("G",) * 4)
+    checks = Checks(run.checks.figures | {Check.CONTACT_STEP: steps})
+    model = run.history.model()
+    place = model.layout.impulse_start + model.layout.impulses_of("G").start
+    history = dataclasses.replace(run.history, states=run.states.at[:, place].multiply(factor))
+    return dataclasses.replace(run, checks=checks, history=history)
+
+
+@pytest.mark.parametrize(
+    ("finer", "factor", "said"),
+    [
+        (0.3, 1.0, []),
+        (0.9, 1.0, [Check.CONTACT_STEP]),
+        (0.3, 1.1, [Check.CONTACT_STEP, Check.MEAN_FORCE]),
+    ],
+    ids=["resolved and the same", "not resolved", "other forces"],
+)
+def test_steps_in_contact_are_accused_unless_steps_that_resolve_it_change_nothing(
+    pushed, finer, factor, said
+):
+    run = pushed(5e-6)
+    looked = lambda of: second_look.looked_at_again(
+        rising(run, 0.9), jc.integrator.FixedStep(5e-6), lambda _: of
+    )
+    found = looked(rising(run, finer, factor))
+    assert sorted(check for check, flag in found.checks.beyond().items() if flag) == said
+    # Where nothing tells what friction takes, nothing is known to be right.
+    silent = dataclasses.replace(run.history, balanced=False)
+    run = dataclasses.replace(run, history=silent)
+    assert Check.CONTACT_STEP in looked(rising(run, finer, factor)).checks.figures
+
+
+@pytest.mark.slow
+def test_mean_forces_that_hang_on_the_step_are_said():
+    """A slider thrown between the walls of its guide: its impacts fall within steps that saving
+    times have cut, and the mean force is off by a tenth. No other figure tells."""
+    case = structures()[22].case(2)
+    with pytest.warns(UserWarning, match="shortened"):
+        run = jc.simulate(
+            case.mechanism,
+            case.duration,
+            integrator=jc.integrator.ImplicitStep(8.5e-4),
+            save=201,
+            state=jc.State(concentric=case.concentric),
+        )
+    assert {check for check, flag in run.checks.beyond().items() if flag} == {Check.MEAN_FORCE}
+    assert "mean of the contact forces" in run.result
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators import Check, Checks
-from jaxclear.integrators.checks import Figure
+from jaxclear.integrators.figures import Figure
 from jaxclear.simulation import second_look
 from jaxclear.studies import problem as problems
 from tests.rigs.bouncing_journal import CLEARANCE, LEFT_THERE, falling

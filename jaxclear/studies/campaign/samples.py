@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.integrators import Check, Checks, Outcome
-from jaxclear.integrators.checks import Figure
+from jaxclear.integrators.figures import Figure
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.campaign.plan import Plan
 from jaxclear.studies.campaign.versions import change, mark_of, told_versions

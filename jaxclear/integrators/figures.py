@@ -1,0 +1,111 @@
+"""What a run has found out about itself: the figures by which it is judged, each beside its limit,
+as a table, as sentences, and of many samples at once.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxclear.integrators.checks import Check
+
+
+class Figure(eqx.Module):
+    """The worst of a figure at each of its `places`, and the end [s] of its saving interval."""
+
+    worst: Float[Array, "*batch places"]
+    time: Float[Array, "*batch places"]
+    places: tuple[str, ...] = eqx.field(static=True)
+
+
+class Checks(eqx.Module):
+    """The figures by which a run is judged. `print` shows them as a table; `warnings` are the
+    sentences of those beyond their limits. After `jax.vmap` every array has the samples in front:
+    `beyond` and `any_beyond` stay arrays, the rest is for one run.
+    """
+
+    figures: dict[Check, Figure] = eqx.field(default_factory=dict)
+
+    def beyond(self) -> dict[Check, Bool[Array, "*batch"]]:
+        """For each figure whether it is beyond its limit anywhere; samples stay in front."""
+        return {
+            check: jnp.any(figure.worst > check.limit, axis=-1)
+            for check, figure in self.figures.items()
+        }
+
+    def any_beyond(self) -> Bool[Array, "*batch"]:
+        """Whether any figure is beyond its limit."""
+        found = jnp.zeros((), bool)
+        for beyond in self.beyond().values():
+            found = found | beyond
+        return found
+
+    def of_sample(self, index: int) -> "Checks":
+        """The figures of one sample of many."""
+        return jax.tree.map(lambda array: array[index], self)
+
+    def attributes(self) -> dict[str, str]:
+        """Each figure of one run beside its limit, by name, as text that goes with saved data."""
+        return {
+            f"check_{check.name.lower()}": f"{worst:.6g} (limit {check.limit:g})"
+            + (f", joint {place}" if place else "")
+            for check, worst, place, _ in self.rows()
+        }
+
+    def rows(self) -> list[tuple[Check, float, str, float]]:
+        """(check, worst figure, its place, when [s]) of each figure of one run."""
+        out = []
+        for check, figure in self.figures.items():
+            worst = np.asarray(figure.worst)
+            at = int(np.argmax(worst))
+            out.append((check, float(worst[at]), figure.places[at], float(figure.time[at])))
+        return out
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each figure beyond its limit; empty for a clean run."""
+        return tuple(
+            _sentence(check, worst, place)
+            for check, worst, place, _ in self.rows()
+            if worst > check.limit
+        )
+
+    def table(self) -> Any:
+        """A pandas table: figure, unit, limit, where and when [s] the worst was met, what it
+        concerns, whether it is within its limit."""
+        import pandas
+
+        return pandas.DataFrame(
+            [
+                {
+                    "check": check.label,
+                    "figure": worst,
+                    "limit": check.limit,
+                    "unit": check.unit,
+                    "joint": place or "-",
+                    "time [s]": time,
+                    "concerns": check.concerns,
+                    "within": worst <= check.limit,
+                }
+                for check, worst, place, time in self.rows()
+            ]
+        )
+
+    def __str__(self) -> str:
+        lines = [f"{'check':24}{'figure':>10}{'limit':>10}  {'joint':12}concerns"]
+        for check, worst, place, _ in self.rows():
+            label = check.label if check.unit == "1" else f"{check.label} [{check.unit}]"
+            mark = "  <- beyond" if worst > check.limit else ""
+            lines.append(
+                f"{label:24}{worst:10.2g}{check.limit:10.2g}  {place or '-':12}"
+                f"{check.concerns}{mark}"
+            )
+        return "\n".join(lines) if len(lines) > 1 else "This run had nothing to check."
+
+
+def _sentence(check: Check, worst: float, place: str) -> str:
+    said = check.sentence.format(figure=worst, place=place, limit=check.limit)
+    return f"{said[0].upper()}{said[1:]}."
