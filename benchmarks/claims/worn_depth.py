@@ -54,7 +54,8 @@ def shapes(cells: tuple[int, ...]) -> list[dict[str, Any]]:
     half = math.acos(CLEARANCE / reach)
     volume = 2 * RADIUS * LENGTH * (reach * math.sin(half) - CLEARANCE * half)
     x, y = math.cos(DIRECTION), math.sin(DIRECTION)
-    ball = (x, y, 0.0, x * x, x * y, 0.0, y * y, 0.0, OVERLAP)
+    narrow = math.sqrt(0.5 * CLEARANCE / OVERLAP)
+    ball = (x, y, 0.0, x * x, x * y, 0.0, y * y, 0.0, narrow**2)
     rows = []
     for around in cells:
         line = CylinderMap((around, 1), RADIUS, LENGTH, CLEARANCE)
@@ -64,8 +65,8 @@ def shapes(cells: tuple[int, ...]) -> list[dict[str, Any]]:
             {
                 "cells around": around,
                 "rigid pin [um]": 1e6 * deepest(line, volume, (x, y, 0.0, 0.0, 0.0)),
-                "elastic pin [um]": 1e6 * deepest(line, volume, (x, y, 0.0, OVERLAP, 0.0)),
-                "tilted [um]": 1e6 * deepest(wall, 0.1 * volume, (x, y, FALL, OVERLAP, 1.0)),
+                "elastic pin [um]": 1e6 * deepest(line, volume, (x, y, 0.0, narrow, 0.0)),
+                "tilted [um]": 1e6 * deepest(wall, 0.1 * volume, (x, y, FALL, narrow, 1.0)),
                 "ball [um]": 1e6 * deepest(sphere, 0.1 * volume, ball),
             }
         )

@@ -7,9 +7,13 @@ lines to about a quarter of its width. On a worn surface the pressure spreads as
 Source: Hertz 1882, doi:10.1515/crll.1882.92.156; virtual interpenetration for other shapes as in
 Piotrowski & Kik 2008, Vehicle Syst. Dyn. 46, 27.
 
+A contact that moves while it wears leaves to each cell the mean of its pressures there over the arc
+of its way: the arc convolved with the contact's width. Arcs that follow upon each other add up to
+the whole, however many they are.
+
 The pressure is that after the loss, so a loss brings the wall at most to the shape of the part that
-has cut it: no loss, however large, digs waves. Where a contact is narrower than a cell, the loss is
-that of a contact as wide as the cell.
+has cut it: no loss, however large, digs waves. Where a contact is narrower than two cells, the loss
+is that of a contact as wide as these.
 """
 
 from typing import NamedTuple
@@ -17,38 +21,65 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.ground.numerics import power, safe_divide, safe_sqrt
+from jaxclear.ground.numerics import positive_part, power, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 
 # Steps of Newton's method for the level of the part; what is left changes shapes, not volumes.
 STEPS = 3
-# Half of the least width [cells] of a contact.
-LEAST_WIDTH = 0.5
+# Half of the least width [cells] of a contact: narrower ones jump from cell to cell.
+LEAST_WIDTH = 1.0
 # Width of a kink, relative to the clearance, where nothing else rounds it.
 SHARPEST = 1e-9
+# Share of its own pressure that is added to the mean over the way, so that some cell has one.
+LEAST_SHARE = 1e-6
 
 
 class Elasticity(NamedTuple):
     """What the load of a contact overlaps on a wall without wear: `depth` [m], and the integrals of
-    the overlap [m3] and of its root [m2.5] over the contact."""
+    the overlap [m3] over all of its way and of its root [m2.5] over the contact."""
 
     depth: Scalar
     overlap: Scalar
     root: Scalar
 
 
-class Patch(NamedTuple):
-    """Cells and the part that wears them: the part at eccentricity e [m] overlaps a cell by
-    e `cosine` - `room`.
+class Outline(NamedTuple):
+    """How a part at eccentricity e [m] overlaps cells: by e `cosine` - `room`; `rounding`: half the
+    change of that across a cell [m]."""
 
-    `rounding`: half the change of the overlap across a cell [m]; `area` of a cell of each row
-    [m2]; `share` of the pressure there that is this contact's; `start`: an eccentricity [m] near
-    the solution and at or above it.
+    cosine: Float[Array, "..."] | Scalar
+    room: Float[Array, "around along"]
+    rounding: Float[Array, "..."] | Scalar
+
+    def at(self, level: Scalar) -> tuple[Array, Array]:
+        """(mean over each cell of the overlap [m], where there is one; share of the cell where
+        there is) at an eccentricity [m]."""
+        middle = level * self.cosine - self.room
+        inside = jnp.clip(middle + self.rounding, 0.0, 2.0 * self.rounding)
+        share = inside * (0.5 / self.rounding)
+        return 0.5 * inside * share + jnp.maximum(middle - self.rounding, 0.0), share
+
+
+class Way(NamedTuple):
+    """The arc that a contact goes through: cells lie `along` it [rad, 0 to pi] from its middle, and
+    overlap as `nearest` says when the contact comes closest; `half` the arc [rad], with the width
+    of a cell; `room` between the parts [m], centred, on the worn wall."""
+
+    along: Float[Array, "..."]
+    nearest: Outline
+    half: Scalar
+    room: Float[Array, "around along"]
+
+
+class Patch(NamedTuple):
+    """Cells and the part that wears them: the `outline` of all that it overlaps on its `way`.
+
+    `area` of a cell of each row [m2]; `share` of the pressure there that is this contact's;
+    `start`: an eccentricity [m] near the solution and at or above it.
     """
 
-    cosine: Float[Array, "..."]
-    room: Float[Array, "around along"]
-    rounding: Float[Array, "..."]
+    outline: Outline
+    way: Way
     area: Float[Array, " along"]
     share: Float[Array, " along"] | Scalar
     start: Scalar
@@ -57,39 +88,50 @@ class Patch(NamedTuple):
 
 def depth_lost(volume: Scalar, patch: Patch) -> tuple[Float[Array, "around along"], Scalar]:
     r"""(depth [m] that each cell loses, `volume` [m3] in all; eccentricity [m] of the part): in
-    proportion to its pressure after the loss, :math:`\Delta h = (V/S) w\sqrt{u - \Delta h}` with u
-    the overlap before it, w the contact's share and S the integral of w times the root.
+    proportion to its mean pressure after the loss, :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}`
+    with u the largest overlap on the way before it, w the contact's share, m the mean of the roots
+    over the way beside the largest and S the integral of w times the root of a contact.
     """
     load = patch.elasticity
     wanted = volume + load.overlap
-
-    widest, sharpness = 2.0 * patch.rounding, 0.5 / patch.rounding
-
-    def overlaps(level):
-        """(mean over each cell of the overlap, where there is one; share of the cell where there
-        is)."""
-        middle = level * patch.cosine - patch.room
-        inside = jnp.clip(middle + patch.rounding, 0.0, widest)
-        share = inside * sharpness
-        return 0.5 * inside * share + jnp.maximum(middle - patch.rounding, 0.0), share
 
     def total(cells):
         # A product with a vector is several times faster than a sum.
         return jnp.sum(cells @ patch.area)
 
     def closer(level):
-        overlap, share = overlaps(level)
-        return level + safe_divide(wanted - total(overlap), total(patch.cosine * share))
+        overlap, share = patch.outline.at(level)
+        return level + safe_divide(wanted - total(overlap), total(patch.outline.cosine * share))
 
     # The overlap of all cells is convex in the level: from above, every step stays above.
     level = patch.start
     for _ in range(STEPS):
         level = closer(level)
-    overlap = overlaps(level)[0]
-    own = patch.share * volume
-    root = safe_sqrt(own * own + 4.0 * load.root * load.root * overlap)
-    pressure = safe_divide(patch.share * overlap, own + root)
+    overlap = patch.outline.at(level)[0]
+    mean = patch.share * (_mean_root(patch.way, level) + LEAST_SHARE * safe_sqrt(overlap))
+    own, whole = volume * mean, 2.0 * load.root * overlap
+    pressure = safe_divide(mean * overlap, own + safe_sqrt(own * own + whole * whole))
     return volume * safe_divide(1.0, total(pressure)) * pressure, level
+
+
+def _mean_root(way: Way, level: Scalar) -> Float[Array, "around along"]:
+    """Mean over the way, and over each cell, of the root of the overlap [m0.5]: as the contact
+    passes a cell, the overlap there is a parabola of the angle between both."""
+    overlap = way.nearest.at(level)[0]
+    # An overlap e - room that falls as e cos does vanishes where 1 - cos is this.
+    fallen = overlap / (overlap + way.room)
+    half_width = 2.0 * jnp.arctan2(safe_sqrt(fallen), jnp.sqrt(2.0 - fallen))
+    ends = way.along + way.half, way.along - way.half, way.along + way.half - 2.0 * jnp.pi
+    first, last, around = (_segment(safe_divide(end, half_width)) for end in ends)
+    swept = first - last + around + 0.25 * jnp.pi
+    return safe_sqrt(overlap) * half_width * swept / (2.0 * way.half)
+
+
+def _segment(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Integral of sqrt(1 - t^2) from 0 to x, which lies within -1 and 1 or is taken so."""
+    x = jnp.clip(x, -1.0, 1.0)
+    height = safe_sqrt(1.0 - x * x)
+    return 0.5 * (x * height + jnp.arctan2(x, height))
 
 
 def line_contact(
@@ -100,7 +142,7 @@ def line_contact(
     half_width = safe_sqrt(2.0 * depth / clearance)
     area = radius * length
     overlap = 4 / 3 * area * depth * (half_width + 1.5 * half_arc)
-    root = 0.5 * jnp.pi * area * safe_sqrt(depth) * (half_width + 4 / jnp.pi * half_arc)
+    root = 0.5 * jnp.pi * area * safe_sqrt(depth) * half_width
     return Elasticity(depth, overlap, root)
 
 
@@ -109,7 +151,7 @@ def point_contact(depth: Scalar, radius: Scalar, clearance: Scalar, half_arc: Sc
     half_width = safe_sqrt(2.0 * depth / clearance)
     area = radius * radius * half_width
     overlap = area * depth * (0.5 * jnp.pi * half_width + 8 / 3 * half_arc)
-    root = area * safe_sqrt(depth) * (2 / 3 * jnp.pi * half_width + jnp.pi * half_arc)
+    root = 2 / 3 * jnp.pi * area * safe_sqrt(depth) * half_width
     return Elasticity(depth, overlap, root)
 
 
@@ -127,9 +169,21 @@ def point_sunk(volume: Scalar, radius: Scalar, clearance: Scalar) -> Scalar:
     return safe_sqrt(volume * clearance / jnp.pi) / radius
 
 
-def least_depth(cell: Scalar, clearance: Scalar) -> Scalar:
-    """Overlap [m] of a contact that is as wide as a cell, of so large an angle [rad]."""
-    return 0.5 * clearance * (LEAST_WIDTH * cell) ** 2
+def square_width(indentation: Scalar, cell: Scalar, clearance: Scalar) -> Scalar:
+    """Square of half the width [rad2] of a contact of some indentation [m], which is two cells wide
+    at least (`cell`: angle of one [rad]); the outlines overlap by half the indentation there."""
+    return positive_part(indentation) / clearance + (LEAST_WIDTH * cell) ** 2
+
+
+def depth_of(square: Scalar, cell: Scalar, clearance: Scalar) -> Scalar:
+    """Overlap [m] of a contact whose half width [rad] has this square; 0 stands for none."""
+    return 0.5 * clearance * jnp.maximum(square, (LEAST_WIDTH * cell) ** 2)
+
+
+def arc_with_cell(half_arc: Scalar, cell: Scalar) -> Scalar:
+    """Half of an arc [rad] over which, and over cells of this angle [rad], a mean is taken: as two
+    spreads add up."""
+    return jnp.sqrt(half_arc * half_arc + 0.25 * cell * cell)
 
 
 def arc(length: Scalar) -> Scalar:

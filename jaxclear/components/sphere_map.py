@@ -1,6 +1,8 @@
 """Where a ball wears its socket: depth in azimuth and elevation. Cells share a loss as in
 `contact_patch`, all over the sphere alike, poles included."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,12 +10,16 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.contact_patch import (
     SHARPEST,
+    Outline,
     Patch,
+    Way,
     arc,
+    arc_with_cell,
     depth_lost,
-    least_depth,
+    depth_of,
     point_contact,
     point_sunk,
+    square_width,
 )
 from jaxclear.components.wear_map import AbstractWearMap, direction_angle, stencil
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
@@ -27,7 +33,8 @@ class SphereMap(AbstractWearMap):
     """Wall of a socket: azimuth from x towards y in [0, 2 pi), elevation from -pi/2 to pi/2.
 
     Location features: direction (x, y, z), its products (xx, xy, xz, yy, yz), which tell the arc
-    that it has gone through, and depth of the overlap [m].
+    that it has gone through, and one over the square of the contact's half width (`narrowness`)
+    [1/rad2].
     """
 
     cells: tuple[int, int] = eqx.field(static=True)
@@ -43,6 +50,17 @@ class SphereMap(AbstractWearMap):
         """Azimuth of the centre of each cell [rad]."""
         return (jnp.arange(self.cells[0]) + 0.5) * (2 * jnp.pi / self.cells[0])
 
+    def narrowness(self, indentation: Scalar) -> Scalar:
+        """One over the square of half the width [1/rad2] of a contact of some indentation [m]. Its
+        mean over a loss tells how deep that is in the contact's middle."""
+        return 1.0 / square_width(indentation, self._cell, self.clearance)
+
+    @property
+    def _cell(self) -> float:
+        """Mean of a cell's two sides at the equator [rad]."""
+        around, along = self.cells
+        return 0.5 * (2 * math.pi / around + math.pi / along)
+
     def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
         around, along = self.cells
@@ -56,8 +74,7 @@ class SphereMap(AbstractWearMap):
 
     def _lost(self, depth, volume, features):
         """What each cell loses in an event [m]."""
-        around, along = self.cells
-        mean, products, flattening = features[:3], features[3:8], features[8]
+        mean, products, narrowness = features[:3], features[3:8], features[8]
         length = safe_sqrt(jnp.sum(mean * mean))
         normal = safe_divide(mean, length)
         travel, share = _travel(normal, products)
@@ -70,15 +87,23 @@ class SphereMap(AbstractWearMap):
         cosine = jnp.where(inside, beside, ahead * c + sideways * s)
         # Without a direction all are as near.
         cosine = jnp.where(length > 0, cosine, 1.0)
-        cell = 0.5 * (2 * jnp.pi / around + jnp.pi / along)
-        overlap = flattening + least_depth(cell, self.clearance)
-        sine = safe_sqrt(1.0 - cosine * cosine)
+        overlap = depth_of(safe_divide(1.0, narrowness), self._cell, self.clearance)
+        rounded = lambda cosine: (
+            self.clearance * (0.5 * self._cell * safe_sqrt(1.0 - cosine * cosine) + SHARPEST)
+        )
+        room = self.clearance + depth
         load = point_contact(overlap, self.radius, self.clearance, half_arc)
         sunk = point_sunk(volume + load.overlap, self.radius, self.clearance)
+        beside = jnp.where(length > 0, beside, 1.0)
+        way = Way(
+            direction_angle(ahead, sideways),
+            Outline(beside, room, rounded(beside)),
+            arc_with_cell(half_arc, self._cell),
+            room,
+        )
         patch = Patch(
-            cosine,
-            self.clearance + depth,
-            self.clearance * (0.5 * cell * sine + SHARPEST),
+            Outline(cosine, room, rounded(cosine)),
+            way,
             self.areas()[0],
             1.0,
             self.clearance + depth.ravel()[jnp.argmax(cosine)] + sunk,

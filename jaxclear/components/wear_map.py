@@ -17,12 +17,16 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.contact_patch import (
     SHARPEST,
+    Outline,
     Patch,
+    Way,
     arc,
+    arc_with_cell,
     depth_lost,
-    least_depth,
+    depth_of,
     line_contact,
     line_sunk,
+    square_width,
 )
 from jaxclear.ground.numerics import TINY_SQUARE, positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
@@ -118,7 +122,8 @@ class CylinderMap(AbstractWearMap):
     length/2.
 
     Location features: direction (x, y), by how much the overlap falls towards the other end [m],
-    depth of the overlap [m] and the end that carries (-1 or 1; 0: the whole length).
+    one over half the contact's width (`narrowness`) [1/rad] and the end that carries (-1 or 1; 0:
+    the whole length).
     """
 
     cells: tuple[int, int] = eqx.field(static=True)
@@ -139,6 +144,15 @@ class CylinderMap(AbstractWearMap):
     def heights(self) -> Float[Array, " along"]:
         """z of the centre of each cell [m]."""
         return self.length * ((jnp.arange(self.cells[1]) + 0.5) / self.cells[1] - 0.5)
+
+    def narrowness(self, indentation: Scalar) -> Scalar:
+        """One over half the width [1/rad] of a contact of some indentation [m]. Its mean over a
+        loss tells how deep that is in the contact's middle."""
+        return 1.0 / jnp.sqrt(square_width(indentation, self._cell, self.clearance))
+
+    @property
+    def _cell(self) -> float:
+        return 2 * math.pi / self.cells[0]
 
     def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Where a place of the wall [m] lies, in units of cells: around, along."""
@@ -178,14 +192,15 @@ class CylinderMap(AbstractWearMap):
     def _lost(self, columns, depth, volume, features):
         """(what each cell of these columns loses in an event [m], whether no other column is
         reached)."""
-        x, y, fall, flattening, end = features
+        x, y, fall, narrowness, end = features
         around, along = self.cells
         clearance, ends = self.clearance, jnp.abs(end)
         length = safe_sqrt(x * x + y * y)
         half_arc = arc(length)
         towards = (safe_divide(x, length), safe_divide(y, length))
-        cosine, sine = self._from_arc(columns, *towards, half_arc)
-        overlap = flattening + least_depth(2 * jnp.pi / around, clearance)
+        along_arc, cosine, sine = self._from_arc(columns, *towards, half_arc)
+        square = safe_divide(1.0, narrowness * narrowness)
+        overlap = depth_of(square, self._cell, clearance)
         # Up to where a tilted journal overlaps. Its two ends have shares, as the line between them
         # tells, that add up to one.
         touching = safe_divide(overlap * self.length, 2.5 * jnp.abs(fall) * ends + overlap)
@@ -196,14 +211,21 @@ class CylinderMap(AbstractWearMap):
         away = 0.5 * ends - end * self.heights() / self.length
         nearest = jnp.argmax(cosine)
         edge = jnp.where(end > 0, depth[nearest, -1], depth[nearest, 0])
-        patch = Patch(
+        steepest = (0.5 / along) * jnp.abs(fall)
+        outline = Outline(
             cosine[:, None],
             clearance + depth + fall * away * cosine[:, None],
             (
                 (jnp.pi / around) * clearance * sine
-                + (0.5 / along) * jnp.abs(fall * cosine)
+                + steepest * jnp.abs(cosine)
                 + SHARPEST * clearance
             )[:, None],
+        )
+        nearest_to = Outline(1.0, clearance + depth + fall * away, steepest + SHARPEST * clearance)
+        half = arc_with_cell(half_arc, self._cell)
+        patch = Patch(
+            outline,
+            Way(along_arc[:, None], nearest_to, half, clearance + depth),
             self.areas()[0],
             1.0 - away,
             clearance + edge + sunk,
@@ -215,14 +237,15 @@ class CylinderMap(AbstractWearMap):
         return lost, (deepest * beyond < clearance) | (volume == 0)
 
     def _from_arc(self, columns, x, y, half_arc):
-        """(cosine, size of the sine) of the angle between the direction of each column and the arc
-        about (x, y); without a direction all are in it."""
+        """(angle [rad] between the direction of each column and (x, y); cosine and size of the sine
+        of that between it and the arc about (x, y)); without a direction all are in it."""
         angles = (columns + 0.5) * (2 * jnp.pi / self.cells[0])
         cosine = jnp.cos(angles) * x + jnp.sin(angles) * y
         sine = jnp.abs(jnp.cos(angles) * y - jnp.sin(angles) * x)
         c, s = jnp.cos(half_arc), jnp.sin(half_arc)
         inside = cosine >= c
         return (
+            direction_angle(cosine, sine),
             jnp.where(inside, 1.0, cosine * c + sine * s),
             jnp.where(inside, 0.0, sine * c - cosine * s),
         )

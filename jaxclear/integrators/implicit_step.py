@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, concrete, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator
@@ -20,6 +21,9 @@ from jaxclear.integrators.stepping import arrived, contacts_met, divide, march
 # turn: as steps longer by so many times the bias. With what `CREEP_STEP` allows, no loss of
 # friction was off by more than a tenth where steps damp as they come (benchmarks/attack.py).
 DAMPED = 20.0
+# Newton iterations on the contact laws: where force and damping grow with the indentation alike,
+# and where a damper beside the spring grows on its own.
+ITERATIONS, DAMPED_ITERATIONS = 2, 8
 
 
 class ImplicitStep(AbstractIntegrator):
@@ -32,9 +36,10 @@ class ImplicitStep(AbstractIntegrator):
     `newton_iterations=30` does not. An impact that the steps resolve ends with the restitution of
     its law, one within a step with `rebound`: choose the restitution itself where stiff impacts
     decide. One evaluation a step; `newton_iterations` on the contact laws alone, in the contact
-    directions (bristles may want more than 2). Friction that would stop a slip within a step is
-    taken towards the step's end, so that slip decays and does not ring; friction loss and wear are
-    those of the mean slip.
+    directions: 2 unless told otherwise (bristles may want more), 8 where a law has a damper beside
+    its spring (AdamsImpact, KelvinVoigt), which may be stiffer than the spring. Friction that would
+    stop a slip within a step is taken towards the step's end, so that slip decays and does not
+    ring; friction loss and wear are those of the mean slip.
 
     `rebound` sets the numerical dissipation: with theta = 1 / (1 + rebound), a linear contact mode
     omega is damped as by the theta method, amplitude per step sqrt((1 + (1 - theta)^2 z^2) / (1 +
@@ -66,7 +71,11 @@ class ImplicitStep(AbstractIntegrator):
         at_most=1,
         kw_only=True,
     )
-    newton_iterations: int = count(2, "iterations on the contact laws", kw_only=True)
+    newton_iterations: int | None = count(
+        None,
+        "iterations on the contact laws (None: 2, or 8 where a damper of a law's own decides)",
+        kw_only=True,
+    )
     steps_per_save: int | None = count(None, "steps between two saving times", kw_only=True)
 
     @property
@@ -100,9 +109,18 @@ class ImplicitStep(AbstractIntegrator):
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model, start, state)
 
+    def _iterations(self, model: Model) -> int:
+        """Iterations on the contact laws of a model."""
+        if self.newton_iterations is not None:
+            return self.newton_iterations
+        bearings = model.system.bearings.values()
+        laws = [own.contact for bearing in bearings for own in bearing.contact_laws]
+        return DAMPED_ITERATIONS if any(law.restitution is None for law in laws) else ITERATIONS
+
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
         bias = (1 - self.rebound) / (1 + self.rebound)
+        iterations = self._iterations(model)
 
         contacts = sum(len(kinds) for _, kinds in model.layout.memories)
         # Behind the accelerations a warm start holds the indentations.
@@ -112,7 +130,7 @@ class ImplicitStep(AbstractIntegrator):
             last, met, watch = carried
             time_step = TimeStep(interval.start + index * h, h)
             end, now = self.formulation.implicit_step(
-                model, time_step, state, last, bias, self.newton_iterations
+                model, time_step, state, last, bias, iterations
             )
             if met is not None:
                 met = contacts_met(met, *jax.lax.stop_gradient((last[depths], now[depths])))

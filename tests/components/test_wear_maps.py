@@ -19,14 +19,15 @@ HUMP = BSpline.basis_element([-1.5, -0.5, 0.5, 1.5], extrapolate=False)
 
 
 def cylinder_events():
-    """(x, y), how the overlap falls, its depth, the end; mean directions are no unit vectors."""
+    """(x, y), how the overlap falls, one over the width, the end; mean directions are no unit
+    vectors."""
     angles = [0.0, 1e-9, np.pi / 2, np.pi, -np.pi, -1e-9, 2.0, 2 * np.pi / 12]
     events = [
-        (spread * np.cos(a), spread * np.sin(a), fall, depth, end)
+        (spread * np.cos(a), spread * np.sin(a), fall, narrowness, end)
         for a in angles
         for spread in (1.0, 0.999, 0.5)
         for fall in (0.0, 1e-12, 5e-5, 2e-4, -1e-5)
-        for depth in (0.0, 1e-7)
+        for narrowness in (0.0, 22.0)
         for end in (-1.0, 0.0, 1.0)
     ]
     # every seventh: of each kind some
@@ -55,7 +56,7 @@ def sphere_places(events):
     for x, y, z in events:
         size = np.sqrt(x * x + y * y + z * z)
         x, y, z = (np.array([x, y, z]) / size) if size > 1e-30 else (0.0, 0.0, 0.0)
-        found.append((x, y, z, x * x, x * y, x * z, y * y, y * z, 1e-7))
+        found.append((x, y, z, x * x, x * y, x * z, y * y, y * z, 500.0))
     return np.array(found)
 
 
@@ -96,7 +97,7 @@ def test_deposit_has_finite_derivatives(wear_map, events):
 
 
 def test_deposit_derivative_is_the_change():
-    event, step = jnp.array([[0.6, 0.7, 5e-5, 1e-7, -1.0]]), 1e-7
+    event, step = jnp.array([[0.6, 0.7, 5e-5, 22.0, -1.0]]), 1e-7
 
     @jax.jit
     def total(angle):
@@ -113,7 +114,7 @@ def test_line_contact_wears_towards_the_loaded_end():
     deposit = eqx.filter_jit(CYLINDER.deposit)
     for end, row in ((-1.0, 0), (1.0, -1)):
         depth = deposit(
-            jnp.zeros(CYLINDER.cells), jnp.array([1e-12]), jnp.array([[1.0, 0.0, 1e-5, 1e-7, end]])
+            jnp.zeros(CYLINDER.cells), jnp.array([1e-12]), jnp.array([[1.0, 0.0, 1e-5, 22.0, end]])
         )
         assert np.argmax(np.asarray(depth).sum(0)) == row % 5
 

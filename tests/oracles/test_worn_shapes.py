@@ -34,9 +34,15 @@ def _worn(wear_map, volumes, places):
     return run(volumes, places)
 
 
+def narrow(overlap):
+    """One over the half width [1/rad] of a line contact whose outlines overlap so deep [m]; 0: as
+    wide as a cell."""
+    return math.sqrt(0.5 * CLEARANCE / overlap) if overlap else 0.0
+
+
 def pressed(angle=0.0, overlap=0.0):
     """Features of a parallel journal that always leans to one side."""
-    return (math.cos(angle), math.sin(angle), 0.0, overlap, 0.0)
+    return (math.cos(angle), math.sin(angle), 0.0, narrow(overlap), 0.0)
 
 
 def crescent(depth):
@@ -66,9 +72,9 @@ def test_depth_converges_with_the_cells():
         worn_by(cylinder(around), crescent(5e-6), pressed(0.31, 1e-6)).max()
         for around in (48, 96, 192, 384)
     ]
-    changes = np.abs(np.diff(depths))
-    assert np.all(changes[1:] < changes[:-1] / 2.0)
-    np.testing.assert_allclose(depths[-1], depths[-2], rtol=0.02)
+    away = np.abs(np.array(depths[:-1]) / depths[-1] - 1)
+    # where the deepest point lies within its cell counts too
+    assert away[0] > 0.02 and np.all(away < [0.12, 0.01, 0.005])
 
 
 @pytest.mark.parametrize("overlap", [0.3e-6, 1e-6])
@@ -89,7 +95,7 @@ def test_the_first_wear_is_as_wide_as_hertz_contact(overlap):
 def still(direction, overlap=0.0):
     """Features of a ball that always leans to one side."""
     x, y, z = np.asarray(direction) / np.linalg.norm(direction)
-    return (x, y, z, x * x, x * y, x * z, y * y, y * z, overlap)
+    return (x, y, z, x * x, x * y, x * z, y * y, y * z, narrow(overlap) ** 2)
 
 
 @pytest.mark.parametrize(
@@ -133,10 +139,37 @@ def test_a_tilted_journal_wears_its_own_slope_into_the_edge():
 
 def test_both_ends_of_a_parallel_journal_wear_its_whole_length_evenly():
     wear_map = cylinder(72, 12)
-    places = [[(*ALONG_X, 0.0, 1e-6, end) for end in (-1.0, 1.0)]] * 10
+    places = [[(*ALONG_X, 0.0, narrow(1e-6), end) for end in (-1.0, 1.0)]] * 10
     found = np.asarray(_worn(wear_map, jnp.full((10, 2), 1e-13), jnp.asarray(places)))
     np.testing.assert_allclose(found, found[:, :1] * np.ones((1, 12)), atol=1e-3 * found.max())
     np.testing.assert_allclose(found.sum() * wear_map.areas()[0, 0], 2e-12, rtol=1e-12)
+
+
+def moved(saves, swing, turns, fine=20_000):
+    """(volumes, features) that so many saves see of a contact which swings to and fro [rad], and
+    turns, while its load and its width change; it loses as it slides where it turns."""
+    time = (np.arange(fine) + 0.5) / fine
+    angle = 0.3 + swing * np.sin(2 * np.pi * time) + 2 * np.pi * turns * time
+    load = 1 + 0.5 * np.cos(2 * np.pi * time)
+    lost = load * np.abs(np.gradient(angle)) if turns else load
+    width = narrow(1e-6) / np.sqrt(load)
+    columns = np.stack([np.cos(angle), np.sin(angle), 0 * angle, width, 0 * angle], -1)
+    lost, columns = lost.reshape(saves, -1), columns.reshape(saves, -1, 5)
+    volumes = lost.sum(axis=1, keepdims=True)
+    means = (lost[..., None] * columns).sum(axis=1) / volumes
+    return jnp.asarray(1e-13 * volumes / lost.sum()), jnp.asarray(means)[:, None]
+
+
+@pytest.mark.parametrize("swing, turns", [(1.5, 0), (1.0, 1)])
+def test_depth_is_the_same_at_any_number_of_saves(swing, turns):
+    """What is lost over an arc is its convolution with the contact's width, so arcs add up; those
+    widened by the contact were off by 6 and 12 %."""
+    wear_map = cylinder(144)
+    wanted = np.asarray(_worn(wear_map, *moved(2000, swing, turns)))
+    for saves in (50, 100, 500):
+        found = np.asarray(_worn(wear_map, *moved(saves, swing, turns)))
+        np.testing.assert_allclose(found.max(), wanted.max(), rtol=5e-3)
+        assert np.abs(found - wanted).sum() < 5e-3 * wanted.sum()
 
 
 @pytest.mark.parametrize("saves", [1, 24, pytest.param(100, marks=pytest.mark.slow)])
@@ -147,13 +180,13 @@ def test_a_contact_that_turns_wears_evenly_at_any_resolution(around, saves):
     wear_map, turns = cylinder(around), 3
     middle = (np.arange(saves * turns) + 0.5) * 2 * np.pi / saves
     length = np.sinc(1 / saves)
-    places = [(length * np.cos(a), length * np.sin(a), 0.0, 1e-6, 0.0) for a in middle]
+    places = [(length * np.cos(a), length * np.sin(a), 0.0, narrow(1e-6), 0.0) for a in middle]
     volume = 1e-11
     shares = jnp.full((len(places), 1), volume / len(places))
     found = np.asarray(_worn(wear_map, shares, jnp.asarray(places)[:, None]))
     expected = volume / (2 * np.pi * RADIUS * LENGTH)
-    # arcs overlap at their ends by a contact's width
-    np.testing.assert_allclose(found, expected, rtol=0.03 if saves == 100 else 0.25)
+    # the first turn cuts where no neighbour has yet cut
+    np.testing.assert_allclose(found, expected, rtol=0.02)
     np.testing.assert_allclose(found.sum() * wear_map.areas()[0, 0], volume, rtol=1e-12)
 
 

@@ -12,7 +12,6 @@ from jaxclear.components.clearance.base import (
     ContactLaws,
     check_clearance,
     direction,
-    flattening,
 )
 from jaxclear.components.joint import AbstractRubbingBall, Spherical
 from jaxclear.components.sphere_map import SphereMap
@@ -67,7 +66,13 @@ class BallSocket(AbstractClearance):
     def features(self, surface, offset, axes, indentations, index):
         x, y, z = direction(offset, 3)
         pairs = ((x, x), (x, y), (x, z), (y, y), (y, z))
-        return (x, y, z, *(sp.mul(*pair) for pair in pairs), flattening(indentations[0]))
+        return (
+            x,
+            y,
+            z,
+            *(sp.mul(*pair) for pair in pairs),
+            self.maps()[surface][0].narrowness(indentations[0]),
+        )
 
     def grown(self, outer, inner):
         socket = outer * self.socket_radius

@@ -17,7 +17,7 @@ import equinox as eqx
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part, safe_divide
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete
 from jaxclear.laws.stiffness import Shape
 
@@ -166,9 +166,3 @@ def direction(vector: sp.Vec, dimensions: int) -> tuple:
     """Unit vector of the first components, zero at zero length."""
     inverse = safe_divide(1.0, sp.norm(vector[:dimensions]))
     return tuple(sp.mul(inverse, component) for component in vector[:dimensions])
-
-
-def flattening(indentation: Scalar) -> Scalar:
-    """How deep undeformed outlines overlap [m] where the contact area of this indentation [m] ends:
-    half of it, by Hertz; the other half is that of the walls beside the contact."""
-    return 0.5 * positive_part(indentation)

@@ -14,7 +14,6 @@ from jaxclear.components.clearance.base import (
     ContactCandidate,
     ContactLaws,
     check_clearance,
-    flattening,
 )
 from jaxclear.components.clearance.journal_base import AbstractJournalBearing
 from jaxclear.components.clearance.roundness import Lobes, check_roundness
@@ -82,7 +81,8 @@ class PlanarJournalBearing(AbstractJournalBearing):
         return {"bearing": (cylinder, self.bearing_wear)}
 
     def features(self, surface, offset, axes, indentations, index):
-        return (*self.touch(offset)[:2], 0.0, flattening(indentations[0]), 0.0)
+        narrowness = self.maps()[surface][0].narrowness(indentations[0])
+        return (*self.touch(offset)[:2], 0.0, narrowness, 0.0)
 
     def end_forces(self, force, torque):
         return (((force[0], force[1], 0), 0),)
@@ -240,7 +240,8 @@ class JournalBearing(AbstractJournalBearing):
         x, y, _ = self.touch(here)
         fall = sp.add(sp.mul(here[0] - other[0], x), sp.mul(here[1] - other[1], y))
         place = (x, y) if surface == "bearing" else _seen_by(axes[1], x, y)
-        return (*place, fall, flattening(indentations[index]), float(2 * index - 1))
+        narrowness = self.maps()[surface][0].narrowness(indentations[index])
+        return (*place, fall, narrowness, float(2 * index - 1))
 
     def end_forces(self, force, torque):
         return shared_by_ends(force, torque, self.length)
