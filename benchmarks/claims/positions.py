@@ -13,7 +13,7 @@ import numpy as np
 import jaxclear as jc
 from benchmarks.measure import arguments, report, seconds_to_compile, side_by_side
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.monte_carlo import draw
+from jaxclear.studies.sampling import draw
 
 POSITIONS = 36
 

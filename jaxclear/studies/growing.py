@@ -1,43 +1,56 @@
 """A Monte Carlo sample that grows until its means are known as accurately as asked."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.sampling import draw, extended, groups
+from jaxclear.studies.sampling import Drawing
 from jaxclear.studies.statistics.accuracy import Asked, told, unreached
 
+__all__ = ["FIRST_SAMPLES", "Grown", "first_of", "responses_of", "until_accurate"]
 
-class Plan(NamedTuple):
-    """What is sampled, at most how often, and how."""
-
-    problem: AbstractProblem
-    most: int
-    seed: int
-    sampling: str
-    scramblings: int
+# What a study begins with that goes on until it is accurate.
+FIRST_SAMPLES = 256
 
 
-def until_accurate(plan: Plan, first: int, asked: Asked, run: Callable) -> tuple:
-    """Values, scramblings and outcomes of as many samples as the accuracy takes, and a sentence
-    where it takes more than the most."""
-    problem, parts = plan.problem, plan.scramblings
-    # All scramblings are of one length, a power of two, so that they can be doubled.
-    first = parts * 2 ** int(np.log2(first // parts))
-    values, group = draw(problem, first, plan.seed, plan.sampling, parts), groups(first, parts)
-    found = run(values)
+def first_of(samples: int, scramblings: int) -> int:
+    """With how many a study of at most so many samples begins: all scramblings are of one length, a
+    power of two, so that they can be doubled."""
+    return scramblings * 2 ** int(np.log2(samples // scramblings))
+
+
+def until_accurate(first: int, most: int, asked: Asked, grown: Callable) -> str:
+    """Doubles a sample, from the first number on, until it is accurate or would be more than the
+    most; a sentence where it is not accurate, else "". `grown` is given how many samples there are
+    to be, and gives all responses by name (samples,) and their scramblings (samples,)."""
+    count = first
     while True:
-        short = told(asked, responses_of(problem, found), group)
-        if not short or 2 * len(values) > plan.most:
-            return values, group, found, unreached(short)
-        more = extended(problem, len(values) // parts, parts, plan.seed, plan.sampling)
-        values = np.concatenate([values, more])
-        group = np.concatenate([group, groups(len(more), parts)])
-        found = jax.tree.map(lambda *both: np.concatenate(both), found, run(more))
+        short = told(asked, *grown(count))
+        if not short or 2 * count > most:
+            return unreached(short)
+        count *= 2
+
+
+class Grown:
+    """A sample in memory: values (samples, variables), and what `run` gives for them."""
+
+    def __init__(self, drawing: Drawing, run: Callable[[np.ndarray], SampleResult]):
+        self.drawing, self.run = drawing, run
+        self.values = np.zeros((0, drawing.count))
+        self.found: Any = None
+
+    def to(self, samples: int) -> None:
+        """Grows it to so many samples."""
+        values = self.drawing.span(len(self.values), samples)
+        found = self.run(values)
+        if self.found is not None:
+            values = np.concatenate([self.values, values])
+            found = jax.tree.map(lambda *both: np.concatenate(both), self.found, found)
+        self.values, self.found = values, found
 
 
 def responses_of(problem: AbstractProblem, found: SampleResult) -> dict[str, np.ndarray]:

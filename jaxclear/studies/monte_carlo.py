@@ -20,8 +20,8 @@ from jaxclear.integrators import Checks, Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.datasets import of_samples
-from jaxclear.studies.growing import Plan, responses_of, until_accurate
-from jaxclear.studies.sampling import check_sampled, draw, groups, usual_scramblings
+from jaxclear.studies.growing import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
+from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.statistics.accuracy import asked_of
 from jaxclear.studies.statistics.error_budget import error_budget
 from jaxclear.studies.statistics.limits import Limits, check_limits, yield_of
@@ -40,9 +40,6 @@ from jaxclear.studies.statistics.tolerance_interval import (
     normal_interval,
 )
 from jaxclear.studies.warned import agreement, any_warning, counted, in_words, warned_of
-
-# What a study begins with that goes on until it is accurate.
-FIRST_SAMPLES = 256
 
 
 class MonteCarlo(eqx.Module):
@@ -274,22 +271,24 @@ def monte_carlo(
         check_count("chunk of monte_carlo", chunk)
     asked = asked_of(accuracy, problem.response_names)
     first = samples if asked is None else min(samples, FIRST_SAMPLES)
-    parts = usual_scramblings(first) if scramblings is None else scramblings
-    check_count("scramblings of monte_carlo", parts)
-    if parts > first:
-        raise ValueError(f"{first} samples cannot be {parts} scramblings; take fewer of these.")
+    parts = checked_scramblings("monte_carlo", first, scramblings)
     chunk = chunk_size(problem, first, chunk)
     run = lambda values: evaluate_all(
         problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
     )
+    sample, short = Grown(Drawing(problem, seed, sampling, parts), run), ""
     if asked is None:
-        values, group = draw(problem, samples, seed, sampling, parts), groups(samples, parts)
-        found, short = run(values), ""
+        sample.to(samples)
     else:
-        plan = Plan(problem, samples, seed, sampling, parts)
-        values, group, found, short = until_accurate(plan, first, asked, run)
+
+        def grown(count):
+            sample.to(count)
+            return responses_of(problem, sample.found), groups(count, parts)
+
+        short = until_accurate(first_of(first, parts), samples, asked, grown)
+    found, values = sample.found, sample.values
     ends = (np.asarray(found.outcome), np.asarray(found.ended))
-    responses = responses_of(problem, found)
+    responses, group = responses_of(problem, found), groups(len(values), parts)
     looked = problem.second_look(found.checks)
     return MonteCarlo(
         problem, values, responses, *ends, seed, chunk, found.checks, group, short, looked

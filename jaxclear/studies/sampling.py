@@ -1,5 +1,8 @@
 """Values of a problem's variables, drawn from their joint distribution.
 
+A sample's values hang on its number, and not on how many there are: a larger study begins with the
+samples of a smaller one.
+
 Quasi-random samples come as independent scramblings of Sobol's sequence: within one, points are
 spread evenly, so that means converge faster than those of random samples; between them nothing is
 shared, so that their differences tell the error, whatever the response.
@@ -8,8 +11,7 @@ Source: Owen 1998, ACM TOMACS 8, 71, doi:10.1145/272991.273010; L'Ecuyer, Nakaya
 2023, Winter Simulation Conference, doi:10.1109/WSC60868.2023.10408613.
 """
 
-import itertools
-from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -21,18 +23,28 @@ from jaxclear.ground.arguments import check_count, check_known, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.inputs import Inputs
-from jaxclear.studies.scrambling import normal_scores, scrambled_shares
+from jaxclear.studies.scrambling import ScrambledSequence, normal_scores
 
-__all__ = ["SAMPLINGS", "check_sampled", "draw", "extended", "groups", "usual_scramblings"]
+__all__ = [
+    "SAMPLINGS",
+    "Drawing",
+    "by_scrambling",
+    "check_sampled",
+    "checked_scramblings",
+    "draw",
+    "groups",
+    "usual_scramblings",
+]
 
 SAMPLINGS = ("sobol", "random")
 # More scramblings leave each too few points; fewer leave their differences too few to tell from.
 MOST_SCRAMBLINGS = 16
-# Samples from which on their values are worth a compiled program, which takes a third of the time;
-# its last digits are its own, so that the whole sample decides, not the part that is drawn.
-MANY = 1 << 14
-# Samples that the program takes at once.
+# Samples whose values are computed at once, by the same operations wherever a sample is drawn:
+# a program for another number of rows rounds its last ones otherwise.
 BLOCK = 1 << 12
+# The number of the sample from which on values are worth a compiled program, which takes a third
+# of the time; its last digits are its own.
+MANY = 1 << 14
 
 
 def usual_scramblings(samples: int) -> int:
@@ -41,9 +53,14 @@ def usual_scramblings(samples: int) -> int:
 
 
 def groups(samples: int, scramblings: int) -> np.ndarray:
-    """The scrambling (samples,) that each sample belongs to: one after the other, of equal length
-    but for one."""
-    return np.arange(samples) * scramblings // samples
+    """The scrambling (samples,) that each sample belongs to: they take turns."""
+    return np.arange(samples) % scramblings
+
+
+def by_scrambling(rows: np.ndarray, scramblings: int) -> np.ndarray:
+    """Rows (samples, columns) in which the scramblings take turns, each as often as the others, as
+    (scramblings, points, columns)."""
+    return rows.reshape(-1, scramblings, rows.shape[1]).swapaxes(0, 1)
 
 
 def check_sampled(problem: Any, samples: Any, seed: Any, sampling: Any = "sobol") -> None:
@@ -57,6 +74,15 @@ def check_sampled(problem: Any, samples: Any, seed: Any, sampling: Any = "sobol"
         raise ValueError("the problem has no variables; nothing would vary: give it some.")
 
 
+def checked_scramblings(owner: str, samples: int, given: Any) -> int:
+    """The scramblings given, or the usual ones. Raises `ValueError` with a sentence."""
+    parts = usual_scramblings(samples) if given is None else given
+    check_count(f"scramblings of {owner}", parts)
+    if parts > samples:
+        raise ValueError(f"{samples} samples cannot be {parts} scramblings; take fewer of these.")
+    return parts
+
+
 def draw(
     problem: AbstractProblem,
     samples: int,
@@ -65,43 +91,62 @@ def draw(
     scramblings: int = 1,
     span: tuple[int, int] | None = None,
 ) -> np.ndarray:
-    """Values (samples, variables) drawn from the variables' distributions, one scrambling after the
-    other as `groups` counts them. `span`: of these only the samples from the first number up to the
-    second, the same to the last bit."""
+    """Values (samples, variables) drawn from the variables' distributions, the scramblings taking
+    turns as `groups` counts them. `span`: only the samples from the first number up to the second,
+    the same to the last bit."""
     check_sampled(problem, samples, seed, sampling)
-    first, last = (0, samples) if span is None else span
-    # Where each scrambling begins.
-    starts = [-(-i * samples // scramblings) for i in range(scramblings + 1)]
-    parts = [
-        (i, max(first - begin, 0), min(last, end) - begin)
-        for i, (begin, end) in enumerate(itertools.pairwise(starts))
-        if begin < last and end > first
-    ]
-    return _values(problem, parts, seed, sampling, samples >= MANY)
+    drawing = Drawing(problem, seed, sampling, scramblings)
+    return drawing.span(*((0, samples) if span is None else span))
 
 
-def extended(
-    problem: AbstractProblem, drawn: int, scramblings: int, seed: int, sampling: str
-) -> np.ndarray:
-    """As many values (scramblings * drawn, variables) again, where every scrambling has `drawn`
-    points: its next ones, one scrambling after the other."""
-    parts = [(i, drawn, 2 * drawn) for i in range(scramblings)]
-    return _values(problem, parts, seed, sampling, False)
+class Drawing:
+    """A sample that is drawn piece by piece, cheapest in the order of its numbers; by one thread at
+    a time."""
+
+    def __init__(self, problem: AbstractProblem, seed: int, sampling: str, scramblings: int):
+        self.inputs, self.count = problem.inputs, len(problem.names)
+        # The first of all scramblings is that of the plain seed.
+        self.seeds: list[Any] = [(seed, i) if i else seed for i in range(scramblings)]
+        self.sequences: list[ScrambledSequence] = []
+        if sampling == "sobol":
+            self.sequences = [
+                ScrambledSequence(self.count, np.random.default_rng(s)) for s in self.seeds
+            ]
+
+    def span(self, first: int, last: int) -> np.ndarray:
+        """Values (last - first, variables) of the samples from the first number up to the last."""
+        parts = len(self.seeds)
+        shares = np.zeros((last - first, self.count))
+        for i in range(parts):
+            # The points of this scrambling that are among them.
+            begin, end = -((i - first) // parts), -((i - last) // parts)
+            if end > begin:
+                shares[begin * parts + i - first :: parts] = self._shares(i, begin, end)
+        return _values(self.inputs, normal_scores(shares), first)
+
+    def _shares(self, scrambling: int, first: int, last: int) -> np.ndarray:
+        """Points of one scrambling, from the first number up to the last."""
+        if self.sequences:
+            return self.sequences[scrambling].points(first, last)
+        rng = np.random.default_rng(self.seeds[scrambling])
+        # A number of 53 bits takes one step of the generator.
+        generator: Any = rng.bit_generator
+        generator.advance(first * self.count)
+        return rng.random((last - first, self.count))
 
 
-def _values(problem, parts, seed, sampling, compiled):
-    count = len(problem.names)
-    shares = np.concatenate(
-        [_shares(count, span, (seed, i), sampling) for i, *span in parts] or [np.zeros((0, count))]
-    )
-    normal = normal_scores(shares)
-    if not compiled:
-        return np.asarray(problem.inputs.values(jnp.asarray(normal)))
-    # Blocks of one size: a program for another number of rows rounds its last ones otherwise.
-    rows = len(normal)
-    blocks = np.concatenate([normal, np.zeros((-rows % BLOCK, count))]).reshape(-1, BLOCK, count)
-    found = [np.asarray(_of_block(problem.inputs, jnp.asarray(block))) for block in blocks]
-    return np.concatenate([*found, np.zeros((0, count))])[:rows]
+def _values(inputs: Inputs, normal: np.ndarray, first: int) -> np.ndarray:
+    """Values of the samples from number `first` on, from independent standard normal numbers [1].
+    Each is computed at the same place of the same block, whatever is drawn with it."""
+    rows, count = normal.shape
+    before = first % BLOCK
+    room = np.zeros((before + rows + -(before + rows) % BLOCK, count))
+    room[before : before + rows] = normal
+    found = [np.zeros((0, count))]
+    for number, block in enumerate(room.reshape(-1, BLOCK, count), first // BLOCK):
+        compute = inputs.values if number * BLOCK < MANY else partial(_of_block, inputs)
+        found.append(np.asarray(compute(jnp.asarray(block))))
+    return np.concatenate(found)[before : before + rows]
 
 
 @eqx.filter_jit
@@ -110,18 +155,3 @@ def _of_block(
 ) -> Float[Array, "samples variables"]:
     """Values of the variables from independent standard normal numbers [1]."""
     return inputs.values(normal)
-
-
-def _shares(count: int, span: Sequence[int], seed: tuple[int, int], sampling: str) -> np.ndarray:
-    """Points of one scrambling, from the first number of a span up to the second; the first of
-    all scramblings is that of the plain seed."""
-    start, stop = span
-    rng = np.random.default_rng(seed if seed[1] else seed[0])
-    if stop <= start:
-        return np.zeros((0, count))
-    if sampling == "random":
-        # A number of 53 bits takes one step of the generator.
-        generator: Any = rng.bit_generator
-        generator.advance(start * count)
-        return rng.random((stop - start, count))
-    return scrambled_shares(stop, count, rng, start)

@@ -7,17 +7,31 @@ import scipy
 LEAST_SHARE = 1e-12
 
 
-def scrambled_shares(
-    count: int, dimensions: int, rng: np.random.Generator, first: int = 0
-) -> np.ndarray:
-    """Points (count - first, dimensions) of the unit cube, from number `first` up to `count`: one
-    scrambling of Sobol's sequence. A power of two keeps it balanced; what is more than asked for is
-    left out."""
-    engine = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=rng)
-    if first:
-        return engine.fast_forward(first).random(count - first)
-    power = int(np.ceil(np.log2(max(count, 1))))
-    return engine.random_base2(power)[:count]
+def scrambled_shares(count: int, dimensions: int, rng: np.random.Generator) -> np.ndarray:
+    """Points (count, dimensions) of the unit cube: one scrambling of Sobol's sequence."""
+    return ScrambledSequence(dimensions, rng).points(0, count)
+
+
+class ScrambledSequence:
+    """One scrambling of Sobol's sequence. What follows what was asked last is cheapest."""
+
+    def __init__(self, dimensions: int, rng: np.random.Generator):
+        self.engine = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=rng)
+        self.next = 0
+
+    def points(self, first: int, last: int) -> np.ndarray:
+        """Points (last - first, dimensions) of the unit cube, from the first number up to the
+        last."""
+        if first < self.next:
+            self.engine.reset()
+            self.next = 0
+        if first > self.next:
+            self.engine.fast_forward(first - self.next)
+        # The first one by itself: the engine warns of other beginnings than powers of two.
+        alone = 1 if first == 0 and last > 0 else 0
+        points = [self.engine.random(alone), self.engine.random(last - first - alone)]
+        self.next = last
+        return np.concatenate(points)
 
 
 def normal_scores(shares: np.ndarray) -> np.ndarray:

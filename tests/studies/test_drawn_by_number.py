@@ -1,40 +1,58 @@
-"""A sample's values are those of its number, whatever part of a study is drawn."""
+"""A sample's values are those of its number, whatever part of a study is drawn, and however large
+the study is.
+"""
 
 import numpy as np
 import pytest
+from scipy.stats import norm, qmc
 
 import jaxclear as jc
 from jaxclear.studies.sampling import MANY, draw, groups
 
+NORMAL = jc.FunctionProblem(
+    lambda a, b: a + b, {name: jc.Dimension(1.0, jc.distribution.Normal(0.1)) for name in "ab"}
+)
+KINDS = {
+    "normal": jc.distribution.Normal(0.1),
+    "uniform": jc.distribution.Uniform(0.1),
+    "triangular": jc.distribution.Triangular(low=-0.1, high=0.2),
+    "lognormal": jc.distribution.Lognormal(median=0.3, spread=0.4),
+    "within": jc.distribution.TruncatedNormal(0.1, bound=0.2),
+}
+
 
 @pytest.mark.parametrize("sampling", ["sobol", "random"])
 def test_a_sample_is_drawn_by_its_number(sampling):
-    """Within a scrambling, over several of unequal length, at both ends."""
-    plain = jc.FunctionProblem(
-        lambda a, b: a + b,
-        {name: jc.Dimension(1.0, jc.distribution.Normal(0.1)) for name in "ab"},
-    )
-    whole = draw(plain, 1003, 7, sampling, 13)
+    """Scramblings of unequal length, in any order, at both ends; of any number of samples."""
+    whole = draw(NORMAL, 1003, 7, sampling, 13)
     assert len(whole) == len(groups(1003, 13)) == 1003
-    for span in ((0, 1), (70, 170), (903, 1003)):
-        assert np.array_equal(draw(plain, 1003, 7, sampling, 13, span), whole[slice(*span)])
+    for span in ((0, 1), (70, 170), (903, 1003), (5, 5)):
+        assert np.array_equal(draw(NORMAL, 1003, 7, sampling, 13, span), whole[slice(*span)])
+    assert np.array_equal(draw(NORMAL, 300, 7, sampling, 13), whole[:300])
+    assert len(np.unique(whole[:, 0])) == 1003
+
+
+def test_scramblings_of_sobols_sequence_take_turns():
+    """By scipy's own sequence: sample i is point i // 4 of scrambling i % 4."""
+    shares = norm.cdf((draw(NORMAL, 250, 7, scramblings=4) - 1.0) / 0.1)
+    for i in range(4):
+        rng = np.random.default_rng((7, i) if i else 7)
+        points = qmc.Sobol(2, rng=rng).random_base2(6)
+        own = shares[groups(250, 4) == i]
+        np.testing.assert_allclose(own, points[: len(own)], rtol=1e-9)
 
 
 def test_many_samples_are_drawn_by_their_numbers_too():
-    """By a program of another shape for each span, whatever they follow: the same last digits, and
-    but for these what a small sample has."""
-    kinds = {
-        "normal": jc.distribution.Normal(0.1),
-        "uniform": jc.distribution.Uniform(0.1),
-        "triangular": jc.distribution.Triangular(low=-0.1, high=0.2),
-        "lognormal": jc.distribution.Lognormal(median=0.3, spread=0.4),
-        "within": jc.distribution.TruncatedNormal(0.1, bound=0.2),
-    }
+    """By a compiled program, whatever they follow: the same last digits. The first ones are those
+    of a small study."""
+    asked = {name: jc.Dimension(2.0, own) for name, own in KINDS.items()}
     plain = jc.FunctionProblem(
-        lambda **own: own["normal"], {name: jc.Dimension(2.0, own) for name, own in kinds.items()}
+        lambda **own: own["normal"], asked, correlation={("normal", "uniform"): 0.5}
     )
     whole = draw(plain, MANY + 5, 7, "sobol", 2)
     for span in ((0, 1), (8000, 8303), (MANY - 6, MANY + 5)):
         assert np.array_equal(draw(plain, MANY + 5, 7, "sobol", 2, span), whole[slice(*span)])
-    few = draw(plain, 2048, 7, "sobol", 1)
-    np.testing.assert_allclose(whole[:2048], few, rtol=1e-14)
+    assert np.array_equal(draw(plain, 2049, 7, "sobol", 2), whole[:2049])
+    # What follows is of the same distribution.
+    for values in (whole[:MANY], draw(plain, 2 * MANY, 7, "sobol", 2)[MANY:]):
+        np.testing.assert_allclose(values[:, :2].mean(axis=0), 2.0, atol=1e-3)

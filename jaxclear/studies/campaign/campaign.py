@@ -3,34 +3,33 @@
 """
 
 import inspect
-import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from tqdm import tqdm
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.wording import listed, meant
-from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.campaign.plan import Evaluation, Plan, planned
-from jaxclear.studies.campaign.recorded import RecordedProblem, in_json
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.campaign.layout import KIND
+from jaxclear.studies.campaign.plan import planned
+from jaxclear.studies.campaign.recorded import RecordedProblem
 from jaxclear.studies.campaign.result import Campaign
-from jaxclear.studies.campaign.samples import KIND, Samples
+from jaxclear.studies.campaign.run import Wanted, computed
+from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.campaign.studies import kept_study
-from jaxclear.studies.campaign.work import Heard, by_threads
-from jaxclear.studies.campaign.workers import by_workers, check_client
-from jaxclear.studies.sampling import check_sampled, usual_scramblings
+from jaxclear.studies.campaign.work import AbstractWork, Threads
+from jaxclear.studies.campaign.workers import Workers, check_client
+from jaxclear.studies.growing import FIRST_SAMPLES, first_of
+from jaxclear.studies.sampling import check_sampled, checked_scramblings
+from jaxclear.studies.statistics.accuracy import asked_of
 from jaxclear.studies.store import checked_folder, refuse_other
 from jaxclear.studies.texts import in_texts
 
 __all__ = ["campaign", "open_campaign"]
 
 # What a campaign takes beside the arguments that it names.
-SAMPLED = ("sampling", "scramblings")
+SAMPLED = ("sampling", "scramblings", "accuracy")
 
 
 @answering
@@ -49,21 +48,23 @@ def campaign(
     """A Monte Carlo study of any size, kept in a folder (Zarr) chunk by chunk: values, responses,
     outcomes, warnings, seed, versions and what the problem is.
 
-    Asked again, it goes on from the chunks that are finished; a folder of another problem, or of
-    other samples, is refused with what differs. Ctrl-C keeps all finished chunks; whatever ends the
+    Asked again, it goes on from the chunks that are finished, also to more samples: it becomes what
+    it would be had it been asked for them at once. A folder of another problem, or of other
+    samples, is refused with what differs. Ctrl-C keeps all finished chunks; whatever ends the
     process, the chunks in work, one a thread, are all that is lost. Several processes may work at
     one folder: each chunk is claimed by one. Memory does not grow with the samples.
 
-    `samples`, `seed`, and in `settings` also `sampling` and `scramblings`, as in `monte_carlo`,
-    whose samples these are: a sample has the same values and, on one kind of machine, the same
-    responses to the last bit in whatever chunks and threads it is computed. `chunk`: samples in a
-    file, rounded up to whole batches; an older folder keeps its own. `client`: a
-    `dask.distributed.Client`, whose workers compute and write the chunks, in a folder that all of
-    them see. `progress_bar` shows rate, time left, failures.
+    `samples`, `seed`, and in `settings` also `sampling`, `scramblings` and `accuracy`, as in
+    `monte_carlo`, whose samples these are: a sample has the same values and, on one kind of
+    machine, the same responses to the last bit in whatever chunks and threads it is computed.
+    `chunk`: samples in a file, rounded up to whole batches; an older folder keeps its own.
+    `client`: a `dask.distributed.Client`, whose workers compute and write the chunks, in a folder
+    that all of them see. `progress_bar` shows rate, time left, failures.
 
-    `study`: another one to keep, `jaxclear.sensitivity`, `sobol_indices`, `surface`, `worst_case`,
-    `design`, `wear_life` or `wear_lives`, with its own arguments in `settings`; its own result is
-    returned. Its samples or lives are kept as they are computed, by one process at a time.
+    `study`: another one to keep, `jaxclear.sensitivity`, `sobol_indices`, `shapley_effects`,
+    `surface`, `worst_case`, `reliability`, `design`, `wear_life` or `wear_lives`, with its own
+    arguments in `settings`; its own result is returned. Its samples or lives are kept as they are
+    computed, by one process at a time.
 
     Raises `ValueError` with a sentence for what cannot be asked, `ImportError` without zarr.
     """
@@ -74,10 +75,10 @@ def campaign(
         return kept_study(study, problem, folder, given, settings)
     samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
     asked = _asked(problem, samples, seed, chunk, settings)
-    if client is not None:
-        check_client(client)
+    checked_folder(folder)
     try:
-        return _sampled(problem, asked, folder, client, progress_bar)
+        with _by(problem, client) as work:
+            return computed(work, asked, folder, progress_bar)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_interrupted(folder)) from None
 
@@ -95,26 +96,16 @@ def open_campaign(folder: str | Path, problem: AbstractProblem | None = None) ->
     return Campaign(kept, problem)
 
 
-def _sampled(
-    problem: AbstractProblem, asked: Plan, folder: Any, client: Any, shown: bool
-) -> Campaign:
-    """All samples of a plan, those computed that are not in the folder."""
-    evaluation = Evaluation(problem, asked)
-    kind = evaluation.compiled if client is None else evaluation.traced
-    kept, left = _begun(folder, problem, asked, kind)
-    evaluation.plan = kept.plan
-    with _progress(shown, kept.plan, left) as heard:
-        if client is None:
-            by_threads(kept, evaluation, left, heard)
-        else:
-            by_workers(client, kept, problem, left, heard)
-    kept.settle(problem.second_look)
-    kept.tidy()
-    return Campaign(kept, problem)
+def _by(problem: AbstractProblem, client: Any) -> AbstractWork:
+    """Who computes: the threads here, or the workers of a client."""
+    if client is None:
+        return Threads(problem)
+    check_client(client)
+    return Workers(problem, client)
 
 
-def _asked(problem: Any, samples: Any, seed: Any, chunk: Any, sampled: dict[str, Any]) -> Plan:
-    """The plan of what is asked. Raises `ValueError` or `TypeError` with a sentence."""
+def _asked(problem: Any, samples: Any, seed: Any, chunk: Any, sampled: dict[str, Any]) -> Wanted:
+    """What is asked, with its plan. Raises `ValueError` or `TypeError` with a sentence."""
     for name in sampled:
         if name not in SAMPLED:
             known = [*inspect.signature(campaign).parameters][:-1]
@@ -124,58 +115,14 @@ def _asked(problem: Any, samples: Any, seed: Any, chunk: Any, sampled: dict[str,
             )
     sampling = sampled.get("sampling", "sobol")
     check_sampled(problem, samples, seed, sampling)
-    parts = sampled.get("scramblings")
-    parts = usual_scramblings(samples) if parts is None else parts
-    check_count("scramblings of campaign", parts)
-    if parts > samples:
-        raise ValueError(f"{samples} samples cannot be {parts} scramblings; take fewer of these.")
+    accuracy = asked_of(sampled.get("accuracy"), problem.response_names, "campaign")
+    first = samples if accuracy is None else min(samples, FIRST_SAMPLES)
+    parts = checked_scramblings("campaign", first, sampled.get("scramblings"))
+    first = first if accuracy is None else first_of(first, parts)
     if chunk is not None:
         check_count("chunk of campaign", chunk)
-    return planned(problem, samples, seed, sampling, parts, chunk)
-
-
-def _begun(
-    folder: Any, problem: AbstractProblem, plan: Plan, kind: Callable[[], SampleResult]
-) -> tuple[Samples, list[int]]:
-    """The samples in a folder, made for a `kind` of samples where there are none, and the chunks
-    that are left."""
-    checked_folder(folder)
-    texts = in_texts(problem)
-    found = Samples.known(folder)
-    if found is None:
-        told = {"problem": json.dumps(texts), "recorded": in_json(problem)}
-        found = Samples.made(folder, plan, told, kind())
-    # Another process may have been first.
-    refuse_other(found.folder, found.told, KIND, texts)
-    for name in ("samples", "seed", "sampling", "scramblings"):
-        there, here = getattr(found.plan, name), getattr(plan, name)
-        if there != here:
-            raise ValueError(
-                f"the folder {found.folder} holds a campaign of this problem with "
-                f"{name}={there!r}, not {here!r}. Ask for the same, or give another folder."
-            )
-    finished = found.finished()
-    if len(finished):
-        found.warn_of_versions()
-    return found, [int(n) for n in np.setdiff1d(np.arange(found.plan.chunks), finished)]
-
-
-@contextmanager
-def _progress(shown: bool, plan: Plan, left: list[int]) -> Iterator[Heard]:
-    """A bar with rate, time left and failures so far; what is told of each finished chunk."""
-    sizes = {number: plan.span(number)[1] - plan.span(number)[0] for number in left}
-    before = plan.samples - sum(sizes.values())
-    failed = [0]
-    with tqdm(
-        total=plan.samples, initial=before, desc="campaign", unit=" samples", disable=not shown
-    ) as bar:
-
-        def heard(number: int, failures: int) -> None:
-            failed[0] += failures
-            bar.set_postfix_str(f"{failed[0]} failed", refresh=False)
-            bar.update(sizes[number])
-
-        yield heard
+    drawn = first, seed, sampling, parts
+    return Wanted(planned(problem, drawn, chunk, samples), samples, accuracy)
 
 
 def _interrupted(folder: Any) -> str:

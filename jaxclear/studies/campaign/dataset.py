@@ -3,7 +3,7 @@
 import json
 from typing import Any
 
-from jaxclear.studies.campaign.samples import (
+from jaxclear.studies.campaign.layout import (
     ENDED,
     FINISHED,
     OUTCOME,
@@ -12,8 +12,8 @@ from jaxclear.studies.campaign.samples import (
     VALUES,
     WHEN,
     WORST,
-    Samples,
 )
+from jaxclear.studies.campaign.samples import Samples
 
 __all__ = ["dataset_of"]
 
@@ -22,6 +22,7 @@ def dataset_of(samples: Samples) -> Any:
     """The Dataset of a campaign; variables, responses and sentences of outcomes by name."""
     import xarray
 
+    samples.trim()
     kept = xarray.open_zarr(
         samples.folder / SAMPLES, chunks=None, consolidated=False, mask_and_scale=False
     )

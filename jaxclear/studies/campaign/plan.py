@@ -6,20 +6,19 @@ alone: it is the same to the last bit in whatever chunks, threads and processes 
 
 import threading
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.native import stops
 from jaxclear.studies.base import AbstractProblem, SampleResult
-from jaxclear.studies.batch import CHUNK_MEMORY, asked_of_lapack, evaluate_chunk
+from jaxclear.studies.batch import CHUNK_MEMORY, asked_of_lapack
 from jaxclear.studies.campaign.devices import devices, laid_out, on_all_devices
-from jaxclear.studies.sampling import draw, groups
+from jaxclear.studies.sampling import Drawing, groups
 
-__all__ = ["Evaluation", "Plan", "Stopped", "planned"]
+__all__ = ["Evaluation", "Plan", "Program", "Stopped", "planned", "usual_batch"]
 
 # A campaign has about this many chunks at the most. Samples that are cheap beside a file come in
 # fewer and larger ones.
@@ -48,6 +47,12 @@ class Plan(NamedTuple):
         """Number of chunks."""
         return -(-self.samples // self.chunk)
 
+    def larger(self, samples: int, usual: int) -> "Plan":
+        """The plan of more samples. A campaign that was smaller than a batch of the `usual` size
+        gets larger ones."""
+        small = self.batch == self.samples
+        return self._replace(samples=samples, batch=min(usual, samples) if small else self.batch)
+
     def span(self, number: int) -> tuple[int, int]:
         """First sample of a chunk, and the one after its last."""
         return number * self.chunk, min((number + 1) * self.chunk, self.samples)
@@ -57,47 +62,73 @@ class Plan(NamedTuple):
         return groups(self.samples, self.scramblings)
 
 
-def planned(
-    problem: AbstractProblem,
-    samples: int,
-    seed: int,
-    sampling: str,
-    scramblings: int,
-    chunk: int | None,
-) -> Plan:
-    """The plan, in chunks of at least so many samples if they are given."""
+def usual_batch(problem: AbstractProblem) -> int:
+    """Samples of a problem that are best computed together."""
     fits = max(CHUNK_MEMORY // max(problem.sample_memory(), 1), 1)
-    batch = int(min(problem.most_together(), fits, samples))
+    return int(min(problem.most_together(), fits))
+
+
+def planned(
+    problem: AbstractProblem, drawn: tuple[int, int, str, int], chunk: int | None, most: int
+) -> Plan:
+    """The plan of samples, seed, sampling and scramblings to begin with, of which there will be
+    `most`; in chunks of at least so many samples if they are given. Chunks are of whole batches of
+    the usual size, also where there are not as many samples."""
+    batch = usual_batch(problem)
     if chunk is None:
         # Runs have an idle form; what is evaluated at once has none.
         cheap = problem.idle() is problem
-        most, least = (MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK) if cheap else (MOST_CHUNKS, 1)
-        chunk = max(-(-samples // most), least, batch * devices())
-    return Plan(samples, seed, sampling, scramblings, batch, -(-chunk // batch) * batch)
+        chunks, least = (MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK) if cheap else (MOST_CHUNKS, 1)
+        chunk = max(-(-most // chunks), least, batch * devices())
+    return Plan(*drawn, min(batch, most), -(-chunk // batch) * batch)
+
+
+class Program:
+    """A problem's compiled program in this process, shared by its threads."""
+
+    def __init__(self, problem: AbstractProblem):
+        self.problem = problem
+        self._compiling, self._alone = threading.Lock(), threading.Lock()
+        # By size of batches: what one of no work gave, and whether the program calls LAPACK.
+        self._compiled: dict[int, tuple[SampleResult, bool]] = {}
+
+    def begun(self, batch: int) -> SampleResult:
+        """What a batch of work as little as possible gives; compiles the program, once."""
+        return self._of(batch * devices())[0]
+
+    def run(self, values: np.ndarray) -> SampleResult:
+        """What a batch of samples gives."""
+        # Programs that call LAPACK go one by one (see `native.calls_lapack`).
+        _, calls_lapack = self._of(len(values))
+        with self._alone if calls_lapack else _Free():
+            return _evaluated(self.problem, values)[0]
+
+    def _of(self, batch: int) -> tuple[SampleResult, bool]:
+        with self._compiling:
+            if batch not in self._compiled:
+                nominal = np.tile(self.problem.nominal(), (batch, 1))
+                found, lapack = _evaluated(self.problem.idle(), nominal)
+                self._compiled[batch] = found, bool(lapack)
+            return self._compiled[batch]
 
 
 class Evaluation:
-    """A problem's compiled program in this process, shared by its threads."""
+    """What a plan asks a program for, chunk by chunk."""
 
-    def __init__(self, problem: AbstractProblem, plan: Plan):
-        self.problem, self.plan = problem, plan
-        self.begun = stops()
-        self._compiling, self._alone = threading.Lock(), threading.Lock()
-        self._compiled = self._calls_lapack = False
+    def __init__(self, program: Program, plan: Plan):
+        self.program, self.plan = program, plan
+        self._stops = stops()
         self._drawing = threading.Lock()
         self._drawn: dict[int, np.ndarray] = {}
 
-    def compiled(self) -> SampleResult:
-        """What a batch of work as little as possible gives; compiles the program."""
-        nominal = np.tile(self.problem.nominal(), (self.plan.batch * devices(), 1))
-        found, lapack = _evaluated(self.problem.idle(), nominal)
-        self._compiled, self._calls_lapack = True, bool(lapack)
-        return found
+    def follow(self, plan: Plan) -> None:
+        """Goes over to a plan of other sizes."""
+        self.plan, self._drawn = plan, {}
 
-    def traced(self) -> SampleResult:
-        """The same with shapes in place of numbers; compiles nothing."""
-        nominal = jnp.tile(self.problem.nominal(), (self.plan.batch, 1))
-        return eqx.filter_eval_shape(evaluate_chunk, self.problem, nominal)
+    @cached_property
+    def _sample(self) -> Drawing:
+        plan = self.plan
+        return Drawing(self.program.problem, plan.seed, plan.sampling, plan.scramblings)
 
     def values(self, number: int) -> np.ndarray:
         """Values (samples, variables) of a chunk."""
@@ -109,16 +140,12 @@ class Evaluation:
             if block not in self._drawn:
                 # Threads may still be at the block before.
                 self._drawn = {n: own for n, own in self._drawn.items() if n == block - 1}
-                plan, ends = self.plan, (block * size, min((block + 1) * size, self.plan.samples))
-                how = plan.seed, plan.sampling, plan.scramblings
-                self._drawn[block] = draw(self.problem, plan.samples, *how, ends)
+                ends = block * size, min((block + 1) * size, self.plan.samples)
+                self._drawn[block] = self._sample.span(*ends)
             return self._drawn[block][first - block * size : last - block * size]
 
     def chunk(self, values: np.ndarray) -> SampleResult:
         """What the samples of a chunk give. Raises `Stopped` where Ctrl-C ended the program."""
-        with self._compiling:
-            if not self._compiled:
-                self.compiled()
         batch, count = self.plan.batch * devices(), len(values)
         # The last batch is filled up with copies, so that all run the one compiled program.
         padded = np.concatenate([values, np.repeat(values[-1:], -count % batch, axis=0)])
@@ -126,11 +153,8 @@ class Evaluation:
         return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *found)
 
     def _one(self, values: np.ndarray) -> SampleResult:
-        # Programs that call LAPACK go one by one (see `native.calls_lapack`).
-        lock = self._alone if self._calls_lapack else _Free()
-        with lock:
-            found, _ = _evaluated(self.problem, values)
-        if stops() != self.begun:
+        found = self.program.run(values)
+        if stops() != self._stops:
             raise Stopped
         return found
 

@@ -12,19 +12,20 @@ from jaxclear.integrators import Checks
 from jaxclear.integrators.figures import Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of
+from jaxclear.studies.campaign.layout import KIND
 from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
 from jaxclear.studies.statistics.scrambled import Statistic
 from jaxclear.studies.statistics.summary import summary_row
 from jaxclear.studies.statistics.tolerance_interval import ToleranceInterval
+from jaxclear.studies.store import refuse_other
+from jaxclear.studies.texts import in_texts
 
 __all__ = ["Campaign"]
 
 # Samples that are read together, about.
 READ = 1 << 16
-# Whole scramblings whose differences tell an error: those of fewer say anything.
-FEW_SCRAMBLINGS = 4
 
 
 class Campaign:
@@ -32,12 +33,12 @@ class Campaign:
     response at a time; `sample` is the whole study in memory, with all that it can be asked.
 
     `problem` is the one given, or what the folder remembers of it. Of an unfinished campaign these
-    are the samples that are there, `finished` of `count`; the errors of their statistics come from
-    the scramblings that are whole, and are unknown (infinite) as long as these are fewer than four.
+    are the samples that are there, `finished` of `count`: of every scrambling as many, but for the
+    chunks that others were still at.
     """
 
-    def __init__(self, samples: Samples, problem: AbstractProblem):
-        self._samples, self.problem = samples, problem
+    def __init__(self, samples: Samples, problem: AbstractProblem, unreached: str = ""):
+        self._samples, self.problem, self._unreached = samples, problem, unreached
         self.folder, self.plan = samples.folder, samples.plan
         self._chunks = samples.finished()
 
@@ -73,6 +74,12 @@ class Campaign:
         found = jax.tree.map(lambda *own: np.concatenate(own), *parts)
         values = np.concatenate([self._samples.read("values", at) for at in self._spans()])
         return self._study(values, found)
+
+    def sample_of(self, problem: AbstractProblem) -> MonteCarlo:
+        """The finished samples in memory as a study of this problem. Raises `ValueError` with a
+        sentence where they are of another one."""
+        refuse_other(self.folder, self._samples.told, KIND, in_texts(problem))
+        return Campaign(self._samples, problem, self._unreached).sample
 
     @property
     def values(self) -> np.ndarray:
@@ -164,43 +171,19 @@ class Campaign:
 
     def _unfinished(self) -> str:
         if self.is_complete:
-            return ""
-        whole, every = len(self._whole()), self.plan.scramblings
-        known = (
-            "whose differences tell the errors of statistics"
-            if whole >= FEW_SCRAMBLINGS
-            else f"too few to tell the errors of statistics, which takes {FEW_SCRAMBLINGS}"
-        )
+            return self._unreached
         return (
-            f"The campaign is not complete: {self.finished} of {self.count} samples are there, "
-            f"{whole} of {every} scramblings whole, {known}."
+            f"The campaign is not complete: {self.finished} of {self.count} samples are there, and "
+            "statistics are of these."
         )
 
     def _spans(self) -> list[slice]:
         return [slice(*self.plan.span(int(number))) for number in self._chunks]
 
-    def _there(self) -> np.ndarray:
+    def _groups(self) -> np.ndarray:
         """The scrambling of every finished sample."""
         every = self.plan.groups()
         return np.concatenate([every[at] for at in self._spans()] or [every[:0]])
-
-    def _whole(self) -> np.ndarray:
-        """Scramblings of which all samples are finished."""
-        most = self.plan.scramblings
-        count = np.bincount(self._there(), minlength=most)
-        return np.flatnonzero(count == np.bincount(self.plan.groups(), minlength=most))
-
-    def _groups(self) -> np.ndarray:
-        """The independent part of every finished sample: its scrambling. Samples of one that is not
-        whole are counted to one that is; all are one part where too few are."""
-        there, whole = self._there(), self._whole()
-        if self.is_complete:
-            return there
-        if len(whole) < FEW_SCRAMBLINGS:
-            return np.zeros_like(there)
-        part = whole[np.arange(self.plan.scramblings) % len(whole)]
-        part[whole] = whole
-        return part[there]
 
     def _pieces(self) -> Iterator[slice]:
         """Finished samples in pieces of some chunks."""

@@ -3,7 +3,8 @@ chunk that is finished.
 
 A chunk of samples is a file in every array. Each file is written beside and renamed, and the mark
 comes last: whatever happens, a chunk is finished and whole, or it counts for nothing. Two processes
-that computed the same chunk wrote the same bytes.
+that computed the same chunk wrote the same bytes. Where the samples become more, a last chunk that
+is not full loses its mark before the plan changes; whoever writes such a chunk looks at the plan.
 """
 
 import json
@@ -23,22 +24,37 @@ import numpy as np
 from jaxclear.integrators import Check, Checks, Outcome
 from jaxclear.integrators.figures import Figure
 from jaxclear.studies.base import SampleResult
+from jaxclear.studies.campaign.layout import (
+    CLAIMS,
+    ENDED,
+    FINISHED,
+    ORDER,
+    OUTCOME,
+    RESPONSES,
+    SAMPLES,
+    VALUES,
+    VERSIONS,
+    WHEN,
+    WORST,
+    made,
+    resized,
+)
 from jaxclear.studies.campaign.plan import Plan
 from jaxclear.studies.campaign.versions import change, mark_of, told_versions
 from jaxclear.studies.store import checked_folder
 
-__all__ = ["Samples"]
+__all__ = ["Extended", "Samples"]
 
-KIND = "a Monte Carlo campaign"
-SAMPLES, CLAIMS, VERSIONS = "samples.zarr", "claims", "versions"
-VALUES, RESPONSES, OUTCOME, ENDED = "values", "responses", "outcome", "ended"
-WORST, WHEN, FINISHED = "check_worst", "check_time", "finished"
 # What is known of the nominal sample once all others are finished.
 NOMINAL = "second_look"
+# Held while the plan is changed, or must not change.
+PLANNING = ".planning"
 # Age [s] of what a process that began no campaign left behind.
 ABANDONED = 3600.0
-# An outcome that no sample has.
-UNKNOWN = -1
+
+
+class Extended(Exception):
+    """Another process has planned more samples in the meantime."""
 
 
 class Samples:
@@ -50,6 +66,11 @@ class Samples:
         self.folder = folder
         self.group: Any = zarr.open_group(folder / SAMPLES, mode="r+")
         self.told: dict[str, Any] = dict(self.group.attrs)
+        if self.told.get("order") != ORDER:
+            raise ValueError(
+                f"the folder {folder} is of an earlier version of jaxclear, whose samples came in "
+                "another order; go on with that version, or give another folder."
+            )
         self.plan = Plan(**self.told["plan"])
         self.figures = [tuple(figure) for figure in self.told["figures"]]
         # Looking whether a chunk is empty costs as much as compressing it, and none is.
@@ -82,33 +103,47 @@ class Samples:
     def made(cls, folder: Any, plan: Plan, told: dict, kind: SampleResult) -> "Samples":
         """Room for the samples of a plan in a folder. `told`: all that is to be known of them, as
         JSON; `kind`: what a batch of samples gives."""
-        import zarr
-
         path = checked_folder(folder)
         path.mkdir(parents=True, exist_ok=True)
-        figures = [
-            (check.name, place)
-            for check, own in kind.checks.figures.items()
-            for place in own.places
-        ]
         # Made under a name of its own: two processes may begin at once, and one is too late.
         beside = path / f".{SAMPLES}.{secrets.token_hex(8)}"
-        group = zarr.open_group(beside, mode="w")
-        group.attrs.put(told | {"what": KIND, "plan": plan._asdict(), "figures": figures})
-        columns = {VALUES: len(told["recorded"]["names"])}
-        columns |= {RESPONSES: len(kind.responses), WORST: len(figures), WHEN: len(figures)}
-        dims = {VALUES: "variable", RESPONSES: "response", WORST: "figure", WHEN: "figure"}
-        for name, width in columns.items():
-            if width:
-                _array(group, name, (plan.samples, width), plan.chunk, ("sample", dims[name]))
-        _array(group, ENDED, (plan.samples,), plan.chunk, ("sample",))
-        _array(group, OUTCOME, (plan.samples,), plan.chunk, ("sample",), np.int8, UNKNOWN)
-        _array(group, FINISHED, (plan.chunks,), 1, ("chunk",), np.int64, 0)
+        made(beside, plan, told, kind)
         try:
             beside.rename(path / SAMPLES)
         except OSError:
             shutil.rmtree(beside, ignore_errors=True)
         return cls(path)
+
+    def extended(self, plan: Plan) -> "Samples":
+        """The same samples with room for all of a larger plan; as they are in the folder, where
+        another process has changed its plan."""
+        with self._planning() as current:
+            if current:
+                resized(self.arrays, plan)
+                if self.plan.samples % self.plan.chunk:
+                    # The last chunk is to have more samples.
+                    self.arrays[FINISHED][self.plan.chunks - 1] = 0
+                kept = {name: own for name, own in self.told.items() if name != NOMINAL}
+                self.group.attrs.put(kept | {"plan": plan._asdict()})
+        return Samples(self.folder)
+
+    def trim(self) -> None:
+        """Takes away the room that a process made which died before it changed the plan."""
+        if not resized(self.arrays, self.plan, alter=False):
+            return
+        with self._planning() as current:
+            if current:
+                resized(self.arrays, self.plan)
+
+    @contextmanager
+    def _planning(self) -> Iterator[bool]:
+        """Holds the plan of the folder as it is. Whether it is still the one known here."""
+        import filelock
+        import zarr
+
+        with filelock.FileLock(self.folder / PLANNING, thread_local=False):
+            there: Any = zarr.open_group(self.folder / SAMPLES, mode="r").attrs["plan"]
+            yield there == self.told["plan"]
 
     def is_finished(self, number: int) -> bool:
         """Whether a chunk is."""
@@ -116,11 +151,21 @@ class Samples:
 
     def finished(self) -> np.ndarray:
         """Numbers of the finished chunks."""
-        return np.flatnonzero(self.arrays[FINISHED][:])
+        return np.flatnonzero(self.arrays[FINISHED][: self.plan.chunks])
 
     def write(self, number: int, values: np.ndarray, found: SampleResult) -> None:
-        """Keeps a chunk, and marks it as finished. Samples that failed have no responses."""
+        """Keeps a chunk, and marks it as finished. Samples that failed have no responses. Raises
+        `Extended` where it is to have more samples by now."""
         at = slice(*self.plan.span(number))
+        if at.stop - at.start == self.plan.chunk:
+            self._write(number, at, values, found)
+            return
+        with self._planning() as current:
+            if not current:
+                raise Extended
+            self._write(number, at, values, found)
+
+    def _write(self, number: int, at: slice, values: np.ndarray, found: SampleResult) -> None:
         own = found.checks.figures
         good = (found.outcome == Outcome.REACHED)[:, None]
         names = self.told["recorded"]["response_names"]
@@ -177,7 +222,9 @@ class Samples:
             [c.name, np.asarray(f.worst).tolist(), np.asarray(f.time).tolist(), list(f.places)]
             for c, f in look(Checks(own)).figures.items()
         ]
-        self.group.attrs.update({NOMINAL: self.told[NOMINAL]})
+        with self._planning() as current:
+            if current:
+                self.group.attrs.update({NOMINAL: self.told[NOMINAL]})
 
     def nominal(self) -> Checks:
         """What a second look at the nominal sample has found."""
@@ -210,6 +257,7 @@ class Samples:
 
     def tidy(self) -> None:
         """Takes away claims, and what chunks that were never finished left."""
+        self.trim()
         shutil.rmtree(self.folder / CLAIMS, ignore_errors=True)
         for left in self.folder.glob(f".{SAMPLES}.*"):
             # Another process may be about to begin.
@@ -246,20 +294,3 @@ class Samples:
                     "may differ from theirs in the last digits.",
                     stacklevel=4,
                 )
-
-
-def _array(group, name, shape, chunk, dims, kind=float, fill=np.nan):
-    """An empty array in chunks along its first axis."""
-    from zarr.codecs import BloscCodec
-
-    # Digits of responses are noise to a compressor: what there is to gain, the fastest one gains.
-    codec = BloscCodec(cname="lz4", clevel=1, shuffle="shuffle")
-    group.create_array(
-        name,
-        shape=shape,
-        chunks=(min(chunk, shape[0]), *shape[1:]),
-        dtype=kind,
-        fill_value=fill,
-        dimension_names=dims,
-        compressors=codec,
-    )

@@ -11,7 +11,9 @@ from jaxclear.studies.campaign.requests import kept_requests
 from jaxclear.studies.design.design import design
 from jaxclear.studies.life.lives import wear_lives
 from jaxclear.studies.life.wear_life import wear_life
+from jaxclear.studies.reliability.reliability import reliability
 from jaxclear.studies.sensitivity.sensitivity import sensitivity
+from jaxclear.studies.statistics.shapley import shapley_effects
 from jaxclear.studies.statistics.sobol_indices import sobol_indices
 from jaxclear.studies.store import checked_folder
 from jaxclear.studies.surface.surface import surface
@@ -26,6 +28,8 @@ BY_SAMPLES = {
     sobol_indices: "a study of Sobol' indices",
     surface: "a response surface",
     worst_case: "a worst case",
+    reliability: "a reliability",
+    shapley_effects: "a study of Shapley effects",
 }
 # How studies call the number of their samples.
 COUNTS = ("samples", "sample")

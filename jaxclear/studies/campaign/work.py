@@ -1,22 +1,24 @@
-"""Chunks of a campaign, one by one: claimed, drawn, computed, kept. By the threads of this process;
-other processes may be at the same folder.
+"""Who computes the chunks of a campaign, and how: each is claimed, drawn, computed, kept. Here by
+the threads of this process; other processes may be at the same folder.
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.native import stop, stoppable
-from jaxclear.studies.base import SampleResult
+from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import threads_of
 from jaxclear.studies.campaign.devices import devices
-from jaxclear.studies.campaign.plan import Evaluation, Stopped
+from jaxclear.studies.campaign.plan import Evaluation, Plan, Program, Stopped
 from jaxclear.studies.campaign.samples import Samples
 
-__all__ = ["by_threads", "done", "failures"]
+__all__ = ["AbstractWork", "Heard", "Threads", "done", "failures"]
 
 # [s] between looks at whether others have finished the chunks that they are at.
 PATIENCE = 0.2
@@ -44,28 +46,65 @@ def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
         return failures(found)
 
 
-def by_threads(
-    samples: Samples, evaluation: Evaluation, numbers: Iterable[int], heard: Heard
-) -> None:
-    """Computes chunks side by side, and waits for those that other processes are at. Raises
-    `KeyboardInterrupt` when it is interrupted; the chunks in work are then lost."""
-    left = list(numbers)
-    # Several devices are busy side by side as it is.
-    threads = threads_of() if devices() == 1 else 1
-    with stoppable(), ThreadPoolExecutor(threads) as pool:
-        try:
-            while left:
-                found = pool.map(lambda number: done(samples, evaluation, number), left)
-                left = list(_told(zip(left, found, strict=True), heard))
-                time.sleep(PATIENCE if left else 0)
-        except BaseException as reason:
-            # The machine is to be idle when the user has the word again.
-            if isinstance(reason, (KeyboardInterrupt, Stopped)):
-                stop()
-            pool.shutdown(wait=True, cancel_futures=True)
-            if isinstance(reason, Stopped):
-                raise KeyboardInterrupt from None
-            raise
+class AbstractWork(ABC):
+    """Who computes the chunks of a campaign of a `problem`."""
+
+    problem: AbstractProblem
+
+    @abstractmethod
+    def begun(self, plan: Plan) -> SampleResult:
+        """What a batch of work as little as possible gives; the program is compiled then."""
+
+    @abstractmethod
+    def compute(self, samples: Samples, numbers: Sequence[int], heard: Heard) -> None:
+        """Computes and keeps the chunks of these numbers, and waits for those that other processes
+        are at. Raises `Extended` where another process has planned more samples."""
+
+    @abstractmethod
+    def __enter__(self) -> "AbstractWork":
+        """Begins; all is done within."""
+
+    @abstractmethod
+    def __exit__(self, *reason: Any) -> None:
+        """Lets go of what it held."""
+
+
+class Threads(AbstractWork):
+    """The threads of this process, side by side. Interrupted, it loses the chunks in work."""
+
+    def __init__(self, problem: AbstractProblem):
+        self.problem, self._program = problem, Program(problem)
+        self._evaluation: Evaluation | None = None
+
+    def begun(self, plan):
+        return self._program.begun(plan.batch)
+
+    def compute(self, samples, numbers, heard):
+        if self._evaluation is None:
+            self._evaluation = Evaluation(self._program, samples.plan)
+        evaluation, left = self._evaluation, list(numbers)
+        evaluation.follow(samples.plan)
+        # Several devices are busy side by side as it is.
+        threads = threads_of() if devices() == 1 else 1
+        with stoppable(), ThreadPoolExecutor(threads) as pool:
+            try:
+                while left:
+                    found = pool.map(lambda number: done(samples, evaluation, number), left)
+                    left = list(_told(zip(left, found, strict=True), heard))
+                    time.sleep(PATIENCE if left else 0)
+            except BaseException as reason:
+                # The machine is to be idle when the user has the word again.
+                if isinstance(reason, (KeyboardInterrupt, Stopped)):
+                    stop()
+                pool.shutdown(wait=True, cancel_futures=True)
+                if isinstance(reason, Stopped):
+                    raise KeyboardInterrupt from None
+                raise
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *reason): ...
 
 
 def _told(found: Iterable[tuple[int, int | None]], heard: Heard) -> Iterator[int]:

@@ -8,23 +8,28 @@ later campaigns of the same problem too.
 
 import functools
 import hashlib
+import json
 import secrets
+import threading
 import time
 from collections import deque
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from jaxclear.ground.wording import described
-from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.campaign.plan import Evaluation
-from jaxclear.studies.campaign.samples import SAMPLES, Samples
-from jaxclear.studies.campaign.work import PATIENCE, Heard, done
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.campaign.layout import SAMPLES
+from jaxclear.studies.campaign.plan import Evaluation, Plan, Program
+from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.campaign.work import PATIENCE, AbstractWork, done
+from jaxclear.studies.texts import in_texts
 
-__all__ = ["by_workers", "check_client"]
+__all__ = ["Workers", "check_client"]
 
 # Chunks asked of the scheduler at a time, at least, and for each thread of the workers.
 LEAST_ASKED, ASKED_A_THREAD = 64, 4
+# Held by the thread of a worker that makes what all its threads share.
+_MAKING = threading.Lock()
 
 
 def check_client(client: Any) -> None:
@@ -37,39 +42,63 @@ def check_client(client: Any) -> None:
         )
 
 
-def by_workers(
-    client: Any, samples: Samples, problem: AbstractProblem, numbers: Iterable[int], heard: Heard
-) -> None:
-    """Computes chunks on all workers of a client. Interrupted, it asks for no more; chunks in work
-    are finished. Raises `RuntimeError` with a sentence where a chunk ends its workers."""
-    import distributed
+class Workers(AbstractWork):
+    """All workers of a client. Interrupted, it asks for no more; chunks in work are finished."""
 
-    folder = str(samples.folder.resolve())
-    # The texts that a folder is known by tell a worker whether it has compiled the problem before.
-    which = hashlib.sha256(samples.told["problem"].encode()).hexdigest()
-    token = f"{which} {secrets.token_hex(8)}"
-    there = client.submit(_itself, problem, pure=False)
-    left: deque[int] = deque(numbers)
-    asked: dict[Any, int] = {}
-    running = distributed.as_completed()
-    most = max(LEAST_ASKED, ASKED_A_THREAD * sum(client.nthreads().values()))
-    try:
-        while left or asked:
-            while left and len(asked) < most:
-                number = left.popleft()
-                future = client.submit(_on_worker, there, folder, number, token, pure=False)
-                asked[future.key] = number
-                running.add(future)
-            future = next(running)
-            number = asked.pop(future.key)
-            failed = _answer(future, number)
-            if failed is None:
-                left.append(number)
-                time.sleep(PATIENCE)
-            else:
-                heard(number, failed)
-    finally:
-        client.cancel([*running.futures, there])
+    def __init__(self, problem: AbstractProblem, client: Any):
+        self.problem, self.client = problem, client
+        # The texts that a problem is known by tell a worker whether it has compiled it before.
+        self.token = hashlib.sha256(json.dumps(in_texts(problem)).encode()).hexdigest()
+        self.there: Any = None
+        self.compiling: list[Any] = []
+
+    def begun(self, plan):
+        import distributed
+
+        # All workers compile side by side; what the first one finds is what all find.
+        options = {"allow_other_workers": True, "pure": False}
+        what = self.there, self.token, plan
+        self.compiling = [
+            self.client.submit(_compiled, *what, workers=[own], **options)
+            for own in self.client.nthreads()
+        ]
+        return next(distributed.as_completed(self.compiling)).result()
+
+    def compute(self, samples, numbers, heard):
+        """As of every work. Raises `RuntimeError` with a sentence where a chunk ends its
+        workers."""
+        import distributed
+
+        # What a worker knows of a folder is as it was when this began.
+        what = self.there, self.token, str(samples.folder.resolve()), secrets.token_hex(8)
+        left: deque[int] = deque(numbers)
+        asked: dict[Any, int] = {}
+        running = distributed.as_completed()
+        most = max(LEAST_ASKED, ASKED_A_THREAD * sum(self.client.nthreads().values()))
+        try:
+            while left or asked:
+                while left and len(asked) < most:
+                    number = left.popleft()
+                    future = self.client.submit(_on_worker, *what, number, pure=False)
+                    asked[future.key] = number
+                    running.add(future)
+                future = next(running)
+                number = asked.pop(future.key)
+                failed = _answer(future, number)
+                if failed is None:
+                    left.append(number)
+                    time.sleep(PATIENCE)
+                else:
+                    heard(number, failed)
+        finally:
+            self.client.cancel([*running.futures])
+
+    def __enter__(self):
+        self.there = self.client.submit(_itself, self.problem, pure=False)
+        return self
+
+    def __exit__(self, *reason):
+        self.client.cancel([self.there, *self.compiling])
 
 
 def _answer(future: Any, number: int) -> int | None:
@@ -90,10 +119,20 @@ def _itself(problem: AbstractProblem) -> AbstractProblem:
     return problem
 
 
-def _on_worker(problem: AbstractProblem, folder: str, number: int, token: str) -> int | None:
+def _compiled(problem: AbstractProblem, token: str, plan: Plan) -> SampleResult:
+    """What a batch of a plan gives that does as little as possible, on a worker."""
+    with _MAKING:
+        program = _program(_Once(token, problem))
+    return program.begun(plan.batch)
+
+
+def _on_worker(
+    problem: AbstractProblem, token: str, folder: str, campaign: str, number: int
+) -> int | None:
     """Computes and keeps a chunk, on a worker."""
-    problem = _known(_Once(token.partition(" ")[0], problem))
-    return done(*_ready(_Once(token, problem), folder), number)
+    with _MAKING:
+        samples, evaluation = _ready(_Once(token, problem), folder, campaign)
+    return done(samples, evaluation, number)
 
 
 class _Once:
@@ -111,13 +150,13 @@ class _Once:
 
 
 @functools.lru_cache(maxsize=4)
-def _known(known: _Once) -> AbstractProblem:
-    """The problem as it came first: what is compiled for it serves later campaigns too."""
-    return known.problem
+def _program(known: _Once) -> Program:
+    """The program of the problem that came first: it serves later campaigns too."""
+    return Program(known.problem)
 
 
 @functools.lru_cache(maxsize=4)
-def _ready(known: _Once, folder: str) -> tuple[Samples, Evaluation]:
+def _ready(known: _Once, folder: str, campaign: str) -> tuple[Samples, Evaluation]:
     """The folder and the program of a campaign on this worker."""
     if not (Path(folder) / SAMPLES).exists():
         raise ValueError(
@@ -125,4 +164,4 @@ def _ready(known: _Once, folder: str) -> tuple[Samples, Evaluation]:
             "share."
         )
     samples = Samples(Path(folder))
-    return samples, Evaluation(known.problem, samples.plan)
+    return samples, Evaluation(_program(known), samples.plan)

@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxclear.studies.sampling import by_scrambling
+
 # A gain that the pilot sample puts below this may be chance, and does not pay the pilot.
 LEAST_GAIN = 1.2
 
@@ -41,9 +43,9 @@ class Chain(NamedTuple):
 
 
 def scatter(numbers: np.ndarray, parts: int) -> np.ndarray:
-    """Variance of the mean of `numbers` (samples, moments), by its scramblings one after the
-    other, for one sample: n times that of n."""
-    means = numbers.reshape(parts, -1, numbers.shape[1]).mean(axis=1)
+    """Variance of the mean of `numbers` (samples, moments), by its scramblings, which take turns,
+    for one sample: n times that of n."""
+    means = by_scrambling(numbers, parts).mean(axis=1)
     return means.var(axis=0, ddof=1) * (len(numbers) // parts)
 
 

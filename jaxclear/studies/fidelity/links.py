@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxclear.studies.fidelity.chain import Chain
 from jaxclear.studies.fidelity.model import Model, told_by
-from jaxclear.studies.sampling import draw, extended
+from jaxclear.studies.sampling import by_scrambling, draw
 
 # Points of a scrambling that a link begins with, a power of two, and the most to begin with.
 FIRST, MOST_FIRST = 4, 256
@@ -30,7 +30,7 @@ class Link:
         self.good = self.warned = np.zeros(0, bool)
 
     def add(self, values: np.ndarray, parts: int, question, progress_bar: bool) -> None:
-        """Takes in the samples at values, one scrambling after the other."""
+        """Takes in the samples at values, the scramblings taking turns."""
         upper = self.models[0].runs(values, progress_bar)
         told = told_by(self.models[0], question.names, upper)
         own = told.moments(question.middle)
@@ -38,9 +38,10 @@ class Link:
         if self.weights is not None:
             lower = told_by(self.models[1], question.names, self.models[1].runs(values))
             left = own - self.weights * lower.moments(question.middle)
-        cut = lambda array: array.reshape(parts, -1, array.shape[1])
-        self.left = np.concatenate([self.left.reshape(parts, -1, own.shape[1]), cut(left)], axis=1)
-        self.own = np.concatenate([self.own.reshape(parts, -1, own.shape[1]), cut(own)], axis=1)
+        empty = (parts, -1, own.shape[1])
+        cut = lambda array: by_scrambling(array, parts)
+        self.left = np.concatenate([self.left.reshape(empty), cut(left)], axis=1)
+        self.own = np.concatenate([self.own.reshape(empty), cut(own)], axis=1)
         self.good = np.concatenate([self.good, told.good])
         self.warned = np.concatenate([self.warned, question.doubt(upper, len(values))])
 
@@ -99,10 +100,8 @@ class Links:
     def _grow(self, place: int, link: Link, more: int) -> None:
         asked = self.question
         seed = int(np.random.SeedSequence([asked.seed, place]).generate_state(1)[0])
-        if link.points:
-            values = extended(asked.problem, link.points, asked.parts, seed, asked.sampling)
-        else:
-            values = draw(asked.problem, more * asked.parts, seed, asked.sampling, asked.parts)
+        span = link.points * asked.parts, (link.points + more) * asked.parts
+        values = draw(asked.problem, span[1], seed, asked.sampling, asked.parts, span)
         link.add(values, asked.parts, asked, asked.progress_bar)
 
     def parts(self) -> np.ndarray:

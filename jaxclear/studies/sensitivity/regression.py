@@ -24,7 +24,7 @@ from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.monte_carlo import MonteCarlo
-from jaxclear.studies.sampling import draw
+from jaxclear.studies.sampling import by_scrambling, draw
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.direction import Direction, weights
 from jaxclear.studies.sensitivity.functional import Functional
@@ -176,7 +176,7 @@ class Many(NamedTuple):
         values = draw(problem, MANY, seed, scramblings=scramblings)
         slopes = direction.velocities(problem, values)[:, None] * fit.slopes(values)
         each = MANY // scramblings
-        cut = lambda array: array[: each * scramblings].reshape(scramblings, each, -1)
+        cut = lambda array: by_scrambling(array[: each * scramblings], scramblings)
         return cls(cut(fit.basis(values)), cut(slopes))
 
 

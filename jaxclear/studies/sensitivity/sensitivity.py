@@ -14,7 +14,7 @@ import numpy as np
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_methods, expect
 from jaxclear.studies.base import AbstractProblem
-from jaxclear.studies.identity import first_difference
+from jaxclear.studies.given_sample import GivenSample, given_sample
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
 from jaxclear.studies.sampling import draw, groups, usual_scramblings
 from jaxclear.studies.sensitivity.derivative import (
@@ -41,7 +41,7 @@ def sensitivity(
     problem: AbstractProblem,
     variables: str | Sequence[str] | None = None,
     *,
-    sample: MonteCarlo | int = 256,
+    sample: GivenSample | int = 256,
     difference_samples: int = 128,
     of: Any = ("mean",),
     methods: Sequence[str] = ("regression", "differences"),
@@ -52,7 +52,8 @@ def sensitivity(
     `variables`: names (all by default), and widths of distributions by theirs, "tolerance of
     clearance", "standard deviation of length", "half width of slot".
 
-    `sample`: a Monte Carlo sample to read slopes from, or how many samples to draw for it. `of`:
+    `sample`: a Monte Carlo sample or a campaign to read slopes from, or how many samples to draw
+    for it. `of`:
     any of "mean", "standard deviation", ("quantile", share [1]), ("above", limit), ("below",
     limit), for every response, or {response: statistics}; limits in the response's unit, the share
     of parts beyond one is a probability of failure. `methods`: any of "regression" (a polynomial,
@@ -66,11 +67,10 @@ def sensitivity(
     _check(sample, difference_samples, methods, seed)
     wanted = directions(problem, _wanted(problem, variables))
     asked = functionals(of, problem.response_names)
-    drawn = sample
-    if isinstance(drawn, MonteCarlo):
-        _check_sample(problem, drawn)
+    if isinstance(sample, GivenSample):
+        drawn = given_sample(problem, sample)
     else:
-        drawn = monte_carlo(problem, drawn, seed=seed, progress_bar=progress_bar)
+        drawn = monte_carlo(problem, sample, seed=seed, progress_bar=progress_bar)
     found: dict[Direction, dict] = {}
     ends: dict[int, Any] = {}
     bar = {"progress_bar": progress_bar}
@@ -156,21 +156,12 @@ def _shared(problem: AbstractProblem, samples: int, seed: int) -> tuple[np.ndarr
     return draw(problem, samples, seed, scramblings=parts), groups(samples, parts)
 
 
-def _check_sample(problem: AbstractProblem, sample: MonteCarlo) -> None:
-    """Raises `ValueError` for a sample of another problem: its slopes would be another's too."""
-    difference = first_difference(sample.problem, problem)
-    if difference:
-        raise ValueError(
-            f"the sample is of another problem ({difference}); give a sample of this one, "
-            "jaxclear.monte_carlo(problem), or how many samples to draw."
-        )
-
-
 def _check(sample: Any, difference_samples: Any, methods: Any, seed: Any) -> None:
     """What a study of derivatives may be asked for."""
     check_methods("sensitivity", methods, METHODS)
-    if not isinstance(sample, MonteCarlo):
-        check_count("sample of sensitivity (a Monte Carlo study, or how many samples)", sample)
+    if not isinstance(sample, GivenSample):
+        what = "sample of sensitivity (a Monte Carlo study, a campaign, or how many samples)"
+        check_count(what, sample)
     check_count("difference_samples of sensitivity", difference_samples)
     check_count("seed of sensitivity", seed, at_least=0)
 

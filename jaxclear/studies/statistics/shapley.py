@@ -94,7 +94,7 @@ def shapley_effects(
     check_sampled(problem, samples, seed)
     check_count("samples of shapley_effects", samples, at_least=2 * SCRAMBLINGS)
     check_flags("shapley_effects", progress_bar=progress_bar)
-    group, count = groups(samples, SCRAMBLINGS), len(problem.names)
+    group, count = np.sort(groups(samples, SCRAMBLINGS)), len(problem.names)
     steps = _all_steps(count) if count <= MOST_VARIABLES else _some_steps(count, seed)
     every = {known | {variable} for variable, known, _ in steps}
     sets = sorted(every, key=lambda known: (len(known), sorted(known)))

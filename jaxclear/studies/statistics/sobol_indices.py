@@ -84,7 +84,7 @@ def sobol_indices(
             "jaxclear.shapley_effects."
         )
     count = len(problem.names)
-    group = groups(samples, parts)
+    group = np.sort(groups(samples, parts))
     normal = _normal(2 * count, np.bincount(group, minlength=parts), seed)
     base, other = normal[:, :count], normal[:, count:]
     columns = [base, other]

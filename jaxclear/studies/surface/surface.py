@@ -17,7 +17,7 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import evaluate_all
-from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.given_sample import GivenSample, given_sample
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.region import Region, check_region, drawn
@@ -30,7 +30,7 @@ RUNS_PER_TERM, FEWEST = 3, 32
 @answering
 def surface(
     problem: AbstractProblem,
-    sample: int | MonteCarlo | None = None,
+    sample: int | GivenSample | None = None,
     *,
     degree: int | None = None,
     truncation: float = 1.0,
@@ -42,12 +42,13 @@ def surface(
     """A polynomial surface through a few runs of a problem.
 
     `sample`: how many runs (by default three for each term of a quadratic), or a Monte Carlo study
-    of the problem that is there. `degree`: of the polynomials; by default that of 1 to 4 which
-    predicts runs best, for each response. `truncation` q in (0, 1]: 1 takes all products of that
-    total degree, less fewer mixed ones (hyperbolic). `over`: where it is fitted: a number widens
-    the spread of the variables so many times, for rare parts; {name: (low, high)} fills ranges of
-    these variables evenly, for nominal values that are to be chosen. `slopes`: take the exact
-    slopes of each run as equations too, which a problem has where no contact opens and closes.
+    or a campaign of the problem that is there. `degree`: of the polynomials; by default that of 1
+    to 4 which predicts runs best, for each response. `truncation` q in (0, 1]: 1 takes all products
+    of that total degree, less fewer mixed ones (hyperbolic). `over`: where it is fitted: a number
+    widens the spread of the variables so many times, for rare parts; {name: (low, high)} fills
+    ranges of these variables evenly, for nominal values that are to be chosen. `slopes`: take the
+    exact slopes of each run as equations too, which a problem has where no contact opens and
+    closes.
     Raises `ValueError` for what cannot be asked, and where too few runs reach their end.
     """
     expect(problem, AbstractProblem, "what a surface is fitted to", "a problem of jaxclear")
@@ -62,16 +63,17 @@ def surface(
     why = "; ".join(filter(None, problem.pathwise_limits())) if slopes else ""
     if why:
         raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
-    if isinstance(sample, MonteCarlo):
-        ends = jnp.asarray(sample.outcome), jnp.asarray(sample.ended)
-        found = SampleResult(jax.tree.map(jnp.asarray, sample.responses), *ends, sample.checks)
-        values, gradients = sample.values, None
+    if isinstance(sample, GivenSample):
+        study = given_sample(problem, sample)
+        ends = jnp.asarray(study.outcome), jnp.asarray(study.ended)
+        found = SampleResult(jax.tree.map(jnp.asarray, study.responses), *ends, study.checks)
+        values, gradients = study.values, None
         if slopes:
             raise ValueError("a Monte Carlo study has no slopes; give a number of runs instead.")
     else:
         count = len(powers(np.full(len(problem.names), 2), 2, truncation))
         runs = max(RUNS_PER_TERM * count, FEWEST) if sample is None else sample
-        check_count("sample of surface (how many runs, or a Monte Carlo study)", runs)
+        check_count("sample of surface (how many runs, a Monte Carlo study or a campaign)", runs)
         values = drawn(problem, runs, over, seed)
         found, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
     return fitted(problem, values, found, degree=degree, truncation=truncation, gradients=gradients)

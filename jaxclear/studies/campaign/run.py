@@ -1,0 +1,125 @@
+"""How a campaign comes to all the samples that are asked of it: a folder is begun or found, made
+larger where more are asked for, and what it lacks is computed.
+"""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from jaxclear.studies.campaign.layout import KIND, RESPONSES
+from jaxclear.studies.campaign.plan import Plan, usual_batch
+from jaxclear.studies.campaign.recorded import in_json
+from jaxclear.studies.campaign.result import Campaign
+from jaxclear.studies.campaign.samples import Extended, Samples
+from jaxclear.studies.campaign.work import AbstractWork, Heard
+from jaxclear.studies.growing import until_accurate
+from jaxclear.studies.statistics.accuracy import Asked
+from jaxclear.studies.store import refuse_other
+from jaxclear.studies.texts import in_texts
+
+__all__ = ["Wanted", "computed"]
+
+
+class Wanted(NamedTuple):
+    """The plan to begin with, the most samples, and how accurate means are to be, if that decides
+    how many there are."""
+
+    plan: Plan
+    most: int
+    accuracy: Asked | None
+
+
+def computed(by: AbstractWork, wanted: Wanted, folder: Any, shown: bool) -> Campaign:
+    """The campaign in a folder with all samples that are wanted, those computed that it lacks."""
+    run = _Run(by, _begun(by, wanted, folder), wanted.most, shown)
+    short = ""
+    if wanted.accuracy is None:
+        run.grown(wanted.most)
+    else:
+        first = max(wanted.plan.samples, run.kept.plan.samples)
+        short = until_accurate(first, wanted.most, wanted.accuracy, run.grown)
+    run.kept.settle(by.problem.second_look)
+    run.kept.tidy()
+    return Campaign(run.kept, by.problem, short)
+
+
+def _begun(by: AbstractWork, wanted: Wanted, folder: Any) -> Samples:
+    """The samples in a folder, with room made for them where there are none."""
+    problem, plan = by.problem, wanted.plan
+    texts = in_texts(problem)
+    found = Samples.known(folder)
+    if found is None:
+        told = {"problem": json.dumps(texts), "recorded": in_json(problem)}
+        found = Samples.made(folder, plan, told, by.begun(plan))
+    # Another process may have been first.
+    refuse_other(found.folder, found.told, KIND, texts)
+    for name in ("seed", "sampling", "scramblings"):
+        there, here = getattr(found.plan, name), getattr(plan, name)
+        if there != here:
+            raise ValueError(
+                f"the folder {found.folder} holds a campaign of this problem with "
+                f"{name}={there!r}, not {here!r}. Ask for the same, or give another folder."
+            )
+    if len(found.finished()):
+        found.warn_of_versions()
+    return found
+
+
+class _Run:
+    """Grows what is in a folder, to the `most` samples that may be in it."""
+
+    def __init__(self, by: AbstractWork, kept: Samples, most: int, shown: bool):
+        self.by, self.kept, self.most, self.shown = by, kept, most, shown
+
+    def grown(self, samples: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Has so many samples in the folder; all responses (samples,) that are then there, and
+        their scramblings."""
+        while not self._finished(samples):
+            # Another process was faster to make the campaign larger.
+            self.kept = Samples(self.kept.folder)
+        names, plan = self.by.problem.response_names, self.kept.plan
+        rows = self.kept.read(RESPONSES, slice(0, plan.samples))
+        return {name: rows[:, i] for i, name in enumerate(names)}, plan.groups()
+
+    def _finished(self, samples: int) -> bool:
+        """Computes what the folder lacks; False where the plan has changed meanwhile."""
+        plan = self.kept.plan
+        if plan.samples > self.most:
+            raise ValueError(
+                f"the folder {self.kept.folder} holds a campaign of this problem with "
+                f"samples={plan.samples}, more than {self.most}. Ask for as many or more, or give "
+                "another folder."
+            )
+        if plan.samples < samples:
+            larger = plan.larger(samples, usual_batch(self.by.problem))
+            self.kept = self.kept.extended(larger)
+            return self.kept.plan == larger and self._finished(samples)
+        left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished())
+        try:
+            with _progress(self.shown, plan, left.tolist()) as heard:
+                self.by.compute(self.kept, left.tolist(), heard)
+        except Extended:
+            return False
+        return True
+
+
+@contextmanager
+def _progress(shown: bool, plan: Plan, left: list[int]) -> Iterator[Heard]:
+    """A bar with rate, time left and failures so far; what is told of each finished chunk."""
+    sizes = {number: plan.span(number)[1] - plan.span(number)[0] for number in left}
+    before = plan.samples - sum(sizes.values())
+    failed = [0]
+    with tqdm(
+        total=plan.samples, initial=before, desc="campaign", unit=" samples", disable=not shown
+    ) as bar:
+
+        def heard(number: int, failures: int) -> None:
+            failed[0] += failures
+            bar.set_postfix_str(f"{failed[0]} failed", refresh=False)
+            bar.update(sizes[number])
+
+        yield heard

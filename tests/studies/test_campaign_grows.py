@@ -1,0 +1,168 @@
+"""Campaigns that are asked for more samples, or for an accuracy: they go on from what is there, and
+end as one that was asked for all of it at once.
+"""
+
+import itertools
+
+import numpy as np
+import pandas
+import pytest
+
+import jaxclear as jc
+from jaxclear.studies.campaign import samples as kept
+from jaxclear.studies.campaign.layout import FINISHED, SAMPLES
+from jaxclear.studies.campaign.samples import Extended, Samples
+from tests.studies.test_campaign import LIMITS, assert_same_study, contents, problem
+
+ASKED = {"seed": 3, "chunk": 4096, "scramblings": 16}
+
+
+def campaign(samples, folder, **how):
+    return jc.campaign(problem(), samples, folder=folder, **ASKED | how)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    place = tmp_path_factory.mktemp("whole") / "kept"
+    campaign(10_000, place)
+    return place
+
+
+@pytest.fixture
+def written(monkeypatch):
+    """Numbers of the chunks that are written."""
+    found, write = [], Samples.write
+    monkeypatch.setattr(Samples, "write", lambda *own: (found.append(own[1]), write(*own)))
+    return found
+
+
+def test_more_samples_go_on_from_those_that_are_there(whole, tmp_path, written):
+    """From less than a batch, by a chunk that is not full, to the end of one, and on: the same
+    bytes as from one call."""
+    place = tmp_path / "kept"
+    for samples, chunks in ((100, [0]), (5000, [0, 1]), (8192, [1]), (10_000, [2]), (10_000, [])):
+        written.clear()
+        found = campaign(samples, place)
+        assert sorted(written) == chunks
+        assert found.finished == found.count == samples
+    assert_same_study(found.sample, jc.monte_carlo(problem(), 10_000, seed=3))
+    assert contents(place) == contents(whole)
+
+
+def test_an_earlier_look_at_a_folder_stays_what_it_was(tmp_path):
+    before = campaign(5000, tmp_path)
+    values = before.values
+    campaign(10_000, tmp_path)
+    again = jc.open_campaign(tmp_path, problem())
+    assert before.finished == 5000
+    assert again.finished == 10_000
+    assert np.array_equal(again.values[:5000], values)
+    with pytest.raises(ValueError, match=r"with samples=10000, more than 5000\. Ask for as many"):
+        campaign(5000, tmp_path)
+
+
+@pytest.mark.parametrize("steps", range(4))
+def test_a_campaign_whose_process_dies_while_it_grows_is_what_it_was(
+    whole, tmp_path, monkeypatch, steps
+):
+    """After so many of: an array longer, all longer, the last chunk without its mark, the plan."""
+    place = tmp_path / "kept"
+    campaign(5000, place)
+    before = contents(place)
+    longer, count = kept.resized, itertools.count()
+
+    def dies(*own):
+        if next(count) >= steps:
+            raise SystemExit
+
+    def resized(arrays, plan, alter=True):
+        if not alter:
+            return longer(arrays, plan, alter)
+        dies()
+        first = next(iter(arrays))
+        longer({first: arrays[first]}, plan)
+        dies()
+        return longer(arrays, plan)
+
+    class Group:
+        def __init__(self, own):
+            self.own, self.attrs = own, self
+
+        def put(self, told):
+            dies()
+            dies()
+            self.own.attrs.put(told)
+
+    extended = Samples.extended
+
+    def patched_extended(self, plan):
+        self.group = Group(self.group)
+        return extended(self, plan)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(kept, "resized", resized)
+        patched.setattr(Samples, "extended", patched_extended)
+        with pytest.raises(SystemExit):
+            campaign(10_000, place)
+    assert jc.open_campaign(place).to_dataset().sizes["sample"] == 5000
+    campaign(5000, place)
+    assert contents(place) == before
+    campaign(10_000, place)
+    assert contents(place) == contents(whole)
+
+
+def test_who_is_at_a_chunk_that_is_to_have_more_samples_does_not_write_it(whole, tmp_path):
+    """A process that began before another one asked for more is at the last chunk."""
+    campaign(5000, tmp_path)
+    late = Samples.opened(tmp_path)
+    late.arrays[FINISHED][1] = 0
+    at = slice(*late.plan.span(1))
+    own = late.read("values", at), late.found(at)
+    late.extended(late.plan.larger(10_000, 4096))
+    with pytest.raises(Extended):
+        late.write(1, *own)
+    late.settle(lambda checks: checks)
+    campaign(10_000, tmp_path)
+    assert contents(tmp_path) == contents(whole)
+
+
+def test_samples_of_an_earlier_order_are_refused(tmp_path):
+    import zarr
+
+    campaign(100, tmp_path)
+    group = zarr.open_group(tmp_path / SAMPLES)
+    group.attrs.put({name: own for name, own in dict(group.attrs).items() if name != "order"})
+    with pytest.raises(ValueError, match="samples came in another order"):
+        campaign(100, tmp_path)
+
+
+def test_an_accuracy_decides_how_many_samples_there_are(tmp_path, written, monkeypatch):
+    """As of the plain study; interrupted between, it goes on from what is there."""
+    asked = {"accuracy": {"area": 0.02}, "seed": 3}
+    plain = jc.monte_carlo(problem(), 65_536, **asked)
+    assert 512 < plain.count < 65_536
+    place = tmp_path / "kept"
+    extended = Samples.extended
+
+    def ends(self, plan):
+        if plan.samples == plain.count:
+            raise SystemExit
+        return extended(self, plan)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Samples, "extended", ends)
+        with pytest.raises(SystemExit):
+            jc.campaign(problem(), 65_536, folder=place, **asked)
+    assert jc.open_campaign(place).count == plain.count // 2
+    found = jc.campaign(problem(), 65_536, folder=place, **asked)
+    assert_same_study(found.sample, plain)
+    assert found.sentence() == plain.sentence()
+    pandas.testing.assert_frame_equal(found.summary(LIMITS), plain.summary(LIMITS))
+    written.clear()
+    assert jc.campaign(problem(), 65_536, folder=place, **asked).count == plain.count
+    assert not written
+    finer = jc.campaign(problem(), 2 * plain.count, folder=place, accuracy={"area": 1e-9}, seed=3)
+    assert finer.count == 2 * plain.count
+    assert "not reached (mean of area" in finer.sentence()
+    with pytest.raises(ValueError, match='no response "areas"'):
+        jc.campaign(problem(), folder=place, accuracy={"areas": 1.0})

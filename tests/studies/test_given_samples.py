@@ -1,0 +1,63 @@
+"""A sample that is there serves other studies: of the same problem, in memory or in a folder."""
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+
+
+def problem(width=0.1):
+    return jc.FunctionProblem(
+        lambda a, b: a**2 * b, {n: jc.Dimension(2.0, jc.distribution.Normal(width)) for n in "ab"}
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("given") / "kept"
+    jc.campaign(problem(), 256, folder=place, seed=3)
+    return place
+
+
+def test_a_campaign_tells_the_derivatives_that_its_samples_tell(folder):
+    """Opened with its problem or without; closed forms: d mean / da = 2 E[a b], d/db = E[a^2]."""
+    plain = jc.monte_carlo(problem(), 256, seed=3)
+    told = jc.sensitivity(problem(), sample=plain, difference_samples=16)
+    for campaign in (jc.open_campaign(folder), jc.open_campaign(folder, problem())):
+        found = jc.sensitivity(problem(), sample=campaign, difference_samples=16)
+        assert str(found.table()) == str(told.table())
+    slopes = [own.value for own in found.derivatives.values()]
+    np.testing.assert_allclose(slopes, [8.0, 4.01], rtol=5e-3)
+
+
+def test_a_surface_is_fitted_to_a_campaign(folder):
+    found = jc.surface(problem(), sample=jc.open_campaign(folder))
+    at = np.array([2.1, 1.9])
+    assert abs(float(found(at)["response"]) - 2.1**2 * 1.9) < 1e-6
+
+
+def test_a_sample_of_another_problem_is_refused(folder):
+    other = problem(0.2)
+    campaign, plain = jc.open_campaign(folder), jc.monte_carlo(problem(), 64)
+    for study in (jc.sensitivity, jc.surface):
+        with pytest.raises(ValueError, match='of another problem: distribution of "a"'):
+            study(other, sample=campaign)
+        with pytest.raises(ValueError, match='of another problem .distribution of "a"'):
+            study(other, sample=plain)
+
+
+@pytest.mark.slow
+def test_reliability_and_shapley_effects_are_kept_too(tmp_path, monkeypatch):
+    """Asked again, nothing is computed."""
+    limit = jc.limit_state.Above("response", 11.0)
+    asked = {
+        jc.reliability: {"limit": limit, "methods": ("form", "importance"), "accuracy": 0.5},
+        jc.shapley_effects: {"samples": 64},
+    }
+    for study, how in asked.items():
+        place = tmp_path / study.__name__
+        first = jc.campaign(problem(), folder=place, study=study, **how)
+        assert str(first) == str(study(problem(), **how))
+        with monkeypatch.context() as patched:
+            patched.setattr("jaxclear.studies.campaign.requests.evaluate_all", None)
+            assert str(jc.campaign(problem(), folder=place, study=study, **how)) == str(first)
