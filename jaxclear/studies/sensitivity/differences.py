@@ -51,7 +51,8 @@ def looks(group: np.ndarray) -> list[np.ndarray]:
     count, scramblings = len(group), len(np.unique(group))
     if count < 2 * FIRST:
         return [np.ones(count, bool)]
-    place = np.arange(count) - np.searchsorted(group, group)
+    order, place = np.argsort(group, kind="stable"), np.zeros(count, int)
+    place[order] = np.arange(count) - np.searchsorted(group[order], group[order])
     first = place < max(FIRST // scramblings, 1)
     return [first, ~first]
 
