@@ -11,7 +11,7 @@ first they are the same.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
@@ -19,6 +19,8 @@ from jaxclear.ground.quantity import Scalar
 PerContact = Float[Array, " contacts"]
 # The least speed that is remembered [m/s]: 0 says that the contact is apart.
 LEAST_SPEED = 1e-30
+# Steps to a root of a cubic: where it is all but straight three are enough.
+STEPS = 6
 
 
 class ContactMotion(NamedTuple):
@@ -52,31 +54,102 @@ def at_touch(before: ContactMotion, after: ContactMotion, length: Scalar) -> Per
     share = jnp.clip(safe_divide(-before.depths, way), 0.0, 1.0)
     early, late = before.rates * before.rates, after.rates * after.rates
     mean = (1.0 / length) * way
-    curved = 12 * mean * (mean - 0.5 * (before.rates + after.rates)) * share * (1 - share)
+    # Of a tiny step the way is rounding beside the place, and its rates tell that it is straight.
+    most = jnp.abs(after.rates - before.rates)
+    remainder = jnp.clip(mean - 0.5 * (before.rates + after.rates), -most, most)
+    curved = 12 * mean * remainder * share * (1 - share)
     curved = jnp.where(before.rates > 0, curved, 0.0)
     return jnp.maximum(safe_sqrt(early + share * (late - early) + curved), LEAST_SPEED)
 
 
-def turns_beyond(
-    before: ContactMotion, after: ContactMotion, length: Scalar, least: Scalar
-) -> Bool[Array, " contacts"]:
-    """Whether an indentation with one sign at both ends of a step has had the other between, by
-    more than `least` [m]: a touch or a parting that no end of a step has seen.
-
-    The way to the turning point from either end is that of a constant acceleration.
-    """
-    turned = before.rates * after.rates < 0
-    swing = 0.5 * length * safe_divide(1.0, jnp.abs(before.rates) + jnp.abs(after.rates))
-    first = before.depths + swing * before.rates * jnp.abs(before.rates)
-    second = after.depths - swing * after.rates * jnp.abs(after.rates)
-    rising = before.rates > 0
-    touched = (jnp.maximum(first, second) > least) & rising
-    parted = (jnp.minimum(first, second) < -least) & ~rising
-    apart, closed = (
-        (before.depths < 0) & (after.depths < 0),
-        (before.depths >= 0) & (after.depths >= 0),
+def cubic(path: tuple, share: Array) -> tuple[Array, Array]:
+    """Hermite's cubic through an indentation and its slope at both ends of a step, `path` (first,
+    last, slope at the first, at the last, by the share of the step), and its slope there."""
+    first, _, leaving, _ = path
+    bend, twist = _powers(path)
+    return (
+        first + share * (leaving + share * (bend + share * twist)),
+        leaving + share * (2 * bend + 3 * share * twist),
     )
-    return turned & ((apart & touched) | (closed & parted))
+
+
+def _powers(path: tuple) -> tuple[Array, Array]:
+    """The cubic's coefficients of the second and third power."""
+    first, last, leaving, arriving = path
+    way = last - first
+    return 3 * way - 2 * leaving - arriving, leaving + arriving - 2 * way
+
+
+class Passage(NamedTuple):
+    """The contacts at the beginning, halfway and at the end of a step."""
+
+    before: ContactMotion
+    middle: ContactMotion
+    after: ContactMotion
+
+
+def passage(path: tuple, level: Scalar, last: Array) -> Array:
+    """The share of the step at which the cubic passes a level between its start and the share
+    `last`, on whose other side it is there. Newton's method, halving where he leaves the
+    bracket: in flight it is all but straight."""
+    low, high = jnp.zeros_like(last), last
+    first, there = path[0] - level, cubic(path, last)[0] - level
+    share = jnp.clip(last * safe_divide(first, first - there), 0.0, last)
+    for _ in range(STEPS):
+        value, slope = cubic(path, share)
+        early = (value >= level) == (first >= 0)
+        low, high = jnp.where(early, share, low), jnp.where(early, high, share)
+        newton = share - safe_divide(value - level, slope)
+        inside = (newton >= low) & (newton <= high)
+        share = jnp.where(inside, newton, 0.5 * (low + high))
+    return share
+
+
+def end_at_passage(
+    before: ContactMotion,
+    middle: ContactMotion,
+    after: ContactMotion,
+    length: Scalar,
+    beyond: Scalar,
+) -> Scalar:
+    """The share of a step at which it would have ended where a contact first closes or parts in it;
+    1 where none goes more than `beyond` [m] beyond its wall.
+
+    Signs of the rates at the ends do not tell of a touch between them: a journal that has touched,
+    parted and passed the middle of its bearing comes nearer to the wall at both. So the halves of
+    the step are looked at, on each Hermite's cubic, which is exact for a path in free fall.
+    """
+    outwards = jnp.where(before.depths >= 0, -1.0, 1.0)
+
+    def half(first, last):
+        ends = (first.depths, last.depths, 0.5 * length * first.rates, 0.5 * length * last.rates)
+        path = tuple(outwards * each for each in ends)
+        summit = _summit(path)
+        top = cubic(path, summit)[0]
+        higher = top > path[1]
+        return path, jnp.where(higher, summit, 1.0), jnp.where(higher, top, path[1]) > beyond
+
+    (early, summit_early, soon), (late, summit_late, then) = (
+        half(before, middle),
+        half(middle, after),
+    )
+    path = tuple(jnp.where(soon, a, b) for a, b in zip(early, late, strict=True))
+    within = passage(path, 0.5 * beyond, jnp.where(soon, summit_early, summit_late))
+    shares = 0.5 * (within + jnp.where(soon, 0.0, 1.0))
+    return jnp.min(jnp.where(soon | then, shares, 1.0), initial=1.0)
+
+
+def _summit(path: tuple) -> Array:
+    """The share of the step at which the cubic is highest between its ends; an end, where it rises
+    or falls all the way."""
+    leaving = path[2]
+    bend, twist = _powers(path)
+    root = safe_sqrt(bend * bend - 3 * twist * leaving)
+    # The root of the slope at which it falls, by that of two forms which does not cancel.
+    falling = jnp.where(
+        bend < 0, safe_divide(leaving, root - bend), -safe_divide(bend + root, 3 * twist)
+    )
+    return jnp.clip(falling, 0.0, 1.0)
 
 
 class Flight(NamedTuple):

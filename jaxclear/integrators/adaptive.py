@@ -18,7 +18,7 @@ from jaxclear.integrators.base import (
     Advance,
 )
 from jaxclear.integrators.checks import Check
-from jaxclear.integrators.impacts import TakingImpactSpeeds
+from jaxclear.integrators.impacts import EndingAtTouches, TakingImpactSpeeds
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.state_group import state_group
@@ -37,6 +37,10 @@ LOOSEST = 3e-7
 # The same as a place, beside the narrowest gap: what a tolerance of coordinates allows a body must
 # be little in the gap, or where it touches is lost (the same runs, gaps of 16 to 100 um).
 LOOSEST_IN_GAP = 4e-4
+# A step that ends at a touch ends so near, beside what the tolerance leaves a coordinate: a landing
+# must not be what errors come from. Not below what rounding leaves, beside the longest arm.
+LANDING = 0.1
+ROUNDING = 1e-12
 
 
 class Adaptive(AbstractIntegrator):
@@ -46,8 +50,8 @@ class Adaptive(AbstractIntegrator):
     coordinate and speed; memories of laws are held a hundred times looser, worn volumes and
     energies follow the motion. Where joints have clearance both tolerances count as at rtol 3e-7
     at the loosest (4e-4 of the narrowest gap beside the longest arm, where that is less): impacts
-    make errors grow, and looser runs save next to no time. In a batch all
-    samples wait for the slowest. A derivative through contacts is not to be trusted (off by 52 %
+    make errors grow, and looser runs save next to no time. A step in which a contact closes or
+    parts is repeated to end there. In a batch all samples wait for the slowest. A derivative through contacts is not to be trusted (off by 52 %
     in a measurement) and is refused; see `jaxclear.sensitivity`. Stiff scenes (large friction over
     tiny transition speeds) may prefer an implicit solver, best with a full Newton iteration:
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
@@ -106,7 +110,8 @@ class Adaptive(AbstractIntegrator):
         return with_fast_loops(solve)(arrays, interval, state, warm_start)
 
     def _controller(self, model, interval, usual):
-        """The error control of an interval in which a step has a `usual` length [s]."""
+        """The error control of an interval in which a step has a `usual` length [s], which ends
+        steps where contacts close and part."""
         weights = interval.error_weights
         # Finer steps are shorter too, also where errors ask for no more than one.
         longest = jnp.where(interval.share < 1, interval.share * usual, jnp.inf)
@@ -117,7 +122,7 @@ class Adaptive(AbstractIntegrator):
             narrow = narrowest_gap(model.system) / longest_arm(model.system)
             loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * narrow)
             finer = finer * loosest / jnp.maximum(self.rtol, loosest)
-        return diffrax.PIDController(
+        control = diffrax.PIDController(
             rtol=self.rtol * finer,
             atol=self.atol * finer,
             # diffrax reports a failed implicit stage as an infinite error of all entries: 0 times
@@ -129,6 +134,10 @@ class Adaptive(AbstractIntegrator):
             dtmax=longest,
             force_dtmin=False,
         )
+        if not _looks_at_contacts(self.formulation, model):
+            return control
+        beyond = jnp.maximum(LANDING * control.atol, ROUNDING * longest_arm(model.system))
+        return EndingAtTouches(control, beyond)
 
     def _term(self, model, rates):
         """The equations as diffrax asks for them."""
@@ -150,7 +159,7 @@ class Adaptive(AbstractIntegrator):
         def remember(y, before, after, length, arrays):
             return formulation.remember(eqx.combine(arrays, rest), y, before, after, length)
 
-        return TakingImpactSpeeds(self.solver, contacts, remember, self.atol, rest.events)
+        return TakingImpactSpeeds(self.solver, contacts, remember, rest.events)
 
     def _solve(self, rest, arrays, interval, state, step) -> Advance:
         formulation, (start, stop) = self.formulation, interval[:2]

@@ -14,13 +14,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.formulations.impact_speed import ContactMotion
+from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.numerics import safe_divide
-
-# Steps to the root of a cubic by Newton, halving where he leaves the bracket: in flight it is all
-# but straight, and three are enough.
-STEPS = 6
 
 
 class Events(NamedTuple):
@@ -75,16 +71,8 @@ def noted(
     happened = closed != (after.depths >= 0)
     path = (before.depths, after.depths, length * before.rates, length * after.rates)
 
-    low, high = jnp.zeros_like(before.depths), jnp.ones_like(before.depths)
-    share = jnp.clip(safe_divide(before.depths, before.depths - after.depths), 0.0, 1.0)
-    for _ in range(STEPS):
-        depth, slope = _cubic(path, share)
-        early = (depth >= 0) == closed
-        low, high = jnp.where(early, share, low), jnp.where(early, high, share)
-        newton = share - safe_divide(depth, slope)
-        inside = (newton > low) & (newton < high)
-        share = jnp.where(inside, newton, 0.5 * (low + high))
-    rate = safe_divide(_cubic(path, share)[1], length)
+    share = passage(path, 0.0, jnp.ones_like(before.depths))
+    rate = safe_divide(cubic(path, share)[1], length)
     places = jnp.arange(events.times.shape[1], dtype=float)
     here = (places == events.counts[:, None]) & happened[:, None]
     return Events(
@@ -92,11 +80,3 @@ def noted(
         jnp.where(here, rate[:, None], events.rates),
         events.counts + jnp.where(happened, 1.0, 0.0),
     )
-
-
-def _cubic(path: tuple, s: Any) -> tuple[Any, Any]:
-    """Hermite's cubic at a share of the step, and its derivative by the share."""
-    first, last, leaving, arriving = path
-    way = last - first
-    b, c = 3 * way - 2 * leaving - arriving, leaving + arriving - 2 * way
-    return first + s * (leaving + s * (b + s * c)), leaving + s * (2 * b + 3 * s * c)

@@ -1,39 +1,97 @@
-"""A diffrax solver whose steps take impact speeds: an error-controlled run neither follows the
-approach speed nor stops at touches.
+"""A diffrax solver whose steps take impact speeds, and a controller that ends steps where contacts
+close and part: an error-controlled run does not follow the approach speed, and is as smooth within
+its steps as the solver wants it.
 
-The step that closes a contact is short, because its error estimate sees the force begin; from its
-two ends the speed at the touch follows (`formulations.impact_speed`). A touch that begins and ends
-within one step, unseen at either end, rejects the step.
+From the two ends of a step the speed at a touch follows (`formulations.impact_speed`). A touch that
+begins and ends within one step, unseen at either end, is seen halfway, by the solver's own
+interpolation.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxclear.formulations.impact_speed import turns_beyond
-from jaxclear.ground.quantity import Scalar
+from jaxclear.formulations.impact_speed import Passage, end_at_passage
+from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.integrators.events import noted, nothing
+
+
+class Judged(NamedTuple):
+    """What a step tells its controller: its error, and what the contacts did in it."""
+
+    error: Any
+    passed: Passage
+
+
+class EndingAtTouches(diffrax.AbstractAdaptiveStepSizeController):
+    """`controller`, but a step in which a contact closes or parts, and goes more than `beyond` [m]
+    beyond its wall, is tried again, to end where it does: an error estimate hardly sees where
+    between its stages a force begins.
+
+    Its solver is `TakingImpactSpeeds`.
+    """
+
+    controller: diffrax.PIDController
+    beyond: Scalar
+
+    @property
+    def rtol(self):
+        return self.controller.rtol
+
+    @property
+    def atol(self):
+        return self.controller.atol
+
+    @property
+    def norm(self):
+        return self.controller.norm
+
+    def wrap(self, direction):
+        return EndingAtTouches(self.controller.wrap(direction), self.beyond)
+
+    def init(self, *arguments):
+        return self.controller.init(*arguments)
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        keep, start, stop, jump, state, result = self.controller.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error.error, error_order, controller_state
+        )
+        least, length = self.controller.dtmin, t1 - t0
+        share = end_at_passage(*y_error.passed, length, self.beyond)
+        # Where time does not tell the two ends apart the step is as good as any.
+        passed = (share * length > least) & ((1 - share) * length > least)
+        again = passed & (keep | (share * length < stop - t0))
+        choose = lambda yes, no: jax.tree.map(lambda a, b: jnp.where(again, a, b), yes, no)
+        return (
+            keep & ~again,
+            choose(t0, start),
+            choose(t0 + share * length, stop),
+            jump,
+            choose(controller_state, state),
+            diffrax.RESULTS.where(again, diffrax.RESULTS.successful, result),
+        )
 
 
 class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
     """`solver`, and after each of its steps the impact speeds of contacts that have closed or
-    parted.
+    parted. Its controller is `EndingAtTouches`.
 
     `contacts(time, state, args)`: their motion. `remember(state, before, after, length, args)`: the
-    state with its impact speeds set. `unseen` [m]: how deep a touch may go between two steps. Its
-    state between steps ends with the largest indentation of every contact so far [m]: the motion of
-    the contacts is known at both ends of a step, so that peaks of a run cost it nothing; and with
-    `events`, so many, of a saving interval (`integrators.events`).
+    state with its impact speeds set. Its state between steps ends with the largest indentation of
+    every contact so far [m]: the motion of the contacts is known at both ends of a step, so that
+    peaks of a run cost it nothing; and with `events`, so many, of a saving interval
+    (`integrators.events`).
     """
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
     contacts: Callable
     remember: Callable
-    unseen: Scalar
     events: int = eqx.field(static=True, default=0)
 
     @property
@@ -73,13 +131,20 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
         own, before, deepest, events = solver_state
         y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
         after: Any = self.contacts(t1, y1, args)
-        length = t1 - t0
-        missed = jnp.any(turns_beyond(before, after, length, self.unseen))
+        length, half = t1 - t0, 0.5 * (t0 + t1)
+        path = self.interpolation_cls(t0=t0, t1=t1, **constant(dense))
+        middle = self.contacts(half, path.evaluate(half), args)
+        passed = Passage(*constant((before, middle, after)))
         y1 = self.remember(y1, before, after, length, args)
-        error = jnp.where(missed, jnp.inf, error)
         if events is not None:
             events = noted(events, t0, length, *jax.lax.stop_gradient((before, after)))
-        return y1, error, dense, (own, after, _deeper(after, deepest), events), result
+        return (
+            y1,
+            Judged(error, passed),
+            dense,
+            (own, after, _deeper(after, deepest), events),
+            result,
+        )
 
 
 def _deeper(contacts: Any, deepest: Any) -> Any:

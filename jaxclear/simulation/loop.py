@@ -90,8 +90,8 @@ def run(
     first = Carry(state, worn, warm_start, reached, times[0], (none, none))
     turn, unpack = _turns(model, integrator, extras.report)
     # Worn surfaces are more numbers than a kernel carries, the host hears nothing of it on its way,
-    # counted steps are gone through backwards, and an error control met a grazing touch otherwise.
-    whole = not (worn or extras.report) and integrator.asked_step() is not None
+    # and counted steps are gone through backwards.
+    whole = not (worn or extras.report) and integrator.steps_between_saves is None
     through = _in_one_kernel if whole else _from_save_to_save
     last, (states, read, packed), ends = through(plan, turn, first)
     figures, noted = jax.vmap(unpack)(packed)

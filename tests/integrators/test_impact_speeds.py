@@ -13,7 +13,7 @@ import optimistix
 import pytest
 
 import jaxclear as jc
-from jaxclear.formulations.impact_speed import ContactMotion, at_touch, remembered, turns_beyond
+from jaxclear.formulations.impact_speed import ContactMotion, at_touch, end_at_passage, remembered
 from jaxclear.laws.contact import dissipation
 from jaxclear.multibody.assembly import guess
 from jaxclear.simulation.simulate import run
@@ -225,18 +225,56 @@ def test_derivatives_of_the_touch_are_finite_where_nothing_moves():
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
 
 
+def looked_at(depth, rate):
+    """A path at the beginning, halfway and at the end of a step of 2 s."""
+    at = (0.0, 1.0, 2.0)
+    return [ContactMotion(*map(jnp.atleast_1d, (depth(t), rate(t)))) for t in at]
+
+
 def test_a_touch_between_the_ends_of_a_step_is_seen():
     """A dip of 1e-6 m on either side of the wall, closing or opening; not one of 1e-10 m."""
-    for sign, (turned, passed) in ((1.0, (True, False)), (-1.0, (True, False))):
-        for depth, seen in ((1e-6, turned), (1e-10, passed)):
-            # Half a step of 2 s from the turning point with an acceleration of 2.
-            ends = [motion(sign * (depth - 1.0), sign * rate) for rate in (2.0, -2.0)]
-            assert bool(turns_beyond(*ends, 2.0, 1e-9)[0]) == seen
+    for sign in (1.0, -1.0):
+        for depth, seen in ((1e-6, True), (1e-10, False)):
+            dip = lambda t, d=depth: sign * (d - (t - 0.7) ** 2)
+            path = looked_at(dip, lambda t: sign * 1.4 - sign * 2 * t)
+            share = float(end_at_passage(*path, 2.0, 1e-9))
+            assert (share < 1) == seen
 
 
-def test_a_grazing_touch_is_not_stepped_over():
+def test_a_touch_is_seen_where_the_journal_has_passed_the_middle_since():
+    """It comes nearer to the wall at both ends of the step, and at the wall it turned between."""
+    for depth, seen in ((1e-6, True), (-1e-6, False)):
+        # From its touch at 0.7 s it is in the middle at 1.7 s, so that it nears the other wall.
+        place = lambda t, d=depth: 1.0 + d - (t - 0.7) ** 2
+        speed = lambda t: -2 * (t - 0.7)
+        aside = lambda t: abs(place(t)) - 1.0
+        path = looked_at(aside, lambda t: speed(t) * np.sign(place(t)))
+        assert path[0].rates > 0 and path[2].rates > 0
+        assert (float(end_at_passage(*path, 2.0, 1e-9)) < 1) == seen
+
+
+def test_a_step_that_passes_a_wall_is_to_end_there():
+    """Closing and opening in either half of it, on a path of the third power of time; the earliest
+    of several contacts tells, and one that is hardly beyond its wall may go on."""
+    for at in (0.3, 1.7):
+        for sign in (1.0, -1.0):
+            way = lambda t, a=at, s=sign: s * ((t - a) + 0.1 * (t - a) ** 3)
+            path = looked_at(way, lambda t, a=at, s=sign: s * (1 + 0.3 * (t - a) ** 2))
+            share = float(end_at_passage(*path, 2.0, 1e-6))
+            np.testing.assert_allclose(2 * share, at + 0.5e-6, rtol=1e-12)
+            assert float(end_at_passage(*path, 2.0, 10.0)) == 1
+    both = looked_at(lambda t: np.array([t - 1.5, t - 0.4]), lambda t: np.ones(2))
+    assert float(end_at_passage(*both, 2.0, 1e-6)) == pytest.approx(0.2, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "plain", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["kernel", "plain loops"]
+)
+def test_a_grazing_touch_is_not_stepped_over(plain, monkeypatch):
     """A ball thrown up whose path just meets the wall above: a parabola, which error control would
-    cross in one step. It loses what the law takes at the speed of the touch."""
+    cross in one step, wherever that is to end. It loses what the law takes at the speed of the
+    touch."""
+    monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", str(int(plain)))
     graze, gravity, clearance = 1e-7, 10.0, 1e-2
     law = jc.contact.Linear(stiffness=1e8, restitution=0.5)
     joint = jc.clearance.PlanarJournalBearing(law, bearing_radius=0.5, clearance=clearance)
@@ -247,18 +285,25 @@ def test_a_grazing_touch_is_not_stepped_over():
         {"gravity": jc.load.Gravity((0.0, -gravity))},
         speeds={"ball": (0.0, speed, 0.0)},
     )
-    end = 2 * speed / gravity
-    heights = []
-    # The last one may not step over it: steps of a thousandth of the flight.
-    for rtol, largest in ((1e-7, 1.0), (1e-10, 1e-3 * end)):
-        integrator = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol, largest_step=largest)
-        found = jc.simulate(
-            rig, end, save=2, integrator=integrator, state=jc.State(concentric=False)
-        )
-        heights.append(float(found.body("ball").com[-1, 1]))
-    # Without the touch it would be back at the centre.
-    assert abs(heights[1]) > 1e-5
-    np.testing.assert_allclose(*heights, rtol=1e-2)
+    back = 2 * speed / gravity
+    ways = (1e-7, 1.0), (1e-10, 1e-3 * back)
+    loose, tight = (
+        jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol, largest_step=longest)
+        for rtol, longest in ways
+    )
+
+    def height(end, integrator):
+        # A number of saving times for either way: the program is compiled anew.
+        saves, start = 3 if plain else 2, jc.State(concentric=False)
+        found = jc.simulate(rig, end, save=saves, integrator=integrator, state=start)
+        assert ("switched off" in found.stats.loops) == plain
+        return float(found.body("ball").com[-1, 1])
+
+    # It would be in the middle again at 1.
+    for end in back * np.array([0.8, 0.93, 1.0, 1.1]):
+        wanted, untouched = height(end, tight), end * (speed - 0.5 * gravity * end)
+        assert abs(wanted - untouched) > 1e-5
+        np.testing.assert_allclose(height(end, loose), wanted, atol=1e-2 * abs(wanted - untouched))
 
 
 @pytest.mark.parametrize("friction", [None, jc.friction.LuGre()], ids=["smooth", "bristles"])

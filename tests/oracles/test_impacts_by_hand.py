@@ -116,15 +116,14 @@ def test_the_case_strikes_often_and_hard(hand):
 
 def test_adaptive_runs_agree_with_the_events_by_hand(rig, hand):
     """A micrometre is a thousandth of the bearing's play; at its default tolerance the run keeps it
-    through the first seven impacts, until neighbouring paths have parted."""
+    through all impacts, because its steps end where contacts close and part."""
     errors = {
         rtol: error(rig, hand, jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol))
         for rtol in (1e-7, 1e-9, 1e-11)
     }
-    assert errors[1e-7][TIMES < 2e-3].max() < 1e-6
-    assert errors[1e-9].max() < 1e-6 and errors[1e-11].max() < 1e-8
-    # A hundredth of the tolerance leaves at most a tenth of the error.
-    assert errors[1e-9].max() < 0.1 * errors[1e-7].max()
+    assert errors[1e-7].max() < 1e-6
+    # Tighter ones leave less, by chance not always in proportion.
+    assert errors[1e-9].max() < 1e-7
     assert errors[1e-11].max() < 0.1 * errors[1e-9].max()
 
 

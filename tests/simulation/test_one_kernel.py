@@ -1,5 +1,5 @@
-"""A run is one kernel, from its start to its last saving time, on every rung of fixed steps; its
-numbers are those of a run whose saving intervals are kernels each by itself.
+"""A run is one kernel, from its start to its last saving time, on every rung; its numbers
+are those of a run whose saving intervals are kernels each by itself.
 """
 
 import equinox as eqx
@@ -23,10 +23,11 @@ RUNGS = {
     "implicit": jc.integrator.ImplicitStep(),
     "Moreau-Jean": jc.integrator.MoreauJean(),
     "non-colliding": jc.integrator.NonColliding(),
+    "adaptive": jc.integrator.Adaptive(),
 }
 # Over some ten impacts rounding grows little.
 ROUNDING = 1e-9
-QUICK = ("implicit",)
+QUICK = ("implicit", "adaptive")
 
 
 def told(rung, saves=jc.Saving(7)):
