@@ -51,9 +51,10 @@ class Adaptive(AbstractIntegrator):
     energies follow the motion. Where joints have clearance both tolerances count as at rtol 3e-7
     at the loosest (4e-4 of the narrowest gap beside the longest arm, where that is less): impacts
     make errors grow, and looser runs save next to no time. A step in which a contact closes or
-    parts is repeated to end there. In a batch all samples wait for the slowest. A derivative through contacts is not to be trusted (off by 52 %
-    in a measurement) and is refused; see `jaxclear.sensitivity`. Stiff scenes (large friction over
-    tiny transition speeds) may prefer an implicit solver, best with a full Newton iteration:
+    parts is repeated to end there. In a batch all samples wait for the slowest. A derivative
+    through contacts is not to be trusted (off by 52 % in a measurement) and is refused; see
+    `jaxclear.sensitivity`. Stiff scenes (large friction over tiny transition speeds) may prefer an
+    implicit solver, best with a full Newton iteration:
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
     `MuntheKaas` keeps rotations on their group.
     """

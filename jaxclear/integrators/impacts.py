@@ -38,15 +38,15 @@ class EndingAtTouches(diffrax.AbstractAdaptiveStepSizeController):
     controller: diffrax.PIDController
     beyond: Scalar
 
-    @property
+    @property  # type: ignore[misc]
     def rtol(self):
         return self.controller.rtol
 
-    @property
+    @property  # type: ignore[misc]
     def atol(self):
         return self.controller.atol
 
-    @property
+    @property  # type: ignore[misc]
     def norm(self):
         return self.controller.norm
 

@@ -52,8 +52,12 @@ def _expand(writer, equation, a):
     return a.reshape(equation.outvars[0].aval.shape)
 
 
-@rule("transpose")
+@rule("transpose", reads_memory=True)
 def _transpose(writer, equation, a):
+    if isinstance(a, InMemory):
+        # A table of coefficients that all of it is made of: the instructions are counted anyway.
+        entries = [writer.read(a, i) for i in range(math.prod(a.shape))]
+        a = array_of(entries, (len(entries),)).reshape(a.shape)
     return a.transpose(equation.params["permutation"])
 
 

@@ -146,7 +146,7 @@ CASES = {
         (lambda x: lax.squeeze(x, (1,)), (SMALL[:, None],)),
         (lambda t: lax.squeeze(t, (0,))[4], (TABLE[None],)),
     ],
-    "transpose": [(jnp.transpose, (SMALL,))],
+    "transpose": [(jnp.transpose, (SMALL,)), (lambda t: jnp.transpose(t)[1], (TABLE,))],
     "rev": [(lambda x: lax.rev(x, (0, 1)), (SMALL,))],
     "slice": [(lambda x: x[:, 0:3:2], (SMALL,)), (lambda t: t[3:9:2, 1:], (TABLE,))],
     "concatenate": [(lambda x: lax.concatenate([x, x], 1), (SMALL,))],
