@@ -47,6 +47,9 @@ IN_DOUBT: dict[str, tuple[Callable[[], Any], Any, float]] = {
 QUICK = ("slider-crank, FixedStep", "ideal slider-crank, Adaptive")
 # As `simulate` and `Problem` save.
 SAVES, STUDY_SAVES, BATCH = 501, 201, 64
+# The least of so many runs counts: of twenty, on a machine with other work on it, the ratio of runs
+# of 2 ms is off by a tenth.
+REPEATS = 300
 # Sample k starts with speeds of 1 + k SPREAD of the nominal ones: no two have the same motion.
 SPREAD = 1e-6
 
@@ -142,10 +145,10 @@ def main() -> None:
     options = arguments(__doc__)
     rows = []
     for case in QUICK if options.quick else CASES:
-        rows.append(row(case, SAVES, None, 5 if options.quick else 20))
-        rows.append(row(case, STUDY_SAVES, BATCH, 2 if options.quick else 5))
+        rows.append(row(case, SAVES, None, 5 if options.quick else REPEATS))
+        rows.append(row(case, STUDY_SAVES, BATCH, 2 if options.quick else REPEATS // BATCH + 5))
     report("CPU time of a run with its checks and without", rows, options)
-    doubted = [second_look_row(case, 3 if options.quick else 20) for case in IN_DOUBT]
+    doubted = [second_look_row(case, 3 if options.quick else REPEATS // 5) for case in IN_DOUBT]
     report("CPU time of a run in doubt", doubted, options)
     if options.json:
         known = json.loads(options.json.read_text())

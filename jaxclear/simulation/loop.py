@@ -33,7 +33,7 @@ from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation import progress, spot_checks
 from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.referee import refereed
-from jaxclear.simulation.spot_checks import TURNS, Plan, Turns
+from jaxclear.simulation.spot_checks import Plan, Turns
 from jaxclear.simulation.wear import Worn, deposit, unworn
 
 # Weight of the laws' memories in the error control: they need not be exact, but a step longer than
@@ -178,7 +178,7 @@ def _from_save_to_save(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry,
     between parts, so that the run's own turns pay nothing for them."""
     if not len(plan.windows):
         return *jax.lax.scan(turn, first, plan.turns), None
-    count = len(plan.turns.start) - TURNS * len(plan.windows)
+    count = plan.intervals
     left = jax.eval_shape(turn, first, jax.tree.map(lambda each: each[0], plan.turns))[1]
     rows = jax.tree.map(lambda each: jnp.zeros((count, *each.shape), each.dtype), left)
 

@@ -7,9 +7,11 @@ run's own loop, *shadows*, between parts of it: nothing of them enters the run, 
 not look for them.
 
 A window is four turns: through it with the run's own steps, and on over an instant, from which the
-accelerations (so the forces) at its end follow; then the same with finer steps.
+accelerations (so the forces) at its end follow; then the same with finer steps. One that fills its
+saving interval takes the run's own turn for the first of them.
 """
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -35,7 +37,10 @@ INSTANT = 1e-5
 MOST = 4
 # They begin at multiples of the golden section of a run: spread, and out of step with any turning.
 GOLDEN = 0.5 * (5**0.5 - 1)
-TURNS = 4
+# The turns of a window by what they are, in the order in which they are gone through; of one that
+# fills its saving interval the run's own turn stands before the last.
+COARSE, COARSE_ON, FINE, FINE_ON = "coarse", "coarse, on", "fine", "fine, on"
+APART, WHOLE = (COARSE, COARSE_ON, FINE, FINE_ON), (FINE, FINE_ON, COARSE_ON)
 # Size, beside the largest, below which a coordinate's changes do not matter.
 LEAST = 0.1
 # A turn moves bodies by no more than so many arms; less than so many clearances is no way.
@@ -68,16 +73,22 @@ class Parts(NamedTuple):
 class Plan(NamedTuple):
     """A run's `turns`, one for each saving interval and behind them those of the windows; the
     `parts` in which they are gone through, and the saving intervals at whose start a window
-    begins."""
+    begins; `names` of the turns of a window."""
 
     turns: Turns
     parts: Parts
     windows: np.ndarray
+    names: tuple[str, ...]
 
     @property
-    def shadows(self) -> np.ndarray:
-        """Where among the parts those of each window are (windows, 4)."""
-        return np.flatnonzero(~self.parts.own).reshape(-1, TURNS)
+    def intervals(self) -> int:
+        """How many of the turns are the run's own."""
+        return int(np.max(self.parts.stop[self.parts.own]))
+
+    def shadows(self, name: str) -> np.ndarray:
+        """Where among the parts the turn of this name of each window is."""
+        rows = np.flatnonzero(~self.parts.own).reshape(-1, len(self.names))
+        return rows[:, self.names.index(name)]
 
 
 def plan(times: Float[Array, " saves"], step: Scalar | None) -> Plan:
@@ -88,46 +99,58 @@ def plan(times: Float[Array, " saves"], step: Scalar | None) -> Plan:
     times = jnp.asarray(times)
     starts, stops = times[:-1], times[1:]
     share, progress = jnp.ones(count), (stops - starts) / (times[-1] - times[0])
+    names: tuple[str, ...] = APART
     if step is not None and len(windows):
         begin, end = _windows(starts[windows], stops[windows], count, step)
+        names = WHOLE if _length(count, len(windows)) == 1.0 else APART
         instant = end + INSTANT * (end - begin)
-        starts = jnp.concatenate([starts, _in_turn(begin, end, begin, end)])
-        stops = jnp.concatenate([stops, _in_turn(end, instant, end, instant)])
-        shares = np.tile([1.0, 1.0, FINER, 1.0], len(windows))
+        on = {COARSE_ON, FINE_ON}
+        starts = jnp.concatenate([starts, _in_turn(end if k in on else begin for k in names)])
+        stops = jnp.concatenate([stops, _in_turn(instant if k in on else end for k in names)])
+        shares = np.tile([FINER if k == FINE else 1.0 for k in names], len(windows))
         share = jnp.concatenate([share, shares])
         progress = jnp.concatenate([progress, jnp.zeros(len(shares))])
-    return Plan(Turns(starts, stops, share, progress), _parts(count, windows), windows)
+    turns = Turns(starts, stops, share, progress)
+    return Plan(turns, _parts(count, windows, names), windows, names)
+
+
+def _length(count: int, windows: int) -> float:
+    """Length of so many windows beside that of their saving intervals, of `count`."""
+    return min(1.0, SHARE * count / (PASSES * windows))
 
 
 def _windows(starts: Array, stops: Array, count: int, step: Scalar) -> tuple[Array, Array]:
     """Beginnings and ends [s] of the windows in these saving intervals of `count`."""
-    length = min(1.0, SHARE * count / (PASSES * len(starts)))
+    length = _length(count, len(starts))
     asked = starts + jnp.maximum(length * (stops - starts), step)
     # A window that fills its interval ends with it, to the last bit.
     return starts, jnp.where(asked > stops - SLIVER * (stops - starts), stops, asked)
 
 
-def _in_turn(*turns: Float[Array, " windows"]) -> Float[Array, " turns"]:
-    return jnp.stack(turns, axis=1).ravel()
+def _in_turn(turns: Iterable[Float[Array, " windows"]]) -> Float[Array, " turns"]:
+    return jnp.stack(list(turns), axis=1).ravel()
 
 
-def _parts(count: int, windows: np.ndarray) -> Parts:
-    """Where each window begins the run is left for four turns, which stand behind its own."""
+def _parts(count: int, windows: np.ndarray, names: tuple[str, ...]) -> Parts:
+    """Where each window begins the run is left for its turns, which stand behind its own."""
     rows: list[tuple[int, int, bool, bool]] = []
     done, shadow = 0, count
     for start in windows:
         rows += [(done, start, True, False)] if start > done else []
-        for turn in range(TURNS):
-            rows.append((shadow, shadow + 1, False, turn % 2 == 1))
-            shadow += 1
         done = start
-    rows.append((done, count, True, False))
+        for name in names:
+            if names == WHOLE and name == COARSE_ON:
+                done = start + 1
+                rows.append((start, done, True, False))
+            rows.append((shadow, shadow + 1, False, name in (COARSE_ON, FINE_ON)))
+            shadow += 1
+    rows += [(done, count, True, False)] if done < count else []
     return Parts(*map(np.array, zip(*rows, strict=True)))
 
 
 def window_starts(count: int) -> list[int]:
     """The saving intervals, of `count`, at whose start a window begins."""
-    number = max(1, min(MOST, int(SHARE * count / TURNS)))
+    number = max(1, min(MOST, int(SHARE * count / len(APART))))
     return sorted({int(count * ((k + 0.5) * GOLDEN % 1.0)) for k in range(number)})
 
 
@@ -142,21 +165,23 @@ def figures(
         return {}
     layout = model.layout
     begin = states[plan.windows]
-    coarse, coarse_on, fine, fine_on = (ends[plan.shadows[:, k]] for k in range(TURNS))
+    fine, fine_on, coarse_on = (ends[plan.shadows(k)] for k in (FINE, FINE_ON, COARSE_ON))
+    own = plan.names == WHOLE
+    coarse = states[plan.windows + 1] if own else ends[plan.shadows(COARSE)]
     speeds = slice(layout.coordinates, layout.memory_start)
     # What makes each speed one in m/s: the longest arm for those of turning.
     arm = longest_arm(model.system)
     scales = arm / speed_scales(model.system, arm)
     usual = _usual_rates(plan, states)
-    met = usual * jnp.sum(_durations(plan, 0))
+    met = usual * jnp.sum(_durations(plan, FINE))
     found = {
         Check.HALVED_MEAN_FORCES: _difference(coarse - begin, fine - begin, met, speeds, scales),
         Check.HALVED_MOTION: _motion(model, plan, states, coarse - fine, scales)[None],
     }
     if not means:
         found[Check.HALVED_FORCES] = _difference(
-            safe_divide(coarse_on - coarse, _durations(plan, 1)),
-            safe_divide(fine_on - fine, _durations(plan, 3)),
+            safe_divide(coarse_on - coarse, _durations(plan, COARSE_ON)),
+            safe_divide(fine_on - fine, _durations(plan, FINE_ON)),
             usual * len(plan.windows),
             speeds,
             scales,
@@ -178,7 +203,7 @@ def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) 
     """
     system, layout = model.system, model.layout
     count = layout.coordinates
-    share = safe_divide(_length(plan, states), jnp.sum(_durations(plan, 0)))
+    share = safe_divide(_lasting(plan, states), jnp.sum(_durations(plan, FINE)))
     total = share * jnp.sum(abs(off), axis=0)
     places = jnp.max(total[:count] * _shares_of_way(model, states), initial=0.0)
     if system.bearings:
@@ -207,14 +232,14 @@ def beside_way(model: Model, states: Float[Array, "time n"]) -> Float[Array, "ti
     return states[:, : model.layout.coordinates] * _shares_of_way(model, states)
 
 
-def _length(plan: Plan, states: Array) -> Scalar:
+def _lasting(plan: Plan, states: Array) -> Scalar:
     """Length of the run [s]."""
     return plan.turns.stop[len(states) - 2] - plan.turns.start[0]
 
 
-def _durations(plan: Plan, turn: int) -> Float[Array, "windows 1"]:
-    """How long one of its four turns takes in each window [s]."""
-    rows = plan.parts.first[plan.shadows[:, turn]]
+def _durations(plan: Plan, turn: str) -> Float[Array, "windows 1"]:
+    """How long the turn of this name takes in each window [s]."""
+    rows = plan.parts.first[plan.shadows(turn)]
     return (plan.turns.stop[rows] - plan.turns.start[rows])[:, None]
 
 
@@ -223,7 +248,7 @@ def _usual_rates(plan: Plan, states: Array) -> Float[Array, " states"]:
     [1/s]: a window that is quiet beside that tells nothing of the run."""
     # XLA sums along a long first axis many times slower than it multiplies by it.
     way = jnp.ones(len(states) - 1) @ abs(states[1:] - states[:-1])
-    return safe_divide(way, _length(plan, states))
+    return safe_divide(way, _lasting(plan, states))
 
 
 def _difference(

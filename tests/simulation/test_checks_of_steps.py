@@ -5,6 +5,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators import Check, Outcome
+from jaxclear.simulation import spot_checks
 
 LINKS = 4
 
@@ -137,3 +138,24 @@ def test_shadows_do_not_touch_the_run():
     assert Outcome(int(few.outcome)) == Outcome.REACHED
     np.testing.assert_array_equal(few.states[:7], fewer.states)
     assert few.accepted_steps == 200
+
+
+@pytest.mark.parametrize(("saves", "extra"), [(501, 3), (51, 4)])
+def test_a_window_that_fills_its_saving_interval_is_gone_through_once_more(saves, extra):
+    """With half the steps; the run's own turn, in its place, stands for the other pass."""
+    plan = spot_checks.plan(np.linspace(0.0, 0.1, saves), 2e-5)
+    parts = plan.parts
+    assert np.sum(~parts.own) == extra * len(plan.windows) and plan.intervals == saves - 1
+    own = [
+        np.arange(*each) for each in zip(parts.first[parts.own], parts.stop[parts.own], strict=True)
+    ]
+    np.testing.assert_array_equal(np.concatenate(own), np.arange(saves - 1))
+    fine, on = plan.shadows(spot_checks.FINE), plan.shadows(spot_checks.COARSE_ON)
+    start, stop = (np.asarray(each) for each in plan.turns[:2])
+    begun = np.linspace(0.0, 0.1, saves)[plan.windows]
+    np.testing.assert_array_equal(start[parts.first[fine]], begun)
+    np.testing.assert_array_equal(stop[parts.first[fine]], start[parts.first[on]])
+    assert np.all(parts.goes_on[on]) and not np.any(parts.goes_on[fine])
+    if extra == 3:
+        np.testing.assert_array_equal(stop[plan.windows], start[parts.first[on]])
+        np.testing.assert_array_equal(parts.first[on - 1], plan.windows)
