@@ -44,6 +44,12 @@ def pendulum(**changes):
     return jc.Scene(rig, **(stated | changes))
 
 
+def standing():
+    """Where the rod stands when it is turned."""
+    places = {"duration": None, "save": None, "integrator": None, "variables": {}, "responses": {}}
+    return pendulum(**places, positions={"pin": [0.0, 0.5, 1.0]})
+
+
 @pytest.fixture
 def here(tmp_path, monkeypatch, keep_settings):
     """A folder of its own to work in, with a scene."""
@@ -59,6 +65,12 @@ MISTAKES = {
     "no scene in it": (["run", "empty.yaml"], "empty.yaml: .*jaxclear_scene: 1"),
     "nothing that varies": (["monte-carlo", "fixed.yaml"], "this scene states no variables"),
     "no duration": (["run", "endless.yaml"], "this scene states no duration"),
+    "no such joint": (["run", "other.yaml"], 'no joint "pni" in this .*; there is "pin". Did you'),
+    "a unit": (["run", "unit.yaml"], "clearance: is '0.2 mm'; it must be one number .m.."),
+    "positions and a duration": (
+        ["run", "positions.yaml", "--duration", "1"],
+        'given positions and "duration"',
+    ),
     "half a sample": (["monte-carlo", "scene.yaml", "--samples", "1.5"], "whole number of at le"),
     "no store": (["report", "nowhere"], "nowhere is not there; it must be a folder"),
     "an empty folder": (["report", "."], "holds neither a campaign nor figures or tables"),
@@ -70,11 +82,30 @@ MISTAKES = {
 }
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error:Attempting to set identical")
+def test_positions_are_kept_and_reported(here, capsys):
+    """The rod's centre of mass, 0.1 m away, and the journal that gravity presses downwards."""
+    jc.write_scene(standing(), "standing.yaml")
+    main(["run", "standing.yaml"])
+    assert "stands at 3 positions" in capsys.readouterr().out
+    table = pandas.read_csv("standing_run/positions.csv")
+    np.testing.assert_allclose(table["rod.com x [m]"], 0.1 * np.cos([0, 0.5, 1]), atol=1e-9)
+    np.testing.assert_allclose(table["pin.offset y [m]"], -0.2e-3, rtol=1e-9)
+    main(["report", "standing_run"])
+    page = (here / "standing_run" / "report.html").read_text()
+    assert "Positions of standing.yaml" in page and "pin.offset" in page
+
+
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_with_a_file_ends_in_a_sentence(mistake, here, capsys):
     (here / "empty.yaml").write_text("mechanism: {}\n")
     jc.write_scene(pendulum(variables={}), here / "fixed.yaml")
     jc.write_scene(pendulum(duration=None), here / "endless.yaml")
+    text = (here / "scene.yaml").read_text()
+    (here / "other.yaml").write_text(text.replace("joint: pin", "joint: pni"))
+    (here / "unit.yaml").write_text(text.replace("clearance: 0.0002", "clearance: 0.2 mm"))
+    jc.write_scene(standing(), here / "positions.yaml")
     given, sentence = MISTAKES[mistake]
     with pytest.raises(SystemExit) as ended:
         main(given)

@@ -77,7 +77,7 @@ def friction_table(runs: dict[str, Any]) -> pandas.DataFrame:
         slip = BEARING_RADIUS * np.abs(np.asarray(found.speed("J1"))[:, 0])
         share = np.mean(slip[1:] < STUCK)
         row = {"friction": label, "share of time stuck [1]": share}
-        row["largest slip while Coulomb sticks [m/s]"] = slip[held].max(initial=0.0)
+        row["largest slip while Coulomb sticks [m/s]"] = np.max(slip[held], initial=0.0)
         row["median [m/s]"] = np.median(slip[held]) if held.any() else np.nan
         rows.append(row)
     return pandas.DataFrame(rows)

@@ -89,7 +89,7 @@ def run_table(runs: dict[float, Any]) -> pandas.DataFrame:
             "radial clearance [mm]": 1e3 * clearance,
             "joint": "spatial" if clearance else "ideal",
             "follower error rms [um]": 1e6 * np.sqrt((away**2).mean()),
-            "largest [um]": 1e6 * away.max(),
+            "largest [um]": 1e6 * np.max(away),
             "angular velocity deviation rms [rad/s]": np.sqrt((spin**2).mean()),
         }
         if clearance:
@@ -102,8 +102,8 @@ def _load_and_wear(run: Any) -> dict[str, float]:
     depth = np.asarray(run.worn["B"]["bearing"])
     return {
         "mean normal force [N]": float(jc.response.MeanContactForce("B")(run)),
-        "peak worn depth [um]": 1e6 * depth.max(),
-        "share of wear in the two end rows [1]": depth[:, [0, -1]].sum() / depth.sum(),
+        "peak worn depth [um]": 1e6 * float(np.max(depth)),
+        "share of wear in the two end rows [1]": float(np.sum(depth[:, [0, -1]]) / np.sum(depth)),
     }
 
 

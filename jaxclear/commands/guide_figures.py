@@ -124,7 +124,7 @@ def reactions(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
         axis.plot(angle, own, color="C0", lw=1.4, label="permanent contact, Coulomb")
         axis.set_ylabel(f"{name} [N]")
         # Peaks of impacts would hide everything else.
-        axis.set_ylim(0, 1.3 * own.max())
+        axis.set_ylim(0, 1.3 * np.max(own))
         apart = np.abs(np.interp(run.time, compliant.time, other) - own)
         axes[2].plot(angle, apart + 1e-3, lw=0.8, label=name)
     axes[2].set_yscale("log")

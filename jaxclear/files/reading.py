@@ -2,6 +2,7 @@
 place, with what would be right; what a class itself refuses is said with its own sentence.
 """
 
+import re
 from collections.abc import Mapping
 from functools import singledispatch
 from pathlib import Path
@@ -42,6 +43,7 @@ from jaxclear.ground.wording import listed, unknown
 __all__ = ["read"]
 
 KIND = "kind"
+AS_A_NUMBER = re.compile(r"[+-]?\.?\d")
 # What a class may refuse its arguments with.
 REFUSALS = (ValueError, TypeError, OverflowError, ArithmeticError, KeyError, AttributeError)
 
@@ -141,7 +143,9 @@ def _(form: ByName, node: Node, path: str, folder: Path) -> Any:
 @read.register
 def _(form: Choice, node: Node, path: str, folder: Path) -> Any:
     for one in form.forms:
-        if _looks_like(one, node):
+        # A number with its unit behind it is a text, and meant as a number.
+        written = isinstance(node.value, str) and AS_A_NUMBER.match(node.value)
+        if (written and isinstance(one, (Number, Numbers))) or _looks_like(one, node):
             return read(one, node, path, folder)
     return read(form.forms[0], node, path, folder)
 

@@ -155,6 +155,8 @@ def _scene_of(node: Node, folder: Path) -> Scene:
         found["correlation"] = _correlation(values["correlation"], folder)
     for name, variable in found.get("variables", {}).items():
         _check_variable(variable, found["mechanism"], values["variables"].value[name], name)
+    for name, response in found.get("responses", {}).items():
+        _check_response(response, found["mechanism"], values["responses"].value[name], name)
     for word in (HEAD, "$schema", "written_by"):
         found.pop(word, None)
     try:
@@ -192,6 +194,16 @@ def _check_variable(variable: Any, mechanism: Mechanism, node: Node, name: str) 
         variable.check(name, mechanism)
     except ValueError as error:
         raise misread(node, path, str(error)) from None
+
+
+def _check_response(response: Any, mechanism: Mechanism, node: Node, name: str) -> None:
+    """That a response asks about a joint and a body that there are."""
+    parts = {"joint": mechanism.connections, "body": mechanism.bodies}
+    for what, known in parts.items():
+        own = getattr(response, what, None)
+        if isinstance(own, str) and own not in known:
+            sentence = unknown(what, own, known, " in this mechanism")
+            raise misread(node, f'responses["{name}"]', sentence)
 
 
 def _values_of(scene: Scene) -> dict[str, Any]:

@@ -154,7 +154,7 @@ def _inner(shape: tuple[int, ...], axis: int) -> Bool[np.ndarray, "i j k"]:
     """Which points lie between both ends of an axis."""
     place = np.arange(shape[axis])
     along = (place > 0) & (place < shape[axis] - 1)
-    return np.broadcast_to(np.expand_dims(along, [a for a in range(3) if a != axis]), shape)
+    return np.broadcast_to(np.expand_dims(along, tuple(a for a in range(3) if a != axis)), shape)
 
 
 def _transfinite(moved, lengths, axes):

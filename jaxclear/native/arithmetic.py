@@ -150,9 +150,32 @@ def _compare(writer, equation, a, b):
     return each(lambda x, y: compare(writer, equation.primitive.name, kind, x, y), a, b)
 
 
+# Of numbers without a sign only the bits are known here, kept as those of a whole number.
+_BITS = {np.dtype(np.float64): FLOAT, np.dtype(np.int64): WHOLE, np.dtype(np.uint64): WHOLE}
+
+
+@rule("bitcast_convert_type")
+def _bits(writer, equation, a):
+    old, new = equation.invars[0].aval.dtype, np.dtype(equation.params["new_dtype"])
+    if old not in _BITS or new not in _BITS:
+        raise Unsupported(f"the bits of numbers of type {old} as {new}")
+    before, after = _BITS[old], _BITS[new]
+
+    def one(x):
+        if before == after:
+            return x
+        if known(x):
+            plain = np.float64 if before == FLOAT else np.int64
+            return plain(x).view(np.float64 if after == FLOAT else np.int64).item()
+        return writer.put(f"bitcast {writer.wide(before)} {x} to {writer.wide(after)}")
+
+    return each(one, a)
+
+
 @rule("and", "or", "xor")
 def _logic(writer, equation, a, b):
-    kind, name = kinds_of(equation)[0], equation.primitive.name
+    dtype, name = equation.invars[0].aval.dtype, equation.primitive.name
+    kind = WHOLE if dtype == np.uint64 else kinds_of(equation)[0]
 
     def one(x, y):
         if known(x, y):

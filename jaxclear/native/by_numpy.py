@@ -113,6 +113,7 @@ def _least(a: Any) -> Any:
 WITH_PARAMETERS: dict[str, Callable] = {
     "integer_pow": lambda p: lambda a: np.asarray(a) ** float(p["y"]),
     "convert_element_type": lambda p: lambda a: np.asarray(a).astype(p["new_dtype"]),
+    "bitcast_convert_type": lambda p: lambda a: np.asarray(a).view(p["new_dtype"]),
     "squeeze": lambda p: lambda a: np.squeeze(a, p["dimensions"]),
     "reshape": lambda p: lambda a: np.reshape(a, p["new_sizes"]),
     "stack": lambda p: lambda *a: np.stack(a, p["axis"]),

@@ -53,6 +53,8 @@ def write(writer: Writer, jaxpr: Jaxpr, constants: Any, arguments: Any) -> list:
 
     def get(atom):
         if isinstance(atom, Literal):
+            if atom.aval.dtype == np.uint64 and np.ndim(atom.val) == 0:
+                return array_of(int(np.asarray(atom.val, np.uint64).view(np.int64)), ())
             kind_of(atom.aval.dtype)
             return (
                 array_of(number_of(atom.val), ())

@@ -98,6 +98,12 @@ def positions(found: Positions, *, ax: Any = None) -> Any:
     factor, unit = readable(every, "m")
     for name, offset in seats.items():
         right.plot(factor * offset[:, 0], factor * offset[:, 1], "o", ms=3, label=name)
+    if len(every):
+        # Journals that all lie in one place, too, have room around them.
+        low, high = factor * every.min(axis=0), factor * every.max(axis=0)
+        half = 0.55 * float((high - low)[:2].max()) or 1.0
+        right.set_xlim(0.5 * (low + high)[0] - half, 0.5 * (low + high)[0] + half)
+        right.set_ylim(0.5 * (low + high)[1] - half, 0.5 * (low + high)[1] + half)
     right.set_aspect("equal", adjustable="datalim")
     right.set_xlabel(f"x of the journal in its bearing [{unit}]")
     right.set_ylabel(f"y [{unit}]")

@@ -127,7 +127,7 @@ def wear_surface(
     title = f"Worn {surface} of {joint} seen from outside, depth × {factor:.0f}"
     axis.set_title(title + setting(run, joint), fontsize=10)
     axis.set_box_aspect((1, 1, wall.height))
-    column, row = np.unravel_index(depth.argmax(), depth.shape)
+    column, row = map(int, np.unravel_index(int(np.argmax(depth)), depth.shape))
     deepest = np.degrees(float(wear_map.angles()[column]))
     rise = wall.rise(0.5 * (wall.edges[row] + wall.edges[row + 1]))
     axis.view_init(elev=rise, azim=deepest + 25.0)

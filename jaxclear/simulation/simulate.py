@@ -97,7 +97,9 @@ def check_duration(duration: Any) -> Any:
 
 
 def _check_compiling() -> None:
-    if jax.config.jax_disable_jit:  # type: ignore[attr-defined]
+    # Not every version of JAX names its settings to type checkers.
+    settings: Any = jax.config
+    if settings.jax_disable_jit:
         raise ValueError(
             "simulate compiles its loop, and jax.disable_jit is on; look into a law or a joint by "
             "calling it alone."

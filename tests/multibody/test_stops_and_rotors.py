@@ -82,6 +82,7 @@ def test_a_stop_pushes_and_never_pulls(beyond):
     assert stop.force(0.0, 1.0 - beyond, 10.0)[0] == 0
 
 
+@pytest.mark.slow
 def test_a_mass_slides_to_rest_by_dry_friction_at_a_constant_rate():
     friction = jc.load.JointFriction("slide", 5.0, 1e-3)
     run = jc.simulate(slide(friction), 0.5, save=51, integrator=STEP)
@@ -139,6 +140,7 @@ def test_a_drive_takes_the_place_of_what_acts_on_the_coordinate():
     assert not driven.guess.keys() & {"elbow"}
 
 
+@pytest.mark.slow
 def test_positions_are_told_whatever_acts_on_a_joint_that_is_held():
     loads = (jc.load.JointSpring("elbow", 3.0), jc.load.RotorInertia("shoulder", 0.1))
     found = jc.positions(arm(*loads), {"shoulder": [0.0, 0.5], "elbow": [0.1, 0.2]})

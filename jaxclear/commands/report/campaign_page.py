@@ -125,7 +125,7 @@ def _variables(found: Any) -> Section:
         row = {"variable": name, "unit": problem.variable_units[i], "nominal": nominal[i]}
         if len(own):
             row |= {"mean": own.mean(), "standard deviation": own.std()}
-            row |= {"smallest": own.min(), "largest": own.max()}
+            row |= {"smallest": np.min(own), "largest": np.max(own)}
         rows.append(row)
     return Section("What varied", [table(pandas.DataFrame(rows), digits=7)])
 

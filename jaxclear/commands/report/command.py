@@ -22,4 +22,4 @@ def report(store: Path, to: Path | None = None) -> None:
         )
     path = store / PAGE if to is None else to
     page.write(path)
-    click.echo(f"{path.resolve()} ({path.stat().st_size / 1e6:.1f} MB)")
+    click.echo(f"{path.resolve()} ({path.stat().st_size / 1e3:.0f} kB)")

@@ -142,7 +142,7 @@ def _samples(inputs: Inputs, sets: list[frozenset[int]], group: np.ndarray, seed
     last one, which shares all, and is drawn anew in the others, given these."""
     count = len(inputs.names)
     shares = [
-        scrambled_shares(size, 2 * count, np.random.default_rng((seed, i)))
+        scrambled_shares(int(size), 2 * count, np.random.default_rng((seed, i)))
         for i, size in enumerate(np.bincount(group))
     ]
     normal = normal_scores(np.concatenate(shares))

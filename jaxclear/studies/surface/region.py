@@ -10,6 +10,7 @@ from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.surface.drawing import all_values, scrambled_normal
 
+NUMBER = (int, float, np.integer, np.floating)
 # So many times the spread of the variables, or ranges by name.
 Region = float | Mapping[str, tuple[float, float]]
 
@@ -34,7 +35,11 @@ def check_region(problem: AbstractProblem, over: Any) -> None:
     for name, own in over.items():
         check_known("variable", name, problem.names, " in this problem")
         pair = isinstance(own, (tuple, list)) and len(own) == 2
-        if not pair or not all(np.isscalar(x) and np.isfinite(x) for x in own) or own[0] >= own[1]:
+        if (
+            not pair
+            or not all(isinstance(x, NUMBER) and np.isfinite(x) for x in own)
+            or own[0] >= own[1]
+        ):
             raise ValueError(
                 f'over["{name}"] of surface is {own!r}; it must be two finite numbers, low and '
                 "high."
