@@ -13,6 +13,7 @@ from scipy.stats import norm
 
 import jaxclear as jc
 from jaxclear.studies.design.catalogue import standard_width
+from tests.rigs import positioned_four_bar
 
 NAMES = ("a", "b", "c", "d")
 NOMINAL = np.array([0.02, 0.03, 0.045, 0.0055])
@@ -112,6 +113,17 @@ def test_optax_finds_what_slsqp_finds():
     found = jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE, settings=settings)
     np.testing.assert_allclose(found.cost, optimum(3)[1], rtol=1e-4)
     np.testing.assert_allclose(found.prices, [optimum(3)[2]], rtol=1e-2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("crank", positioned_four_bar.CRANKS)
+def test_a_mechanism_at_a_position_meets_its_closed_form(crank):
+    """Slopes through assembly and seats are exact, so no surface is in between."""
+    best, found = positioned_four_bar.optimum(crank), positioned_four_bar.designed(crank)
+    assert found.holds and np.isnan(found.history()["least R2"]).all()
+    np.testing.assert_allclose(found.cost, best.cost, rtol=1e-4)
+    np.testing.assert_allclose(found.prices, [best.price], rtol=1e-2)
+    np.testing.assert_allclose(list(found.tolerances.values()), best.tolerances, rtol=1e-3)
 
 
 @pytest.mark.slow
