@@ -223,3 +223,78 @@ def test_differences_of_a_quantile_tell_their_error():
     away = np.array([estimate.value for estimate in found])
     half = np.array([estimate.error for estimate in found])
     assert np.mean(abs(away) <= half) > 0.85
+
+
+ROUGH = jc.FunctionProblem(
+    lambda x: x + 0.3 * jnp.sin(3000.0 * x), {"x": jc.Dimension(1.0, D.Normal(0.1))}
+)
+
+
+@pytest.fixture(scope="module")
+def rough():
+    return [jc.sensitivity(ROUGH, seed=10 * seed).derivatives["response", "x"] for seed in range(8)]
+
+
+def test_a_confirmation_costs_half_of_what_it_confirms(rough):
+    """Single differences of a rough response say little, and the regression is much more certain;
+    the first 32 of them are enough to show that nothing is wrong with it."""
+    found = [answer.estimates for answer in rough]
+    assert [own["differences"].runs for own in found].count(128) >= 7
+    assert all(own["regression"].runs == 256 for own in found)
+    assert all(answer.value == answer.estimates["regression"].value for answer in rough)
+    # Of a cubic through so many samples the part that is known is exact.
+    assert sum(abs(answer.value - 1.0) <= answer.error for answer in rough) >= 7
+
+
+@pytest.mark.slow
+def test_verdicts_of_whole_studies_are_right():
+    """In 38 of 40 at least: the derivative of the mean of a sine this fast is that of its slope."""
+    answers = [
+        jc.sensitivity(ROUGH, seed=5000 + 10 * seed).derivatives["response", "x"]
+        for seed in range(40)
+    ]
+    assert sum(answer.trustworthy for answer in answers) >= 38
+    assert sum(abs(answer.value - 1.0) <= answer.error for answer in answers) >= 35
+
+
+def test_differences_go_on_where_they_are_the_more_certain():
+    """Half of the variance is of a variable whose waves no polynomial takes up; what x does is
+    straight, and every single difference shows it."""
+    waves = jc.FunctionProblem(
+        lambda x, y: x + 0.2 * jnp.sin(50 * y),
+        {n: jc.Dimension(1.0, D.Normal(0.1)) for n in "xy"},
+    )
+    found = jc.sensitivity(waves, "x").derivatives["response", "x"]
+    assert found.estimates["differences"].runs == 512 and found.method == "differences"
+    assert found.trustworthy and found.value == pytest.approx(1.0, abs=1e-9)
+
+
+def test_agreement_that_says_little_is_told():
+    estimates = {
+        "regression": from_parts(np.linspace(0.5, 1.5, 16)),
+        "differences": from_parts(np.linspace(-3.0, 5.0, 16)),
+    }
+    found = confirmed("r", "v", estimates)
+    assert found.trustworthy and found.value == pytest.approx(1.0)
+    told = f"Agreement is within ±{estimates['differences'].error:.2g} only."
+    assert told in found.verdict and estimates["differences"].error > 1.0
+
+
+@pytest.mark.slow
+def test_differences_of_a_quantile_that_few_samples_decide_say_so():
+    """1.3 of 128 samples lie beyond: 87 to 91 % of intervals held."""
+    numbers = {name: jc.Dimension(0.0, D.Normal(1.0)) for name in "ab"}
+    problem = jc.FunctionProblem(lambda a, b: jnp.exp(0.5 * a) + 0.6 * b, numbers)
+    direction = directions(problem, ["a"])[0]
+    one = Functional("response", "quantile", 0.99)
+    many = stats.norm.ppf(stats.qmc.Sobol(2, rng=0).random(1 << 18))
+    ends = [
+        np.quantile(np.exp(0.5 * (many[:, 0] + h)) + 0.6 * many[:, 1], 0.99) for h in (-0.1, 0.1)
+    ]
+    exact, held = (ends[1] - ends[0]) / 0.2, 0
+    for seed in range(80):
+        values = draw(problem, 128, 300 + seed, scramblings=16)
+        runs = moved(problem, (values, groups(128, 16)), direction)
+        found = differences(problem, runs, direction, [one])[one.label]
+        held += abs(found.value - exact) <= found.error
+    assert held >= 75

@@ -21,6 +21,8 @@ import scipy
 
 # A 95 % interval leaves half of 5 % on each side.
 CONFIDENCE = 0.95
+# Contributions that differ by less than this share of themselves are one number.
+ROUNDING = 1e-12
 
 
 class Statistic(NamedTuple):
@@ -80,7 +82,8 @@ def skewed_half(parts: np.ndarray) -> float:
     count, spread = len(parts), float(parts.std(ddof=1))
     times = student(count)
     half = times * spread / np.sqrt(count)
-    if spread == 0.0 or count < 3:
+    # What differs by rounding only has no shape.
+    if spread <= ROUNDING * abs(float(parts.mean())) or count < 3:
         return half
     skewness = abs(float(scipy.stats.skew(parts, bias=False)))
     return half + skewness * spread * (2 * times**2 + 1) / (6 * count)
