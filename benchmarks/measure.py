@@ -19,11 +19,13 @@ import equinox as eqx
 import jax
 
 
-def arguments(description: str) -> argparse.Namespace:
-    """`--quick` for small sizes, `--json FILE` for the printed figures as JSON."""
+def arguments(description: str, **more: dict[str, Any]) -> argparse.Namespace:
+    """`--quick` for small sizes, `--json FILE` for the printed figures as JSON; `more` by name."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="small sizes, a minute at most")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
+    for name, how in more.items():
+        parser.add_argument(f"--{name}", **how)
     return parser.parse_args()
 
 

@@ -23,6 +23,9 @@ __all__ = ["Evaluation", "Plan", "Program", "Stopped", "planned", "usual_batch"]
 # A campaign has about this many chunks at the most. Samples that are cheap beside a file come in
 # fewer and larger ones.
 MOST_CHUNKS, MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK = 1024, 32, 1 << 14
+# A chunk of runs is a batch, of a large campaign so many batches (files cost where runs are quick),
+# but no more than this part of it.
+BATCHES, OF_CAMPAIGN = 4, 64
 # Samples are drawn in blocks of whole chunks, about so many, because a small draw costs as much.
 DRAWN = 1 << 14
 
@@ -78,7 +81,8 @@ def planned(
     if chunk is None:
         # Runs have an idle form; what is evaluated at once has none.
         cheap = problem.idle() is problem
-        chunks, least = (MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK) if cheap else (MOST_CHUNKS, 1)
+        some = min(BATCHES * batch, most // OF_CAMPAIGN)
+        chunks, least = (MOST_CHEAP_CHUNKS, LEAST_CHEAP_CHUNK) if cheap else (MOST_CHUNKS, some)
         chunk = max(-(-most // chunks), least, batch * devices())
     return Plan(*drawn, min(batch, most), -(-chunk // batch) * batch)
 

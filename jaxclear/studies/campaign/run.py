@@ -38,7 +38,7 @@ def computed(by: AbstractWork, wanted: Wanted, folder: Any, shown: bool) -> Camp
     run = _Run(by, _begun(by, wanted, folder), wanted.most, shown)
     short = ""
     if wanted.accuracy is None:
-        run.grown(wanted.most)
+        run.grow(wanted.most)
     else:
         first = max(wanted.plan.samples, run.kept.plan.samples)
         short = until_accurate(first, wanted.most, wanted.accuracy, run.grown)
@@ -75,12 +75,16 @@ class _Run:
     def __init__(self, by: AbstractWork, kept: Samples, most: int, shown: bool):
         self.by, self.kept, self.most, self.shown = by, kept, most, shown
 
-    def grown(self, samples: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Has so many samples in the folder; all responses (samples,) that are then there, and
-        their scramblings."""
+    def grow(self, samples: int) -> None:
+        """Has so many samples in the folder."""
         while not self._finished(samples):
             # Another process was faster to make the campaign larger.
             self.kept = Samples(self.kept.folder)
+
+    def grown(self, samples: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Has so many samples in the folder; all responses (samples,) that are then there, and
+        their scramblings."""
+        self.grow(samples)
         names, plan = self.by.problem.response_names, self.kept.plan
         rows = self.kept.read(RESPONSES, slice(0, plan.samples))
         return {name: rows[:, i] for i, name in enumerate(names)}, plan.groups()
