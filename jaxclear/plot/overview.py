@@ -101,7 +101,7 @@ def positions(found: Positions, *, ax: Any = None) -> Any:
     if len(every):
         # Journals that all lie in one place, too, have room around them.
         low, high = factor * every.min(axis=0), factor * every.max(axis=0)
-        half = 0.55 * float((high - low)[:2].max()) or 1.0
+        half = max(0.55 * (high - low)[:2].max(), 1e-3 * np.abs(factor * every).max()) or 1.0
         right.set_xlim(0.5 * (low + high)[0] - half, 0.5 * (low + high)[0] + half)
         right.set_ylim(0.5 * (low + high)[1] - half, 0.5 * (low + high)[1] + half)
     right.set_aspect("equal", adjustable="datalim")

@@ -99,7 +99,8 @@ def test_derivatives_pass_through_a_damped_stop():
 
     @jax.jit
     def end(speed):
-        run = jc.simulate(slide(stop, speed=speed), 0.12, save=3, integrator=STEP)
+        rig = slide(stop, speed=speed)
+        run = jc.simulate(rig, 0.12, save=3, integrator=STEP, throw=False)
         return run.coordinate("slide")[-1, 0]
 
     near = 1e-4
