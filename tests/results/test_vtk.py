@@ -8,6 +8,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.components.wear_map import CylinderMap
+from jaxclear.results.solids import parts
 from jaxclear.results.solids.walls import wall
 
 
@@ -64,3 +65,20 @@ def test_a_file_is_no_folder(run, tmp_path):
     (tmp_path / "taken").write_text("")
     with pytest.raises(ValueError, match="is a file; give a folder"):
         run.to_vtk(tmp_path / "taken")
+
+
+def test_a_body_that_only_joins_others_is_seen_by_its_joints():
+    """One of 1e-12 of the others' mass, as between two hinges of one part."""
+    arm = jc.Body(1.0, (0.1, 0.2, 0.2))
+    between = jc.Body(1e-12, (1e-12, 1e-12, 1e-12))
+    rig = jc.Mechanism(
+        {"between": between, "arm": arm},
+        {
+            "yaw": jc.Connection(jc.joint.Revolute(), "ground", "between"),
+            "pitch": jc.Connection(jc.joint.Revolute(), "between", "arm", axis="y"),
+        },
+    )
+    run = jc.simulate(rig, 0.01, save=2, integrator=jc.integrator.FixedStep(1e-2))
+    solids = parts.parts(run, {}, 1.0)
+    assert 0 < np.ptp(solids["between"].points, axis=0).max() < 0.2
+    assert np.ptp(solids["arm"].points, axis=0).max() > 0.3

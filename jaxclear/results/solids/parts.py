@@ -22,6 +22,8 @@ __all__ = ["checked_meshes", "parts", "size_of"]
 # Radius of a pin or ball without a size of its own, and how much wider what is around it is; shares
 # of the mechanism's size.
 PIN, AROUND_IT, LONG = 0.016, 1.35, 0.06
+# A body of less than this share of the heaviest one's mass has no size of its own.
+NO_MASS = 1e-9
 
 
 def size_of(run: Any) -> float:
@@ -51,8 +53,12 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, T
                 continue
             ends[marker.body].append(place)
             found[marker.body].append(part.moved(rotation, place))
+    heaviest = max(float(body.mass) for body in run.mechanism.bodies.values())
     for name, body in run.mechanism.bodies.items():
         solid = meshes.get(name)
+        if solid is None and float(body.mass) < NO_MASS * heaviest:
+            # Only there to join others, such as one between two hinges: its joints are seen.
+            continue
         joints = np.array(ends[name]).reshape(-1, 3)
         found[name].append(shapes.of_body(body, joints, size) if solid is None else solid)
     if GROUND in meshes:
