@@ -67,6 +67,7 @@ def test_a_file_is_no_folder(run, tmp_path):
         run.to_vtk(tmp_path / "taken")
 
 
+@pytest.mark.slow
 def test_a_body_that_only_joins_others_is_seen_by_its_joints():
     """One of 1e-12 of the others' mass, as between two hinges of one part."""
     arm = jc.Body(1.0, (0.1, 0.2, 0.2))
