@@ -139,6 +139,22 @@ def test_steps_in_contact_are_accused_unless_steps_that_resolve_it_change_nothin
     assert Check.CONTACT_STEP in looked(rising(run, finer, factor)).checks.figures
 
 
+@pytest.mark.parametrize(("deeper", "dropped"), [(1.005, True), (1.02, False)])
+def test_impacts_are_right_only_where_their_peaks_are(pushed, deeper, dropped):
+    """A run whose places agree, and whose deepest indentations are so many times as deep."""
+    run = pushed(5e-6)
+    figures = run.checks.figures
+    known, depth = figures[Check.IMPACT_STEP], figures[Check.INDENTATION]
+    steep = dataclasses.replace(known, worst=np.full(known.worst.shape, 0.5))
+    other = dataclasses.replace(depth, worst=deeper * depth.worst)
+    looked = second_look.looked_at_again(
+        dataclasses.replace(run, checks=Checks(figures | {Check.IMPACT_STEP: steep})),
+        jc.integrator.FixedStep(5e-6),
+        lambda _: dataclasses.replace(run, checks=Checks(figures | {Check.INDENTATION: other})),
+    )
+    assert (Check.IMPACT_STEP not in looked.checks.figures) == dropped
+
+
 @pytest.mark.slow
 def test_mean_forces_that_hang_on_the_step_are_said():
     """A slider thrown between the walls of its guide: its impacts fall within steps that saving
