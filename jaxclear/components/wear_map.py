@@ -11,6 +11,7 @@ import math
 from abc import abstractmethod
 
 import equinox as eqx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -187,7 +188,11 @@ class CylinderMap(AbstractWearMap):
                 gained = jax.lax.dynamic_update_slice_in_dim(gained, there + own, start, 0)
             return depth + gained[:around].at[:width].add(gained[around:])
 
-        return jax.lax.cond(jnp.all(fits), narrow, wide)
+        # A choice of its own for each sample of a batch would be both branches: the wide one, which
+        # costs several times as much, is entered where a sample needs it.
+        fit = jnp.all(fits)
+        rare = lambda: jnp.where(fit, narrow(), wide())
+        return jax.lax.cond(eqxi.unvmap_all(fit), narrow, rare)
 
     def _lost(self, columns, depth, volume, features):
         """(what each cell of these columns loses in an event [m], whether no other column is

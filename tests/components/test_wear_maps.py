@@ -96,6 +96,28 @@ def test_deposit_has_finite_derivatives(wear_map, events):
         assert all(np.all(np.isfinite(slope)) for slope in slopes)
 
 
+def test_a_batch_enters_the_wide_deposit_where_a_sample_needs_it():
+    """A wide contact reaches all cells, at several times the cost: a branch of its own also in a
+    batch, and each sample gets what it gets alone."""
+    worn = CylinderMap((48, 3), 10e-3, 20e-3, CLEARANCE)
+    narrow, wide = ((0.6, 0.8, 0.0, one_over, 0.0) for one_over in (22.0, 0.9))
+    deposit = lambda event: worn.deposit(jnp.zeros(worn.cells), jnp.full(1, 1e-13), event[None])
+    batch = jax.vmap(deposit)
+    cond = [
+        each
+        for each in jax.make_jaxpr(batch)(jnp.array([narrow, wide])).eqns
+        if each.primitive.name == "cond"
+    ]
+    assert [each.invars[0].aval.shape for each in cond] == [()]
+    for events in ((narrow, narrow), (narrow, wide)):
+        found = jax.jit(batch)(jnp.array(events))
+        alone = [jax.jit(deposit)(jnp.array(event)) for event in events]
+        # The narrow one's loss ends within 0.6 rad, the wide one's does not.
+        np.testing.assert_allclose(found, alone, rtol=1e-12, atol=1e-24)
+    reached = np.sum(np.any(found > 0, axis=2), axis=1)
+    assert reached[0] <= 11 < reached[1]
+
+
 def test_deposit_derivative_is_the_change():
     event, step = jnp.array([[0.6, 0.7, 5e-5, 22.0, -1.0]]), 1e-7
 
