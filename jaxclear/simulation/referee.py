@@ -50,7 +50,7 @@ def refereed(
     rebound = kept.pop(Check.REBOUND_STEP, None)
     seen, rubbed, inside = _of_saved_states(looks, steps, kept.get(Check.INDENTATION))
     if inside is None:
-        inside = beside_way(model, history.states)[looks.rows]
+        inside = beside_way(model, history.states, history.time)[looks.rows]
     trajectory = dataclasses.replace(trajectory, places=jax.lax.stop_gradient(inside))
     of_run = {check: each[None] for check, each in (windows | rubbed).items()}
     if rebound is not None:

@@ -24,7 +24,7 @@ from jaxclear.ground.quantity import Scalar
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.given import speed_scales
-from jaxclear.multibody.reach import narrowest_gap, reaches, turning
+from jaxclear.multibody.reach import driven_ways, narrowest_gap, reaches, turning
 from jaxclear.multibody.system import longest_arm
 
 # Share of a run's steps that windows take; in a window steps are taken 1 + 2 times.
@@ -205,7 +205,8 @@ def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) 
     count = layout.coordinates
     share = safe_divide(_lasting(plan, states), jnp.sum(_durations(plan, FINE)))
     total = share * jnp.sum(abs(off), axis=0)
-    places = jnp.max(total[:count] * _shares_of_way(model, states), initial=0.0)
+    times = plan.turns.start[: len(states) - 1]
+    places = jnp.max(total[:count] * _shares_of_way(model, states, times), initial=0.0)
     if system.bearings:
         return places
     speeds = slice(count, layout.memory_start)
@@ -215,8 +216,9 @@ def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) 
     return jnp.maximum(places, faster)
 
 
-def _shares_of_way(model: Model, states: Array) -> Float[Array, " coordinates"]:
-    """What a unit of each coordinate is beside the longest way of one."""
+def _shares_of_way(model: Model, states: Array, times: Array) -> Float[Array, " coordinates"]:
+    """What a unit of each coordinate is beside the longest way of one, or a tenth of that on which
+    drives lead: a joint that a spring holds still while its arm is swung goes nowhere by itself."""
     system, count = model.system, model.layout.coordinates
     reach = reaches(system, longest_arm(system))
     way = jnp.max(abs(states[:, :count] - states[0, :count]), axis=0)
@@ -224,12 +226,17 @@ def _shares_of_way(model: Model, states: Array) -> Float[Array, " coordinates"]:
     longest = jnp.max(turned * reach, initial=0.0)
     if system.bearings:
         longest = jnp.maximum(longest, GAPS * narrowest_gap(system))
+    for way, turns in driven_ways(system, times):
+        led = jnp.minimum(way, ACROSS) * longest_arm(system) if turns else way
+        longest = jnp.maximum(longest, LEAST * led)
     return safe_divide(reach, longest)
 
 
-def beside_way(model: Model, states: Float[Array, "time n"]) -> Float[Array, "time coordinates"]:
+def beside_way(
+    model: Model, states: Float[Array, "time n"], times: Float[Array, " time"]
+) -> Float[Array, "time coordinates"]:
     """The coordinates beside the longest way of one."""
-    return states[:, : model.layout.coordinates] * _shares_of_way(model, states)
+    return states[:, : model.layout.coordinates] * _shares_of_way(model, states, times)
 
 
 def _lasting(plan: Plan, states: Array) -> Scalar:

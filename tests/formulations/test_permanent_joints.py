@@ -186,3 +186,44 @@ def test_the_four_bar_runs_though_its_ball_holds_what_a_journal_holds_too():
     wanted = np.asarray(ideal.reaction("B").force)
     found = np.asarray(fitted.reaction("B").force)
     np.testing.assert_allclose(found[5:], wanted[5:], atol=0.01 * np.abs(wanted).max())
+
+
+def held_arm():
+    """An arm that turns about two upright axes: the shoulder swings, a spring holds the elbow,
+    whose collars stop it along its axis."""
+    law = jc.contact.LankaraniNikravesh(stiffness=1e10, restitution=0.5)
+    flange = jc.clearance.Flange(law, radius=14e-3, clearance=0.2e-3)
+    elbow = jc.clearance.JournalBearing(law, clearance=0.1e-3, length=40e-3, flange=flange)
+    swing = jc.drive.Harmonic(amplitude=0.4, frequency=1.0, phase=-np.pi / 2)
+    return jc.Mechanism(
+        {
+            "upper": jc.Body(2.0, (1e-3, 1.5e-2, 1.5e-2), (0.15, 0.0, 0.0)),
+            "fore": jc.Body(1.0, (5e-4, 7.5e-3, 7.5e-3), (0.15, 0.0, 0.0)),
+        },
+        {
+            "shoulder": jc.Connection(jc.joint.Revolute(drive=swing), "ground", "upper"),
+            "elbow": jc.Connection(elbow, jc.Marker("upper", (0.3, 0.0, 0.0)), "fore"),
+        },
+        {
+            "gravity": jc.load.Gravity((0.0, 0.0, -9.81)),
+            "servo": jc.load.JointSpring("elbow", stiffness=500.0, rest=0.8, damping=1.0),
+        },
+        start={"elbow": 0.8},
+    )
+
+
+def test_an_upright_journal_comes_down_on_its_collar():
+    """By its axial play, less what the rim of the tilted collar takes: c_a - 2 R c / L."""
+    run = jc.simulate(held_arm(), 0.3, save=31, integrator=jc.integrator.NonColliding(5e-4))
+    expected = -(0.2e-3 - 2 * 14e-3 * 0.1e-3 / 40e-3)
+    # the journal's two ends lean on nearly opposite sides, by what swings
+    np.testing.assert_allclose(run.contact("elbow").offset[1:, 2], expected, rtol=5e-3)
+
+
+def test_a_joint_that_a_spring_holds_is_judged_beside_the_way_of_its_arm():
+    """It moves by a thousandth of a radian: a quarter of that is nothing beside the arm's swing."""
+    run = jc.simulate(held_arm(), 0.5, save=251, integrator=jc.integrator.NonColliding())
+    assert not run.warnings
+    finer = jc.simulate(held_arm(), 0.5, save=251, integrator=jc.integrator.NonColliding(1e-4))
+    away = 0.3 * np.asarray(run.body("fore").rotation - finer.body("fore").rotation)[:, :, 0]
+    assert np.abs(away).max() < 1e-5

@@ -11,7 +11,7 @@ from jaxclear.components.clearance.base import AbstractClearance, direction
 from jaxclear.components.clearance.permanent import AbstractPermanentJoint
 from jaxclear.components.clearance.roundness import Lobes, leaned, touched
 from jaxclear.components.joint import Revolute
-from jaxclear.components.joint.rubbing import pressed_end
+from jaxclear.components.joint.rubbing import CarryingEnd, pressed_end
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import Scalar
@@ -122,11 +122,23 @@ class PermanentRevolute(AbstractPermanentJoint):
         found = tuple(
             pressed_end(k, own, height, ratio, *size) for k, (own, height) in enumerate(ends)
         )
-        if self.gap.roundness is None:
+        if self.gap.roundness is not None:
+            leans = [direction(end.offset, 2) for end in found]
+            pairs = zip(found, leans, strict=True)
+            found = tuple(end._replace(offset=self.gap.leaned(lean)) for end, lean in pairs)
+        along = self.gap.axial_seat(force[2], _slope(found))
+        if sp.is_zero(along):
             return found
-        leans = [direction(end.offset, 2) for end in found]
-        pairs = zip(found, leans, strict=True)
-        return tuple(end._replace(offset=self.gap.leaned(lean)) for end, lean in pairs)
+        return tuple(end._replace(offset=(*end.offset[:2], along)) for end in found)
 
     def friction_ratio(self, mu):
         return mu / safe_sqrt(1 + mu * mu)
+
+
+def _slope(ends: tuple[CarryingEnd, ...]) -> tuple:
+    """Slope (dx/dz, dy/dz) of a journal that lies so at its ends."""
+    first, last = ends[0], ends[-1]
+    if len(ends) == 1:
+        return (0, 0)
+    inverse = 1 / sp.sub(last.height, first.height)
+    return tuple(sp.mul(inverse, sp.sub(last.offset[i], first.offset[i])) for i in (0, 1))
