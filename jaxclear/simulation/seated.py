@@ -18,12 +18,13 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.pose import frame_with_axis, quaternion_from_rotation
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import NonColliding
-from jaxclear.multibody.assembly import ready
+from jaxclear.multibody.assembly import ready, ready_from
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import names
 from jaxclear.multibody.system import System, prepare, readings
 from jaxclear.results.saved_state import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.resting import Pressed, resting
 from jaxclear.simulation.simulate import simulate
 from jaxclear.simulation.wear import worn_as_given
 
@@ -42,8 +43,10 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
     (`NonColliding`), as deep as its law carries that reaction, and resting in it.
 
     Loads, drives and inertia forces of the start count; friction leans a journal sideways. Journals
-    without a reaction stay in the middle. `worn`: depths [m] by joint and surface, such as
-    `run.worn`. Give the state to `simulate`, `settled`, `wear_life` or a `Problem`. What `start`
+    without a reaction stay in the middle. Where the loops do not let each journal lie as its own
+    reaction presses it (a spatial linkage whose ends stay in their planes), all rest together where
+    their contacts carry the loads, without friction. `worn`: depths [m] by joint and surface, such
+    as `run.worn`. Give the state to `simulate`, `settled`, `wear_life` or a `Problem`. What `start`
     holds is held. Raises `ValueError` with a sentence for a joint of which it is not known where a
     load presses it.
     """
@@ -68,7 +71,11 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
         **mechanism.given,
         stabilisation=mechanism.stabilisation,
     )
-    known, start = ready(put)
+    try:
+        known, start = ready(put)
+    except ValueError:
+        # The loops do not let every journal lie as its own reaction presses it.
+        known, start = _at_rest_together(first, mechanism, read)
     model = model_of(mechanism, CompliantContact())
     own = names(model.system, model.layout)
     parts = own[: model.layout.memory_start], own[model.layout.remembered]
@@ -94,18 +101,37 @@ def _pressed(
         axis = np.asarray(contact.axis[0])
         load = float(np.sum(contact.normal_force[0]))
         return np.asarray(contact.offset[0]), axis[:2] / axis[2], load
+    force, torque = _reaction(first, mechanism, name)
+    joint = mechanism.connections[name].joint
+    try:
+        offset, slope = joint.seat(tuple(force), tuple(torque))
+    except ValueError as error:
+        raise ValueError(f'joint "{name}" {error}') from None
+    return np.array(offset, float), np.array(slope, float), float(np.linalg.norm(force))
+
+
+def _at_rest_together(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
+    """(mechanism, its start) where all journals rest under the reactions that they have while they
+    touch. Raises `ValueError` where no such place is found."""
+    reactions = {name: _reaction(first, mechanism, name) for name in mechanism.topology.clearances}
+    found = resting(mechanism, reactions, read)
+    if found is None:
+        raise ValueError(
+            "the journals of this mechanism find no rest under their reactions without friction: "
+            "something that loads hold in no direction moves away. Begin with a state of a run."
+        )
+    return ready_from(mechanism, found, ready(mechanism)[1].speeds, 0.0)
+
+
+def _reaction(first: Trajectory, mechanism: Mechanism, name: str) -> Pressed:
+    """Reaction on a journal at the start, in the bearing's axes."""
     connection = mechanism.connections[name]
     body, pose = connection.parent.body, connection.parent.pose()
     turn = np.asarray(sp.dense(pose.rotation), float).reshape(3, 3)
     if body in mechanism.bodies:
         turn = np.asarray(first.body(body).rotation[0]) @ turn
     reaction = first.reaction(name)
-    force, torque = (turn.T @ np.asarray(x[0]) for x in (reaction.force, reaction.torque))
-    try:
-        offset, slope = connection.joint.seat(tuple(force), tuple(torque))
-    except ValueError as error:
-        raise ValueError(f'joint "{name}" {error}') from None
-    return np.array(offset, float), np.array(slope, float), float(np.linalg.norm(force))
+    return Pressed(*(turn.T @ np.asarray(x[0]) for x in (reaction.force, reaction.torque)))
 
 
 def _share(system: System, name: str, seat: tuple, load: float, worn: dict) -> float:

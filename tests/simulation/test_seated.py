@@ -87,3 +87,21 @@ def test_a_mechanism_without_play_is_seated_as_it_starts():
 
 def _ends(rig, name):
     return rig.connections[name].parent, rig.connections[name].child
+
+
+@pytest.mark.slow
+def test_journals_that_their_loops_hold_back_rest_together():
+    """The reaction alone would tilt the journal of the spatial four-bar by twice its play over its
+    length, which the planes of its links do not allow: a collar and both ends share the load."""
+    rig = jc.scenes.four_bar("spatial", wear=False, friction=False)
+    instant = {"save": 2, "integrator": jc.integrator.NonColliding(1e-7)}
+    wanted = np.asarray(jc.simulate(rig, 1e-7, **instant).reaction("B").force[0])
+    fine = jc.integrator.Adaptive(rtol=1e-8, atol=1e-11)
+    run = jc.simulate(rig, 1e-3, save=21, integrator=fine, state=jc.seated(rig))
+    found = np.asarray(run.reaction("B").force)
+    # its speeds are those of the journal in the middle: dampers act a little
+    np.testing.assert_allclose(found[0, :2], wanted[:2], rtol=5e-2)
+    # ends and a collar carry, and go on to
+    forces = np.asarray(run.contact("B").normal_force)
+    assert (forces[0, [0, 1]] > 0).all() and (forces[0, 2:] > 0).any()
+    assert np.linalg.norm(found[:, :2], axis=1).min() > 0.5 * np.linalg.norm(wanted)
