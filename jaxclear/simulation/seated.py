@@ -56,26 +56,8 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
     if not mechanism.topology.clearances:
         return State(surfaces)
     first = simulate(mechanism, FIRST, save=2, integrator=NonColliding(FIRST))
-    system = prepare(mechanism)
-    read = {} if surfaces is None else readings(system, surfaces)
-    connections = dict(mechanism.connections)
-    for name in mechanism.topology.clearances:
-        offset, slope, load = _pressed(first, mechanism, name)
-        share = _share(system, name, (offset, slope), load, read.get(name, {}))
-        moved = _moved(connections[name].parent, share * offset, share * slope)
-        connections[name] = Connection(connections[name].joint, moved, connections[name].child)
-    put = Mechanism(
-        mechanism.bodies,
-        connections,
-        mechanism.loads,
-        **mechanism.given,
-        stabilisation=mechanism.stabilisation,
-    )
-    try:
-        known, start = ready(put)
-    except ValueError:
-        # The loops do not let every journal lie as its own reaction presses it.
-        known, start = _at_rest_together(first, mechanism, read)
+    read = {} if surfaces is None else readings(prepare(mechanism), surfaces)
+    known, start = _put(first, mechanism, read)
     model = model_of(mechanism, CompliantContact())
     own = names(model.system, model.layout)
     parts = own[: model.layout.memory_start], own[model.layout.remembered]
@@ -108,6 +90,30 @@ def _pressed(
     except ValueError as error:
         raise ValueError(f'joint "{name}" {error}') from None
     return np.array(offset, float), np.array(slope, float), float(np.linalg.norm(force))
+
+
+def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
+    """(mechanism, its start) with every journal in its seat."""
+    system = prepare(mechanism)
+    connections = dict(mechanism.connections)
+    for name in mechanism.topology.clearances:
+        offset, slope, load = _pressed(first, mechanism, name)
+        share = _share(system, name, (offset, slope), load, read.get(name, {}))
+        moved = _moved(connections[name].parent, share * offset, share * slope)
+        connections[name] = Connection(connections[name].joint, moved, connections[name].child)
+    put = Mechanism(
+        mechanism.bodies,
+        connections,
+        mechanism.loads,
+        **mechanism.given,
+        stabilisation=mechanism.stabilisation,
+    )
+    try:
+        known, start = ready(put)
+    except ValueError:
+        # The loops do not let every journal lie as its own reaction presses it.
+        known, start = _at_rest_together(first, mechanism, read)
+    return known, start
 
 
 def _at_rest_together(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
