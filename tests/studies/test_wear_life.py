@@ -87,9 +87,9 @@ def test_between_stages_and_until_a_limit(lived):
 
 
 def test_wear_that_hangs_on_the_saving_times_is_told(lived):
-    """Four cells of the wall for a saving interval make waves of a quarter of the depth: told by
-    cycles whose intervals are cells, true of others. Over the life they level; the volume is the
-    same."""
+    """Four cells of the wall for a saving interval make waves of 3 % of the depth (of a quarter
+    where arcs were widened by the contact): told by cycles whose intervals are cells, true of
+    others. Over the life they level; the volume is the same."""
     life, asked = lived.life(), lived.problem
     told, rare = life.by_saves, (SAVES - 1) // 4 + 1
     few = jc.Problem(
@@ -98,7 +98,7 @@ def test_wear_that_hangs_on_the_saving_times_is_told(lived):
     other = jc.wear_life(few, lived.turns)
     mine, waved = (each.stages[0].settled.wear["B"]["bearing"] for each in (life, other))
     off = np.sqrt(np.mean((waved - mine) ** 2)) / np.mean(mine)
-    assert off > 0.1 and told[0] == pytest.approx(off, rel=0.05)
+    assert 0.02 < off < 0.05 and told[0] == pytest.approx(off, rel=0.05)
     assert "a fourth of its saving times" in life.sentence()
     ends = [np.asarray(each.worn()["B"]["bearing"]) for each in (life, other)]
     assert np.sqrt(np.mean((ends[1] - ends[0]) ** 2)) < told.max() * np.mean(ends[0])
