@@ -19,9 +19,9 @@ from jaxclear.ground.quantity import Scalar
 PerContact = Float[Array, " contacts"]
 # The least speed that is remembered [m/s]: 0 says that the contact is apart.
 LEAST_SPEED = 1e-30
-# Steps to a root of a cubic that tells an instant, and to the end of a step that is tried again,
-# which is looked at anew: where the cubic is all but straight two are enough.
-STEPS, FEW_STEPS = 6, 2
+# Steps to a root of a cubic. Where one ends short of it, rounding decides whether a step that ends
+# there is tried again: with four, runs were another at 1e-4 by the order of their arithmetic.
+STEPS = 6
 
 
 class ContactMotion(NamedTuple):
@@ -89,14 +89,14 @@ class Passage(NamedTuple):
     after: ContactMotion
 
 
-def passage(path: tuple, level: Scalar, last: Array, steps: int = STEPS) -> Array:
+def passage(path: tuple, level: Scalar, last: Array) -> Array:
     """The share of the step at which the cubic passes a level between its start and the share
     `last`, on whose other side it is there. Newton's method, halving where he leaves the
     bracket: in flight it is all but straight."""
     low, high = jnp.zeros_like(last), last
     first, there = path[0] - level, cubic(path, last)[0] - level
     share = jnp.clip(last * safe_divide(first, first - there), 0.0, last)
-    for _ in range(steps):
+    for _ in range(STEPS):
         value, slope = cubic(path, share)
         early = (value >= level) == (first >= 0)
         low, high = jnp.where(early, share, low), jnp.where(early, high, share)
@@ -136,7 +136,7 @@ def end_at_passage(
     )
     path = tuple(jnp.where(soon, a, b) for a, b in zip(early, late, strict=True))
     last = jnp.where(soon, summit_early, summit_late)
-    within = passage(path, 0.5 * beyond, last, FEW_STEPS)
+    within = passage(path, 0.5 * beyond, last)
     shares = 0.5 * (within + jnp.where(soon, 0.0, 1.0))
     return jnp.min(jnp.where(soon | then, shares, 1.0), initial=1.0)
 

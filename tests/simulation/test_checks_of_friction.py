@@ -56,7 +56,8 @@ def test_steps_that_resolve_friction_say_nothing_of_it(load):
     for rig, run in ((sliding, explicit), (creeping, implicit)):
         assert off(rig, run) < WRONG
         assert not said(run)
-        assert FRICTION & set(run.checks.figures)
+        # A second look that finds the steps right drops what speaks of them.
+        assert (FRICTION | {Check.MEAN_FORCE}) & set(run.checks.figures)
 
 
 @pytest.mark.slow
