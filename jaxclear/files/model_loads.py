@@ -24,13 +24,15 @@ from jaxclear.components.load import (
     JointStop,
     RotorInertia,
 )
-from jaxclear.files.mujoco_model import has_stop
+from jaxclear.files.mujoco_model import has_stop, off
 
 __all__ = ["loads_of"]
 
 SPHERICAL = 1
 # Of impedances MuJoCo itself takes no less and no more than these (mjMINIMP, mjMAXIMP).
 LEAST, MOST = 1e-4, 0.9999
+# What it takes in place of a `solref` that is neither of its two forms.
+USUAL = 0.02, 1.0
 # A way [rad, m] over which a limit's damping sets in, where the model has it set in at once.
 AT_ONCE = 1e-6
 
@@ -67,6 +69,11 @@ def loads_of(model: Any, joints: list[str]) -> Iterator[tuple[str, AbstractLoad]
 
 def _friction(model: Any, dof: int, name: str) -> JointFriction:
     soft = _soft(model, model.dof_solref[dof], model.dof_solimp[dof])
+    if soft.damping <= 0:
+        raise ValueError(
+            f'solreffriction of joint "{name}" has damping 0; dry friction brings a joint to rest '
+            'by it, so it must not be 0, as in the usual solreffriction="0.02 1".'
+        )
     torque = float(model.dof_frictionloss[dof])
     creep = (1 - soft.first) / (soft.first * soft.damping)
     return JointFriction(name, torque, torque * creep * float(model.dof_invweight0[dof]))
@@ -91,9 +98,12 @@ def _soft(model: Any, solref: np.ndarray, solimp: np.ndarray) -> Soft:
     """What MuJoCo reads from a constraint's `solref` and `solimp`."""
     first, last = (float(np.clip(x, LEAST, MOST)) for x in solimp[:2])
     time, ratio = map(float, solref[:2])
+    if (time > 0) != (ratio > 0):
+        time, ratio = USUAL
     if time > 0:
         # The solver keeps to what its steps resolve, unless told not to.
-        time = max(time, 2 * float(model.opt.timestep))
+        if not off(model, "REFSAFE"):
+            time = max(time, 2 * float(model.opt.timestep))
         stiffness, damping = 1 / (last * time * ratio) ** 2, 2 / (last * time)
     else:
         stiffness, damping = -time / last**2, -ratio / last

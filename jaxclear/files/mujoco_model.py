@@ -1,5 +1,6 @@
 """URDF and MJCF as MuJoCo reads them: its compiler settles defaults, units, frames and inertias.
-Meshes that are not there are left out where bodies state their inertia themselves.
+Meshes that are not there are left out where bodies state their inertia themselves, and so is what
+the file's flags disable.
 """
 
 import importlib.util
@@ -53,7 +54,9 @@ def compiled(path: Any, *, floating: bool, seen: bool = False) -> Compiled:
         spec.compiler.fusestatic = False
         if floating:
             _float(spec)
-        return _compiled(spec, path.name)._replace(warned=tuple(warned))
+        found = _compiled(spec, path.name)
+        _switch_off(found.model)
+        return found._replace(warned=tuple(warned))
     except (ValueError, mujoco.FatalError, UnicodeError, OSError) as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise ValueError(f"MuJoCo cannot read {path.name}: {said}.") from None
@@ -98,6 +101,34 @@ def _compiled(spec: Any, name: str) -> Compiled:
             return Compiled(again.compile(), name, without)
         except ValueError as second:
             raise ValueError(f"{first}; and without meshes: {second}") from None
+
+
+def off(model: Any, what: str) -> bool:
+    """Whether the file's flags disable something, by its name in MuJoCo's `mjtDisableBit`."""
+    import mujoco
+
+    bit = getattr(mujoco.mjtDisableBit, f"mjDSBL_{what}")
+    return bool(int(model.opt.disableflags) & int(bit))
+
+
+def _switch_off(model: Any) -> None:
+    """Takes out of a model what its flags disable, so that nobody reads it."""
+    nothing: list[Any] = []
+    constraints = off(model, "CONSTRAINT")
+    if off(model, "GRAVITY"):
+        nothing += [model.opt.gravity, model.body_gravcomp]
+    if constraints or off(model, "LIMIT"):
+        nothing += [model.jnt_limited]
+    if constraints or off(model, "FRICTIONLOSS"):
+        nothing += [model.dof_frictionloss]
+    if constraints or off(model, "CONTACT"):
+        nothing += [model.geom_contype, model.geom_conaffinity]
+    if off(model, "SPRING"):
+        nothing += [model.jnt_stiffness, model.jnt_stiffnesspoly]
+    if off(model, "DAMPER"):
+        nothing += [model.dof_damping, model.dof_dampingpoly]
+    for values in nothing:
+        values[...] = 0
 
 
 def names_of(model: Any) -> tuple[list[str], list[str]]:

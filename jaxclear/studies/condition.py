@@ -30,6 +30,11 @@ class Heating:
 
     def __init__(self, expansion: float | Mapping[str, float]):
         if isinstance(expansion, Mapping):
+            if not expansion:
+                raise ValueError(
+                    "expansion of a Heating is empty; it must hold the coefficient [1/K] of one "
+                    "body at least, or be one number for all."
+                )
             for name, value in expansion.items():
                 check_number(f'expansion of body "{name}" in a Heating', value, "1/K")
             own: Any = tuple((str(name), float(value)) for name, value in expansion.items())

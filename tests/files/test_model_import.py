@@ -193,7 +193,7 @@ def hinge(tmp_path, attributes):
     return mujoco.MjModel.from_xml_path(str(path)), mechanism.loads
 
 
-@pytest.mark.parametrize("solref", ["0.02 1", "0.05 0.3", "-900 -40"])
+@pytest.mark.parametrize("solref", ["0.02 1", "0.05 0.3", "-900 -40", "-900 40", "0.05 0"])
 def test_a_limit_pushes_a_hinge_as_in_mujoco(solref, tmp_path):
     """Deeper than the width of the impedance's ramp; also where the damper would pull."""
     import mujoco
@@ -210,6 +210,52 @@ def test_a_limit_pushes_a_hinge_as_in_mujoco(solref, tmp_path):
             mujoco.mj_forward(model, data)
             ours = float(loads["hinge limits"].force(0.0, angle, speed)[0]) / inertia
             np.testing.assert_allclose(ours, data.qacc[0], rtol=1e-9, atol=1e-9)
+
+
+FLAGS = [
+    "",
+    "limit",
+    "frictionloss",
+    "constraint",
+    "refsafe",
+    "gravity",
+    "spring",
+    "damper",
+]
+
+
+@pytest.mark.parametrize("flag", FLAGS)
+def test_what_a_flag_disables_acts_no_more_as_in_mujoco(flag, tmp_path):
+    """Beyond a limit shorter than two steps; by the torques of all loads on the coordinate."""
+    import mujoco
+
+    said = f'<flag {flag}="disable"/>' if flag else ""
+    text = HINGE.replace('gravity="0 0 0"', 'gravity="0 0 -10"')
+    text = text.replace('timestep="0.002"', 'timestep="0.01"').replace('"200"/>', f'"200">{said}')
+    text = text.replace(" <worldbody>", "</option> <worldbody>").format(
+        'limited="true" range="-30 40" solreflimit="0.001 1" stiffness="3" damping="0.1" '
+        'frictionloss="0.02"'
+    )
+    (tmp_path / "hinge.xml").write_text(text)
+    model = mujoco.MjModel.from_xml_string(text)
+    loads = dict(jc.read_mjcf(tmp_path / "hinge.xml").loads)
+    pulled = np.array(loads.pop("gravity").acceleration) if "gravity" in loads else np.zeros(3)
+    np.testing.assert_allclose(pulled[2], 0.0 if flag == "gravity" else -10.0)
+    limits = loads.pop("hinge limits", None)
+    assert (limits is None) == (flag in ("limit", "constraint"))
+    assert ("hinge friction" in loads) == (flag not in ("frictionloss", "constraint"))
+    spring = loads.get("hinge spring")
+    assert (spring.stiffness is None) == (flag == "spring")
+    assert (spring.damping is None) == (flag == "damper")
+    if limits is not None:
+        shortest = 0.001 if flag == "refsafe" else 0.02
+        inertia = 1 / float(model.dof_invweight0[0])
+        np.testing.assert_allclose(float(limits.stiffness), inertia / shortest**2)
+
+
+def test_dry_friction_without_damping_is_refused_with_a_sentence(tmp_path):
+    with pytest.raises(ValueError, match='solreffriction of joint "hinge" has damping 0; dry fric'):
+        hinge(tmp_path, 'frictionloss="0.02" solreffriction="-1000 0"')
 
 
 def test_dry_friction_holds_a_hinge_as_in_mujoco(tmp_path):

@@ -153,3 +153,8 @@ def test_a_boom_on_an_oval_bore_tips_most_across_its_wide_side():
     stands = jc.positions(boom(0.0, oval), {"post": [0.0, np.pi / 2]})
     height = np.asarray(stands.marker("boom", (2.0, 0.0, 0.0)))[:, 2]
     np.testing.assert_allclose(height, -2.0 * 2 * np.array([54e-6, 46e-6]) / 0.1, rtol=1e-5)
+
+
+def test_a_heating_of_no_body_is_refused_with_a_sentence():
+    with pytest.raises(ValueError, match="expansion of a Heating is empty; it must hold"):
+        jc.Heating({})
