@@ -16,7 +16,6 @@ import pytest
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.plot.animation.animate import Animation
-from jaxclear.plot.animation.insets import SECTORS, grown
 from jaxclear.plot.animation.pushes import pushes
 from jaxclear.results.relative_motion import relative_motion
 from jaxclear.results.solids import shapes
@@ -105,25 +104,48 @@ def test_arrows_end_where_contacts_are_and_push_the_journal(run):
     assert size[~pressed].max() < 1e-6 < 0.007 < size[pressed].min()
 
 
-def test_wear_grows_where_the_contact_is():
-    """Two places that wear one after the other, and once nothing touches."""
-    volume = np.array([0.0, 1.0, 2.0, 2.0, 3.0, 4.0, 5.0])
-    ways = np.array([[1.0, 0.0]] * 4 + [[-1.0, 0.0]] * 3)
-    touches = np.array([True, True, True, False, True, True, True])
-    share = grown(volume, touches, ways, np.array([0, 2, 4, 6])) / 255.0
-    assert np.all(np.diff(share.astype(float), axis=0) >= 0)
-    assert np.all(share[-1] == 1) and np.all(share[0] == 0)
-    right, left = share[:, 0], share[:, share.shape[1] // 2]
-    np.testing.assert_allclose(right, [0, 1, 1, 1], atol=0.01)
-    np.testing.assert_allclose(left, [0, 0, 1 / 3, 1], atol=0.01)
-
-
-def test_colours_are_told_for_every_frame(page, run):
+def shares(page):
+    """Which share of the end's depth the bearing has at each frame, cell by cell."""
     (view,) = told(page)["joints"][0]["views"]
-    share = np.frombuffer(base64.b64decode(view["grown"]["u8"]), np.uint8)
-    share = share.reshape(view["grown"]["shape"])
-    assert share.shape == (page.frames, SECTORS) and np.all(share[-1] == 255)
-    assert share[0].max() < 255
+    found = np.frombuffer(base64.b64decode(view["grown"]["u8"]), np.uint8)
+    return found.reshape(view["grown"]["shape"]) / 255.0
+
+
+def test_the_walls_colours_add_up_to_the_volume_worn_by_then(page, run):
+    """Cells are alike, and bytes tell shares to 1/510; two places wear one after the other."""
+    share, worn = shares(page), np.asarray(run.worn_depth("B", "bearing")[:, 0])
+    volume = np.asarray(run.worn_volume("B", "bearing"))
+    assert share.shape == (page.frames, len(worn)) and np.all(np.diff(share, axis=0) >= 0)
+    assert 0 < volume[20] < volume[34] < volume[-1]
+    np.testing.assert_allclose(share @ worn / worn.sum(), volume / volume[-1], atol=0.003)
+
+
+@pytest.mark.slow
+def test_a_run_that_goes_on_shows_what_was_worn_before(run):
+    """Begun in the middle of a contact: its frames are the last of the run that did not stop."""
+    integrator = jc.integrator.FixedStep(2e-5)
+    first = jc.simulate(run.mechanism, 3.4e-3, save=35, integrator=integrator)
+    on = jc.simulate(run.mechanism, 6e-4, save=7, integrator=integrator, state=first.state())
+    later = shares(plot.animate(on, slower=10000.0, fps=10))
+    whole = shares(plot.animate(run, slower=1000.0, fps=10))[34:]
+    assert later.shape == whole.shape
+    assert np.any((whole[0] > 0.1) & (whole[0] < 0.9))
+    np.testing.assert_allclose(later, whole, atol=0.005)
+
+
+@pytest.mark.slow
+def test_a_wall_that_wears_no_further_keeps_its_colour(page, run):
+    resting = jc.simulate(
+        jc.scenes.slider_crank(wear=True, crank_speed=1e-3),
+        4e-3,
+        save=41,
+        integrator=jc.integrator.FixedStep(2e-5),
+        state=jc.State(worn=run.worn),
+    )
+    assert np.all(shares(plot.animate(resting, slower=1000.0, fps=10)) == 1)
+
+
+def test_every_contact_has_an_arrow(page):
     assert len(told(page)["arrows"]) == 1
 
 

@@ -8,6 +8,7 @@ slider lie before its walls. Another joint shows how deep its contacts are.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from jaxclear.components.clearance import (
@@ -22,14 +23,12 @@ __all__ = ["inset"]
 
 # Directions in which a wall is drawn, and columns of the chart of forces.
 DIRECTIONS, COLUMNS = 180, 400
-# Sectors around in which wear is followed, and how far beside a contact it counts as near [deg].
-SECTORS, BESIDE = 72, 8.0
 TURN = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
 
 
 class Worn(NamedTuple):
     """A worn wall along a circle: `depth` (cells,) [m] at the end, and the `share` of it that was
-    there at each frame, by sectors (frames, SECTORS), in bytes."""
+    there at each frame (frames, cells), in bytes."""
 
     depth: np.ndarray
     share: np.ndarray
@@ -85,38 +84,18 @@ def _worn(run: Trajectory, name: str, surface: str) -> np.ndarray | None:
 
 
 def _wearing(
-    run: Trajectory, surface: tuple[str, str], history: Any, frames: np.ndarray, cut: Any
-) -> Worn:
-    """The wear of a `surface` (joint, its name) along a circle: `cut` holds the depth there at the
-    end, the contacts that wear it and the axes of its plane."""
-    depth, contacts, axes = cut
-    force = np.nan_to_num(np.asarray(history.normal_force)[:, contacts]).sum(axis=1)
-    ways = _ways(history, np.arange(len(force)), contacts, axes)[:, 0]
-    volume = np.nan_to_num(np.asarray(run.worn_volume(*surface)))
-    return Worn(depth, grown(volume, force > 0, ways, frames))
-
-
-def grown(
-    volume: np.ndarray, touches: np.ndarray, ways: np.ndarray, frames: np.ndarray
+    run: Trajectory, surface: tuple[str, str], joint: Any, frames: np.ndarray, cut: Callable
 ) -> np.ndarray:
-    """Share of the end's depth that is worn at each of `frames`, in sectors around (frames,
-    SECTORS), as bytes: what the worn `volume` (time,) [m^3] has grown by is put where the contact
-    was, in the direction `ways` (time, 2), and all around where nothing `touches` at the saving
-    time."""
-    sector = np.arctan2(ways[:, 1], ways[:, 0]) / (2 * np.pi) * SECTORS
-    sector = np.floor(sector).astype(int) % SECTORS
-    gained = np.maximum(np.diff(volume, prepend=0.0), 0.0)
-    row = np.minimum(np.searchsorted(frames, np.arange(len(volume))), len(frames) - 1)
-    put = np.zeros((len(frames), SECTORS))
-    np.add.at(put, (row[touches], sector[touches]), gained[touches])
-    np.add.at(put, row[~touches], (gained[~touches] / SECTORS)[:, None])
-    put += 1e-3 * put.sum(axis=1, keepdims=True) / SECTORS
-    away = np.minimum(np.arange(SECTORS), SECTORS - np.arange(SECTORS)) * 360.0 / SECTORS
-    spread = np.exp(-0.5 * (away / BESIDE) ** 2)
-    around = spread[(np.arange(SECTORS)[:, None] - np.arange(SECTORS)) % SECTORS]
-    so_far = np.cumsum(put @ around, axis=0)
-    share = so_far / np.maximum(so_far[-1], 1e-300)
-    return np.round(255 * share).astype(np.uint8)
+    """Share of the end's depth that a `surface` (joint, its name) has at each of `frames`, along a
+    circle (frames, cells), as bytes; all of it where it does not wear. `cut` takes the circle from
+    the form in which the gap reads the depth."""
+    name, side = surface
+    # A gap has read at a saving time what stood at the one before.
+    before = jax.tree.map(np.asarray, run.history.read[name][side])
+    at_end = cut(joint.maps()[side][0].reading(run.worn[name][side]))
+    depth = np.concatenate([cut(before)[1:], np.asarray(at_end)[None]])[frames]
+    share = np.where(at_end > 0, depth / np.where(at_end > 0, at_end, 1.0), 1.0)
+    return np.round(255 * np.clip(np.nan_to_num(share), 0.0, 1.0)).astype(np.uint8)
 
 
 def _ways(history: Any, frames: np.ndarray, contacts: list, axes: tuple[int, int]) -> np.ndarray:
@@ -136,7 +115,8 @@ def _bore(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
     centre = np.asarray(history.offset)[frames, :2]
     wear = None
     if worn is not None:
-        wear = _wearing(run, (name, "bearing"), history, frames, (worn[:, 0], [0], (0, 1)))
+        share = _wearing(run, (name, "bearing"), joint, frames, lambda read: read[0][..., 0])
+        wear = Worn(worn[:, 0], share)
     ways = _ways(history, frames, [0], (0, 1))
     return [_round("across the axis", centre, _wall(joint), ways, [0], wear)]
 
@@ -151,8 +131,8 @@ def _ends(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
         ways = _ways(history, frames, [end], (0, 1))
         wear = None
         if worn is not None:
-            cut = (worn[:, -end], [end], (0, 1))
-            wear = _wearing(run, (name, "bearing"), history, frames, cut)
+            cut = lambda read, end=end: read[end][..., 0]
+            wear = Worn(worn[:, -end], _wearing(run, (name, "bearing"), joint, frames, cut))
         title = ("lower end", "upper end")[end]
         found.append(_round(title, place, _wall(joint), ways, [end], wear))
     return found
@@ -166,22 +146,22 @@ def _ball(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
     for title, axes in (("along z: x, y", (0, 1)), ("along y: x, z", (0, 2))):
         wear = None
         if worn is not None:
-            cut = (_cut(worn, axes), [0], axes)
-            wear = _wearing(run, (name, "socket"), history, frames, cut)
+            cut = lambda read, axes=axes: _cut(read, axes)
+            wear = Worn(cut(worn), _wearing(run, (name, "socket"), joint, frames, cut))
         ways = _ways(history, frames, [0], axes)
         found.append(_round(title, offset[:, axes], wall, ways, [0], wear))
     return found
 
 
 def _cut(worn: np.ndarray, axes: tuple[int, int]) -> np.ndarray:
-    """Depth along the circle in which a plane through the middle cuts a socket: the equator, or
-    the meridians of 0 and 180 degrees."""
-    around, along = worn.shape
-    if axes == (0, 1):
-        return worn[:, along // 2]
-    up = worn[0], worn[around // 2]
+    """Depth (..., cells) along the circle in which a plane through the middle cuts a socket
+    (..., around, along): the equator, or the meridians of 0 and 180 degrees."""
+    around, along = worn.shape[-2:]
     low = along // 2
-    return np.concatenate([up[0][low:], up[1][::-1], up[0][:low]])
+    if axes == (0, 1):
+        return np.asarray(worn[..., low])
+    here, there = worn[..., 0, :], worn[..., around // 2, :]
+    return np.concatenate([here[..., low:], there[..., ::-1], here[..., :low]], axis=-1)
 
 
 def _slot(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
