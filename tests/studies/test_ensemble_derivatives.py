@@ -282,14 +282,14 @@ def test_agreement_that_says_little_is_told():
 
 @pytest.mark.slow
 def test_differences_of_a_quantile_that_few_samples_decide_say_so():
-    """1.3 of 128 samples lie beyond: 87 to 91 % of intervals held."""
+    """4.5 of 128 samples lie beyond: 93 to 96 % of intervals held."""
     numbers = {name: jc.Dimension(0.0, D.Normal(1.0)) for name in "ab"}
     problem = jc.FunctionProblem(lambda a, b: jnp.exp(0.5 * a) + 0.6 * b, numbers)
     direction = directions(problem, ["a"])[0]
-    one = Functional("response", "quantile", 0.99)
+    one = Functional("response", "quantile", 0.965)
     many = stats.norm.ppf(stats.qmc.Sobol(2, rng=0).random(1 << 18))
     ends = [
-        np.quantile(np.exp(0.5 * (many[:, 0] + h)) + 0.6 * many[:, 1], 0.99) for h in (-0.1, 0.1)
+        np.quantile(np.exp(0.5 * (many[:, 0] + h)) + 0.6 * many[:, 1], 0.965) for h in (-0.1, 0.1)
     ]
     exact, held = (ends[1] - ends[0]) / 0.2, 0
     for seed in range(80):

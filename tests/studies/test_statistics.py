@@ -144,6 +144,7 @@ def test_tolerance_intervals_hold_their_content(studies, normal):
         (lambda s: s.tolerance_interval("gap", 0.99), "samples are too few .* it needs 473[.]"),
         (lambda s: s.tolerance_interval("gap", side="left"), 'no side .* "left"'),
         (lambda s: jc.monte_carlo(STACK, 8, scramblings=9), "8 samples cannot be 9 scramblings"),
+        (lambda s: jc.sobol_indices(STACK, 8, scramblings=9), "8 samples cannot be 9 scramblings"),
         (lambda s: jc.monte_carlo(STACK, 8, accuracy={"force": 1.0}), 'no response "force"'),
     ],
 )

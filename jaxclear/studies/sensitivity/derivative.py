@@ -159,11 +159,12 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
                 names = " and ".join(n for n in near if estimates[n].parts)
                 return answer(joined.value, joined.error, names, verdict, trustworthy=True)
             return answer(best.value, best.error, name, verdict, trustworthy=True)
+    why = "".join(f" No {name}: {e.refusal}" for name, e in estimates.items() if e.refusal)
     if not order:
-        return answer(np.nan, np.nan, "none", "No method has an answer.")
+        return answer(np.nan, np.nan, "none", f"No method has an answer.{why}")
     if len(order) == 1:
         best = estimates[order[0]]
-        verdict = f"Unconfirmed: only {order[0]} has an answer."
+        verdict = f"Unconfirmed: only {order[0]} has an answer.{why}"
         return answer(best.value, best.error, order[0], verdict)
     middle, spread = _covering([estimates[name] for name in order])
     return answer(middle, spread, "spread of methods", "The methods disagree.")

@@ -150,7 +150,12 @@ def regressions(
     many = Many.drawn(problem, direction, fit, len(np.unique(group)), MANY_SEED + sample.seed)
     answers = {}
     for one in wanted:
-        own = Slope(one, sample.responses[one.response][good], fit.basis(values), weight, many)
+        responses = sample.responses[one.response][good]
+        few = one.undecided(responses)
+        if few:
+            answers[one.label] = refused(few)
+            continue
+        own = Slope(one, responses, fit.basis(values), weight, many)
         ending = None if ends is None else ending_of(ends, fit, direction, one.response)
         slope = lambda kept, own=own, ending=ending: own.of(kept, group, ending)
         # What the many points do not know of the polynomial's slope is shared out to the parts.

@@ -34,6 +34,8 @@ from jaxclear.studies.sensitivity.regression import regressions, runs_at_ends
 METHODS = ("regression", "differences", "pathwise")
 # Independent parts of a sample of differences: as many as of the Monte Carlo sample.
 SCRAMBLINGS = 16
+# Sets what these studies draw apart from what others do by the same seed.
+SEEDS = 811
 
 
 @answering
@@ -53,15 +55,15 @@ def sensitivity(
     clearance", "standard deviation of length", "half width of slot".
 
     `sample`: a Monte Carlo sample or a campaign to read slopes from, or how many samples to draw
-    for it. `of`:
-    any of "mean", "standard deviation", ("quantile", share [1]), ("above", limit), ("below",
-    limit), for every response, or {response: statistics}; limits in the response's unit, the share
-    of parts beyond one is a probability of failure. `methods`: any of "regression" (a polynomial,
-    corrected by the score function), "differences" (over `difference_samples`, or a first 32 of
-    them where these confirm a more certain answer), "pathwise" (fixed-step integrators only; the
-    cheapest where nothing opens and closes; through contacts it is shown only where another method
-    agrees with it, and is never the answer). Raises `ValueError` with a sentence for a name that
-    there is not, and for a sample of another problem.
+    for it. `of`: any of "mean", "standard deviation", ("quantile", share [1]), ("above", limit),
+    ("below", limit), for every response, or {response: statistics}; limits in the response's unit,
+    the share of parts beyond one is a probability of failure; what fewer than 4 samples decide is
+    refused. `methods`: any of "regression" (a polynomial, corrected by the score function),
+    "differences" (over `difference_samples`, or a first 32 of them where these confirm a more
+    certain answer), "pathwise" (fixed-step integrators only; the cheapest where nothing opens and
+    closes; through contacts it is shown only where another method agrees with it, and is never the
+    answer). Raises `ValueError` with a sentence for a name that there is not, and for a sample of
+    another problem.
     """
     expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
     _check(sample, difference_samples, methods, seed)
@@ -79,7 +81,7 @@ def sensitivity(
         if "regression" in methods:
             own = _ends(drawn, direction, ends, seed, **bar)
             answers["regression"] = regressions(drawn, direction, asked, own)
-        sampled = lambda own: _shared(problem, difference_samples, seed + own)
+        sampled = lambda own: _shared(problem, difference_samples, seed_of(seed, own))
         if "pathwise" in methods:
             answers["pathwise"] = pathwise(problem, sampled(2), direction, asked, **bar)
         if "differences" in methods:
@@ -96,7 +98,7 @@ def _ends(
     place = direction.variable
     if place not in known:
         parts = len(np.unique(drawn.scrambling))
-        known[place] = runs_at_ends(drawn.problem, place, parts, seed + 3, progress_bar)
+        known[place] = runs_at_ends(drawn.problem, place, parts, seed_of(seed, 3), progress_bar)
     return known[place]
 
 
@@ -143,11 +145,17 @@ def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarl
 
 def _in_doubt(drawn: MonteCarlo, response: str, answer: Derivative) -> Derivative:
     """The answer, its verdict with what a second look at the nominal sample says of the
-    response."""
+    response, and what the sample lacks of what was asked for."""
     beyond = [check for check, over in drawn.nominal.beyond().items() if np.any(over)]
     found = zip(beyond, drawn.doubts, strict=True)
     said = [said for check, said in found if drawn.problem.concerned(response, check.concerns)]
-    return dataclasses.replace(answer, verdict=" ".join([answer.verdict, *said]))
+    told = filter(None, [answer.verdict, *said, drawn.unreached])
+    return dataclasses.replace(answer, verdict=" ".join(told))
+
+
+def seed_of(seed: int, own: int) -> int:
+    """Of a method's own sample: no study's or campaign's by a number near the one given."""
+    return int(np.random.SeedSequence([seed, SEEDS, own]).generate_state(1)[0])
 
 
 def _shared(problem: AbstractProblem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import check_count, check_flags
+from jaxclear.ground.arguments import check_flags
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_indices
-from jaxclear.studies.sampling import check_sampled, groups, usual_scramblings
+from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import normal_scores, scrambled_shares
 from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
 
@@ -75,8 +75,7 @@ def sobol_indices(
     """
     check_sampled(problem, samples, seed)
     check_flags("sobol_indices", progress_bar=progress_bar)
-    parts = usual_scramblings(samples) if scramblings is None else scramblings
-    check_count("scramblings of sobol_indices", parts)
+    parts = checked_scramblings("sobol_indices", samples, scramblings)
     if not problem.inputs.independent:
         raise ValueError(
             "Sobol' indices need independent variables; those of this problem are correlated, so "
