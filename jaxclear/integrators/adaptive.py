@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.formulations.model import Model
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.integrators.base import (
     AbstractIntegrator,
@@ -38,8 +37,9 @@ LOOSEST = 3e-7
 # be little in the gap, or where it touches is lost (the same runs, gaps of 16 to 100 um).
 LOOSEST_IN_GAP = 4e-4
 # A step that ends at a touch ends so near, beside what the tolerance leaves a coordinate: a landing
-# must not be what errors come from. Not below what rounding leaves, beside the longest arm.
-LANDING = 0.1
+# must not be what errors come from. Not more than a share of the narrowest gap, whatever the
+# tolerance; not below what rounding leaves, beside the longest arm.
+LANDING, LANDING_IN_GAP = 0.1, 1e-4
 ROUNDING = 1e-12
 
 
@@ -135,10 +135,11 @@ class Adaptive(AbstractIntegrator):
             dtmax=longest,
             force_dtmin=False,
         )
-        if not _looks_at_contacts(self.formulation, model):
+        if not model.system.bearings:
             return control
-        beyond = jnp.maximum(LANDING * control.atol, ROUNDING * longest_arm(model.system))
-        return EndingAtTouches(control, beyond)
+        beyond = jnp.minimum(LANDING * control.atol, LANDING_IN_GAP * narrowest_gap(model.system))
+        rounding = ROUNDING * longest_arm(model.system)
+        return EndingAtTouches(control, jnp.maximum(beyond, rounding))
 
     def _term(self, model, rates):
         """The equations as diffrax asks for them."""
@@ -149,9 +150,10 @@ class Adaptive(AbstractIntegrator):
         return GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
 
     def _solver(self, rest):
-        """The solver, which takes impact speeds where a law asks for them."""
+        """The solver, which looks at contacts where there are any: laws may ask for impact speeds,
+        and without them it would step over touches."""
         formulation = self.formulation
-        if not _looks_at_contacts(formulation, rest):
+        if not rest.system.bearings:
             return self.solver
 
         def contacts(time, y, arrays):
@@ -182,7 +184,7 @@ class Adaptive(AbstractIntegrator):
             state,
             args=arrays,
             stepsize_controller=self._controller(model, interval, usual),
-            saveat=diffrax.SaveAt(t1=True, solver_state=_looks_at_contacts(formulation, rest)),
+            saveat=diffrax.SaveAt(t1=True, solver_state=bool(rest.system.bearings)),
             max_steps=self.most_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,
@@ -202,11 +204,6 @@ class Adaptive(AbstractIntegrator):
         typical = (jnp.where(reached, stop, time) - start) / jnp.maximum(accepted, 1)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
         figures, events = {}, None
-        if _looks_at_contacts(formulation, rest):
+        if rest.system.bearings:
             _, _, figures[Check.INDENTATION], events = solution.solver_state
         return Advance(solution.ys[-1], accepted, rejected, typical, outcome, figures, events)
-
-
-def _looks_at_contacts(formulation: CompliantContact, model: Model) -> bool:
-    """Whether every step looks at the contacts: for speeds of impacts, or for their instants."""
-    return formulation.remembers(model) or bool(model.events and model.system.bearings)

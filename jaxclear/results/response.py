@@ -201,9 +201,8 @@ class PeakContactForce(AbstractResponse):
     """Largest normal force of a contact of a clearance joint [N]: that at the saving times, or the
     elastic force at the deepest indentation of any step where that is larger.
 
-    So it does not hang on the saving times, but for guides and, in steps that adapt their length,
-    for laws that remember no impact speed (Hertz alone): these are known at saving times only. What
-    is more than at the saving times has no part in derivatives.
+    So it does not hang on the saving times, but for guides, whose forces are known at saving times
+    only. What is more than at the saving times has no part in derivatives.
     """
 
     joint: str = eqx.field(static=True)

@@ -85,8 +85,11 @@ def _finer(run: Trajectory, integrator: AbstractIntegrator) -> AbstractIntegrato
     asked = integrator.asked_step()
     if asked is None:
         return integrator.with_finer_steps(FINER)
-    interval = np.max(np.diff(run.time))
-    taken = interval / np.ceil(interval / asked * (1 - SLIVER))
+    # Where intervals differ, the shortest steps taken: none is compared with itself.
+    intervals = np.diff(run.time)
+    taken = np.min(intervals / np.ceil(intervals / asked * (1 - SLIVER)))
+    if np.sum(intervals) > taken * MOST_STEPS:
+        return None
     return integrator.with_finer_steps(FINER * float(taken / asked))
 
 

@@ -205,7 +205,8 @@ def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) 
     count = layout.coordinates
     share = safe_divide(_lasting(plan, states), jnp.sum(_durations(plan, FINE)))
     total = share * jnp.sum(abs(off), axis=0)
-    times = plan.turns.start[: len(states) - 1]
+    last = len(states) - 1
+    times = jnp.append(plan.turns.start[:last], plan.turns.stop[last - 1])
     places = jnp.max(total[:count] * _shares_of_way(model, states, times), initial=0.0)
     if system.bearings:
         return places

@@ -306,6 +306,38 @@ def test_a_grazing_touch_is_not_stepped_over(plain, monkeypatch):
         np.testing.assert_allclose(height(end, loose), wanted, atol=1e-2 * abs(wanted - untouched))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "law",
+    [
+        jc.contact.Hertz(stiffness=1e9),
+        jc.contact.KelvinVoigt(),
+        jc.contact.AdamsImpact(stiffness=1e9),
+    ],
+    ids=lambda law: type(law).__name__,
+)
+def test_a_short_touch_is_seen_whatever_the_law_remembers(law):
+    """Thrown up so that it would go 3 um beyond the wall: without the wall it would lie
+    elsewhere by more than a tenth of the gap."""
+    joint = jc.clearance.PlanarJournalBearing(law, clearance=1e-4)
+    rig = jc.Mechanism(
+        {"pin": jc.Body(1.0, 1e-4)},
+        {"B": jc.Connection(joint, "ground", "pin")},
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+        speeds={"pin": (0.0, float(np.sqrt(2 * 9.81 * 103e-6)), 0.0)},
+    )
+    height = lambda integrator: float(
+        jc.simulate(rig, 8.5e-3, save=2, integrator=integrator).states[-1, 1]
+    )
+    usual, tight = (
+        height(one)
+        for one in (jc.integrator.Adaptive(), jc.integrator.Adaptive(rtol=1e-11, atol=1e-14))
+    )
+    assert usual == pytest.approx(tight, abs=1e-8)
+    flown = np.sqrt(2 * 9.81 * 103e-6) * 8.5e-3 - 0.5 * 9.81 * 8.5e-3**2
+    assert abs(usual - flown) > 1e-5
+
+
 @pytest.mark.parametrize("friction", [None, jc.friction.LuGre()], ids=["smooth", "bristles"])
 @pytest.mark.slow
 def test_flights_through_the_centre_reach_their_end_at_the_tightest_tolerance(friction):
