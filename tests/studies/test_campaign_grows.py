@@ -3,6 +3,7 @@ end as one that was asked for all of it at once.
 """
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pandas
@@ -10,7 +11,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.studies.campaign import samples as kept
-from jaxclear.studies.campaign.layout import FINISHED, SAMPLES
+from jaxclear.studies.campaign.layout import CLAIMS, FINISHED, SAMPLES
 from jaxclear.studies.campaign.samples import Extended, Samples
 from tests.studies.test_campaign import LIMITS, assert_same_study, contents, problem
 
@@ -124,6 +125,42 @@ def test_who_is_at_a_chunk_that_is_to_have_more_samples_does_not_write_it(whole,
     late.settle(lambda checks: checks)
     campaign(10_000, tmp_path)
     assert contents(tmp_path) == contents(whole)
+
+
+def test_who_has_finished_leaves_alone_what_others_write_for_more_samples(
+    whole, tmp_path, monkeypatch
+):
+    """A process at the earlier plan tidies up while another one is about to rename a file."""
+    campaign(4096, tmp_path)
+    early, replace, tidied = Samples.opened(tmp_path), Path.replace, []
+
+    def slow(self, target):
+        if self.name.endswith(".partial") and "values/c/1/" in str(self) and not tidied:
+            tidied.append(1)
+            early.tidy()
+            assert any((tmp_path / CLAIMS).iterdir())
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", slow)
+    campaign(10_000, tmp_path)
+    assert tidied
+    assert contents(tmp_path) == contents(whole)
+
+
+def test_what_no_chunk_is_finished_of_says_so(tmp_path):
+    campaign(5000, tmp_path)
+    found = Samples.opened(tmp_path)
+    found.arrays[FINISHED][:] = 0
+    unfinished = jc.open_campaign(tmp_path)
+    for ask in (
+        lambda: unfinished.sample,
+        unfinished.table,
+        unfinished.sentence,
+        lambda: unfinished.mean("fit"),
+        lambda: jc.sensitivity(problem(), sample=unfinished),
+    ):
+        with pytest.raises(ValueError, match="no sample of the campaign in .* is finished yet"):
+            ask()
 
 
 def test_samples_of_an_earlier_order_are_refused(tmp_path):

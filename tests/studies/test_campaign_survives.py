@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.studies.campaign import workers
 from jaxclear.studies.campaign.samples import FINISHED, SAMPLES
 from tests.studies.test_campaign import contents, problem
 
@@ -120,6 +121,19 @@ def test_a_lost_worker_costs_no_sample(tmp_path, monkeypatch):
     own = {pid: lines.count(pid) for pid in set(lines) - {str(os.getpid())}}
     assert str(killed[0]) in own
     assert set(own.values()) == {1}, own
+
+
+def test_a_cluster_whose_workers_have_not_joined_is_waited_for(tmp_path, monkeypatch):
+    """Until the first is there; where none comes, a sentence says so."""
+    distributed = pytest.importorskip("distributed")
+    how = {"n_workers": 0, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**how) as cluster, distributed.Client(cluster) as client:
+        with monkeypatch.context() as patched:
+            patched.setattr(workers, "JOINING", 0.1)
+            with pytest.raises(RuntimeError, match="no worker has joined"):
+                jc.campaign(problem(), 100, folder=tmp_path, client=client)
+        threading.Timer(0.5, cluster.scale, (1,)).start()
+        assert jc.campaign(problem(), 100, folder=tmp_path, client=client).is_complete
 
 
 def test_a_mechanism_travels_to_workers(tmp_path):

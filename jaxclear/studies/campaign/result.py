@@ -1,5 +1,6 @@
 """What a campaign has found so far, read from its folder as it is asked for."""
 
+import json
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any
@@ -12,14 +13,13 @@ from jaxclear.integrators import Checks
 from jaxclear.integrators.figures import Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of
-from jaxclear.studies.campaign.layout import KIND
 from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
 from jaxclear.studies.statistics.scrambled import Statistic
 from jaxclear.studies.statistics.summary import summary_row
 from jaxclear.studies.statistics.tolerance_interval import ToleranceInterval
-from jaxclear.studies.store import refuse_other
+from jaxclear.studies.store import first_difference
 from jaxclear.studies.texts import in_texts
 
 __all__ = ["Campaign"]
@@ -70,6 +70,8 @@ class Campaign:
     @cached_property
     def sample(self) -> MonteCarlo:
         """The finished samples as a Monte Carlo study, in memory; numbers of samples count them."""
+        if not self._spans():
+            raise self._empty()
         parts = [self._samples.found(at) for at in self._spans()]
         found = jax.tree.map(lambda *own: np.concatenate(own), *parts)
         values = np.concatenate([self._samples.read("values", at) for at in self._spans()])
@@ -78,7 +80,12 @@ class Campaign:
     def sample_of(self, problem: AbstractProblem) -> MonteCarlo:
         """The finished samples in memory as a study of this problem. Raises `ValueError` with a
         sentence where they are of another one."""
-        refuse_other(self.folder, self._samples.told, KIND, in_texts(problem))
+        differs = first_difference(json.loads(self._samples.told["problem"]), in_texts(problem))
+        if differs:
+            raise ValueError(
+                f"the campaign in {self.folder} is of another problem: {differs}. Give a sample of "
+                "this one, jaxclear.monte_carlo(problem), or how many samples to draw."
+            )
         return Campaign(self._samples, problem, self._unreached).sample
 
     @property
@@ -177,6 +184,9 @@ class Campaign:
             "statistics are of these."
         )
 
+    def _empty(self) -> ValueError:
+        return ValueError(f"no sample of the campaign in {self.folder} is finished yet.")
+
     def _spans(self) -> list[slice]:
         return [slice(*self.plan.span(int(number))) for number in self._chunks]
 
@@ -211,7 +221,7 @@ class Campaign:
             outcomes.append(found.outcome.astype(np.int8))
             beyond.append({c: np.asarray(own) for c, own in found.checks.beyond().items()})
         if not columns:
-            raise ValueError(f"no sample of the campaign in {self.folder} is finished yet.")
+            raise self._empty()
         checks = {
             check: _as_figure(np.concatenate([own[check] for own in beyond])) for check in beyond[0]
         }

@@ -256,16 +256,20 @@ class Samples:
             lock.release()
 
     def tidy(self) -> None:
-        """Takes away claims, and what chunks that were never finished left."""
+        """Takes away claims, and what chunks that were never finished left. Where others have
+        planned more samples, these are theirs, and they stay."""
         self.trim()
-        shutil.rmtree(self.folder / CLAIMS, ignore_errors=True)
+        # All is finished, and nobody plans more now: nobody writes.
+        with self._planning() as current:
+            if current:
+                shutil.rmtree(self.folder / CLAIMS, ignore_errors=True)
+                for left in (self.folder / SAMPLES).rglob("*.partial"):
+                    left.unlink(missing_ok=True)
         for left in self.folder.glob(f".{SAMPLES}.*"):
             # Another process may be about to begin.
             with suppress(FileNotFoundError):
                 if time.time() - left.stat().st_mtime > ABANDONED:
                     shutil.rmtree(left, ignore_errors=True)
-        for left in (self.folder / SAMPLES).rglob("*.partial"):
-            left.unlink(missing_ok=True)
 
     def versions(self) -> dict[int, dict[str, str]]:
         """Versions of the programs that computed finished chunks, by their mark."""

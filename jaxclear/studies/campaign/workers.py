@@ -28,6 +28,8 @@ __all__ = ["Workers", "check_client"]
 
 # Chunks asked of the scheduler at a time, at least, and for each thread of the workers.
 LEAST_ASKED, ASKED_A_THREAD = 64, 4
+# [s] for the first worker to join.
+JOINING = 60.0
 # Held by the thread of a worker that makes what all its threads share.
 _MAKING = threading.Lock()
 
@@ -43,7 +45,8 @@ def check_client(client: Any) -> None:
 
 
 class Workers(AbstractWork):
-    """All workers of a client. Interrupted, it asks for no more; chunks in work are finished."""
+    """All workers of a client. Interrupted, it asks for no more; chunks in work are finished.
+    Where none has joined, it waits for the first, for a minute."""
 
     def __init__(self, problem: AbstractProblem, client: Any):
         self.problem, self.client = problem, client
@@ -54,6 +57,8 @@ class Workers(AbstractWork):
 
     def begun(self, plan):
         import distributed
+
+        self._joined()
 
         # All workers compile side by side; what the first one finds is what all find.
         options = {"allow_other_workers": True, "pure": False}
@@ -69,6 +74,8 @@ class Workers(AbstractWork):
         workers."""
         import distributed
 
+        if numbers:
+            self._joined()
         # What a worker knows of a folder is as it was when this began.
         what = self.there, self.token, str(samples.folder.resolve()), secrets.token_hex(8)
         left: deque[int] = deque(numbers)
@@ -92,6 +99,16 @@ class Workers(AbstractWork):
                     heard(number, failed)
         finally:
             self.client.cancel([*running.futures])
+
+    def _joined(self) -> None:
+        """Waits for a worker. Raises `RuntimeError` with a sentence where none comes."""
+        try:
+            self.client.wait_for_workers(1, timeout=JOINING)
+        except TimeoutError as reason:
+            raise RuntimeError(
+                f"no worker has joined the client's cluster in {JOINING:.0f} s; start workers, "
+                "and ask the same again."
+            ) from reason
 
     def __enter__(self):
         self.there = self.client.submit(_itself, self.problem, pure=False)
