@@ -46,7 +46,7 @@ def main() -> None:
                 "page / run [1]": cpu / run_time,
             }
         )
-    report(f"animation of the four-bar, {duration:g} s", rows, options)
+    report(f"Animation of the four-bar, {duration:g} s", rows, options)
 
 
 if __name__ == "__main__":

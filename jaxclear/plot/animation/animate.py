@@ -73,8 +73,8 @@ def animate(
     inset for every joint with clearance: the journal in its bearing, the gap magnified, its
     contacts with their forces, and how deep the wall has worn by then.
 
-    Arrows grow with the root of the force. Worn depths are those at each saving time, also of a run
-    that began worn.
+    Arrows grow with the root of the force. Worn depths are those at each saving time as the gap
+    reads them, also of a run that began worn.
 
     `slower`: how many seconds one second of the run takes [1] (below 1: faster); by default the
     whole run takes 10 s, or as long as it is between 3 and 60 s. `fps`: frames a second, from the
