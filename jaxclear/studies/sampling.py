@@ -1,7 +1,7 @@
 """Values of a problem's variables, drawn from their joint distribution.
 
 A sample's values hang on its number, and not on how many there are: a larger study begins with the
-samples of a smaller one.
+samples of a smaller one of as many scramblings, as all have by default from 256 samples on.
 
 Quasi-random samples come as independent scramblings of Sobol's sequence: within one, points are
 spread evenly, so that means converge faster than those of random samples; between them nothing is

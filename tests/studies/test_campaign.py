@@ -80,6 +80,7 @@ def test_a_folder_is_read_without_its_problem(plain, folder):
     assert dataset["bore"].attrs["units"] == dataset["fit"].attrs["units"] == "mm"
     assert dataset["area"].attrs["units"] == "mm2"
     assert np.array_equal(dataset["fit"], plain.responses["fit"], equal_nan=True)
+    assert np.array_equal(dataset["scrambling"], plain.to_dataset()["scrambling"])
     assert dataset.attrs["seed"] == 3
     versions = json.loads(dataset.attrs["versions"])
     assert len(versions) == 1

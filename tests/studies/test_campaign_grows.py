@@ -203,3 +203,54 @@ def test_an_accuracy_decides_how_many_samples_there_are(tmp_path, written, monke
     assert "not reached (mean of area" in finer.sentence()
     with pytest.raises(ValueError, match='no response "areas"'):
         jc.campaign(problem(), folder=place, accuracy={"areas": 1.0})
+
+
+def test_who_asked_for_fewer_gets_these_where_another_asks_for_more_meanwhile(
+    tmp_path, monkeypatch
+):
+    """It is at its last chunk, which is not full, when the other one comes; and the folder goes
+    on to the larger number."""
+    write, come = Samples.write, []
+
+    def late(self, number, *own):
+        if number == 1 and not come:
+            other = Samples.opened(tmp_path)
+            come.append(other.extended(other.plan.larger(10_000, 4096)))
+        write(self, number, *own)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Samples, "write", late)
+        found = campaign(5000, tmp_path)
+    assert come
+    assert found.finished == found.count == found.to_dataset().sizes["sample"] == 5000
+    assert_same_study(found.sample, jc.monte_carlo(problem(), 5000, seed=3))
+    again = jc.open_campaign(tmp_path)
+    assert (again.finished, again.count) == (8192, 10_000)
+    assert campaign(10_000, tmp_path).is_complete
+
+
+def test_a_folder_keeps_its_scramblings_where_none_are_asked_for(tmp_path):
+    jc.campaign(problem(), 100, folder=tmp_path, seed=3)
+    found = jc.campaign(problem(), 1000, folder=tmp_path, seed=3)
+    assert_same_study(found.sample, jc.monte_carlo(problem(), 1000, seed=3, scramblings=8))
+    with pytest.raises(ValueError, match="with scramblings=8, not 16"):
+        jc.campaign(problem(), 1000, folder=tmp_path, seed=3, scramblings=16)
+
+
+def test_what_was_to_be_smaller_than_a_batch_grows_in_whole_ones(tmp_path):
+    """Begun for an accuracy, with less than a batch at the most."""
+    jc.campaign(problem(), 1000, folder=tmp_path, seed=3, accuracy=1e-9)
+    found = jc.campaign(problem(), 5000, folder=tmp_path, seed=3)
+    assert found.plan.batch == 4096
+    assert found.plan.chunk % found.plan.batch == 0
+
+
+def test_what_a_chunk_held_that_is_to_have_more_samples_is_not_shown(tmp_path):
+    found = campaign(5000, tmp_path)
+    found._samples.extended(found.plan.larger(10_000, 4096))
+    dataset = jc.open_campaign(tmp_path).to_dataset()
+    assert dataset["outcome"].dtype == np.int8
+    assert np.all(dataset["outcome"][4096:] == -1)
+    for name in ("bore", "fit", "ended"):
+        assert np.all(np.isnan(dataset[name][4096:]))
+        assert np.any(np.isfinite(dataset[name][:4096]))

@@ -49,7 +49,9 @@ def campaign(
     outcomes, warnings, seed, versions and what the problem is.
 
     Asked again, it goes on from the chunks that are finished, also to more samples: it becomes what
-    it would be had it been asked for them at once. A folder of another problem, or of other
+    it would be had it been asked for them at once, in the scramblings that the folder has.
+    Samples in a last chunk that was not full are computed again, and count as unfinished until
+    then. A folder of another problem, or of other
     samples, is refused with what differs. Ctrl-C keeps all finished chunks; whatever ends the
     process, the chunks in work, one a thread, are all that is lost. Several processes may work at
     one folder: each chunk is claimed by one. Memory does not grow with the samples.
@@ -122,7 +124,8 @@ def _asked(problem: Any, samples: Any, seed: Any, chunk: Any, sampled: dict[str,
     if chunk is not None:
         check_count("chunk of campaign", chunk)
     drawn = first, seed, sampling, parts
-    return Wanted(planned(problem, drawn, chunk, samples), samples, accuracy)
+    scrambled = sampled.get("scramblings") is not None
+    return Wanted(planned(problem, drawn, chunk, samples), samples, accuracy, scrambled)
 
 
 def _interrupted(folder: Any) -> str:

@@ -18,6 +18,7 @@ __all__ = [
     "OUTCOME",
     "RESPONSES",
     "SAMPLES",
+    "UNKNOWN",
     "VALUES",
     "VERSIONS",
     "WHEN",

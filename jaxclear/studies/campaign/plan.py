@@ -51,10 +51,11 @@ class Plan(NamedTuple):
         return -(-self.samples // self.chunk)
 
     def larger(self, samples: int, usual: int) -> "Plan":
-        """The plan of more samples. A campaign that was smaller than a batch of the `usual` size
-        gets larger ones."""
-        small = self.batch == self.samples
-        return self._replace(samples=samples, batch=min(usual, samples) if small else self.batch)
+        """The plan of more samples. A campaign that was to be smaller than a batch of the `usual`
+        size gets larger ones; nothing of it stays, for no chunk is smaller than such a batch."""
+        small = self.samples < self.chunk
+        larger = max(self.batch, min(usual, samples)) if small else self.batch
+        return self._replace(samples=samples, batch=larger)
 
     def span(self, number: int) -> tuple[int, int]:
         """First sample of a chunk, and the one after its last."""

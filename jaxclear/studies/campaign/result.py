@@ -166,7 +166,8 @@ class Campaign:
     def to_dataset(self) -> Any:
         """All samples as an xarray Dataset that is read when it is used: variables and responses by
         name with units, outcomes, figures of the checks; what was computed and by what, as
-        attributes. Samples that are not finished have outcome -1 and nan."""
+        attributes. Samples that are not finished have outcome -1 and nan; where there are such, all
+        is read at once."""
         return dataset_of(self._samples)
 
     def sentence(self) -> str:

@@ -2,6 +2,7 @@
 larger where more are asked for, and what it lacks is computed.
 """
 
+import copy
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,6 +32,8 @@ class Wanted(NamedTuple):
     plan: Plan
     most: int
     accuracy: Asked | None
+    # Whether its number of scramblings was asked for, and not the usual one.
+    scrambled: bool
 
 
 def computed(by: AbstractWork, wanted: Wanted, folder: Any, shown: bool) -> Campaign:
@@ -57,20 +60,27 @@ def _begun(by: AbstractWork, wanted: Wanted, folder: Any) -> Samples:
         found = Samples.made(folder, plan, told, by.begun(plan))
     # Another process may have been first.
     refuse_other(found.folder, found.told, KIND, texts)
-    for name in ("seed", "sampling", "scramblings"):
+    for name in ("seed", "sampling", "scramblings")[: 3 if wanted.scrambled else 2]:
         there, here = getattr(found.plan, name), getattr(plan, name)
         if there != here:
             raise ValueError(
                 f"the folder {found.folder} holds a campaign of this problem with "
                 f"{name}={there!r}, not {here!r}. Ask for the same, or give another folder."
             )
+    if found.plan.samples > wanted.most:
+        raise ValueError(
+            f"the folder {found.folder} holds a campaign of this problem with "
+            f"samples={found.plan.samples}, more than {wanted.most}. Ask for as many or more, or "
+            "give another folder."
+        )
     if len(found.finished()):
         found.warn_of_versions()
     return found
 
 
 class _Run:
-    """Grows what is in a folder, to the `most` samples that may be in it."""
+    """Grows what is in a folder, to the `most` samples that are asked for; other processes may
+    make it larger."""
 
     def __init__(self, by: AbstractWork, kept: Samples, most: int, shown: bool):
         self.by, self.kept, self.most, self.shown = by, kept, most, shown
@@ -91,24 +101,30 @@ class _Run:
 
     def _finished(self, samples: int) -> bool:
         """Computes what the folder lacks; False where the plan has changed meanwhile."""
-        plan = self.kept.plan
-        if plan.samples > self.most:
-            raise ValueError(
-                f"the folder {self.kept.folder} holds a campaign of this problem with "
-                f"samples={plan.samples}, more than {self.most}. Ask for as many or more, or give "
-                "another folder."
-            )
-        if plan.samples < samples:
-            larger = plan.larger(samples, usual_batch(self.by.problem))
+        if self.kept.plan.samples < samples:
+            larger = self.kept.plan.larger(samples, usual_batch(self.by.problem))
             self.kept = self.kept.extended(larger)
             return self.kept.plan == larger and self._finished(samples)
-        left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished())
+        # Where there are to be more samples by now, the last chunk asked for is computed whole.
+        asked = _first(self.kept, self.most)
+        left = np.setdiff1d(np.arange(asked.plan.chunks), asked.finished())
         try:
-            with _progress(self.shown, plan, left.tolist()) as heard:
+            with _progress(self.shown, asked.plan, left.tolist()) as heard:
                 self.by.compute(self.kept, left.tolist(), heard)
         except Extended:
             return False
+        self.kept = asked
         return True
+
+
+def _first(kept: Samples, most: int) -> Samples:
+    """What is in a folder, as if no more than the most samples had been planned."""
+    if kept.plan.samples <= most:
+        return kept
+    fewer = copy.copy(kept)
+    fewer.plan = kept.plan._replace(samples=most)
+    fewer.told = kept.told | {"plan": fewer.plan._asdict()}
+    return fewer
 
 
 @contextmanager
