@@ -13,6 +13,7 @@ from scipy.stats import norm
 
 import jaxclear as jc
 from jaxclear.studies.design.catalogue import standard_width
+from jaxclear.studies.design.runs import Runs
 from tests.rigs import positioned_four_bar
 
 NAMES = ("a", "b", "c", "d")
@@ -142,6 +143,22 @@ def test_what_is_counted_is_designed_by_slopes_known_with_noise_only():
     assert found.holds
     np.testing.assert_allclose(found.cost, cost, rtol=0.02)
     np.testing.assert_allclose(found.prices, [cost / room * ROOM / room], rtol=0.1)
+
+
+@pytest.mark.slow
+def test_a_step_whose_runs_all_fail_says_where(monkeypatch):
+    """It was 0 / 0, and a place that is not a number."""
+    ask = Runs.ask
+    none = lambda values: np.full((len(values), 1), np.nan)
+    failing = lambda self, values, label: (
+        none(values) if label == "steps" else ask(self, values, label)
+    )
+    monkeypatch.setattr(Runs, "ask", failing)
+    settings = jc.DesignSettings(method="noisy", samples=256, check=256)
+    with pytest.raises(
+        ValueError, match="all 64 runs .* failed, at tolerance a = 2e-05, .*such as"
+    ):
+        jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE, settings=settings)
 
 
 @pytest.mark.slow

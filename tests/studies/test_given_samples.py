@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.native import stop
+from jaxclear.studies.campaign import work
+from jaxclear.studies.campaign.samples import Samples
 
 
 def problem(width=0.1):
@@ -34,6 +37,27 @@ def test_a_surface_is_fitted_to_a_campaign(folder):
     found = jc.surface(problem(), sample=jc.open_campaign(folder))
     at = np.array([2.1, 1.9])
     assert abs(float(found(at)["response"]) - 2.1**2 * 1.9) < 1e-6
+
+
+def test_what_is_told_of_an_unfinished_campaign_says_so(folder, tmp_path, monkeypatch):
+    """Interrupted after the first of three chunks."""
+    write = Samples.write
+
+    def interrupted(self, number, values, found):
+        write(self, number, values, found)
+        stop()
+
+    monkeypatch.setattr(work, "threads_of", lambda: 1)
+    monkeypatch.setattr(Samples, "write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        jc.campaign(problem(), 10_000, folder=tmp_path / "kept", seed=3, chunk=4096)
+    for place, partly in ((tmp_path / "kept", True), (folder, False)):
+        sample = jc.open_campaign(place, problem())
+        derived = jc.sensitivity(problem(), "a", sample=sample, difference_samples=16)
+        said = [jc.surface(problem(), sample).sentence()]
+        said += [own.verdict for own in derived.derivatives.values()]
+        told = "not complete: 4096 of 10000 samples are there"
+        assert [told in own for own in said] == [partly] * 2
 
 
 def test_a_sample_of_another_problem_is_refused(folder):

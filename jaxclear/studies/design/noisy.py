@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.studies.design.abstract_limit import Sample
-from jaxclear.studies.design.freedom import NOMINAL
+from jaxclear.studies.design.freedom import NOMINAL, TOLERANCE
 from jaxclear.studies.design.lagrangian import descend
 from jaxclear.studies.design.model import AbstractModel
 from jaxclear.studies.design.optimise import Candidate, Search
@@ -59,6 +59,8 @@ class _Seen:
         values = np.asarray(question.values(jnp.asarray(place), drawn.normal))
         responses = self.runs.ask(values, "steps")
         good = np.isfinite(responses).all(axis=1)
+        if not good.any():
+            raise ValueError(_all_failed(question, place, values[0]))
         names = self.runs.problem.response_names
         known = np.where(good[:, None], responses, 0.0).T
         told = dict(zip(names, known, strict=True))
@@ -80,6 +82,25 @@ class _Seen:
     def lately(self) -> np.ndarray:
         """Excesses (limits,), a mean over the last steps."""
         return np.mean(self.excesses[-STEPS // 2 :], axis=0)
+
+
+def _all_failed(question: Question, place: np.ndarray, values: np.ndarray) -> str:
+    """What is said of a step without a run that tells anything. `values` (variables,) are those of
+    its first run."""
+    nominal, tolerance = (np.asarray(own) for own in question.freedom.decoded(jnp.asarray(place)))
+    of = {NOMINAL: nominal, TOLERANCE: tolerance}
+    said = [
+        f"{question.freedom.label(i)} = {of[choice.kind][choice.variable]:.6g}"
+        for i, choice in enumerate(question.freedom.choices)
+    ]
+    first = ", ".join(
+        f"{name} = {own:.6g}" for name, own in zip(question.freedom.names, values, strict=True)
+    )
+    return (
+        f"all {RUNS} runs of a step of the design failed, at {', '.join(said)}: none reached its "
+        f"end with finite responses. Look at one of them, such as that of {first}, or narrow what "
+        "may be chosen."
+    )
 
 
 class Batch(eqx.Module):

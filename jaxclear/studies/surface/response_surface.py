@@ -22,7 +22,8 @@ class ResponseSurface(eqx.Module):
 
     `quality` [1] is the leave-one-out R2 of each response, `degrees` its degree. `values` (runs,
     variables) and `responses` (runs,) are the runs behind it, `predictions` (runs,) what the others
-    say of each; `failed` counts runs that did not reach their end and are not in it.
+    say of each; `failed` counts runs that did not reach their end and are not in it. `unreached`
+    says what the sample that it was fitted to lacks of what was asked for.
     """
 
     problem: AbstractProblem
@@ -35,6 +36,7 @@ class ResponseSurface(eqx.Module):
     responses: dict[str, np.ndarray]
     predictions: dict[str, np.ndarray]
     failed: int
+    unreached: str = eqx.field(static=True, default="")
 
     def __call__(self, values: Float[Array, " variables"]) -> dict[str, Array]:
         """The responses by name at one set of values; differentiable."""
@@ -67,7 +69,7 @@ class ResponseSurface(eqx.Module):
             text += f"{np.floor(1e4 * self.quality[name]) / 1e4:.4f}"
             low = f", below {TRUSTED}: the surface does not stand for runs; sample instead."
             text += "." if self.trusted(name) else low
-        return text
+        return f"{text} {self.unreached}".rstrip()
 
     def to_dataset(self) -> Any:
         """Runs, coefficients and quality as an xarray Dataset, with provenance."""

@@ -5,6 +5,7 @@ responses are smooth in dimensions whatever the distribution. How far it can be 
 runs that it has not seen, one by one (leave-one-out); below R2 = 0.9 it says that it cannot.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -67,7 +68,7 @@ def surface(
         study = given_sample(problem, sample)
         ends = jnp.asarray(study.outcome), jnp.asarray(study.ended)
         found = SampleResult(jax.tree.map(jnp.asarray, study.responses), *ends, study.checks)
-        values, gradients = study.values, None
+        values, gradients, lacking = study.values, None, study.unreached
         if slopes:
             raise ValueError("a Monte Carlo study has no slopes; give a number of runs instead.")
     else:
@@ -76,7 +77,11 @@ def surface(
         check_count("sample of surface (how many runs, a Monte Carlo study or a campaign)", runs)
         values = drawn(problem, runs, over, seed)
         found, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
-    return fitted(problem, values, found, degree=degree, truncation=truncation, gradients=gradients)
+        lacking = ""
+    through = fitted(
+        problem, values, found, degree=degree, truncation=truncation, gradients=gradients
+    )
+    return dataclasses.replace(through, unreached=lacking)
 
 
 @eqx.filter_jit
