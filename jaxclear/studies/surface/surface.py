@@ -19,6 +19,7 @@ from jaxclear.ground.arguments import check_count, check_flags, check_number, ex
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.given_sample import GivenSample, given_sample
+from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
 from jaxclear.studies.surface.region import Region, check_region, drawn
@@ -65,12 +66,8 @@ def surface(
     if why:
         raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
     if isinstance(sample, GivenSample):
-        study = given_sample(problem, sample)
-        ends = jnp.asarray(study.outcome), jnp.asarray(study.ended)
-        found = SampleResult(jax.tree.map(jnp.asarray, study.responses), *ends, study.checks)
-        values, gradients, lacking = study.values, None, study.unreached
-        if slopes:
-            raise ValueError("a Monte Carlo study has no slopes; give a number of runs instead.")
+        values, found, lacking = _there(given_sample(problem, sample), slopes)
+        gradients = None
     else:
         count = len(powers(np.full(len(problem.names), 2), 2, truncation))
         runs = max(RUNS_PER_TERM * count, FEWEST) if sample is None else sample
@@ -82,6 +79,15 @@ def surface(
         problem, values, found, degree=degree, truncation=truncation, gradients=gradients
     )
     return dataclasses.replace(through, unreached=lacking)
+
+
+def _there(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, str]:
+    """Values (runs, variables) and outcomes of a study, and what it lacks of what was asked for."""
+    if slopes:
+        raise ValueError("a Monte Carlo study has no slopes; give a number of runs instead.")
+    ends = jnp.asarray(study.outcome), jnp.asarray(study.ended)
+    responses = jax.tree.map(jnp.asarray, study.responses)
+    return study.values, SampleResult(responses, *ends, study.checks), study.unreached
 
 
 @eqx.filter_jit
