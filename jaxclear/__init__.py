@@ -69,6 +69,8 @@ from jaxclear.studies.design.settings import DesignSettings
 from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity
 from jaxclear.studies.function_problem import Dimension, FunctionProblem
 from jaxclear.studies.life.derivative import wear_life_derivatives
+from jaxclear.studies.life.life_problem import LifeProblem
+from jaxclear.studies.life.life_response import AbstractLifeResponse, LifeEnd, LifeUntil
 from jaxclear.studies.life.lives import wear_lives
 from jaxclear.studies.life.settled import settled
 from jaxclear.studies.life.wear_life import wear_life
@@ -91,6 +93,7 @@ conformal = contact
 
 __all__ = [
     "AbstractFunctionOfTime",
+    "AbstractLifeResponse",
     "AbstractMechanismVariable",
     "AbstractProblem",
     "AbstractQuantified",
@@ -104,6 +107,9 @@ __all__ = [
     "Dimension",
     "FunctionProblem",
     "Heating",
+    "LifeEnd",
+    "LifeProblem",
+    "LifeUntil",
     "Marker",
     "Material",
     "Mechanism",

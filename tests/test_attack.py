@@ -9,8 +9,10 @@ import jaxclear as jc
 from benchmarks import attack
 from benchmarks.attacks import laws, verdicts
 from benchmarks.attacks.answers import RESPONSES
+from benchmarks.attacks.attempts import attempt
 from benchmarks.attacks.structures import structures
 from benchmarks.attacks.verdicts import ACCURACY, Verdict
+from benchmarks.claims import extremes
 from jaxclear.laws.friction import AbstractForceFriction
 
 
@@ -87,3 +89,17 @@ def test_quick_attack_finds_no_wrong_number_of_the_default_without_a_sentence():
         for row in attack.attack(structure._replace(rungs=("default",)), draw)
     ]
     assert rows and not [row for row in rows if row.verdict in (Verdict.WRONG, Verdict.RAW)]
+
+
+@pytest.mark.slow
+def test_extremes_begin_with_surfaces_worn_as_a_user_would():
+    """And the cells of joints that wear are no tracebacks: a worn bearing lets its journal sink."""
+    build, asked = extremes.JOINTS["planar"][0], extremes.asked_of
+    found = []
+    for depth in (0.0, 0.5):
+        p = extremes.USUAL | {"worn depth": depth}
+        run = attempt(build(p), jc.integrator.Adaptive(), asked("planar", p))
+        assert not run.raw and not run.ended
+        found.append(run.answers)
+    new, worn = (np.asarray(answers.offset).min() for answers in found)
+    assert worn < new - 0.3 * extremes.USUAL["clearance"]

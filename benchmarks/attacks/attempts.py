@@ -17,10 +17,7 @@ import jaxclear as jc
 from benchmarks.attacks import answers, rungs, verdicts
 from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.verdicts import Verdict
-from jaxclear.integrators import Adaptive
 from jaxclear.multibody.system import prepare
-from jaxclear.simulation import simulate as simulation
-from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.wear import unworn
 
 # By how much the numbers of a mechanism are never known: answers that this changes beyond the
@@ -30,7 +27,7 @@ NUDGE = 1e-5
 
 class Asked(NamedTuple):
     """How a case is run: number of saving times, whether the energy balance is kept, and the depth
-    [m] to which surfaces are worn at the start (None: fresh, by `jaxclear.simulate`)."""
+    [m] to which surfaces are worn at the start, on one side (None: new)."""
 
     saves: int = 201
     balance: bool = True
@@ -79,38 +76,18 @@ def attempt(case: Case, integrator: Any, asked: Asked) -> Attempt:
 
 
 def _run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
+    worn = None
     if asked.worn is not None:
-        return _worn_run(case, Adaptive() if integrator is None else integrator, asked)
+        depths = unworn(prepare(case.mechanism))
+        worn = jax.tree.map(lambda depth: asked.worn * _hollow(depth), depths)
     return jc.simulate(
         case.mechanism,
         case.duration,
         integrator=integrator,
         save=asked.saves,
-        state=jc.State(concentric=case.concentric),
+        state=jc.State(worn, concentric=case.concentric),
         balance=asked.balance,
         throw=False,
-    )
-
-
-_compiled = eqx.filter_jit(simulation.run)
-
-
-def _worn_run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
-    """As `jaxclear.simulate`, with surfaces worn on one side."""
-    times = simulation.saving_times(case.duration, asked.saves)
-    simulation.check_run(case.mechanism, integrator)
-    rig = integrator.formulation.seen(case.mechanism)
-    start = jc.assemble(rig, case.concentric)
-    worn = jax.tree.map(lambda depth: asked.worn * _hollow(depth), unworn(prepare(rig)))
-    return _compiled(
-        rig,
-        start.coordinates,
-        start.speeds,
-        times,
-        integrator,
-        asked.balance,
-        False,
-        Past(worn=worn),
     )
 
 

@@ -6,6 +6,7 @@ CPU time of all processes that compute counts, the two studies taking turns. Mem
 resident set of a process of its own for each number of samples.
 """
 
+import functools
 import json
 import resource
 import subprocess
@@ -23,6 +24,14 @@ from benchmarks.measure import arguments, report, side_by_side
 from jaxclear.commands.four_bar import problem as four_bar
 
 SEED = 1
+# [s] for which a cluster is watched that does nothing.
+IDLE = 5.0
+# A cluster as the book's page on campaigns sets it: its workers draw no profile of themselves, and
+# XLA knows that each of them has one core.
+SPARING = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.nanny.pre-spawn-environ.PJRT_NPROC": 1,
+}
 
 
 def four_bar_in_motion() -> jc.Problem:
@@ -31,6 +40,7 @@ def four_bar_in_motion() -> jc.Problem:
 
 PROBLEMS: dict[str, tuple[Callable[[], Any], int, int]] = {
     "four-bar, 0.05 s of motion": (four_bar_in_motion, 128, 2048),
+    "four-bar, 0.05 s of motion, four times as many": (four_bar_in_motion, 256, 8192),
     "four-bar, 36 positions": (four_bar_positions, 1 << 14, 1 << 17),
     "stack of ten": (stack, 1 << 17, 1 << 20),
 }
@@ -57,20 +67,29 @@ def rate_row(name: str, problem: Any, samples: int) -> dict[str, Any]:
     }
 
 
-def dask_row(name: str, problem: Any, samples: int) -> dict[str, Any]:
+def dask_row(
+    name: str, problem: Any, samples: int, settings: dict[str, Any] | None = None
+) -> dict[str, Any]:
     """Two workers of one thread beside the plain study on two threads, by turns: wall time, and CPU
-    time of all processes, the client's own work and Dask's included. What the first campaign takes,
-    compiled on both workers, is told by itself."""
+    time of all processes, the client's own work and Dask's included. The cluster is the usual one
+    but for the settings; what it takes while nothing is asked of it is told by itself, and the
+    scheduler's part of that is in the plain study's time too, which runs in its process. So is told
+    what the first campaign takes, compiled on both workers."""
+    import dask
     import distributed
 
     plain = lambda: jc.monte_carlo(problem, samples, seed=SEED)
     plain()
-    cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    with dask.config.set(settings or {}):
+        cluster = distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None
+        )
     with cluster, distributed.Client(cluster) as client:
         ask = lambda: jc.campaign(problem, samples, folder=fresh(), seed=SEED, client=client)
         worked = lambda: sum(client.run(time.process_time).values())
         first, _ = _spent(ask, worked)
         turns = [(_spent(plain, lambda: 0.0), _spent(ask, worked)) for _ in range(3)]
+        idle = _spent(lambda: time.sleep(IDLE), worked)
     wall, cpu = ([min(turn[who][what] for turn in turns) for who in (0, 1)] for what in (0, 1))
     return {
         "problem": name,
@@ -81,6 +100,7 @@ def dask_row(name: str, problem: Any, samples: int) -> dict[str, Any]:
         "plain, samples per CPU s": samples / cpu[0],
         "two workers, samples per CPU s": samples / cpu[1],
         "workers over plain, CPU": cpu[0] / cpu[1],
+        "idle cluster [CPU s per s]": idle[1] / idle[0],
         "first campaign [s]": first,
     }
 
@@ -112,12 +132,12 @@ def folder_row(name: str, problem: Any, samples: int) -> dict[str, Any]:
 
 def memory_rows(most: int) -> list[dict[str, Any]]:
     """Largest resident set of a campaign of so many samples, also with the summary read from its
-    folder, and of the plain study."""
+    folder, of one that doubles its samples toward an accuracy, and of the plain study."""
     rows = []
     samples = 1000
     while samples <= most:
         row: dict[str, Any] = {"samples": samples}
-        for what in ("campaign", "campaign and summary", "plain study"):
+        for what in ("campaign", "campaign and summary", "to an accuracy", "plain study"):
             told = [sys.executable, "-m", "benchmarks.claims.campaign", "peak", what, str(samples)]
             found = subprocess.run(told, capture_output=True, text=True, check=True)
             row[f"{what} [MB]"] = float(found.stdout.split()[-1])
@@ -132,7 +152,9 @@ def print_peak(what: str, samples: int) -> None:
     if what == "plain study":
         jc.monte_carlo(problem, samples, seed=SEED)
     else:
-        found = jc.campaign(problem, samples, folder=fresh(), seed=SEED)
+        # One that no sample reaches: all are computed, up to a power of two.
+        accuracy = 1e-12 if what == "to an accuracy" else None
+        found = jc.campaign(problem, samples, folder=fresh(), seed=SEED, accuracy=accuracy)
         if what == "campaign and summary":
             found.summary()
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
@@ -163,6 +185,10 @@ def others(title: str, name: str, path: Path | None) -> list[dict[str, Any]]:
 PARTS = {
     "rates": ("A campaign beside the plain study", rate_row),
     "dask": ("A campaign on two workers of Dask beside the plain study", dask_row),
+    "sparing dask": (
+        "A campaign on two workers of Dask that draw no profile and have one core each",
+        functools.partial(dask_row, settings=SPARING),
+    ),
     "folders": ("A finished folder", folder_row),
 }
 

@@ -1,6 +1,6 @@
 """The 3RSR parallel mechanism: what a user waits for first, what a cycle with wear costs alone and
-in a batch, and what a worn socket does to the peaks of force, read smoothly and as one radius for
-each cell.
+in a batch, and what a worn socket does to the peaks of force: read smoothly, with the stiffness of
+the radius as made or as worn, and as one radius for each cell.
 """
 
 import os
@@ -39,6 +39,8 @@ INTEGRATORS = {
 SAMPLES, SAVES = 64, 201
 # Starts that differ by rounding, nearly: shares of the clearance.
 SEEDS = 1e-6 * np.arange(5)
+STIFF_AS_WORN = "worn, smooth, stiffness of the worn radius"
+FACETTED = "worn, a radius for each cell"
 
 
 class FacettedSocket(AbstractClearance):
@@ -125,18 +127,20 @@ def cost_rows(samples):
 
 def peaks_rows(periods, seeds):
     """Largest deviation of the force from the ideal one over the third cycle, with the surface new,
-    worn and smooth, and worn with a radius for each cell: least and most over the starts."""
+    worn and smooth (as stiff as made, or as the worn radius), and worn with a radius for each cell:
+    least and most over the starts."""
     worn = study.simulated(parallel_3rsr("one", period=QUIET), study.DENSE * QUIET)
     depth = study.FACTOR * (40 / study.DENSE) * worn.worn_depth("S1", "socket")
-    states = {"new": None, "worn, smooth": depth, "worn, a radius for each cell": depth}
+    states = {"new": None, "worn, smooth": depth, STIFF_AS_WORN: depth, FACETTED: depth}
     rows = []
     for period in periods:
         ideal = study.ideal_run(period)
         for surface, start in states.items():
             found = []
             for seed in seeds:
-                rig = parallel_3rsr("one", 5e-4 * (1 + seed), period=period)
-                if surface.endswith("cell"):
+                follows = surface == STIFF_AS_WORN
+                rig = parallel_3rsr("one", 5e-4 * (1 + seed), period=period, worn_radius=follows)
+                if surface == FACETTED:
                     where = lambda m: m.connections["S1"].joint
                     rig = eqx.tree_at(where, rig, FacettedSocket(where(rig)))
                 state = None if start is None else jc.State({"S1": {"socket": start}})

@@ -99,7 +99,7 @@ class JointFriction(AbstractProblem):
         against its slip onto the disc's edge."""
         (force,) = self.carried(k, friction, (0.0,) * 3)
         size = sp.norm(force)
-        frame = _across(tuple(safe_divide(x, size) for x in force))
+        frame = across(tuple(safe_divide(x, size) for x in force))
         if isinstance(rule, Opposed):
             slip = [sp.dot(axis, rule.slip) for axis in frame]
             speed = sp.norm(slip)
@@ -148,8 +148,8 @@ class BoxedGaussSeidel(AbstractSolver):
 
     `relaxation` rounds the corners of the boxes over that share of their width (Chen & Harker 1993,
     SIAM J. Matrix Anal. Appl. 14, 1168, doi:10.1137/0614081): exact as it vanishes. Plain
-    operations only, so that a time loop with these sweeps stays one kernel; derivatives (forward)
-    are those of the sweeps.
+    operations only, so that a time loop with these sweeps stays one kernel; derivatives
+    (forward; reverse only where that loop is one kernel) are those of the sweeps.
     """
 
     tolerance: Scalar = quantity(
@@ -211,7 +211,7 @@ def _within(x, low, high, relaxation):
     return 0.5 * (root(x + low) - root(x - high) + high - low)
 
 
-def _across(direction: tuple) -> tuple[tuple, tuple]:
+def across(direction: tuple) -> tuple[tuple, tuple]:
     """Two axes across a unit vector, and at right angles to each other (Duff et al. 2017, J.
     Comput. Graph. Tech. 6, 1)."""
     x, y, z = direction

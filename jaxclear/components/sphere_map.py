@@ -68,6 +68,9 @@ class SphereMap(AbstractWearMap):
         elevation = direction_angle(safe_sqrt(x * x + y * y), z)
         return azimuth * (around / (2 * jnp.pi)) - 0.5, (elevation / jnp.pi + 0.5) * along - 0.5
 
+    def directions_of(self, features):
+        return features[..., :3]
+
     def deposit(self, depth, volume, features):
         lost = jax.vmap(self._lost, (None, 0, 0))(depth, volume, features)
         return depth + jnp.sum(lost, axis=0)

@@ -42,7 +42,8 @@ class Wearing(AbstractQuantified):
     along (azimuth and elevation on a sphere).
 
     `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear
-    extrapolation, as in cycle-jump schemes).
+    extrapolation, as in cycle-jump schemes). `worn_radius`: whether what the contact law takes from
+    the geometry, its stiffness say, is that of the radius as worn at the contact, not as made.
     """
 
     law: AbstractWearLaw
@@ -53,6 +54,7 @@ class Wearing(AbstractQuantified):
         metadata={"wanted": "2 whole numbers: cells around and along"},
     )
     acceleration: Scalar = quantity(1.0, "1", "worn volume per simulated volume", at_least=0)
+    worn_radius: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
         if self.cells[0] < 4 or self.cells[1] < 1:
@@ -81,6 +83,11 @@ class AbstractWearMap(AbstractQuantified):
         """Depth after losing `volume` (events,) [m3] at `features` (events, n): means of each
         event's location, weighted by what was lost there.
         """
+
+    def directions_of(self, features):
+        """Mean direction (..., up to 3) of each event: of length 1 where it was at one place, as
+        always unless overridden."""
+        return jnp.ones((*features.shape[:-1], 1))
 
 
 def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "... 3"]]:
@@ -150,6 +157,9 @@ class CylinderMap(AbstractWearMap):
         """One over half the width [1/rad] of a contact of some indentation [m]. Its mean over a
         loss tells how deep that is in the contact's middle."""
         return 1.0 / jnp.sqrt(square_width(indentation, self._cell, self.clearance))
+
+    def directions_of(self, features):
+        return features[..., :2]
 
     @property
     def _cell(self) -> float:

@@ -11,7 +11,14 @@ from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.joint import Fixed, Free, Prismatic, Revolute, Spherical
 from jaxclear.components.load import Gravity
 from jaxclear.files.model_loads import loads_of
-from jaxclear.files.mujoco_model import Compiled, compiled, names_of, not_taken_over
+from jaxclear.files.mujoco_model import (
+    FREE,
+    SPHERICAL,
+    Compiled,
+    compiled,
+    names_of,
+    not_taken_over,
+)
 from jaxclear.ground.answering import answering
 from jaxclear.multibody.mechanism import Mechanism
 
@@ -19,7 +26,6 @@ __all__ = ["NotImported", "read_mjcf", "read_urdf"]
 
 # Of mjtJoint, in its order.
 JOINTS = (Free, Spherical, Prismatic, Revolute)
-FREE, SPHERICAL = 0, 1
 # Between two joints of one body stands a body of this share of its mass and largest moment of
 # inertia: a mechanism has a body between any two joints.
 SHARE_BETWEEN = 1e-12

@@ -24,11 +24,10 @@ from jaxclear.components.load import (
     JointStop,
     RotorInertia,
 )
-from jaxclear.files.mujoco_model import has_stop, off
+from jaxclear.files.mujoco_model import SPHERICAL, has_stop, off
 
 __all__ = ["loads_of"]
 
-SPHERICAL = 1
 # Of impedances MuJoCo itself takes no less and no more than these (mjMINIMP, mjMAXIMP).
 LEAST, MOST = 1e-4, 0.9999
 # What it takes in place of a `solref` that is neither of its two forms.

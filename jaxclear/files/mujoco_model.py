@@ -15,6 +15,8 @@ from jaxclear.ground.wording import described, listed
 
 __all__ = ["Compiled", "compiled"]
 
+# Of mjtJoint; hinges and slides come after them.
+FREE, SPHERICAL = 0, 1
 # Where a URDF begins, and what has MuJoCo keep what is only seen of it.
 ROBOT = re.compile(r"<robot\b[^>]*>")
 KEEP = '<mujoco><compiler discardvisual="false"/></mujoco>'
@@ -155,7 +157,7 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
     """What a model has and the mechanism will not have, in words."""
     model, found = compiled.model, []
     of_joint = lambda values: [joints[model.dof_jntid[k]] for k in np.flatnonzero(values)]
-    ball = model.jnt_type[model.dof_jntid] <= 1
+    ball = model.jnt_type[model.dof_jntid] <= SPHERICAL
     for what, names in (
         ("armature", of_joint((model.dof_armature > 0) & ball)),
         ("dry friction", of_joint((model.dof_frictionloss > 0) & ball)),
@@ -163,7 +165,7 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
         ("damping that is not linear", of_joint(np.any(model.dof_dampingpoly != 0, axis=-1))),
     ):
         found += [_of_joints(what, names)] if names else []
-    soft = (model.jnt_stiffness > 0) & (model.jnt_type <= 1)
+    soft = (model.jnt_stiffness > 0) & (model.jnt_type <= SPHERICAL)
     bent = np.any(np.atleast_2d(model.jnt_stiffnesspoly) != 0, axis=-1)
     for what, flags in (
         ("limits", (model.jnt_limited > 0) & ~has_stop(model)),
@@ -192,7 +194,7 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
 def has_stop(model: Any) -> np.ndarray:
     """Which joints have limits that a stop can be: those of one coordinate, some way apart."""
     wide = model.jnt_range[:, 1] - model.jnt_range[:, 0] > 2 * model.jnt_margin
-    return (model.jnt_limited > 0) & (model.jnt_type > 1) & wide
+    return (model.jnt_limited > 0) & (model.jnt_type > SPHERICAL) & wide
 
 
 def _of_joints(what: str, names: list[str]) -> str:

@@ -7,7 +7,6 @@ state.
 
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -18,6 +17,7 @@ from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.midpoint_step import ImplicitSettings, WarmStart
 from jaxclear.formulations.model import Instant, Model, State
+from jaxclear.formulations.permanent_reactions import REACTION, Reaction
 from jaxclear.formulations.slip_over_step import PastSlip
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
@@ -38,15 +38,12 @@ from jaxclear.multibody.topology import rubbing_in
 class CompliantContact(AbstractFormulation):
     """Contact forces are functions of indentation, its rate, and what the laws remember; impact
     speeds stand still, because the steps set them where contacts close (`impact_speed`).
-    `joints_rub`: reactions are sought with the forces, so that ideal joints may rub.
     """
 
     forces_are_means: ClassVar = False
-    joints_rub: bool = eqx.field(static=True, default=True)
 
     def check(self, mechanism, integrator):
-        check = joint_friction.check_rubbing if self.joints_rub else joint_friction.refuse_rubbing
-        check(mechanism, integrator)
+        joint_friction.check_rubbing(mechanism, integrator)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
                 _check_laws(name, laws)
@@ -55,8 +52,7 @@ class CompliantContact(AbstractFormulation):
         return mechanism
 
     def impulses(self, system):
-        rubbing = rubbing_joints(system) if self.joints_rub else ()
-        return tuple((name, 1) for name in (*system.bearings, *rubbing))
+        return tuple((name, 1) for name in (*system.bearings, *rubbing_joints(system)))
 
     def normal_impulses(self, system, name):
         return (0,) if name in dict(self.impulses(system)) else ()
@@ -86,13 +82,9 @@ class CompliantContact(AbstractFormulation):
     def rate(self, model: Model, time: Any, state: State) -> tuple[State, ContactMotion]:
         """Rate of the state, and the motion of every possible contact, from one evaluation."""
         system, layout, entries = model.system, model.layout, model.entries(state)
-        q, v = unpack_motion(system, entries)
-        motions = kinematics.link_motions(system, q, v, time)
-        reports = contact_reports(system, motions, unpack_memories(layout, entries), model.worn)
-        angles = unpack_angles(layout, entries)
-        forces = applied_forces(system, motions, reports, q, v, time, angles)
-        speeds = entries[layout.coordinates : layout.memory_start]
+        forces, q, v, speeds = _acting(model, time, entries)
         forces, solution, rubbing = joint_friction.solved(model, forces, q, speeds)
+        reports = forces.reports
         normal = ([point.normal_force for point in own.points] for own in reports.values())
         pressing = map(sp.total, normal)
         rates = [
@@ -162,7 +154,16 @@ class CompliantContact(AbstractFormulation):
             for x in PastSlip(0.0, slip, slip)
         ]
         speeds = jnp.zeros(2 * model.layout.speeds)
-        return jnp.concatenate([speeds, sp.stack(depths), sp.stack(slips)])
+        reactions = sp.stack(self._reactions(model, time, entries))
+        return jnp.concatenate([speeds, sp.stack(depths), sp.stack(slips), reactions])
+
+    def _reactions(self, model: Model, time: Any, entries: list) -> list:
+        """Numbers of the reactions of ideal joints that rub."""
+        if not rubbing_joints(model.system):
+            return []
+        forces, q, _, speeds = _acting(model, time, entries)
+        found = joint_friction.rubbing(model, forces, q, speeds).answer.reactions
+        return [x for own in found for part in own for x in part]
 
     def implicit_step(
         self,
@@ -181,15 +182,30 @@ class CompliantContact(AbstractFormulation):
             for bearing in model.system.bearings.values()
             for count in components(model.system, bearing)
         ]
-        smooth, contact, depths, slips = split(
-            numbers, [count, count, len(directions), 3 * sum(directions)]
+        rubbing = len(rubbing_joints(model.system))
+        smooth, contact, depths, slips, reactions = split(
+            numbers, [count, count, len(directions), 3 * sum(directions), REACTION * rubbing]
         )
+        met_before = [Reaction(own[:3], own[3:]) for own in split(reactions, [REACTION] * rubbing)]
         past = [PastSlip(*slip) for slip in split(slips, [3] * sum(directions))]
-        last = WarmStart(list(smooth), list(contact), list(depths), split(past, directions))
+        motion = list(smooth), list(contact), list(depths)
+        last = WarmStart(*motion, split(past, directions), tuple(met_before))
         settings = ImplicitSettings(bias, newton_iterations)
         after, now = midpoint_step.step(model, time_step, model.entries(state), last, settings)
         met = [x for contact in now.slips for slip in contact for x in slip]
+        met += [x for own in now.reactions for part in own for x in part]
         return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths, *met])
+
+
+def _acting(model: Model, time: Any, entries: list) -> tuple[Forces, tuple, tuple, list]:
+    """(what acts but friction in ideal joints, coordinates and speeds by link, flat speeds)."""
+    system, layout = model.system, model.layout
+    q, v = unpack_motion(system, entries)
+    motions = kinematics.link_motions(system, q, v, time)
+    reports = contact_reports(system, motions, unpack_memories(layout, entries), model.worn)
+    angles = unpack_angles(layout, entries)
+    forces = applied_forces(system, motions, reports, q, v, time, angles)
+    return forces, q, v, entries[layout.coordinates : layout.memory_start]
 
 
 def _stacked(points: list) -> ContactMotion:

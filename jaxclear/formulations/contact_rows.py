@@ -95,6 +95,11 @@ class MiddleOfStep(NamedTuple):
         return drift(model.system, self.q, middle, mean, h)
 
 
+def lightness(row: ContactJacobianRow, diagonal: list) -> Any:
+    """About the inverse of the mass that a force along a row moves [1/kg]."""
+    return sp.total(entry * entry / diagonal[j] for j, entry in row.items())
+
+
 def split(values: Any, counts: Sequence[int]) -> list[tuple]:
     """The parts of a list, one after the other."""
     out, start = [], 0
@@ -177,7 +182,10 @@ def contact_points(
             lambda *velocity, j=bearing.joint, g=gap_functions: _row_rates(j, g, *velocity),
         )
         start = 0
-        for laws, gap_function in zip(bearing.contact_laws, gap_functions, strict=True):
+        own_laws = contact_point.laws_at(
+            bearing.joint, bearing.contact_laws, poses[name], model.worn.get(name, {})
+        )
+        for laws, gap_function in zip(own_laws, gap_functions, strict=True):
             end = start + 1 + len(gap_function.candidate.tangents)
             active = 1 if laws.friction is None else end - start
             own = slice(start, end)

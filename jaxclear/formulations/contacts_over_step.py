@@ -15,8 +15,10 @@ from jaxclear.formulations.delassus import ContactSolution, ImplicitContact
 from jaxclear.formulations.joint_reports import ActingContact, joint_reports
 from jaxclear.formulations.law_tangent import Averaging
 from jaxclear.formulations.model import Model
+from jaxclear.formulations.permanent_reactions import Reaction
+from jaxclear.formulations.rubbing_over_step import JointOverStep, friction, rubbed
 from jaxclear.formulations.slip_over_step import SlipAtStart
-from jaxclear.formulations.state_rate import link_accelerations, passive_rates
+from jaxclear.formulations.state_rate import Passive, link_accelerations, passive_rates
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.multibody.closure_coordinates import angle_rates
@@ -49,6 +51,7 @@ class Step(NamedTuple):
     middle: MiddleOfStep
     contacts: list[ContactOverStep]
     equations: ImplicitContact
+    joints: tuple[JointOverStep, ...] = ()
 
     def reaches(self) -> list:
         """Change of each row's rate by the acceleration that contact adds to it [s]."""
@@ -57,7 +60,12 @@ class Step(NamedTuple):
             others = contact.point.active - 1
             out.append(self.averaging.reach)
             out += [contact.braking.reach] * others if others else []
-        return out
+        return out + [joint.reach for joint in self.joints for _ in joint.rows]
+
+    def per_joint(self, values: Any) -> list[tuple]:
+        """One value per row with a force, as one tuple per ideal joint that rubs."""
+        first = sum(contact.point.active for contact in self.contacts)
+        return split(values[first:], [len(joint.rows) for joint in self.joints])
 
     def per_contact(self, values: Any) -> list[tuple]:
         """One value per row with a force, as one tuple per contact."""
@@ -78,20 +86,23 @@ def memories_after(whole: Step, solution: ContactSolution) -> list:
     return pack_memories(whole.model.layout, memories)
 
 
-def passive_rates_over(whole: Step, solution: ContactSolution, ends: list, mean: list) -> list:
-    """Rates of what only follows the motion, with the forces that the step was made with; `ends`:
-    slips at its end along the directions in its middle; `mean`: speeds over it."""
+def passive_rates_over(
+    whole: Step, solution: ContactSolution, ends: list, mean: list
+) -> tuple[list, tuple[Reaction, ...]]:
+    """(rates of what only follows the motion, with the forces that the step was made with;
+    reactions of ideal joints that rub). `ends`: slips at its end along the directions in its
+    middle; `mean`: speeds over it."""
     model, free_motion = whole.model, whole.middle.free_motion
     layout, system = model.layout, model.system
     # Of all that the speeds gain by contact, so also where an iteration ends with a pull.
     normal = [-own[0] for own in whole.per_contact(solution.forces)]
     pressing = [sp.total(own) for own in by_joint(system, normal)]
-    if not layout.wear and not layout.energies:
-        return [*angle_rates(system, layout, free_motion.forces.motions), *pressing]
+    if not layout.wear and not layout.energies and not whole.joints:
+        return [*angle_rates(system, layout, free_motion.forces.motions), *pressing], ()
     acting = _acting_contacts(whole, solution, ends, whole.middle.change_to(mean))
     reports = joint_reports(system, free_motion.poses, acting)
     forces = free_motion.forces._replace(reports=reports)
-    if layout.energies:
+    if layout.energies or whole.joints:
         motion = unpack_motion(system, [*whole.middle.halfway, *whole.middle.predicted])
         motions = free_motion.forces.motions
         time, angles = whole.time_step.middle, forces.angles
@@ -104,7 +115,12 @@ def passive_rates_over(whole: Step, solution: ContactSolution, ends: list, mean:
         )
     )
     total = link_accelerations(system, accelerations, tuple(multipliers))
-    return passive_rates(system, layout, forces, total, pressing=pressing)
+    passive, reactions = Passive(), tuple[Reaction, ...]()
+    if whole.joints:
+        found = friction(whole.joints, whole.per_joint(solution.forces), mean), mean
+        # The accelerations contain the joints' friction, so the power of a drive asks for it too.
+        passive, reactions, forces = rubbed(model, whole.joints, forces, whole.middle, total, found)
+    return passive_rates(system, layout, forces, total, passive, pressing), reactions
 
 
 def _acting_contacts(

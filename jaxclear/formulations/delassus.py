@@ -8,7 +8,7 @@ doi:10.24033/asens.701; Acary & Brogliato 2008, Numerical Methods for Nonsmooth 
 doi:10.1007/978-3-540-75392-6.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax.scipy.linalg as jsl
@@ -105,14 +105,18 @@ def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -
     return DelassusOperator(rows, free, multipliers, responses)
 
 
-def implicit_contact(free_motion: FreeMotion) -> ImplicitContact:
-    """The equations of an instant, solved without contact and ready to be solved with it.
+def implicit_contact(
+    free_motion: FreeMotion, further: Sequence[ContactJacobianRow] = ()
+) -> ImplicitContact:
+    """The equations of an instant, solved without contact and ready to be solved with it; `further`
+    rows along which forces act stand behind those of the contacts.
 
     Two ways to one solution, in the fewest unknowns: in the free speeds, (M + reach J^T D J) k =
     J^T p(unmoved), where these are no more than the rows; otherwise in the rows, (1 + S W S) z =
     sqrt(D / reach) (about - ...), S = sqrt(reach D).
     """
     rows = [row for contact in free_motion.contacts for row in contact.rows[: contact.active]]
+    rows += further
     size = len(free_motion.right)
     if rows and not free_motion.closures.rows and len(rows) >= size:
         operator = delassus_operator(free_motion, [])

@@ -112,9 +112,11 @@ def end_at_passage(
     after: ContactMotion,
     length: Scalar,
     beyond: Scalar,
+    least: Scalar = 0.0,
 ) -> Scalar:
     """The share of a step at which it would have ended where a contact first closes or parts in it;
-    1 where none goes more than `beyond` [m] beyond its wall.
+    1 where none goes more than `beyond` [m] beyond its wall, or only within a time `least` [s] of
+    one of its ends: such a passage hides no later one of another contact.
 
     Signs of the rates at the ends do not tell of a touch between them: a journal that has touched,
     parted and passed the middle of its bearing comes nearer to the wall at both. So the halves of
@@ -138,7 +140,8 @@ def end_at_passage(
     last = jnp.where(soon, summit_early, summit_late)
     within = passage(path, 0.5 * beyond, last)
     shares = 0.5 * (within + jnp.where(soon, 0.0, 1.0))
-    return jnp.min(jnp.where(soon | then, shares, 1.0), initial=1.0)
+    told = (soon | then) & (jnp.minimum(shares, 1 - shares) * length > least)
+    return jnp.min(jnp.where(told, shares, 1.0), initial=1.0)
 
 
 def _summit(path: tuple) -> Array:

@@ -72,11 +72,21 @@ def solved(model: Model, forces: Forces, q: tuple, v: list) -> tuple[Forces, Sol
         solution = dynamics.forward_dynamics(model.system, forces, model.stabilisation)
         return forces, solution, Passive()
     found = rubbing(model, forces, q, v)
-    rates = wear_rates(model, forces.motions, q, found.answer, found.friction, found.slips)
-    lost, driven = friction_losses(held, found.friction, found.slips)
-    parts = zip(held, found.answer.reactions, placed(held), strict=True)
-    pressed = [pressing(one, own, own_part(found.friction, place)) for one, own, place in parts]
-    return found.forces, found.solution, Passive(rates, lost, driven, pressed)
+    passive = passive_of(model, found.forces, q, found.answer, found.friction, found.slips)
+    return found.forces, found.solution, passive
+
+
+def passive_of(
+    model: Model, forces: Forces, q: tuple, answer: Answer, friction: Any, slips: list
+) -> Passive:
+    """What joints that rub wear, lose and press with, by their reactions and friction [N] at these
+    sliding speeds [m/s]."""
+    held = touching(model.system)
+    rates = wear_rates(model, forces.motions, q, answer, friction, slips)
+    lost, driven = friction_losses(held, friction, slips)
+    parts = zip(held, answer.reactions, placed(held), strict=True)
+    pressed = [pressing(one, own, own_part(friction, place)) for one, own, place in parts]
+    return Passive(rates, lost, driven, pressed)
 
 
 def friction_losses(held: tuple[PermanentJoint, ...], friction: Any, slips: list) -> tuple:
@@ -122,5 +132,6 @@ def refuse_rubbing(mechanism: Mechanism, integrator: str) -> None:
             raise ValueError(
                 f'joint "{name}" is a {type(joint).__name__} with friction or wear, which follow '
                 f"its reaction; {integrator} knows that only when a step is over. Take "
-                "integrator.Adaptive, FixedStep or NonColliding, or a joint with clearance."
+                "integrator.Adaptive, FixedStep, ImplicitStep or NonColliding, or a joint with "
+                "clearance."
             )

@@ -17,10 +17,10 @@ import jax.numpy as jnp
 
 from jaxclear.formulations import contact_rows, law_tangent, slip_over_step
 from jaxclear.formulations.contact_rows import (
-    ContactJacobianRow,
     MiddleOfStep,
     TimeStep,
     by_joint,
+    lightness,
 )
 from jaxclear.formulations.contacts_over_step import (
     ContactOverStep,
@@ -36,6 +36,8 @@ from jaxclear.formulations.delassus import (
 from jaxclear.formulations.impact_speed import Flight, taken_in_flight
 from jaxclear.formulations.law_tangent import Averaging
 from jaxclear.formulations.model import Model
+from jaxclear.formulations.permanent_reactions import Reaction
+from jaxclear.formulations.rubbing_over_step import damping, joints_over_step
 from jaxclear.formulations.slip_over_step import PastSlip
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
@@ -61,13 +63,15 @@ class ImplicitSettings(NamedTuple):
 
 class WarmStart(NamedTuple):
     """What a step hands on to the next: free accelerations without contact, what contact adds, the
-    last indentations, and of each sliding direction of each contact friction and slip.
+    last indentations, of each sliding direction of each contact friction and slip, and the
+    reactions of ideal joints that rub.
     """
 
     smooth: list
     contact: list
     depths: list
     slips: list[tuple[PastSlip, ...]]
+    reactions: tuple[Reaction, ...] = ()
 
 
 def step(
@@ -78,9 +82,10 @@ def step(
     averaging = Averaging(h, settings.bias)
     accelerations = [a + b for a, b in zip(last.smooth, last.contact, strict=True)]
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
-    equations = implicit_contact(middle.free_motion)
+    joints = joints_over_step(model, middle, last.reactions, averaging)
+    equations = implicit_contact(middle.free_motion, [x for joint in joints for x in joint.rows])
     contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last)
-    whole = Step(model, time_step, averaging, middle, contacts, equations)
+    whole = Step(model, time_step, averaging, middle, contacts, equations, joints)
     solution = _iterate(whole, last.contact, settings.newton_iterations)
     free, caused = equations.free, solution.accelerations
     mean = [
@@ -95,7 +100,7 @@ def step(
         for contact, rates in zip(contacts, whole.per_contact(solution.rates), strict=True)
     ]
     after = [*q, *v, *memories_after(whole, solution)]
-    passive = passive_rates_over(whole, solution, slid, mean)
+    passive, reactions = passive_rates_over(whole, solution, slid, mean)
     after += [x + h * rate for x, rate in zip(entries[len(after) :], passive, strict=True)]
     past = [
         slip_over_step.handed_on(contact.slips, end, forces[1:])
@@ -103,7 +108,7 @@ def step(
             contacts, slid, whole.per_contact(solution.forces), strict=True
         )
     ]
-    return after, WarmStart(free, caused, depths, past)
+    return after, WarmStart(free, caused, depths, past, reactions)
 
 
 def _contacts_at_start(
@@ -128,21 +133,16 @@ def _contacts_at_start(
             flight = Flight(depth, point.gap_function.indentation, approach, gain)
             speed = taken_in_flight(memory.impact_speed, flight, averaging.length)
             memory = memory._replace(impact_speed=speed)
-        mass = 1.0 / (_lightness(point.rows[0], diagonal) + LEAST_LIGHTNESS)
+        mass = 1.0 / (lightness(point.rows[0], diagonal) + LEAST_LIGHTNESS)
         braking = slip_over_step.braking(
             point.laws,
             *averaging,
             depth + averaging.length * positive_part(approach),
-            [_lightness(row, diagonal) for row in point.rows[1 : point.active]],
+            [lightness(row, diagonal) for row in point.rows[1 : point.active]],
         )
         sliding = slip_over_step.at_start(now, past, depth)
         contacts.append(ContactOverStep(point, depth, approach, mass, memory, braking, sliding))
     return contacts
-
-
-def _lightness(row: ContactJacobianRow, diagonal: list) -> Any:
-    """About the inverse of the mass that a force along a row moves [1/kg]."""
-    return sp.total(entry * entry / diagonal[j] for j, entry in row.items())
 
 
 def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
@@ -171,6 +171,14 @@ def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
             unmoved.append(rate)
             first.append(jnp.where(closed, slip.own, rate))
             forces.append(jnp.where(closed, slip.traction, 0.0))
+    for joint in whole.joints:
+        moved = [joint.reach * along(row, free) for row in joint.rows]
+        unmoved += [sp.add(x, y) for x, y in zip(joint.begun, moved, strict=True)]
+        first += [
+            sp.add(x, joint.reach * along(row, last))
+            for x, row in zip(unmoved[len(first) :], joint.rows, strict=True)
+        ]
+        forces += [0.0] * len(joint.rows)
     return unmoved, first, forces
 
 
@@ -210,7 +218,7 @@ def _linear_laws(whole: Step, rates: list, forces: list) -> LinearLaws:
 
     system = whole.model.system
     parts = zip(
-        system.bearings.values(),
+        by_joint(system, [contact.point.laws for contact in whole.contacts]),
         by_joint(system, [contact.memory for contact in whole.contacts]),
         by_joint(system, [contact.depth for contact in whole.contacts]),
         by_joint(system, whole.per_contact(rates)),
@@ -218,11 +226,15 @@ def _linear_laws(whole: Step, rates: list, forces: list) -> LinearLaws:
         by_joint(system, [contact.braking for contact in whole.contacts]),
         strict=True,
     )
-    calls = [(b.contact_laws, m, whole.averaging, *rest) for b, m, *rest in parts]
+    calls = [(laws, memory, whole.averaging, *rest) for laws, memory, *rest in parts]
     found = [tangent for joint in map_alike(tangents, calls) for tangent in joint]
     forces = [force for tangent in found for force in tangent.forces]
     dampings = [damping for tangent in found for damping in tangent.dampings]
-    return LinearLaws(forces, dampings, rates)
+    about = list(rates[: len(forces)])
+    for joint, own in zip(whole.joints, whole.per_joint(rates), strict=True):
+        dampings += [damping(joint, own)] * len(own) if own else []
+        forces, about = forces + [0.0] * len(own), about + [0.0] * len(own)
+    return LinearLaws(forces, dampings, about)
 
 
 def _settle(whole: Step, solution: ContactSolution, q: list, v: list) -> tuple[list, list]:
@@ -244,6 +256,8 @@ def _settle(whole: Step, solution: ContactSolution, q: list, v: list) -> tuple[l
         closed = (true > 0) | (assumed > 0)
         weights += [jnp.where(closed, STIFFNESS * contact.mass, 0.0), *others]
         unmoved += [true - assumed, *others]
+    further = [0.0] * sum(len(joint.rows) for joint in whole.joints)
+    unmoved, weights = unmoved + further, weights + further
     nothing = [0.0] * len(unmoved)
     ones = [1.0] * len(unmoved)
     shift = whole.equations.solve(ones, unmoved, LinearLaws(nothing, weights, nothing))

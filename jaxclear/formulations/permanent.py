@@ -25,6 +25,7 @@ from jaxclear.formulations.permanent_friction import (
 )
 from jaxclear.formulations.permanent_joints import fit
 from jaxclear.formulations.permanent_reactions import (
+    REACTION,
     Answer,
     Reaction,
     friction_response,
@@ -44,11 +45,6 @@ from jaxclear.multibody.closure_coordinates import angle_rates
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.state import unpack_angles, unpack_motion
 from jaxclear.multibody.system import System, prepare
-
-# Components of the reaction of a joint that always touches: force and torque on the child. Behind
-# them its impulse has those of its friction, and one of all its normal forces' sizes, which turn
-# with the reaction.
-REACTION = 6
 
 
 class PermanentContact(AbstractFormulation):

@@ -18,6 +18,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.pose import FLIP, Pose
 from jaxclear.multibody import constraints, dynamics, kinematics
+from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces, add_action_and_reaction
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.system import System
@@ -162,6 +163,10 @@ def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
     return forces._replace(wrenches=tuple(wrenches), coordinate_forces=tuple(coordinate_forces))
 
 
+# Numbers of a reaction: force and torque.
+REACTION = 6
+
+
 class Reaction(NamedTuple):
     """Force [N] and torque [N m] on a joint's child about its marker, in the parent marker's
     axes."""
@@ -206,9 +211,16 @@ def friction_response(model: Model, forces: Forces, q: tuple) -> FrictionRespons
 
 
 def _answer(model: Model, forces: Forces, q: tuple, touching_joints: tuple, friction) -> Answer:
-    system = model.system
-    forces = with_friction(system, forces, friction)
-    solution = dynamics.forward_dynamics(system, forces, model.stabilisation)
+    forces = with_friction(model.system, forces, friction)
+    solution = dynamics.forward_dynamics(model.system, forces, model.stabilisation)
+    return answer_to(model.system, forces, q, touching_joints, solution)
+
+
+def answer_to(
+    system: System, forces: Forces, q: tuple, touching_joints: tuple, solution: Solution
+) -> Answer:
+    """The accelerations of a solution, with the reactions of joints that touch under the forces
+    that have caused it, at coordinates `q`."""
     wrenches = dynamics.joint_wrenches(system, forces, solution)
     closed = []
     if any(held.link is None for held in touching_joints):

@@ -12,7 +12,7 @@ from jaxclear.formulations.joint_friction import friction_losses, rubbing
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import slips_of, touching
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import kinematics
+from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.forces import applied_forces, contact_reports
 from jaxclear.multibody.state import unpack_angles, unpack_memories, unpack_motion
 
@@ -40,7 +40,11 @@ def energy_rates(model: Model, time: Any, entries: list, mean: list) -> list:
             sp.dot(report.force, relative.velocity), sp.dot(report.torque, relative.spin)
         )
         pressed, damped = 0, 0
-        points = zip(bearing.contact_laws, report.points, middle.reports[name].points, strict=True)
+        pose = kinematics.relative_motion(bearing.closure, start.motions)[1]
+        own_laws = contact_point.laws_at(
+            bearing.joint, bearing.contact_laws, pose, model.worn.get(name, {})
+        )
+        points = zip(own_laws, report.points, middle.reports[name].points, strict=True)
         for laws, begun, moved in points:
             elastic = laws.contact.elastic_force(begun.indentation)
             pressed = sp.add(pressed, begun.normal_force * moved.rate)

@@ -224,9 +224,10 @@ def check_range(owner: Callable[[], str], path: str, leaf: Any, metadata: Mappin
     unit = "" if metadata["unit"] == "1" else f" {metadata['unit']}"
     wanted = [range_in_words(metadata)] if range_in_words(metadata) else []
     wanted += [] if np.all(np.isfinite(leaf)) else ["finite"]
-    raise ValueError(
-        f"{owner()} has {path} = {np.asarray(leaf):g}{unit}; it must be {' and '.join(wanted)}."
+    shown = (
+        f"{value:g}" if isinstance(value, float) else np.array2string(np.asarray(leaf), threshold=6)
     )
+    raise ValueError(f"{owner()} has {path} = {shown}{unit}; it must be {' and '.join(wanted)}.")
 
 
 def numbers(tree: Any, name: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:

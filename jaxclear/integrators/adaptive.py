@@ -47,16 +47,15 @@ class Adaptive(AbstractIntegrator):
     """A diffrax solver under error control: cost follows difficulty.
 
     Use as reference and for single runs. Local error per step below rtol |y| + atol in every
-    coordinate and speed; memories of laws are held a hundred times looser, worn volumes and
-    energies follow the motion. Where joints have clearance both tolerances count as at rtol 3e-7
-    at the loosest (4e-4 of the narrowest gap beside the longest arm, where that is less): impacts
-    make errors grow, and looser runs save next to no time. A step in which a contact closes or
-    parts is repeated to end there. In a batch all samples wait for the slowest. A derivative
-    through contacts is not to be trusted (off by 52 % in a measurement) and is refused; see
-    `jaxclear.sensitivity`. Stiff scenes (large friction over tiny transition speeds) may prefer an
-    implicit solver, best with a full Newton iteration:
-    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
-    `MuntheKaas` keeps rotations on their group.
+    coordinate, speed and deflection of bristles; worn volumes and energies follow the motion. Where
+    joints have clearance both tolerances count as at rtol 3e-7 at the loosest (4e-4 of the
+    narrowest gap beside the longest arm, where that is less): impacts make errors grow, and looser
+    runs save next to no time. A step in which a contact closes or parts is repeated to end there.
+    In a batch all samples wait for the slowest. A derivative through contacts is not to be trusted
+    (off by 52 % in a measurement) and is refused; see `jaxclear.sensitivity`. Stiff scenes (large
+    friction over tiny transition speeds) may prefer an implicit solver, best with a full Newton
+    iteration: diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)). `MuntheKaas`
+    keeps rotations on their group.
     """
 
     pathwise: ClassVar = False
@@ -113,7 +112,6 @@ class Adaptive(AbstractIntegrator):
     def _controller(self, model, interval, usual):
         """The error control of an interval in which a step has a `usual` length [s], which ends
         steps where contacts close and part."""
-        weights = interval.error_weights
         # Finer steps are shorter too, also where errors ask for no more than one.
         longest = jnp.where(interval.share < 1, interval.share * usual, jnp.inf)
         if self.largest_step is not None:
@@ -128,9 +126,8 @@ class Adaptive(AbstractIntegrator):
             atol=self.atol * finer,
             # diffrax reports a failed implicit stage as an infinite error of all entries: 0 times
             # infinity must not enter.
-            norm=lambda error: jnp.max(
-                jnp.where(weights > 0, jnp.abs(weights * error), 0.0), initial=0.0
-            ),
+            # What it closes over must be leaves: implicit solvers differentiate with the norm.
+            norm=jax.tree_util.Partial(_largest, interval.error_weights),
             dtmin=SMALLEST_STEP * jnp.maximum(jnp.abs(interval.start), jnp.abs(interval.stop)),
             dtmax=longest,
             force_dtmin=False,
@@ -207,3 +204,8 @@ class Adaptive(AbstractIntegrator):
         if rest.system.bearings:
             _, _, figures[Check.INDENTATION], events = solution.solver_state
         return Advance(solution.ys[-1], accepted, rejected, typical, outcome, figures, events)
+
+
+def _largest(weights, error):
+    """The largest weighed error."""
+    return jnp.max(jnp.where(weights > 0, jnp.abs(weights * error), 0.0), initial=0.0)

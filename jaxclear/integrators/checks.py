@@ -17,10 +17,11 @@ LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfa
 NEVER = (np.inf, Outcome.REACHED)
 
 
+@enum.unique
 class Check(enum.IntEnum):
     """A figure by which a run is judged: its `label` in tables, `unit`, `limit`, what the limit
-    `concerns` (motion, forces, peak forces, wear, places in gaps), whose it is (`of`), and the
-    `sentence` said beyond the limit. Beyond `ends_at` the run ends, by `outcome`.
+    `concerns` (motion, forces, peak forces, wear, worn depth, places in gaps), whose it is
+    (`of`), and the `sentence` said beyond the limit. Beyond `ends_at` the run ends, by `outcome`.
     """
 
     label: str
@@ -95,6 +96,18 @@ class Check(enum.IntEnum):
         SURFACES,
         'with steps of half the length or less the wear of joint "{place}" changes by {figure:.2g} '
         "(limit {limit:g}), so worn volumes and depths are off: take shorter steps",
+    )
+    # What fewer of the saving times would change, at which surfaces are updated.
+    WEAR_BY_SAVES = (
+        14,
+        "saving times: worn depth",
+        "1",
+        0.05,
+        "worn depth",
+        SURFACES,
+        'where joint "{place}" wears hangs on the saving times, at which surfaces are updated: '
+        "depths of its cells may be off by {figure:.2g} of themselves (limit {limit:g}), though "
+        "volumes are right: save more often",
     )
     PLACE_IN_GAP = (
         12,
@@ -192,6 +205,20 @@ class Check(enum.IntEnum):
         '{figure:.2g} of what friction takes in joint "{place}" is taken where it stops slip '
         "within a step (limit {limit:g}), so sliding, friction loss and wear may be far off, and "
         "with them where bodies are: take shorter steps or integrator.ImplicitStep",
+    )
+    # Rate of a contact's damping, times the step, beside what is stable alone: contacts that share
+    # a body are together faster than each of them.
+    DAMPER_STEP = (
+        15,
+        "damper step",
+        "1",
+        0.75,
+        "peak forces",
+        CONTACTS,
+        'the damping of the contact in joint "{place}" is as fast as {figure:.2g} of what these '
+        "steps follow in a lone contact (limit {limit:g}), so its forces at an instant and their "
+        "peaks may swing about what they should be, though mean forces may be right: take shorter "
+        "steps, contact_steps, or integrator.ImplicitStep",
     )
     # Angle by which a contact vibrates in a step, or share of slip that friction stops in it if
     # that is less: a mean by the power of friction. Steps that damp count as longer ones.

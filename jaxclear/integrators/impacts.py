@@ -63,10 +63,9 @@ class EndingAtTouches(diffrax.AbstractAdaptiveStepSizeController):
             t0, t1, y0, y1_candidate, args, y_error.error, error_order, controller_state
         )
         least, length = self.controller.dtmin, t1 - t0
-        share = end_at_passage(*y_error.passed, length, self.beyond)
         # Where time does not tell the two ends apart the step is as good as any.
-        passed = (share * length > least) & ((1 - share) * length > least)
-        again = passed & (keep | (share * length < stop - t0))
+        share = end_at_passage(*y_error.passed, length, self.beyond, least)
+        again = (share < 1) & (keep | (share * length < stop - t0))
         choose = lambda yes, no: jax.tree.map(lambda a, b: jnp.where(again, a, b), yes, no)
         return (
             keep & ~again,

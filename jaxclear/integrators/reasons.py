@@ -32,6 +32,11 @@ REASONS: dict[Check, str] = {
         "takes"
     ),
     Check.HALVED_WEAR: "worn volumes follow mean forces and sliding, and are as sure as these",
+    Check.WEAR_BY_SAVES: (
+        "told from what fewer saving times change, for errors that fall with their distance: of a "
+        "journal that always touches it was 1.5 to 17 times the error beside many saving "
+        "times, of one that rattles a third to seven times"
+    ),
     Check.CONTACT_STEP: (
         "a contact that is open before a step and nearly at its deepest after it is seen once on "
         "its way in: the peak lies somewhere between two steps"
@@ -49,6 +54,10 @@ REASONS: dict[Check, str] = {
         "a mechanism that nothing drives cannot gain energy; the accuracy of mean forces is allowed"
     ),
     Check.INDENTATION: ("contact laws are made for indentations that are small beside the radius"),
+    Check.DAMPER_STEP: (
+        "beyond 1 what a damper takes swings from step to step; contacts that share a body get "
+        "there together before each does alone (in a slider-crank of two at 0.85)"
+    ),
     Check.FRICTION_STEP: (
         "of journals that creep, of thrown ones and of mechanisms drawn at random every run whose "
         "friction loss or wear was off by more than 2 % was beyond it, and few others were"

@@ -64,8 +64,9 @@ def arrived(
     watch: Watch | None = None,
 ) -> Advance:
     """The answer of steps that are never rejected, and that have `met` so deep contacts; `judged`:
-    what checks judge steps by, the length [s] of those in contact for friction's; `rises`: the
-    check that judges by how much indentations rise in a step; `watch`: events on the way."""
+    what checks judge steps by, the length [s] of those in contact for friction and damping;
+    `rises`: the check that judges by how much indentations rise in a step; `watch`: events on the
+    way."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
     figures = {} if judged is None else dict(judged)
     if met is not None:

@@ -16,6 +16,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import rounded_norm, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody.loops import Relative
+from jaxclear.multibody.worn_laws import laws_now
 
 # Slip speeds are rounded here [m/s]: far below any transition speed, only so that the direction of
 # slip exists at rest.
@@ -33,7 +34,7 @@ class PointState(NamedTuple):
 
 class PointReport(NamedTuple):
     """One possible contact at an instant, SI units; slip and traction along its sliding
-    directions.
+    directions; `elastic_force`: the part of the normal force that is stored, by the law as worn.
     """
 
     indentation: Any
@@ -42,6 +43,7 @@ class PointReport(NamedTuple):
     slip_speed: Any
     traction: Any
     place: sp.Vec
+    elastic_force: Any
 
 
 class JointReport(NamedTuple):
@@ -99,6 +101,7 @@ def evaluate(
     """Forces of a clearance joint; `worn` are the depth maps that feed back into the gap."""
     pose, velocity, spin = relative
     gap_functions = gap_function(joint, pose, worn)
+    contact_laws = laws_at(joint, contact_laws, pose, worn)
     speeds, responses = [], []
     for laws, contact, state in zip(contact_laws, gap_functions, memory, strict=True):
         rate, slip = contact_speeds(joint, pose, contact, velocity, spin)
@@ -133,6 +136,13 @@ def gap_function(
     for overlap, (slope, turns), candidate in zip(indentations, gradients, candidates, strict=True):
         found.append(GapFunction(overlap, slope, turns, candidate))
     return tuple(found)
+
+
+def laws_at(
+    joint: AbstractClearance, fitted: tuple[ContactLaws, ...], pose: Pose, worn: dict[str, Any]
+) -> tuple[ContactLaws, ...]:
+    """Laws of every possible contact of a joint, from those of its shape as made."""
+    return laws_now(joint, fitted, pose.translation, _axes(joint, pose), worn)
 
 
 def depths(joint: AbstractClearance, pose: Pose, worn: dict[str, Any]) -> tuple:
@@ -199,11 +209,8 @@ def assemble(
         drag = 0.0 if laws.friction is None else safe_sqrt(sp.dot(traction, traction))
         loss = sp.neg(sp.dot(response.tractions, slip)) if response.tractions else 0
         powers.append((normal * rate, (normal - elastic) * rate, loss))
-        reports.append(
-            PointReport(
-                contact.indentation, rate, normal, response.slip_speed, drag, candidate.place
-            )
-        )
+        felt = (normal, response.slip_speed, drag)
+        reports.append(PointReport(contact.indentation, rate, *felt, candidate.place, elastic))
     indentations = tuple(contact.indentation for contact in gap_functions)
     wear_rates = _wear_rates(joint, contact_laws, offset, axes, indentations, reports)
     sums = [sp.total(parts) for parts in zip(*powers, strict=True)]

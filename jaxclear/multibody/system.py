@@ -17,15 +17,16 @@ from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
-from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.topology import Topology, coordinate_joint, joint_of
 from jaxclear.multibody.tree import Link
+from jaxclear.multibody.worn_laws import fitted_laws
 
 
 class Bearing(eqx.Module):
-    """A clearance joint ready for evaluation: its markers as a closure and its fitted laws."""
+    """A clearance joint ready for evaluation: its markers as a closure and its laws, fitted to it
+    as made."""
 
     closure: Closure
     joint: AbstractClearance
@@ -96,11 +97,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     bearings = {}
     for name in topology.clearances:
         joint = mechanism.connections[name].joint
-        contact_laws = tuple(
-            ContactLaws(fitted(p.contact, p.shape), p.friction, p.shape, p.wears)
-            for p in joint.contact_laws()
-        )
-        bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, contact_laws)
+        bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, fitted_laws(joint))
     loads, markers, gravity = {}, {}, sp.ZERO
     for name, load in mechanism.loads.items():
         if isinstance(load, Gravity):

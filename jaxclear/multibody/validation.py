@@ -24,6 +24,7 @@ from jaxclear.ground.quantity import check_range, numbers
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.topology import Topology, coordinate_joint
+from jaxclear.multibody.worn_laws import check_followed
 
 
 def check_parts(bodies: dict, connections: dict, loads: dict) -> None:
@@ -66,6 +67,7 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
         try:
             for laws in joint.contact_laws():
                 fitted(laws.contact, laws.shape)
+            check_followed(joint)
         except ValueError as error:
             raise ValueError(f'joint "{name}": {error}') from None
 

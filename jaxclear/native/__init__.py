@@ -5,7 +5,7 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is five functions, three that tell of the program, and three for Ctrl-C:
+The boundary is six functions, three that tell of the program, and three for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `scan(turn, first, rows)` in the place of `jax.lax.scan(turn, first, rows)`: loops within its
@@ -13,6 +13,7 @@ The boundary is five functions, three that tell of the program, and three for Ct
 - `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`, and
   `one_row(function, *numbers)` in the place of the function itself;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
+- `forwards_only(sentence, numbers)`: what is not differentiated backwards, and why;
 - `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence;
 - `calls_lapack(after)`: whether the compiled program does, and cannot run beside another one;
 - `stoppable()`: what runs within it ends at once on Ctrl-C, or by `stop()` (see `stopping`);
@@ -21,7 +22,8 @@ The boundary is five functions, three that tell of the program, and three for Ct
 On its way a loop passes through these files:
 
 - `while_loops`: loops as they are written; `loop`: the primitive of JAX that they become, how it
-  batches and is lowered; `differentiation`, `tangent`: its derivative, a loop again.
+  batches and is lowered; `differentiation`, `tangent`: its derivative, a loop again; backwards as
+  many such loops as numbers enter it that move.
 - `rows`: functions as loops of one turn.
 - `calls`, `control`, `arithmetic`, `elementary`, `shapes`, `indexing`, `reductions`: one rule for
   each of JAX's primitives, in the registry of `rules`: what it becomes as LLVM code.
@@ -41,7 +43,7 @@ all reasons are in the verdict.
 What a kernel holds of its arguments: constants and the first state as one packed row of floats for
 each sample (whole numbers and truth values as floats, exact to 2^53); constant arrays of more than
 64 numbers stay in memory and are read by index, and so is written what a scan leaves at every
-turn: a packed row of floats. An array in the state always lives in registers.
+turn: a block for each of its arrays. An array in the state always lives in registers.
 
 How it is tested (tests/native): every rule by itself on awkward numbers (zeros of both signs,
 infinities, nan, empty arrays, several lanes) against JAX's own evaluation; a rule without such a
@@ -52,6 +54,7 @@ To add a rule: write the function in the file of its subject, decorate it with `
 give it a case in tests/native/test_rules.py.
 """
 
+from jaxclear.native.differentiation import forwards_only
 from jaxclear.native.rows import one_row, over_rows
 from jaxclear.native.stopping import stop, stoppable, stops
 from jaxclear.native.verdicts import calls_lapack, explain, verdict
@@ -60,6 +63,7 @@ from jaxclear.native.while_loops import scan, while_loop, with_fast_loops
 __all__ = [
     "calls_lapack",
     "explain",
+    "forwards_only",
     "one_row",
     "over_rows",
     "scan",

@@ -59,6 +59,13 @@ def _agrees(program: Program, address: int, draw: int) -> tuple[tuple[bool, bool
     agrees with NumPy on all others."""
     constants, state = avals_of(program)
     samples = random_values(constants, state, draw)
+    if program.length:
+        # A place within the table.
+        last = np.asarray(program.length - 1)
+        samples = [
+            [np.minimum(v, last) if i == len(constants) else v for i, v in enumerate(own)]
+            for own in samples
+        ]
     found = _one_turn(program, address, samples)
     turn_of = evaluator(program.body)
 
@@ -92,16 +99,27 @@ def _one_turn(program: Program, address: int, samples: list) -> np.ndarray:
     big = [np.ascontiguousarray([s[i] for s in samples]) for i, k in enumerate(kept) if k]
     out = np.zeros((len(samples), floats_in(avals_of(program)[1])))
     width = floats_in(row_of(program))
-    table = np.zeros((len(samples) * program.length + MOST_PLACES, width))
+    table = np.zeros((len(samples), program.length * width))
     big += [table] if program.length else []
     data = (ctypes.c_void_p * (1 + len(big)))(given.ctypes.data, *[b.ctypes.data for b in big])
     call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
     call(address)(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples), 1)
     if not program.length:
         return out
-    # The same whole numbers in all samples: their places do not meet.
-    place = int(samples[0][len(kept) - len(avals_of(program)[1])])
-    return np.hstack([out, table[place + program.length * np.arange(len(samples))]])
+    return np.hstack([out, _rows_at(_turn_of(program, samples), program, table)])
+
+
+def _turn_of(program: Program, samples: list) -> int:
+    """Which turn it is: the same in all samples."""
+    return int(samples[0][len(avals_of(program)[0])])
+
+
+def _rows_at(turn: int, program: Program, tables: np.ndarray) -> np.ndarray:
+    """The row that a turn has left in the table of each sample, a block for each of its arrays."""
+    sizes = [floats_in([aval]) for aval in row_of(program)]
+    starts = program.length * np.cumsum([0, *sizes])[:-1] + turn * np.array(sizes)
+    places = [start + k for start, size in zip(starts, sizes, strict=True) for k in range(size)]
+    return tables[:, np.array(places, int)]
 
 
 def random_values(constants: list, state: list, draw: int) -> list[list[np.ndarray]]:

@@ -1,14 +1,56 @@
 """How a loop is differentiated: forwards as a loop with tangents (`tangent`), which becomes a
-kernel as others do. Backwards it is not: how many turns there are is known when it has ended."""
+kernel as others do; backwards as many of these as numbers enter the loop that move."""
+
+import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.interpreters import ad
+import numpy as np
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 from jax.interpreters import partial_eval as pe
 
 from jaxclear.native.loop import loop_p, reference_of_batch
 from jaxclear.native.program import avals_of
 from jaxclear.native.tangent import motion_in, moving_state, tangent_program
+
+# Tangents that go through a loop side by side, where it is differentiated backwards: they share the
+# motion, and more of them gain little beside the memory that their rows take.
+TOGETHER = 16
+
+_forwards_p = Primitive("jaxclear_forwards_only")
+
+
+def forwards_only(sentence: str, numbers: Any) -> Any:
+    """The numbers as they are; a derivative in reverse mode raises `ValueError` with the sentence,
+    in the place of what JAX says to a loop that it cannot go through backwards."""
+    return jax.tree.map(
+        lambda each: (
+            _forwards_p.bind(each, sentence=sentence)
+            if jnp.issubdtype(jnp.result_type(each), jnp.floating)
+            else each
+        ),
+        numbers,
+    )
+
+
+def _refuse_backwards(_, __, *, sentence):
+    raise ValueError(sentence)
+
+
+def _as_it_is(primals, tangents, **params):
+    (value,), (tangent,) = primals, tangents
+    moved = tangent if isinstance(tangent, ad.Zero) else _forwards_p.bind(tangent, **params)
+    return _forwards_p.bind(value, **params), moved
+
+
+_forwards_p.def_impl(lambda value, *, sentence: value)
+_forwards_p.def_abstract_eval(lambda aval, *, sentence: aval)
+batching.defvectorized(_forwards_p)
+mlir.register_lowering(_forwards_p, lambda _, value, *, sentence: [value])
+ad.primitive_jvps[_forwards_p] = _as_it_is
+ad.primitive_transposes[_forwards_p] = _refuse_backwards
 
 
 def _differentiate(values, tangents, *, program, rank):
@@ -73,12 +115,47 @@ def _known_first(trace, *tracers, program, rank):
     return out
 
 
-def _backwards(*_, **__):
-    raise ValueError(
-        "a derivative in reverse mode (jax.grad, jax.vjp) does not go through time steps whose "
-        "number depends on the motion: give the integrator steps_per_save, which fixes it, or take "
-        "forward mode (jax.jvp, jax.jacfwd)."
-    )
+def _backwards(cotangents, *values, program, rank):
+    """What the results' cotangents make of the inputs': a loop with tangents is linear in these, so
+    each column of its matrix is a run with one tangent. How many turns there are is known when they
+    have ended, and runs forwards need not keep them."""
+    unknown = [i for i, value in enumerate(values) if ad.is_undefined_primal(value)]
+    heeded = [i for i, each in enumerate(cotangents) if not isinstance(each, ad.Zero)]
+    shapes = [values[i].aval.shape for i in unknown]
+    lead, sizes = shapes[0][:rank], [math.prod(shape[rank:]) for shape in shapes]
+    splits = np.cumsum(sizes)[:-1]
+
+    def entry(one):
+        """What the results say to one entry of the inputs, for each sample of a batch."""
+        given = list(values)
+        for i, shape, own in zip(unknown, shapes, jnp.split(one, splits), strict=True):
+            given[i] = jnp.broadcast_to(own.reshape(shape[rank:]), shape)
+        out = loop_p.bind(*given, program=program, rank=rank)
+        axes = lambda each: tuple(range(rank, jnp.ndim(each)))
+        parts = [jnp.sum(_heard(out[i], cotangents[i]), axes(out[i])) for i in heeded]
+        return sum(parts, jnp.zeros(lead))
+
+    count = sum(sizes)
+    together = max(1, min(count, TOGETHER))  # there is none where only empty arrays move
+    portions = -(-count // together)
+
+    def portion(first):
+        """The same of some entries, side by side."""
+        ways = (first + jnp.arange(together))[:, None] == jnp.arange(count)
+        return jax.vmap(entry)(ways.astype(float))
+
+    firsts = together * jnp.arange(portions)
+    found = jax.lax.map(portion, firsts).reshape(-1, *lead)[:count]
+    parts = (jnp.moveaxis(each, 0, -1) for each in jnp.split(found, splits))
+    answers = [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+    given = dict(zip(unknown, answers, strict=True))
+    return [given.get(i) for i in range(len(values))]
+
+
+def _heard(said, cotangent):
+    """Their product, where a result that does not count may have overflowed: inf * 0 is 0 here.
+    A finite one stays, for its product has a slope where the cotangent passes through 0."""
+    return jnp.where((cotangent == 0) & ~jnp.isfinite(said), 0.0, said) * cotangent
 
 
 ad.primitive_jvps[loop_p] = _differentiate

@@ -114,25 +114,29 @@ def _arguments(writer: Writer, program: Program) -> list:
 
 
 def _leave(writer: Writer, slot: int, turn: Any, program: Program, row: list) -> None:
-    """A turn's row into the table of each sample, at the place of the turn."""
-    kinds = [kind_of(aval.dtype) for aval in row_of(program)]
-    words = [
-        _as_float(writer, value, kind)
-        for array, kind in zip(row, kinds, strict=True)
-        for value in array.flat
-    ]
+    """A turn's row into the table of each sample, at the place of the turn: each of its arrays is
+    one block of the table, so that who reads one goes through its numbers alone."""
+    parts: list[tuple[int, list[str]]] = []
+    ahead = 0
+    for array, aval in zip(row, row_of(program), strict=True):
+        words = [_as_float(writer, value, kind_of(aval.dtype)) for value in array.flat]
+        parts.append((ahead * program.length, words))
+        ahead += len(words)
     for lane in range(writer.lanes):
         base = writer.put(f"getelementptr ptr, ptr %big, i64 {slot * writer.lanes + lane}")
         table = writer.put(f"load ptr, ptr {base}")
-        first = writer.put(f"mul i64 {writer.lane(turn, WHOLE, lane)}, {len(words)}")
-        own = writer.put(f"getelementptr double, ptr {table}, i64 {first}")
-        for k, word in enumerate(words):
-            place = writer.put(f"getelementptr double, ptr {own}, i64 {k}")
-            number = word
-            if writer.lanes > 1:
-                wide = writer.wide(FLOAT)
-                number = writer.put(f"extractelement {wide} {word}, i64 {lane}")
-            writer.say(f"store double {number}, ptr {place}")
+        at = writer.lane(turn, WHOLE, lane)
+        for start, words in parts:
+            block = writer.put(f"getelementptr double, ptr {table}, i64 {start}")
+            first = writer.put(f"mul i64 {at}, {len(words)}")
+            own = writer.put(f"getelementptr double, ptr {block}, i64 {first}")
+            for k, word in enumerate(words):
+                place = writer.put(f"getelementptr double, ptr {own}, i64 {k}")
+                number = word
+                if writer.lanes > 1:
+                    wide = writer.wide(FLOAT)
+                    number = writer.put(f"extractelement {wide} {word}, i64 {lane}")
+                writer.say(f"store double {number}, ptr {place}")
 
 
 def _load(writer: Writer, position: int, kind: str) -> str:

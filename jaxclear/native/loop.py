@@ -126,15 +126,16 @@ def _native(*values, program, rank, number):
     row = row_of(program)
     shapes = [jax.ShapeDtypeStruct((*batch, floats_in(state)), jnp.float64)]
     if program.length:
-        table = (*batch, program.length, floats_in(row))
+        table = (*batch, program.length * floats_in(row))
         shapes.append(jax.ShapeDtypeStruct(table, jnp.float64))
     call = jax.ffi.ffi_call(dispatch.TARGET, shapes)
     packed, *tables = call(jnp.concatenate(rows, -1), *big, kernel=np.int64(number))
     out = _unpacked(packed, state)
     if tables:
         # Where the kernel was stopped on its way, it has written no rows.
-        whole = (out[0] == program.length)[..., None, None]
-        out += _unpacked(jnp.where(whole, tables[0], jnp.nan), row)
+        whole = (out[0] == program.length)[..., None]
+        blocks = [jax.ShapeDtypeStruct((program.length, *a.shape), a.dtype) for a in row]
+        out += _unpacked(jnp.where(whole, tables[0], jnp.nan), blocks)
     return out
 
 

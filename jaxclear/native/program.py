@@ -2,8 +2,8 @@
 
 A kernel takes one packed row of floats for each sample (constants, then the first state; whole
 numbers and truth values as floats, which is exact to 2^53), and long arrays of constants, which it
-reads by index; it gives one packed row, the last state, and of a loop of known length a table with
-a packed row for every turn.
+reads by index; it gives one packed row, the last state, and of a loop of known length a table: for
+each array that a turn leaves a block with that of every turn.
 """
 
 from collections.abc import Sequence

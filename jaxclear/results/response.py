@@ -42,11 +42,12 @@ __getattr__ = nothing_else("jaxclear.response", __all__)
 
 # What is off in a run where one part of it is: forces follow the motion, wear follows forces.
 REACHES = {
-    "motion": ("motion", "forces", "peak forces", "wear", "places in gaps"),
-    "forces": ("forces", "peak forces", "wear"),
+    "motion": ("motion", "forces", "peak forces", "wear", "worn depth", "places in gaps"),
+    "forces": ("forces", "peak forces", "wear", "worn depth"),
     "peak forces": ("peak forces",),
-    "wear": ("wear",),
-    "places in gaps": ("places in gaps", "wear"),
+    "wear": ("wear", "worn depth"),
+    "worn depth": ("worn depth",),
+    "places in gaps": ("places in gaps", "wear", "worn depth"),
 }
 
 
@@ -57,8 +58,8 @@ class AbstractResponse(AbstractQuantified):
 
     def drawn_from(self) -> str:
         """What of a run it needs to be right: its "motion", "forces", "peak forces", "wear",
-        "places in gaps" (at an instant) or "anything". A warning that concerns something else does
-        not concern it."""
+        "worn depth", "places in gaps" (at an instant) or "anything". A warning that concerns
+        something else does not concern it."""
         return "anything"
 
     @abstractmethod
@@ -74,7 +75,7 @@ class PeakWornDepth(AbstractResponse):
     unit: str = eqx.field(static=True, default="m", kw_only=True)
 
     def drawn_from(self):
-        return "wear"
+        return "worn depth"
 
     def __call__(self, run):
         return jnp.max(run.worn_depth(self.joint, self.surface))
@@ -201,8 +202,9 @@ class PeakContactForce(AbstractResponse):
     """Largest normal force of a contact of a clearance joint [N]: that at the saving times, or the
     elastic force at the deepest indentation of any step where that is larger.
 
-    So it does not hang on the saving times, but for guides, whose forces are known at saving times
-    only. What is more than at the saving times has no part in derivatives.
+    So it does not hang on the saving times, but where forces are means over these (rigid contact,
+    joints that always touch) and where the law follows a worn radius (`Wearing.worn_radius`), which
+    is not known between them. What is more than at the saving times has no part in derivatives.
     """
 
     joint: str = eqx.field(static=True)
@@ -218,7 +220,8 @@ class PeakContactForce(AbstractResponse):
 
 
 def _deepest_force(run: Trajectory, joint: str) -> Scalar:
-    """Elastic force [N] at the deepest indentation of any step; 0 where none was kept."""
+    """Elastic force [N] at the deepest indentation of any step; 0 where none was kept, and of
+    contacts whose law changes with the radius as worn."""
     figure = run.checks.figures.get(Check.INDENTATION)
     if figure is None or run.formulation.forces_are_means:
         return jnp.zeros(())
@@ -227,8 +230,9 @@ def _deepest_force(run: Trajectory, joint: str) -> Scalar:
     found = [
         laws.contact.elastic_force(jnp.where(jnp.isfinite(radius), share * radius, 0.0))
         for laws, share, radius in zip(bearing.contact_laws, shares, bearing.radii, strict=True)
+        if laws.unfitted is None
     ]
-    return jnp.max(jnp.stack(found))
+    return jnp.max(jnp.stack([jnp.zeros(()), *found]))
 
 
 class FinalCoordinate(AbstractResponse):

@@ -60,18 +60,23 @@ WEAR_COEFFICIENT, HARDNESS = 1.736e-4, 2.17e9
 
 
 def socket(
-    clearance: Any, *, friction: bool = True, wear: bool = True, cells: tuple = (12, 12)
+    clearance: Any,
+    *,
+    friction: bool = True,
+    wear: bool = True,
+    cells: tuple = (12, 12),
+    worn_radius: bool = False,
 ) -> BallSocket:
     """A ball joint of the paper with a radial clearance [m]."""
     steel = Material(210e9, 0.3)
     rub = Ambrosio(mu_kinetic=MU, inner_speed=INNER_SPEED, outer_speed=OUTER_SPEED)
-    law = Wearing(Archard(wear_coefficient=WEAR_COEFFICIENT, hardness=HARDNESS), cells)
+    law = Archard(wear_coefficient=WEAR_COEFFICIENT, hardness=HARDNESS)
     return BallSocket(
         ModifiedFlores(modulus=CombinedModulus(steel, steel), restitution=RESTITUTION),
         rub if friction else None,
         socket_radius=SOCKET_RADIUS,
         clearance=clearance,
-        socket_wear=law if wear else None,
+        socket_wear=Wearing(law, cells, worn_radius=worn_radius) if wear else None,
     )
 
 
@@ -122,27 +127,29 @@ def parallel_3rsr(
     friction: bool = True,
     wear: bool = True,
     cells: tuple[int, int] = (12, 12),
+    worn_radius: bool = False,
 ) -> Mechanism:
     """The mechanism of the paper. `kind`: "one", ball joint S1 with `clearance` (radial [m]);
     "all", each of S1 to S3; "ideal", none; or the names of those that have it.
 
     `period` [s] of the drives; `drives`: three of the joints A1 to A3 [rad], your own in place of
     the paper's. `friction`, `wear`: False leaves them out. `cells` of the wear map, in azimuth and
-    elevation. Legs are numbered: drive rods "drive 1" ... stand on the ground at A1 ...,
-    transmission rods "rod 1" ... hang from the "platform" at B1 ....
+    elevation. `worn_radius`: whether the contact is as stiff as the socket's radius and clearance
+    are where it is worn, as in the paper, or as they were made. Legs are numbered: drive rods
+    "drive 1" ... stand on the ground at A1 ..., transmission rods "rod 1" ... hang from the
+    "platform" at B1 ....
     """
     slack = slack_joints("parallel_3rsr", kind, KINDS, BALLS)
     check_number("clearance of parallel_3rsr", clearance, "m", above=0)
     check_number("period of parallel_3rsr", period, "s", above=0)
-    check_flags("parallel_3rsr", friction=friction, wear=wear)
+    check_flags("parallel_3rsr", friction=friction, wear=wear, worn_radius=worn_radius)
     drives = (usual_drive(period),) * 3 if drives is None else drives
     expect(drives, (tuple, list), "drives of parallel_3rsr", "three, of A1, A2 and A3")
     if len(drives) != len(LEGS):
         raise ValueError(f"drives of parallel_3rsr are {len(drives)}; they must be three.")
-    loose = socket(clearance, friction=friction, wear=wear, cells=cells)
-    connections = _connections(
-        {name: loose if name in slack else Spherical() for name in BALLS}, drives
-    )
+    loose = socket(clearance, friction=friction, wear=wear, cells=cells, worn_radius=worn_radius)
+    balls = {name: loose if name in slack else Spherical() for name in BALLS}
+    connections = _connections(balls, drives)
     # The legs bend outwards. Told of joints that carry coordinates, so that assembly is short.
     guess: dict[str, Any] = {f"B{leg}": -LOWEST for leg in LEGS}
     first = next((name for name in BALLS if name not in slack), None)

@@ -22,22 +22,27 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.integrators.checks import Check
 
-# Both are kept by integrators as the length [s] of their steps in contact.
+# Both are kept by integrators as the length [s] of their steps in contact; so is what damping is
+# judged by (`damper_steps`).
 KINDS = (Check.FRICTION_STEP, Check.CREEP_STEP)
 # Explicit steps h of a slip that decays (or of bristles that vibrate) at the rate r carry it past
 # rest, back and forth, from h r = STABLE on; below, what they are off by falls as a power of h r.
 STABLE, POWER = 2.0, 3
 
 
-def rubs(model: Model) -> bool:
-    """Whether a contact has friction that its slip decides."""
-    laws = [own for b in model.system.bearings.values() for own in b.contact_laws]
-    return any(own.friction is not None and not own.friction.set_valued for own in laws)
+def rubbing(model: Model) -> set[str]:
+    """The joints in which a contact has friction that its slip decides."""
+    return {
+        name
+        for name, bearing in model.system.bearings.items()
+        for own in bearing.contact_laws
+        if own.friction is not None and not own.friction.set_valued
+    }
 
 
 def friction_steps(
     model: Model,
-    seen: Float[Array, "looks 6 contacts"],
+    seen: Float[Array, "looks 8 contacts"],
     depths: Float[Array, "looks contacts"] | None,
     steps: dict[Check, Float[Array, " looks"]],
 ) -> dict[Check, Float[Array, " contacts"]]:
@@ -47,7 +52,7 @@ def friction_steps(
     bearings = model.system.bearings
     laws = [own for b in bearings.values() for own in b.contact_laws]
     joints = np.array([name for name, b in bearings.items() for _ in b.contact_laws])
-    drag, slip, normal, indented, along, across = (seen[:, part] for part in range(6))
+    drag, slip, normal, indented, _, _, along, across = (seen[:, part] for part in range(8))
     depths = jnp.maximum(indented, 0.0 if depths is None else depths)
     power = drag * slip
     force, stiffness = (
@@ -93,9 +98,10 @@ def _slopes(laws: Any, steps: Float[Array, " looks"]) -> tuple[Array, Array]:
     return slope(steps), 2 * (slope(2 * steps) - slope(steps)) / steps
 
 
-def contacts(now: Instant, formulation: AbstractFormulation) -> Float[Array, "6 contacts"]:
-    """Of every possible contact: friction [N], slip [m/s], normal force [N], indentation [m], and
-    the inverse of the mass [1/kg] that a force along its normal moves, and one across."""
+def contacts(now: Instant, formulation: AbstractFormulation) -> Float[Array, "8 contacts"]:
+    """Of every possible contact: friction [N], slip [m/s], normal force [N], indentation [m] and
+    its rate [m/s], the elastic part of the normal force [N], and the inverse of the mass [1/kg]
+    that a force along its normal moves, and one across."""
     reports = formulation.forces(now).reports
     points = [point for report in reports.values() for point in report.points]
     free = contact_rows.free_motion(now.model, now.time, now.q, now.v, now.angles)
@@ -105,7 +111,14 @@ def contacts(now: Instant, formulation: AbstractFormulation) -> Float[Array, "6 
     )
     found = zip(
         *(
-            (point.traction, point.slip_speed, point.normal_force, point.indentation)
+            (
+                point.traction,
+                point.slip_speed,
+                point.normal_force,
+                point.indentation,
+                point.rate,
+                point.elastic_force,
+            )
             for point in points
         ),
         strict=True,

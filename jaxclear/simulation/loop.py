@@ -26,20 +26,29 @@ from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
-from jaxclear.multibody.system import readings
-from jaxclear.native import one_row, scan, verdict
+from jaxclear.multibody.system import readings, rubbing_joints
+from jaxclear.native import forwards_only, one_row, scan, verdict
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats, Trajectory
-from jaxclear.simulation import progress, spot_checks
+from jaxclear.simulation import progress, spot_checks, wear_by_saves
 from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.referee import refereed
 from jaxclear.simulation.spot_checks import Plan, Turns
 from jaxclear.simulation.wear import Worn, deposit, unworn
 
-# Weight of the laws' memories in the error control: they need not be exact, but a step longer than
-# their time constant would make them explode (tests/oracles/test_contact_conservation.py has a long
-# flight that failed with weight 0).
-MEMORY_WEIGHT = 1e-2
+# What a derivative in reverse mode is told where the run is not one kernel.
+NOT_BACKWARDS = (
+    "a derivative in reverse mode (jax.grad, jax.vjp, jax.jacrev, jax.hessian) does not go through "
+    "a run that checks its steps and whose surfaces wear, or that shows its progress: take forward "
+    "mode (jax.jvp, jax.jacfwd; jax.jacfwd of it for second derivatives), or FixedStep or "
+    "ImplicitStep with steps_per_save."
+)
+# What it is told where sweeps find the friction of ideal joints outside a kernel.
+NOT_THROUGH_SWEEPS = (
+    "a derivative in reverse mode (jax.grad, jax.vjp, jax.jacrev, jax.hessian) does not go through "
+    "friction in ideal joints on ImplicitStep, or with steps_per_save: take forward mode (jax.jvp, "
+    "jax.jacfwd), or FixedStep without steps_per_save."
+)
 
 
 class Extras(NamedTuple):
@@ -93,7 +102,10 @@ def run(
     # and counted steps are gone through backwards.
     whole = not (worn or extras.report) and integrator.steps_between_saves is None
     through = _in_one_kernel if whole else _from_save_to_save
-    last, (states, read, packed), ends = through(plan, turn, first)
+    done = through(plan, turn, first)
+    if _sweeps_outside_kernels(model, integrator, warm_start):
+        done = forwards_only(NOT_THROUGH_SWEEPS, done)
+    last, (states, read, packed), ends = done
     figures, noted = jax.vmap(unpack)(packed)
     states = jnp.concatenate([state[None], states])
     read = jax.tree.map(lambda depths: jnp.concatenate([depths[:1], depths]), read)
@@ -106,6 +118,7 @@ def run(
     kept = {check: jnp.where(begun, each.T, 0.0).T for check, each in figures.items()}
     means = formulation.forces_are_means
     windows = spot_checks.figures(model, plan, states, ends, means)
+    windows |= wear_by_saves.figures(model, worn, last.worn, states)
     return refereed(trajectory, model, kept, windows)
 
 
@@ -120,6 +133,14 @@ def _first_warm_start(
         return integrator.first_warm_start(model, time, state)
 
     return one_row(first, arrays, time, state)
+
+
+def _sweeps_outside_kernels(model: Model, integrator: AbstractIntegrator, warm_start: Any) -> bool:
+    """Whether ideal joints have friction that counted steps, or the first implicit one, ask for."""
+    joints = rubbing_joints(model.system).values()
+    counted = integrator.steps_between_saves is not None
+    asked = counted or bool(jax.tree.leaves(warm_start))
+    return asked and any(joint.friction is not None for joint in joints)
 
 
 def _turns(model: Model, integrator: AbstractIntegrator, report: bool) -> tuple[Callable, Callable]:
@@ -198,7 +219,7 @@ def _from_save_to_save(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry,
         return (_choose(part.own, end, now), shadow, rows), state
 
     (last, _, rows), ends = jax.lax.scan(through, (first, first, rows), plan.parts)
-    return last, rows, ends
+    return forwards_only(NOT_BACKWARDS, (last, rows, ends))
 
 
 def _turn(
@@ -214,7 +235,7 @@ def _turn(
     reached = closure_coordinates.anchored(model.system, model.layout, turn.stop, result.state)
     state = jnp.where(running & sound, reached, now.state)
     worn = deposit(model.system, model.layout, now.worn, now.state, state)
-    # What is not held to a tolerance (memories, worn volumes) can be lost while the steps still
+    # What is not held to a tolerance (worn volumes, energies) can be lost while the steps still
     # succeed.
     lost = ~sound & (result.outcome == Outcome.REACHED)
     found = jnp.where(lost, Outcome.NOT_FINITE, result.outcome)
@@ -239,7 +260,8 @@ def model_of_worn(model: Model, worn: Worn) -> Model:
 
 
 def _error_weights(layout: Layout) -> Float[Array, " n"]:
-    """Weights of the state's entries in an error control."""
-    rest = layout.size - layout.memory_start - layout.memory_count
-    counts = np.array([layout.memory_start, layout.memory_count, rest])
-    return jnp.asarray(np.repeat([1.0, MEMORY_WEIGHT, 0.0], counts))
+    """Weights of the state's entries in an error control: deflections of bristles are lengths, held
+    as places are (a hundred times looser, what a contact wore was 2 % off); what follows the motion
+    is not held."""
+    held = layout.memory_start + layout.memory_count
+    return jnp.asarray(np.repeat([1.0, 0.0], [held, layout.size - held]))

@@ -71,11 +71,16 @@ def _scales(scene: Posed) -> np.ndarray:
     return np.array(scales)
 
 
+def _named(scene: Posed, now: np.ndarray) -> str:
+    """A position in words."""
+    return ", ".join(f"{n} = {x:.6g}" for n, x in zip(scene.held, now, strict=True))
+
+
 def _refuse_jump(scene: Posed, now: np.ndarray) -> NoReturn:
-    named = ", ".join(f"{n} = {x:.6g}" for n, x in zip(scene.held, now, strict=True))
     raise ValueError(
-        f"the mechanism jumps to another way of its assembly before {named}: a dead point lies "
-        "between this position and the one before, or close by. Give positions on one side of it."
+        f"the mechanism jumps to another way of its assembly before {_named(scene, now)}: a dead "
+        "point lies between this position and the one before, or close by. Give positions on one "
+        "side of it."
     )
 
 
@@ -87,11 +92,10 @@ def spots_along(scene: Posed, position: np.ndarray, way: Way) -> Spot:
     for i, now in enumerate(position):
         spot = _led(scene, spot, before, now, way) if i else _settled(scene.at(now), spot, way)
         if not (sound and spot.change <= SETTLED):
-            named = ", ".join(f"{n} = {x:.6g}" for n, x in zip(scene.held, now, strict=True))
             raise ValueError(
-                f"the mechanism cannot be assembled at position {i} ({named}): no place of its "
-                "bodies closes the loops there, or a dead point lies on the way from the position "
-                "before. Give positions within reach, closer together."
+                f"the mechanism cannot be assembled at position {i} ({_named(scene, now)}): no "
+                "place of its bodies closes the loops there, or a dead point lies on the way from "
+                "the position before. Give positions within reach, closer together."
             )
         spots.append(spot)
         before = now

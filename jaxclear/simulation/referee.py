@@ -23,7 +23,8 @@ from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import contact_point, energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubs
+from jaxclear.simulation.damper_steps import damper_steps, damping
+from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubbing
 from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.rebound import rebound_steps
 from jaxclear.simulation.spot_checks import beside_way
@@ -45,8 +46,9 @@ def refereed(
     """
     history = trajectory.history
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
-    steps = {check: figures[check][looks.intervals] for check in KINDS if check in figures}
-    kept = {check: each for check, each in figures.items() if check not in KINDS}
+    lengths = (*KINDS, Check.DAMPER_STEP)
+    steps = {check: figures[check][looks.intervals] for check in lengths if check in figures}
+    kept = {check: each for check, each in figures.items() if check not in lengths}
     rebound = kept.pop(Check.REBOUND_STEP, None)
     seen, rubbed, inside = _of_saved_states(looks, steps, kept.get(Check.INDENTATION))
     if inside is None:
@@ -159,14 +161,17 @@ def _of_saved_states(
     model, formulation = looks.model, looks.seen.formulation
     system = model.system
     driven = looks.seen.mechanism.driven
-    rubbing = bool(steps) and rubs(model)
+    damped = steps.pop(Check.DAMPER_STEP, None)
+    damped = damped if damping(system) else None
+    steps = steps if rubbing(model) else {}
+    looking = bool(steps) or damped is not None
     sinking = depths is None and bool(system.bearings) and not formulation.forces_are_means
 
     def judged(now: Instant) -> dict[str, Array]:
         return (
             ({"openings": _openings(now)} if system.closures else {})
             | ({} if driven else _energies(now, formulation))
-            | ({"contacts": contacts(now, formulation)} if rubbing else {})
+            | ({"contacts": contacts(now, formulation)} if looking else {})
             | ({"depths": _depths(now, formulation)} if sinking else {})
             | ({"places": _in_gaps(now)} if system.bearings else {})
         )
@@ -181,10 +186,13 @@ def _of_saved_states(
         gains = _gains(_small_energy(system), said["energies"], formulation.forces_are_means)
         found[Check.ENERGY_GAIN] = gains[1:, None]
     inside = said.get("places")
-    if not rubbing:
-        return found, {}, inside
-    deepest = None if depths is None else depths[looks.intervals]
-    return found, friction_steps(model, said["contacts"][1:], deepest, steps), inside
+    of_steps = {}
+    if damped is not None:
+        of_steps[Check.DAMPER_STEP] = damper_steps(said["contacts"][1:], damped)
+    if steps:
+        deepest = None if depths is None else depths[looks.intervals]
+        of_steps |= friction_steps(model, said["contacts"][1:], deepest, steps)
+    return found, of_steps, inside
 
 
 def _in_gaps(now: Instant) -> Float[Array, " components"]:

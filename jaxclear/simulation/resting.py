@@ -132,8 +132,13 @@ def _potential(asked: Ask, q: Array, pressed: dict[str, Pressed], worn: dict) ->
     total: Any = 0.0
     for name, bearing in asked.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
-        depths = contact_point.depths(bearing.joint, pose, worn.get(name, {}))
-        for laws, depth in zip(bearing.contact_laws, depths, strict=True):
+        readings = worn.get(name, {})
+        depths = contact_point.depths(bearing.joint, pose, readings)
+        contact_laws = contact_point.laws_at(bearing.joint, bearing.contact_laws, pose, readings)
+        # Forces are those of the laws as they are there, not of how these change from place to
+        # place.
+        contact_laws = jax.lax.stop_gradient(contact_laws)
+        for laws, depth in zip(contact_laws, depths, strict=True):
             total = total + _stored(laws.contact.elastic_force, depth)
         force, torque = pressed[name]
         axis = sp.transpose(pose.rotation)[2]

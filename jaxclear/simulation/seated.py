@@ -22,6 +22,7 @@ from jaxclear.multibody.assembly import ready, ready_from
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import names
 from jaxclear.multibody.system import System, prepare, readings
+from jaxclear.multibody.worn_laws import laws_now
 from jaxclear.results.saved_state import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.resting import Pressed, resting
@@ -163,10 +164,12 @@ def _carried(bearing: Any, seat: tuple, share: Any, worn: dict) -> Any:
     offset, slope = (share * jnp.asarray(x) for x in seat)
     axis = (slope[0], slope[1], 1.0)
     axes = {2: tuple(x / sp.norm(axis) for x in axis), 0: (1.0, 0.0, -slope[0])}
-    depths = joint.indentations(tuple(offset), tuple(axes[k] for k in joint.axes), worn)
+    place = tuple(offset), tuple(axes[k] for k in joint.axes)
+    depths = joint.indentations(*place, worn)
+    contact_laws = laws_now(joint, bearing.contact_laws, *place, worn)
     forces = [
         jnp.where(depth > 0, laws.contact.elastic_force(jnp.maximum(depth, 0.0)), 0.0)
-        for laws, depth in zip(bearing.contact_laws, depths, strict=True)
+        for laws, depth in zip(contact_laws, depths, strict=True)
     ]
     return sum(forces)
 

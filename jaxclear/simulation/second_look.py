@@ -23,7 +23,7 @@ from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.state import ENERGIES
 from jaxclear.results.histories import contact_impulse
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.friction_steps import rubs
+from jaxclear.simulation.friction_steps import rubbing
 from jaxclear.simulation.rebound import RESOLVED
 
 # Length of the steps beside those of the run.
@@ -74,8 +74,11 @@ def looked_at_again(
     worst = {check: found.max() for check, (found, _) in apart.items()}
     if _impacts_are_right(run, other, worst):
         del figures[Check.IMPACT_STEP]
-    if _all_is_right(run, other, worst):
-        figures = {check: own for check, own in figures.items() if not _resolved(check, other)}
+    right = _right_joints(run, other, worst)
+    for check in OF_CONTACT_STEPS:
+        if right and check in figures:
+            left = _accused(figures.pop(check), check, other, right)
+            figures |= {} if left is None else {check: left}
     return dataclasses.replace(run, checks=Checks(figures))
 
 
@@ -150,33 +153,49 @@ def _impacts_are_right(run: Trajectory, other: Trajectory, worst: dict[Check, fl
     return bool(little and np.max(rises.worst) <= RESOLVED)
 
 
-def _resolved(check: Check, other: Trajectory) -> bool:
-    """Whether a check speaks of steps too long for a contact, and those of the other run are
-    not."""
-    known = other.checks.figures.get(check)
-    return check in OF_CONTACT_STEPS and known is not None and np.max(known.worst) <= check.limit
+def _accused(figure: Figure, check: Check, other: Trajectory, right: set[str]) -> Figure | None:
+    """What is left of a figure of steps too long for contacts, without those of joints that are
+    right and that the steps of the other run resolve."""
+    finer = other.checks.figures.get(check)
+    if finer is None:
+        return figure
+    resolved = np.asarray(finer.worst) <= check.limit
+    known = {place for place, within in zip(finer.places, resolved, strict=True) if not within}
+    left = [k for k, place in enumerate(figure.places) if place in known or place not in right]
+    if not left:
+        return None
+    places = tuple(figure.places[k] for k in left)
+    kept = np.array(left)
+    return Figure(figure.worst[kept], figure.time[kept], places)
 
 
-def _all_is_right(run: Trajectory, other: Trajectory, worst: dict[Check, float]) -> bool:
-    """Whether mean and peak forces, what wears and what friction takes are as in the other run; not
-    where nothing tells of friction."""
+def _right_joints(run: Trajectory, other: Trajectory, worst: dict[Check, float]) -> set[str]:
+    """The joints whose mean and peak forces, wear and friction are as in the other run, where
+    nothing in the run is beyond its limit; not where nothing tells of a joint's friction."""
     if Check.MEAN_FORCE not in worst:
-        return False
+        return set()
     if any(found > check.limit for check, found in worst.items()):
-        return False
+        return set()
     if max(worst[Check.MEAN_FORCE], worst.get(Check.HALVED_WEAR, 0.0)) > LITTLE:
-        return False
-    if _deepest_apart(run, other) > DEEPEST:
-        return False
-    if run.history.balanced:
-        return _share(*(_friction_loss(one) for one in (run, other))) <= LITTLE
-    return bool(run.worn) or not rubs(run.history.model())
+        return set()
+    balanced = run.history.balanced
+    if balanced and _share(*(_friction_loss(one) for one in (run, other))) > LITTLE:
+        return set()
+    unknown = set() if balanced else rubbing(run.history.model()) - set(run.worn)
+    joints = tuple(dict.fromkeys(run.checks.figures[Check.INDENTATION].places))
+    return {
+        name
+        for name in set(joints) - unknown
+        if _share(*(_impulses(one, (name,)) for one in (run, other))) <= LITTLE
+        and _deepest_apart(run, other, name) <= DEEPEST
+    }
 
 
-def _deepest_apart(run: Trajectory, other: Trajectory) -> float:
-    """Change of the deepest indentations beside the deepest."""
-    deepest = [one.checks.figures[Check.INDENTATION].worst for one in (run, other)]
-    return _share(*np.asarray(deepest))
+def _deepest_apart(run: Trajectory, other: Trajectory, joint: str | None = None) -> float:
+    """Change of the deepest indentations beside the deepest, of all joints or of one."""
+    figures = [one.checks.figures[Check.INDENTATION] for one in (run, other)]
+    own = [joint in (None, place) for place in figures[0].places]
+    return _share(*(np.asarray(figure.worst)[own] for figure in figures))
 
 
 def _share(one: np.ndarray, other: np.ndarray) -> float:
@@ -228,7 +247,7 @@ def _worn_apart(maps: dict[str, Any], others: dict[str, Any]) -> float:
             (np.sum(maps[surface]), np.sum(others[surface])),
             (np.max(maps[surface]), np.max(others[surface])),
         ):
-            shares.append(abs(one - other) / max(one, other) if max(one, other) > 0 else 0.0)
+            shares.append(_share(one, other))
     return float(max(shares))
 
 

@@ -85,6 +85,12 @@ class Plan(NamedTuple):
         """How many of the turns are the run's own."""
         return int(np.max(self.parts.stop[self.parts.own]))
 
+    @property
+    def times(self) -> Float[Array, " saves"]:
+        """The run's saving times [s]."""
+        starts, stops = self.turns.start[: self.intervals], self.turns.stop[: self.intervals]
+        return jnp.append(starts, stops[-1])
+
     def shadows(self, name: str) -> np.ndarray:
         """Where among the parts the turn of this name of each window is."""
         rows = np.flatnonzero(~self.parts.own).reshape(-1, len(self.names))
@@ -203,10 +209,9 @@ def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) 
     """
     system, layout = model.system, model.layout
     count = layout.coordinates
-    share = safe_divide(_lasting(plan, states), jnp.sum(_durations(plan, FINE)))
+    times = plan.times
+    share = safe_divide(times[-1] - times[0], jnp.sum(_durations(plan, FINE)))
     total = share * jnp.sum(abs(off), axis=0)
-    last = len(states) - 1
-    times = jnp.append(plan.turns.start[:last], plan.turns.stop[last - 1])
     places = jnp.max(total[:count] * _shares_of_way(model, states, times), initial=0.0)
     if system.bearings:
         return places
@@ -227,8 +232,8 @@ def _shares_of_way(model: Model, states: Array, times: Array) -> Float[Array, " 
     longest = jnp.max(turned * reach, initial=0.0)
     if system.bearings:
         longest = jnp.maximum(longest, GAPS * narrowest_gap(system))
-    for way, turns in driven_ways(system, times):
-        led = jnp.minimum(way, ACROSS) * longest_arm(system) if turns else way
+    for led, turns in driven_ways(system, times):
+        led = jnp.minimum(led, ACROSS) * longest_arm(system) if turns else led
         longest = jnp.maximum(longest, LEAST * led)
     return safe_divide(reach, longest)
 
@@ -238,11 +243,6 @@ def beside_way(
 ) -> Float[Array, "time coordinates"]:
     """The coordinates beside the longest way of one."""
     return states[:, : model.layout.coordinates] * _shares_of_way(model, states, times)
-
-
-def _lasting(plan: Plan, states: Array) -> Scalar:
-    """Length of the run [s]."""
-    return plan.turns.stop[len(states) - 2] - plan.turns.start[0]
 
 
 def _durations(plan: Plan, turn: str) -> Float[Array, "windows 1"]:
@@ -256,7 +256,7 @@ def _usual_rates(plan: Plan, states: Array) -> Float[Array, " states"]:
     [1/s]: a window that is quiet beside that tells nothing of the run."""
     # XLA sums along a long first axis many times slower than it multiplies by it.
     way = jnp.ones(len(states) - 1) @ abs(states[1:] - states[:-1])
-    return safe_divide(way, _lasting(plan, states))
+    return safe_divide(way, plan.times[-1] - plan.times[0])
 
 
 def _difference(

@@ -2,15 +2,17 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+import numpy as np
+from jaxtyping import Array, Float
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.state import Layout
+from jaxclear.multibody.state import Layout, WearSlot
 from jaxclear.multibody.system import System, wear_maps
 from jaxclear.multibody.topology import rubbing_in
 
@@ -65,19 +67,40 @@ def _depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:
     return depths
 
 
+def worn_by_some(
+    system: System, layout: Layout, worn: Worn, states: Float[Array, "time n"], every: int
+) -> Worn:
+    """Depth maps at the end of a run that began with `worn` and had these states at its saving
+    times, if surfaces had been updated at some of these times alone: one of so many."""
+    count = len(states)
+    some = states[np.unique([*range(0, count, every), count - 1])]
+
+    def one(worn, ends):
+        return deposit(system, layout, worn, *ends), None
+
+    return jax.lax.scan(one, worn, (some[:-1], some[1:]))[0]
+
+
+def lost_at(slot: WearSlot, before: Array, after: Array) -> tuple[Array, Array]:
+    """(volume [m3] that one contact lost between two states, location features as means over it);
+    nothing lost has zeros for those that vary."""
+    entries = slice(slot.start, slot.start + 1 + len(slot.averaged))
+    change = after[entries] - before[entries]
+    features: list[Any] = [0.0] * slot.feature_count
+    for place, i in enumerate(slot.averaged):
+        features[i] = safe_divide(change[1 + place], change[0])
+    for i, value in slot.constants:
+        features[i] = value
+    return change[0], sp.stack(features)
+
+
 def deposit(system: System, layout: Layout, worn: Worn, before: Array, after: Array) -> Worn:
     """Depth maps after what was lost between two states."""
     lost: dict[tuple[str, str], list] = {}
     for slot in layout.wear:
-        entries = slice(slot.start, slot.start + 1 + len(slot.averaged))
-        change = after[entries] - before[entries]
-        features: list[Any] = [0.0] * slot.feature_count
-        for place, i in enumerate(slot.averaged):
-            features[i] = safe_divide(change[1 + place], change[0])
-        for i, value in slot.constants:
-            features[i] = value
+        volume, features = lost_at(slot, before, after)
         of_surface = lost.setdefault((slot.bearing, slot.surface), [])
-        of_surface.append((change[0], sp.stack(features)))
+        of_surface.append((volume, features))
     worn, maps = {name: dict(surfaces) for name, surfaces in worn.items()}, wear_maps(system)
     for (bearing, surface), events in lost.items():
         wear_map = maps[bearing][surface][0]

@@ -108,6 +108,11 @@ class AbstractProblem(AbstractQuantified):
         """Whether a sample costs no more than what would be fitted to stand in for it."""
         return False
 
+    def compiled(self) -> bool:
+        """Whether a sample is one compiled program; else each is computed by itself, by `evaluate`
+        with numbers."""
+        return True
+
     def idle(self) -> "AbstractProblem":
         """The same compiled program on as little work as possible."""
         return self

@@ -95,6 +95,9 @@ def evaluate_all(
         return keeper(problem, values, chunk=chunk, function=function, **shown)
     check_double_precision()
     samples = len(values)
+    # Any other function of a chunk is a compiled program, which a problem that is none refuses.
+    if not problem.compiled() and function is evaluate_chunk:
+        return _each_alone(problem, np.asarray(values), progress_bar, label)
     threads = threads_of()
     chunk = chunk_size(problem, samples, chunk)
     count = -(-samples // chunk)
@@ -125,3 +128,14 @@ def evaluate_all(
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:samples], *outcomes)
+
+
+def _each_alone(
+    problem: AbstractProblem, values: np.ndarray, progress_bar: bool, label: str
+) -> SampleResult:
+    """Outcomes of samples that are no compiled program, one after the other: what they run may call
+    LAPACK (see `calls_lapack`), which is not known before. In the caller's thread, so that each
+    of their runs hears Ctrl-C."""
+    shown = tqdm(values, desc=label, disable=not progress_bar)
+    outcomes = [problem.evaluate(own) for own in shown]
+    return jax.tree.map(lambda *parts: np.stack(parts), *outcomes)

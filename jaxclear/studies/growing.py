@@ -26,30 +26,36 @@ def first_of(samples: int, scramblings: int) -> int:
 def until_accurate(first: int, most: int, asked: Asked, grown: Callable) -> str:
     """Doubles a sample, from the first number on, until it is accurate or would be more than the
     most; a sentence where it is not accurate, else "". `grown` is given how many samples there are
-    to be, and gives all responses by name (samples,) and their scramblings (samples,)."""
+    to be, and gives them in pieces: responses by name (samples,), and scramblings (samples,)."""
     count = first
     while True:
-        short = told(asked, *grown(count))
+        short = told(asked, grown(count))
         if not short or 2 * count > most:
             return unreached(short)
         count *= 2
 
 
 class Grown:
-    """A sample in memory: values (samples, variables), and what `run` gives for them."""
+    """A sample in memory: values (samples, variables), and what `run` gives for them, `chunk`
+    samples together."""
 
-    def __init__(self, drawing: Drawing, run: Callable[[np.ndarray], SampleResult]):
-        self.drawing, self.run = drawing, run
+    def __init__(self, drawing: Drawing, run: Callable[[np.ndarray], SampleResult], chunk: int):
+        self.drawing, self.run, self.chunk = drawing, run, chunk
         self.values = np.zeros((0, drawing.count))
         self.found: Any = None
 
     def to(self, samples: int) -> None:
         """Grows it to so many samples."""
-        values = self.drawing.span(len(self.values), samples)
+        there = len(self.values)
+        # From a whole chunk on: every sample has the place in its chunk that it has by its number,
+        # where `rerun` finds it.
+        again = there % self.chunk
+        values = self.drawing.span(there - again, samples)
         found = self.run(values)
         if self.found is not None:
-            values = np.concatenate([self.values, values])
-            found = jax.tree.map(lambda *both: np.concatenate(both), self.found, found)
+            new = jax.tree.map(lambda own: own[again:], found)
+            values = np.concatenate([self.values, values[again:]])
+            found = jax.tree.map(lambda *both: np.concatenate(both), self.found, new)
         self.values, self.found = values, found
 
 

@@ -276,14 +276,14 @@ def monte_carlo(
     run = lambda values: evaluate_all(
         problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
     )
-    sample, short = Grown(Drawing(problem, seed, sampling, parts), run), ""
+    sample, short = Grown(Drawing(problem, seed, sampling, parts), run, chunk), ""
     if asked is None:
         sample.to(samples)
     else:
 
         def grown(count):
             sample.to(count)
-            return responses_of(problem, sample.found), groups(count, parts)
+            return [(responses_of(problem, sample.found), groups(count, parts))]
 
         short = until_accurate(first_of(first, parts), samples, asked, grown)
     found, values = sample.found, sample.values

@@ -52,9 +52,10 @@ def usual_scramblings(samples: int) -> int:
     return int(min(MOST_SCRAMBLINGS, 2 ** (int(np.log2(samples)) // 2)))
 
 
-def groups(samples: int, scramblings: int) -> np.ndarray:
-    """The scrambling (samples,) that each sample belongs to: they take turns."""
-    return np.arange(samples) % scramblings
+def groups(samples: int, scramblings: int, first: int = 0) -> np.ndarray:
+    """The scrambling (samples - first,) that each sample from the `first` on belongs to: they take
+    turns."""
+    return np.arange(first, samples) % scramblings
 
 
 def by_scrambling(rows: np.ndarray, scramblings: int) -> np.ndarray:

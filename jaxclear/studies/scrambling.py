@@ -34,6 +34,22 @@ class ScrambledSequence:
         return np.concatenate(points)
 
 
+def scores_by_scrambling(sizes: np.ndarray, dimensions: int, seed: int) -> np.ndarray:
+    """Standard normal numbers (samples, dimensions): scramblings of these sizes, one after the
+    other."""
+    shares = [
+        scrambled_shares(int(size), dimensions, np.random.default_rng((seed, i)))
+        for i, size in enumerate(sizes)
+    ]
+    return normal_scores(np.concatenate(shares))
+
+
+def seed_of(*numbers: int) -> int:
+    """A seed of its own for each row of numbers, which a study of a number near one of them does
+    not have."""
+    return int(np.random.SeedSequence(numbers).generate_state(1)[0])
+
+
 def normal_scores(shares: np.ndarray) -> np.ndarray:
     """Standard normal numbers of which these shares [1] lie below."""
     return scipy.special.ndtri(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))

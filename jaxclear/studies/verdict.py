@@ -3,10 +3,10 @@
 Two runs of the reference, one ten times tighter than the other, tell how far it can be trusted.
 Where they agree to half the accuracy asked, every copy is compared with itself and the worst
 counts, with something to spare for copies that were not seen; shorter runs, in which impacts meet
-the steps elsewhere, count with them. Where they do not, single runs are
-not reproducible (rattling is chaotic), and means over the copies are compared, with the 95 % error
-of their difference; as they are where only means are asked for. If the copies are too few to show
-the accuracy, the limit is what they can show, and the answer must say so.
+the steps elsewhere, count with them. Where they do not, single runs are not reproducible (rattling
+is chaotic), and means over the copies are compared, with the 95 % error of their difference; as
+they are where only means are asked for. If the copies are too few to show the accuracy, the limit
+is what they can show, and the answer must say so.
 """
 
 from collections.abc import Mapping

@@ -116,12 +116,30 @@ def test_collar_touches_with_its_lowest_point(seed):
         *vectors(offset, axis), BEARING.indentations(*vectors(offset, axis), {})
     )[2:]
     for end, indentation, touch in zip((-1, 1), found, contact_candidates, strict=True):
-        centre = offset + end * (LENGTH / 2 + 2e-4) * axis
+        # the rim of a face whose middle stands over it by a thousandth of the clearance
+        centre = offset + end * (LENGTH / 2 + 2e-4 + 2e-7) * axis
         rim = centre + 14e-3 * (np.cos(AROUND)[:, None] * first + np.sin(AROUND)[:, None] * second)
         nearest = rim[np.argmin(end * rim[:, 2])]
-        # a rim of 20000 points misses the lowest by a quadratic error
-        np.testing.assert_allclose(indentation, LENGTH / 2 - end * nearest[2], atol=1e-11)
+        # a rim of 20000 points misses the lowest by a quadratic error, and the face is lower than
+        # its rim by crown^2 / (2 radius tilt)
+        beyond = 2e-7**2 / (2 * 14e-3 * np.hypot(*axis[:2])) + 1e-11
+        lowest = LENGTH / 2 - end * nearest[2]
+        assert lowest - 1e-11 <= float(indentation) <= lowest + beyond
         np.testing.assert_allclose(np.array(sp.dense(touch.place)), nearest, atol=14e-3 * AROUND[1])
+
+
+def test_contact_point_of_a_collar_crosses_its_axis_where_the_tilt_passes_through_zero():
+    """And in one direction only: the torque of the axial force has no jump, and turns the journal
+    upright."""
+    tilts = np.linspace(-1, 1, 201) * 1e-4
+    places = []
+    for tilt in tilts:
+        offset, axes = vectors((0.0, 0.0, 0.0), (np.sin(tilt), 0.0, np.cos(tilt)))
+        upper = BEARING.contact_candidates(offset, axes, BEARING.indentations(offset, axes, {}))[3]
+        places.append(float(sp.dense(upper.place)[0]) - (LENGTH / 2 + 2e-4) * np.sin(tilt))
+    steps = np.diff(places)
+    assert (steps > 0).all() and steps.max() < 14e-3 * 1e-6 / (2e-7 / 14e-3)
+    assert abs(places[100]) < 1e-12 and places[-1] == pytest.approx(14e-3, rel=0.02)
 
 
 def test_collars_of_a_centred_journal_leave_their_clearance():

@@ -36,6 +36,8 @@ INTEGRATORS = {
     "adaptive": jc.integrator.Adaptive(most_steps=300),
     "fixed": jc.integrator.FixedStep(step=1e-6),
 }
+# Joints that another one is with more: bristles, collars.
+WITH_MORE = {"ball", "journal"}
 
 
 def compiled(kind, integrator):
@@ -51,7 +53,14 @@ def compiled(kind, integrator):
 
 @pytest.mark.parametrize(
     ("kind", "integrator"),
-    [*((kind, "adaptive") for kind in JOINTS), ("planar", "fixed"), ("ball", "fixed")],
+    [
+        *(
+            pytest.param(kind, "adaptive", marks=pytest.mark.slow if kind in WITH_MORE else ())
+            for kind in JOINTS
+        ),
+        pytest.param("planar", "fixed", marks=pytest.mark.slow),
+        ("ball", "fixed"),
+    ],
 )
 def test_run_ends_or_says_why(kind, integrator):
     evaluate = compiled(kind, INTEGRATORS[integrator])
@@ -76,7 +85,8 @@ def test_run_ends_or_says_why(kind, integrator):
 @pytest.mark.skipif(
     ABORTS, reason="XLA's multi-output fusion aborts the process on this derivative"
 )
-@pytest.mark.parametrize("kind", ["planar", pytest.param("ball", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["planar", "ball"])
 def test_derivative_of_a_run_from_concentric_rest_is_finite(kind):
     def final(p):
         mechanism = build(kind, p)

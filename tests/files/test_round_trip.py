@@ -314,6 +314,14 @@ def asked():
     )
 
 
+def written_and_read(scene, path):
+    """The scene that a file holds, which says the same."""
+    jc.write_scene(scene, path)
+    again = jc.read_scene(path)
+    assert scene_text(again) == scene_text(scene)
+    return again
+
+
 def asked_over_positions():
     """A scene without time: where a four-bar stands, warmer or colder, with play in one joint."""
     rig = jc.scenes.four_bar("planar")
@@ -334,10 +342,8 @@ def asked_over_positions():
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [".yaml", ".json"])
 def test_a_scene_over_positions_asks_the_same_after_it_was_written(ending, tmp_path):
-    scene, path = asked_over_positions(), tmp_path / f"scene{ending}"
-    jc.write_scene(scene, path)
-    again = jc.read_scene(path)
-    assert scene_text(again) == scene_text(scene)
+    scene = asked_over_positions()
+    again = written_and_read(scene, tmp_path / f"scene{ending}")
     one, other = scene.problem(), again.problem()
     assert type(one) is jc.PositionProblem
     assert in_texts(other) == in_texts(one)
@@ -391,10 +397,8 @@ def test_what_is_code_is_refused_by_its_place(tmp_path):
 @pytest.mark.parametrize("ending", [".yaml", ".json"])
 def test_a_scene_asks_the_same_after_it_was_written(ending, tmp_path):
     """The problem that is read is the one that was written: a store of a study knows it again."""
-    scene, path = asked(), tmp_path / f"scene{ending}"
-    jc.write_scene(scene, path)
-    again = jc.read_scene(path)
-    assert scene_text(again) == scene_text(scene)
+    scene = asked()
+    again = written_and_read(scene, tmp_path / f"scene{ending}")
     assert in_texts(again.problem()) == in_texts(scene.problem())
     assert first_difference(scene.problem(), again.problem()) == ""
 

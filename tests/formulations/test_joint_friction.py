@@ -28,7 +28,7 @@ def rotor(friction, speed=SPEED, **numbers):
         {"rotor": jc.Body(1.0, INERTIA)},
         {"B": jc.Connection(joint, "ground", "rotor")},
         {"load": jc.load.Force(jc.Marker("rotor"), (0.0, -LOAD))},
-        speeds={"B": speed},
+        speeds={} if speed is None else {"B": speed},
     )
 
 
@@ -199,9 +199,10 @@ def test_what_cannot_rub_is_refused():
         jc.simulate(rotor(STICKS), 0.1)
     with pytest.raises(ValueError, match='joint "B" has friction Dahl, which is no function'):
         jc.simulate(rotor(jc.friction.Dahl()), 0.1)
-    for integrator in (jc.integrator.ImplicitStep(), jc.integrator.MoreauJean()):
-        with pytest.raises(ValueError, match='joint "B" is a PlainBearing with friction or wear'):
-            jc.simulate(rotor(STICKS), 0.1, integrator=integrator)
+    with pytest.raises(ValueError, match='joint "B" has friction Coulomb, which is no function'):
+        jc.simulate(rotor(STICKS), 0.1, integrator=jc.integrator.ImplicitStep())
+    with pytest.raises(ValueError, match='joint "B" is a PlainBearing with friction or wear'):
+        jc.simulate(rotor(STICKS), 0.1, integrator=jc.integrator.MoreauJean())
     with pytest.raises(ValueError, match="PlainBearing with wear has no length"):
         jc.joint.PlainBearing(wear=jc.Wearing(LAW))
     with pytest.raises(ValueError, match="Slideway with wear has no width"):

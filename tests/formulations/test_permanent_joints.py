@@ -52,8 +52,18 @@ def arm(name, turned):
     )
 
 
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("name", CASES)
+# Every joint one way round; the other one is slow.
+QUICK = {("planar", False), ("guide", True), ("spatial", True), ("ball", False)}
+
+
+@pytest.mark.parametrize(
+    ("name", "turned"),
+    [
+        pytest.param(name, turned, marks=() if (name, turned) in QUICK else pytest.mark.slow)
+        for name in CASES
+        for turned in (False, True)
+    ],
+)
 def test_a_floating_body_starts_where_it_was_put(name, turned):
     rig = arm(name, turned)
     fitted = jc.simulate(rig, 1e-3, save=2, integrator=jc.integrator.NonColliding(1e-3)).body("arm")
@@ -129,6 +139,7 @@ def means(run):
     return [float(jnp.mean(jnp.sum(run.contact(name).normal_force[1:], axis=-1))) for name in "ABG"]
 
 
+@pytest.mark.slow
 def test_friction_is_the_same_in_a_joint_of_the_tree_and_in_one_that_closes_a_loop():
     runs = [
         jc.simulate(
@@ -213,9 +224,10 @@ def held_arm():
 
 
 def test_an_upright_journal_comes_down_on_its_collar():
-    """By its axial play, less what the rim of the tilted collar takes: c_a - 2 R c / L."""
+    """By its axial play, less what the rim of the tilted collar takes, a thousandth of the play
+    behind the face's middle: 1.001 c_a - 2 R c / L."""
     run = jc.simulate(held_arm(), 0.3, save=31, integrator=jc.integrator.NonColliding(5e-4))
-    expected = -(0.2e-3 - 2 * 14e-3 * 0.1e-3 / 40e-3)
+    expected = -(1.001 * 0.2e-3 - 2 * 14e-3 * 0.1e-3 / 40e-3)
     # the journal's two ends lean on nearly opposite sides, by what swings
     np.testing.assert_allclose(run.contact("elbow").offset[1:, 2], expected, rtol=5e-3)
 

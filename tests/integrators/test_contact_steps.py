@@ -73,6 +73,7 @@ def test_a_pressed_journal_does_not_chatter_in_long_steps():
     assert int(mixed.accepted_steps) < 0.85 * int(short.accepted_steps)
 
 
+@pytest.mark.slow
 def test_samples_keep_their_own_time():
     integrator = jc.integrator.FixedStep(LONG, contact_steps=10)
 

@@ -13,7 +13,14 @@ import optimistix
 import pytest
 
 import jaxclear as jc
-from jaxclear.formulations.impact_speed import ContactMotion, at_touch, end_at_passage, remembered
+from jaxclear.formulations.impact_speed import (
+    ContactMotion,
+    Passage,
+    at_touch,
+    end_at_passage,
+    remembered,
+)
+from jaxclear.integrators.impacts import EndingAtTouches, Judged
 from jaxclear.laws.contact import dissipation
 from jaxclear.multibody.assembly import guess
 from jaxclear.simulation.simulate import run
@@ -265,6 +272,29 @@ def test_a_step_that_passes_a_wall_is_to_end_there():
             assert float(end_at_passage(*path, 2.0, 10.0)) == 1
     both = looked_at(lambda t: np.array([t - 1.5, t - 0.4]), lambda t: np.ones(2))
     assert float(end_at_passage(*both, 2.0, 1e-6)) == pytest.approx(0.2, abs=1e-6)
+
+
+def test_a_contact_that_parts_at_the_start_of_a_step_hides_no_touch_of_another():
+    """It has parted before time could tell; the other closes in the middle of the step."""
+    both = looked_at(lambda t: np.array([1e-9 - t, t - 0.4]), lambda t: np.array([-1.0, 1.0]))
+    assert float(end_at_passage(*both, 2.0, 1e-6)) < 1e-6
+    assert float(end_at_passage(*both, 2.0, 1e-6, 1e-5)) == pytest.approx(0.2, abs=1e-6)
+    # as does one that parts at its end
+    both = looked_at(lambda t: np.array([2 - 2e-6 - t, t - 0.4]), lambda t: np.array([-1.0, 1.0]))
+    assert float(end_at_passage(*both, 2.0, 1e-7, 1e-5)) == pytest.approx(0.2, abs=1e-6)
+
+
+def test_a_step_ends_at_a_touch_though_another_contact_has_just_parted():
+    control = diffrax.PIDController(rtol=1e-3, atol=1e-6, dtmin=1e-5)
+    touches = EndingAtTouches(control, jnp.asarray(1e-6))
+    both = looked_at(lambda t: np.array([1e-9 - t, t - 0.4]), lambda t: np.array([-1.0, 1.0]))
+    at_rest = jnp.zeros(1)
+    state = touches.init(None, 0.0, 2.0, at_rest, 2.0, None, None, 5.0)[1]
+    judged = Judged(at_rest, Passage(*both))
+    keep, _, stop, *_ = touches.adapt_step_size(
+        0.0, 2.0, at_rest, at_rest, None, judged, 5.0, state
+    )
+    assert not keep and float(stop) == pytest.approx(0.4, abs=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,14 @@ def abrupt(stiffness):
     )
 
 
-@pytest.mark.parametrize(("kind", "laws"), [(planar, rough), (planar, elastic), (journal, abrupt)])
+@pytest.mark.parametrize(
+    ("kind", "laws"),
+    [
+        pytest.param(planar, rough, marks=pytest.mark.slow),
+        (planar, elastic),
+        (journal, abrupt),
+    ],
+)
 def test_energy_never_grows(kind, laws):
     """Stiffness 1e6 to 1e12 N/m^1.5, clearance 1 um to 1 mm, thrown at 0.01 to 1 m/s: up to 100
     clearances a step.
@@ -154,6 +161,7 @@ def test_energy_never_grows(kind, laws):
     assert float((kinetic.max(1) / kinetic[:, 0]).max()) < 1 + 1e-7
 
 
+@pytest.mark.slow
 def test_agrees_with_the_reference_on_a_sliding_wearing_journal():
     """Measured 8e-7 m and 3e-5."""
     runs = [

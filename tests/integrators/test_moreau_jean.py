@@ -271,7 +271,13 @@ def guide():
 
 
 @pytest.mark.parametrize(
-    "make", [ball, tilted, guide, lambda: journal(0.5, MU, speeds=(0.3, 0.2, 5.0))]
+    "make",
+    [
+        ball,
+        pytest.param(tilted, marks=pytest.mark.slow),
+        pytest.param(guide, marks=pytest.mark.slow),
+        lambda: journal(0.5, MU, speeds=(0.3, 0.2, 5.0)),
+    ],
 )
 def test_loops_are_native_and_contacts_keep_their_laws(make, caplog):
     """In a batch as alone; no overlap beyond a step's fall at last, no pull, no friction beyond the

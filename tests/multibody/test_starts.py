@@ -29,9 +29,16 @@ def rod_length(rig):
     return rig.connections["B"].parent.at[0]
 
 
-# A start that closes exactly, and one that does not.
-@pytest.mark.parametrize("length", [ROD, 0.13])
-@pytest.mark.parametrize("kind", ["planar", "ideal"])
+# A start that closes exactly, and one that does not; of each joint the other one is slow.
+@pytest.mark.parametrize(
+    ("kind", "length"),
+    [
+        ("planar", ROD),
+        ("ideal", 0.13),
+        pytest.param("planar", 0.13, marks=pytest.mark.slow),
+        pytest.param("ideal", ROD, marks=pytest.mark.slow),
+    ],
+)
 def test_the_derivative_of_a_start_is_that_of_its_differences(kind, length):
     start = jax.jit(started(jc.scenes.slider_crank(kind), rod_length))
     step = 1e-6

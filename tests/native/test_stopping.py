@@ -78,7 +78,7 @@ def answered(study):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of a terminal")
-@pytest.mark.parametrize("study", ["simulate", "monte_carlo"])
+@pytest.mark.parametrize("study", [pytest.param("simulate", marks=pytest.mark.slow), "monte_carlo"])
 def test_ctrl_c_is_answered_at_once_and_leaves_the_machine_idle(study):
     for _ in range(3):
         waited, said = answered(study)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxclear  # noqa: F401  (float64)
-from jaxclear.native import explain, loop, verdict, while_loop
+from jaxclear.native import explain, forwards_only, loop, scan, verdict, while_loop
 from jaxclear.native.verdicts import KERNELS
 
 # Sums of products in another order.
@@ -93,9 +93,80 @@ def test_what_moves_nothing_keeps_its_value_and_has_no_slope():
     assert abs(value - wanted) < ROUNDING and slope == zero == 0
 
 
-def test_reverse_mode_is_refused_with_a_sentence():
-    with pytest.raises(ValueError, match=r"steps_per_save.*forward\s+mode"):
-        jax.grad(lambda p: END(while_loop)(p).sum())(AT)
+SOME = AT * jnp.linspace(0.9, 1.1, 3)[:, None]
+# (backwards, the same forwards); the loop reads 200 numbers of a table that move.
+BACKWARDS = {
+    "alone": (lambda f: jax.jacrev(f)(AT), lambda f: jax.jacfwd(f)(AT)),
+    "of a batch": (
+        lambda f: jax.grad(lambda p: jnp.sum(jax.vmap(f)(p) ** 2))(SOME),
+        lambda f: jax.vmap(lambda p: jax.jacfwd(lambda q: jnp.sum(f(q) ** 2))(p))(SOME),
+    ),
+    "in a batch": (
+        lambda f: jax.vmap(jax.jacrev(f))(SOME),
+        lambda f: jax.vmap(jax.jacfwd(f))(SOME),
+    ),
+    "of second order": (lambda f: jax.hessian(f)(AT), lambda f: jax.jacfwd(jax.jacfwd(f))(AT)),
+    "twice backwards": (
+        lambda f: jax.jacrev(jax.jacrev(f))(AT),
+        lambda f: jax.jacfwd(jax.jacfwd(f))(AT),
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "way", [pytest.param(w, marks=[pytest.mark.slow] * (w != "of a batch")) for w in BACKWARDS]
+)
+def test_reverse_mode_gives_what_forward_mode_of_jaxs_own_loop_does(way):
+    ours, wanted = BACKWARDS[way]
+    found = jax.jit(lambda: ours(END(while_loop)))()
+    wanted = jax.jit(lambda: wanted(END(jax.lax.while_loop)))()
+    np.testing.assert_allclose(found, wanted, rtol=ROUNDING, atol=ROUNDING)
+
+
+def overflowing(p):
+    """12 times squared: from 1.5 beyond the largest float."""
+    turn = lambda s: (s[0] + 1, s[1] * s[1] * p)
+    return while_loop(lambda s: s[0] < 12, turn, (jnp.zeros((), int), p))[1]
+
+
+def test_samples_that_do_not_count_leave_the_others_reverse_slopes_alone():
+    def total(scale):
+        found = jax.vmap(overflowing)(scale * jnp.array([0.999, 1.5]))
+        return jnp.sum(jnp.where(jnp.isfinite(found), found, 0.0))
+
+    assert not jnp.isfinite(overflowing(1.5))
+    value, slope = jax.jit(jax.value_and_grad(total))(1.0)
+    # p to the power of 2^13 - 1.
+    np.testing.assert_allclose([value, slope], [0.999**8191, 8191 * 0.999**8191], rtol=1e-9)
+
+
+def test_a_square_keeps_its_curvature_where_it_vanishes():
+    """There the cotangent is 0, and its own slope counts."""
+    miss = lambda p: (while_loop(lambda s: s[0] < 3, lambda s: (s[0] + 1, s[1] * p), (0, p))[1]) - 1
+    assert jax.jit(jax.hessian(lambda p: miss(p) ** 2))(1.0) == pytest.approx(2 * 4**2)
+
+
+def test_reverse_mode_passes_where_only_an_empty_array_moves():
+    def run(some):
+        turn = lambda s: (s[0] + 1, s[1] + jnp.sum(s[2]), 2 * s[2])
+        return while_loop(lambda s: s[0] < 3, turn, (0, 1.0, some))[1]
+
+    assert jax.grad(run)(jnp.zeros(0)).shape == (0,)
+
+
+@pytest.mark.slow
+def test_reverse_mode_passes_through_the_rows_of_a_scan():
+    turn = lambda s, row: ((s[0] * 0.9 + row * s[1], s[1]), s[0] ** 2)
+    run = lambda make: lambda p: jnp.sum(make(turn, (p[0], p[1]), p[2] * jnp.arange(5.0))[1])
+    found, wanted = (jax.grad(run(make))(AT[:3]) for make in (scan, jax.lax.scan))
+    np.testing.assert_allclose(found, wanted, rtol=ROUNDING)
+
+
+def test_what_is_forwards_only_says_so_backwards_and_is_itself_forwards():
+    square = lambda x: forwards_only("this way only", (x**2, 3))[0]
+    assert jax.vmap(lambda x: jax.jvp(square, (x,), (1.0,))[1])(AT).tolist() == (2 * AT).tolist()
+    with pytest.raises(ValueError, match="this way only"):
+        jax.grad(square)(1.0)
 
 
 def test_in_a_batch_the_motion_is_shared_by_tangents_as_well(monkeypatch):

@@ -172,6 +172,36 @@ def test_depth_is_the_same_at_any_number_of_saves(swing, turns):
         assert np.abs(found - wanted).sum() < 5e-3 * wanted.sum()
 
 
+def ball_moved(saves, way, fine=20_000):
+    """(volumes, features) that so many saves see of a ball that goes along an arc, or in an eight,
+    while its load and its width change."""
+    time = (np.arange(fine) + 0.5) / fine
+    swing = 1.2 * np.sin(2 * np.pi * time)
+    if way == "arc":
+        x, y, z = np.cos(swing), np.sin(swing) * math.cos(0.7), np.sin(swing) * math.sin(0.7)
+    else:
+        rise = 0.5 * np.sin(4 * np.pi * time + 0.4)
+        x, y, z = np.cos(rise) * np.cos(swing), np.cos(rise) * np.sin(swing), np.sin(rise)
+    load = 1 + 0.5 * np.cos(2 * np.pi * time)
+    columns = [x, y, z, x * x, x * y, x * z, y * y, y * z, narrow(2e-6) ** 2 / load]
+    lost, columns = load.reshape(saves, -1), np.stack(columns, -1).reshape(saves, -1, 9)
+    volumes = lost.sum(axis=1, keepdims=True)
+    means = (lost[..., None] * columns).sum(axis=1) / volumes
+    return jnp.asarray(1e-13 * volumes / lost.sum()), jnp.asarray(means)[:, None]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way, within", [("arc", 5e-3), ("eight", 1e-2)])
+def test_depth_of_a_ball_is_the_same_at_any_number_of_saves(way, within):
+    """An arc is known from mean products of directions, a bend of the way within one is not."""
+    wear_map = SphereMap((96, 48), RADIUS, CLEARANCE)
+    wanted, areas = np.asarray(_worn(wear_map, *ball_moved(2000, way))), wear_map.areas()
+    for saves in (50, 100, 500):
+        found = np.asarray(_worn(wear_map, *ball_moved(saves, way)))
+        np.testing.assert_allclose(found.max(), wanted.max(), rtol=5e-3)
+        assert np.sum(np.abs(found - wanted) * areas) < within * np.sum(wanted * areas)
+
+
 @pytest.mark.parametrize("saves", [1, 24, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("around", [12, 72, pytest.param(200, marks=pytest.mark.slow)])
 def test_a_contact_that_turns_wears_evenly_at_any_resolution(around, saves):

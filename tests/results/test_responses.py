@@ -63,6 +63,24 @@ def test_peaks_are_caught_between_the_saving_times(integrator):
     assert float(peak(sparse)) == pytest.approx(true, rel=0.05)
 
 
+@pytest.mark.slow
+def test_peaks_of_a_guide_are_caught_between_the_saving_times():
+    """A slider thrown from wall to wall of its guide."""
+    guide = jc.clearance.SliderGuide(jc.contact.Hertz(stiffness=1e8))
+    ends = jc.Marker("ground", axis="x"), jc.Marker("slider", axis="x")
+    load = jc.load.Force(jc.Marker("slider", (0.03, 0.0)), (0.0, -50.0, 0.0))
+    rig = jc.Mechanism(
+        {"slider": jc.Body(1.0, 1e-3)}, {"G": jc.Connection(guide, *ends)}, {"load": load}
+    )
+    sparse, dense = (
+        jc.simulate(rig, 0.02, save=saves, integrator=jc.integrator.FixedStep(5e-6))
+        for saves in (11, 4001)
+    )
+    true = float(dense.contact("G").normal_force.max())
+    assert float(sparse.contact("G").normal_force.max()) < 0.95 * true
+    assert float(jc.response.PeakContactForce("G")(sparse)) == pytest.approx(true, rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("response", "sentence"),
     [

@@ -1,6 +1,7 @@
 """A run in doubt is gone through again with shorter steps, and says where they change it."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -137,6 +138,28 @@ def test_steps_in_contact_are_accused_unless_steps_that_resolve_it_change_nothin
     silent = dataclasses.replace(run.history, balanced=False)
     run = dataclasses.replace(run, history=silent)
     assert Check.CONTACT_STEP in looked(rising(run, finer, factor)).checks.figures
+    # Nor does the wear of another joint tell of it.
+    elsewhere = {"another": {"bearing": np.ones((3, 1))}}
+    run = dataclasses.replace(run, worn=elsewhere)
+    finer_run = dataclasses.replace(rising(run, finer, factor), worn=elsewhere)
+    assert Check.CONTACT_STEP in looked(finer_run).checks.figures
+
+
+def test_a_joint_is_cleared_of_its_own_steps_alone():
+    """Those of others stay accused, as does a joint that the steps of the other run leave as it
+    was."""
+    places = ("A", "B", "B", "C")
+    steps = Figure(np.array([0.9, 0.5, 0.95, 0.2]), np.arange(4.0), places)
+
+    def left(worst, right):
+        checks = Checks({Check.CONTACT_STEP: Figure(np.array(worst), np.arange(4.0), places)})
+        other = SimpleNamespace(checks=checks)
+        found = second_look._accused(steps, Check.CONTACT_STEP, other, right)
+        return None if found is None else list(zip(found.places, found.worst, strict=True))
+
+    assert left([0.3] * 4, {"A", "B", "C"}) is None
+    assert left([0.3] * 4, {"A", "C"}) == [("B", 0.5), ("B", 0.95)]
+    assert left([0.9, 0.3, 0.3, 0.3], {"A", "B", "C"}) == [("A", 0.9)]
 
 
 @pytest.mark.parametrize(("deeper", "dropped"), [(1.005, True), (1.02, False)])
@@ -155,19 +178,19 @@ def test_impacts_are_right_only_where_their_peaks_are(pushed, deeper, dropped):
     assert (Check.IMPACT_STEP not in looked.checks.figures) == dropped
 
 
+def run_of(case, integrator):
+    """A run of a case of the attack."""
+    state = jc.State(concentric=case.concentric)
+    return jc.simulate(case.mechanism, case.duration, integrator=integrator, save=201, state=state)
+
+
 @pytest.mark.slow
 def test_mean_forces_that_hang_on_the_step_are_said():
     """A slider thrown between the walls of its guide: its impacts fall within steps that saving
     times have cut, and the mean force is off by a tenth. No other figure tells."""
     case = structures()[22].case(2)
     with pytest.warns(UserWarning, match="shortened"):
-        run = jc.simulate(
-            case.mechanism,
-            case.duration,
-            integrator=jc.integrator.ImplicitStep(8.5e-4),
-            save=201,
-            state=jc.State(concentric=case.concentric),
-        )
+        run = run_of(case, jc.integrator.ImplicitStep(8.5e-4))
     assert {check for check, flag in run.checks.beyond().items() if flag} == {Check.MEAN_FORCE}
     assert "mean of the contact forces" in run.result
 
@@ -176,11 +199,5 @@ def test_mean_forces_that_hang_on_the_step_are_said():
 def test_wear_of_rigid_contact_that_hangs_on_the_step_is_said():
     """The windows see nothing; the deepest wear is off by two fifths."""
     case = structures()[14].case(0)
-    run = jc.simulate(
-        case.mechanism,
-        case.duration,
-        integrator=jc.integrator.MoreauJean(1e-4),
-        save=201,
-        state=jc.State(concentric=case.concentric),
-    )
+    run = run_of(case, jc.integrator.MoreauJean(1e-4))
     assert run.checks.beyond()[Check.HALVED_WEAR] and Check.PLACE_IN_GAP not in run.checks.figures

@@ -331,6 +331,7 @@ def test_an_error_told_is_not_that_of_one_lucky_run():
     assert not len(pilot_of(swings(), jc.PilotSettings(copies=1)).shares)
 
 
+@pytest.mark.slow
 def test_copies_that_no_integrator_can_run_are_left_out():
     found = jc.advise(
         swings(variables=MASS),

@@ -3,6 +3,7 @@ the plain study, and no finished chunk is lost.
 """
 
 import json
+import pathlib
 import threading
 
 import jax.numpy as jnp
@@ -166,6 +167,17 @@ def test_two_at_one_folder_share_its_chunks(plain, folder, tmp_path):
     assert [one.finished for one in found] == [10_000] * 2
     assert_same_study(found[0].sample, plain)
     assert contents(place) == contents(folder)
+
+
+def test_claims_that_another_takes_away_are_nobodys(monkeypatch, folder):
+    """pathlib finds the folder there, and where it looks whether it is one, not any more."""
+
+    def away(self, **_):
+        raise FileExistsError(17, "File exists", str(self))
+
+    monkeypatch.setattr(pathlib.Path, "mkdir", away)
+    with Samples(folder).claimed(0) as mine:
+        assert not mine
 
 
 def test_another_problem_is_refused_with_what_differs(folder, tmp_path):

@@ -16,6 +16,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.studies.campaign import workers
+from jaxclear.studies.campaign.chunk_files import ChunkFiles
 from jaxclear.studies.campaign.samples import FINISHED, SAMPLES
 from tests.studies.test_campaign import contents, problem
 
@@ -27,6 +28,18 @@ SAMPLES_ASKED = CHUNK * CHUNKS - 1000
 
 def run(folder, samples=SAMPLES_ASKED):
     return jc.campaign(problem(), samples, folder=folder, seed=5, chunk=CHUNK)
+
+
+def run_slowly(folder):
+    """As `run`, with a pause before every file: the end comes between any two of them."""
+    put = ChunkFiles.put
+
+    def slowly(self, name, number, numbers):
+        time.sleep(2e-3)
+        put(self, name, number, numbers)
+
+    ChunkFiles.put = slowly
+    run(folder)
 
 
 def marks(folder):
@@ -51,7 +64,7 @@ def test_killed_fifty_times_and_resumed_is_the_same_bit_for_bit(whole, tmp_path)
     alive = 0
     for _ in range(50):
         before = marks(place)
-        one = processes.Process(target=run, args=(place,))
+        one = processes.Process(target=run_slowly, args=(place,))
         one.start()
         wanted = before + chance.randint(0, 8)
         while marks(place) < wanted and one.is_alive():
@@ -72,7 +85,7 @@ def test_processes_at_one_folder_share_its_chunks(whole, tmp_path):
     place = tmp_path / "kept"
     processes = multiprocessing.get_context("forkserver")
     processes.set_forkserver_preload(["jaxclear", "zarr", "tests.studies.test_campaign"])
-    both = [processes.Process(target=run, args=(place,)) for _ in range(2)]
+    both = [processes.Process(target=run_slowly, args=(place,)) for _ in range(2)]
     for one in both:
         one.start()
     while marks(place) < 40:

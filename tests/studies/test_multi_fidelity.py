@@ -123,7 +123,7 @@ def turns(count):
 
 def test_the_cost_of_a_run_is_its_work_without_compilation():
     """A fifth of the turns: a fifth of the work but for a clock's noise, whatever runs together."""
-    dear, cheap = (jc.FunctionProblem(turns(count), NUMBERS) for count in (100, 20))
+    dear, cheap = (jc.FunctionProblem(turns(count), NUMBERS) for count in (500, 100))
     model, rough = models_of(dear, {"rough": cheap}, 1024)
     model, rough = model._replace(chunk=512), rough._replace(chunk=128)
     values = np.random.default_rng(0).normal(size=(16, 2))

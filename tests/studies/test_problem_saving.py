@@ -18,6 +18,7 @@ def fall():
     )
 
 
+@pytest.mark.slow
 def test_touches_of_a_sample_are_those_of_its_run():
     saving = jc.Saving(3, events=8)
     integrator = jc.integrator.FixedStep(1e-4)

@@ -54,6 +54,14 @@ def test_a_refusal_of_one_method_is_told_with_the_answer_of_the_other():
     assert re.search(r"only 2\.6 of 128 samples decide it", found.verdict)
 
 
+def test_as_many_samples_as_a_refusal_names_would_do():
+    asked = ("quantile", 0.98)
+    named = re.search(r"take about difference_samples=(\d+)", of_the_sum(asked).verdict)
+    enough = {"difference_samples": int(named[1]), "methods": ("differences",)}
+    found = jc.sensitivity(SUM, "a", of=[asked], **enough).derivatives
+    assert np.isfinite(next(iter(found.values())).estimates["differences"].error)
+
+
 def test_every_method_draws_a_sample_of_its_own(monkeypatch):
     """No point of it is in a study by a seed nearby."""
     own, kept = importlib.import_module("jaxclear.studies.sensitivity.sensitivity"), []

@@ -70,18 +70,20 @@ def test_one_sample_can_be_run_alone(study):
 
 def test_a_response_is_in_doubt_where_a_warning_concerns_it():
     position, peak = jc.response.FinalCoordinate("A"), jc.response.PeakContactForce("B")
-    wear, mean = jc.response.PeakWornDepth("B"), jc.response.MeanContactForce("B")
+    wear, mean = jc.response.WornVolume("B"), jc.response.MeanContactForce("B")
+    depth = jc.response.PeakWornDepth("B")
     plain = lambda run: run.states[-1, 0]
     for concerns, wanted in {
-        "motion": (True, True, True, True, True),
-        "forces": (False, True, True, True, True),
-        "peak forces": (False, True, False, False, True),
-        "wear": (False, False, True, False, True),
-        "places in gaps": (False, False, True, False, True),
+        "motion": (True, True, True, True, True, True),
+        "forces": (False, True, True, True, True, True),
+        "peak forces": (False, True, False, False, False, True),
+        "wear": (False, False, True, True, False, True),
+        "worn depth": (False, False, False, True, False, True),
+        "places in gaps": (False, False, True, True, False, True),
     }.items():
-        found = tuple(concerned(r, concerns) for r in (position, peak, wear, mean, plain))
+        found = tuple(concerned(r, concerns) for r in (position, peak, wear, depth, mean, plain))
         assert found == wanted, concerns
-    known = {"motion", "forces", "peak forces", "wear", "places in gaps"}
+    known = {"motion", "forces", "peak forces", "wear", "worn depth", "places in gaps"}
     assert {check.concerns for check in Check} <= known
 
 

@@ -268,6 +268,18 @@ def test_lives_of_a_sample_are_those_of_the_closed_form(tmp_path):
         jc.wear_lives(asked, 4, turns, seed=1, store=tmp_path / "lives")
 
 
+def test_a_life_is_a_response_as_any_other():
+    """As long as it takes, in proportion to hardness over load where the force does not fall."""
+    life = {"life": jc.LifeUntil("depth", 1e-5), "sure": jc.LifeUntil("depth", 1e-5, sure=True)}
+    found = jc.monte_carlo(jc.LifeProblem(problem(wearing_ring(slope=0.0)), life), 2)
+    hardness, load = found.values.T
+    way = 2 * np.pi * (RADIUS + 0.5 * load / STIFFNESS)
+    wanted = 1e-5 * 2 * np.pi * RADIUS * LENGTH * hardness / (1e-5 * load * way)
+    np.testing.assert_allclose(found.responses["life"], wanted, rtol=1e-4)
+    assert np.all(found.responses["sure"] < found.responses["life"])
+    assert found.problem.units()["life"] == "cycles" and np.ptp(wanted) > 0.01 * wanted[0]
+
+
 @pytest.mark.parametrize(
     ("asked", "sentence"),
     [

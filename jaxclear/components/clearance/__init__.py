@@ -7,8 +7,9 @@ A joint of one's own derives from `AbstractClearance`; with a permanent form of 
 
 from jaxclear.components.clearance.ball import BallSocket, PermanentSpherical
 from jaxclear.components.clearance.base import AbstractClearance, ContactCandidate, ContactLaws
+from jaxclear.components.clearance.flange import Flange
 from jaxclear.components.clearance.guide import PermanentPrismatic, SliderGuide
-from jaxclear.components.clearance.journal import Flange, JournalBearing, PlanarJournalBearing
+from jaxclear.components.clearance.journal import JournalBearing, PlanarJournalBearing
 from jaxclear.components.clearance.journal_base import AbstractJournalBearing, PermanentRevolute
 from jaxclear.components.clearance.permanent import (
     SITUATIONS,

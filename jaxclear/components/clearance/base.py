@@ -41,12 +41,14 @@ class ContactCandidate(NamedTuple):
 
 class ContactLaws(NamedTuple):
     """The laws at one possible contact, the shape from which stiffnesses are fitted, and whether
-    its wear is mapped."""
+    its wear is mapped; `unfitted`: the contact law before fitting, which the engine keeps where a
+    surface counts with its worn radius."""
 
     contact: Any  # an AbstractNormalLaw; each formulation asks it for its own part
     friction: Any  # an AbstractFrictionLaw, likewise, or None
     shape: Shape
     wears: bool
+    unfitted: Any = None
 
 
 class AbstractClearance(AbstractQuantified):
@@ -89,6 +91,11 @@ class AbstractClearance(AbstractQuantified):
         """Wear map and law of each surface that wears, by the surface's name; none unless
         overridden."""
         return {}
+
+    def inner_surfaces(self) -> tuple[str, ...]:
+        """Those surfaces that are the inner part's (journal, ball, slider); none unless
+        overridden."""
+        return ()
 
     def features(
         self, surface: str, offset: sp.Vec, axes: tuple, indentations: tuple, index: int

@@ -15,13 +15,14 @@ from jaxclear.components.clearance.base import (
     ContactLaws,
     check_clearance,
 )
+from jaxclear.components.clearance.flange import Flange
 from jaxclear.components.clearance.journal_base import AbstractJournalBearing
 from jaxclear.components.clearance.roundness import Lobes, check_roundness
 from jaxclear.components.joint.rubbing import shared_by_ends
 from jaxclear.components.wear_map import CylinderMap, Wearing
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide, safe_sqrt
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.friction import AbstractFrictionLaw
 from jaxclear.laws.stiffness import Shape
@@ -86,22 +87,6 @@ class PlanarJournalBearing(AbstractJournalBearing):
 
     def end_forces(self, force, torque):
         return (((force[0], force[1], 0), 0),)
-
-
-class Flange(AbstractQuantified):
-    """Collars on the journal that stop it along the bearing: the rim point nearest the bearing's
-    face may touch it.
-
-    A stiffness fitted from materials takes the radii of journal and bore, for want of better; give
-    a number where the axial stiffness matters.
-    """
-
-    contact: AbstractNormalLaw
-    friction: AbstractFrictionLaw | None = None
-    radius: Scalar = quantity(14e-3, "m", "outer radius of the collar", above=0, kw_only=True)
-    clearance: Scalar = quantity(
-        0.2e-3, "m", "axial clearance at each collar, journal centred", above=0, kw_only=True
-    )
 
 
 class JournalBearing(AbstractJournalBearing):
@@ -195,21 +180,11 @@ class JournalBearing(AbstractJournalBearing):
                 overlap = overlap - self.maps()[surface][0].depth_at_end(worn[surface], *place, end)
             overlaps.append(overlap)
         if self.flange is not None:
-            overlaps += [overlap for overlap, _ in self._flange_contacts(offset, axes)]
+            overlaps += [overlap for overlap, _ in self._collar_contacts(offset, axes)]
         return tuple(overlaps)
 
-    def _flange_contacts(self, offset, axes):
-        """(indentation, place) of the collars at the lower and upper face."""
-        axis = axes[0]
-        sideways = safe_sqrt(sp.dot(axis[:2], axis[:2]))
-        reach = 0.5 * self.length + self.flange.clearance
-        for end in (-1, 1):
-            centre = sp.plus(offset, sp.scale(end * reach, axis))
-            # The rim's direction of steepest descent to the face; straight down the slope of the
-            # tilted collar.
-            x, y = (safe_divide(end * axis[2] * axis[i], sideways) for i in (0, 1))
-            place = sp.plus(centre, sp.scale(self.flange.radius, (x, y, -end * sideways)))
-            yield 0.5 * self.length - end * place[2], place
+    def _collar_contacts(self, offset, axes):
+        return self.flange.contacts(offset, axes[0], self.length)
 
     def contact_candidates(self, offset, axes, indentations):
         candidates = []
@@ -220,7 +195,7 @@ class JournalBearing(AbstractJournalBearing):
             place, tangents = (reach * x, reach * y, centre[2]), ((-y, x, 0), (0, 0, 1))
             candidates.append(ContactCandidate(place, (x, y, 0), tangents))
         if self.flange is not None:
-            for end, (_, place) in zip((-1, 1), self._flange_contacts(offset, axes), strict=True):
+            for end, (_, place) in zip((-1, 1), self._collar_contacts(offset, axes), strict=True):
                 candidates.append(ContactCandidate(place, (0, 0, -end), ((1, 0, 0), (0, 1, 0))))
         return tuple(candidates)
 
@@ -233,6 +208,9 @@ class JournalBearing(AbstractJournalBearing):
             size = (self.journal_radius, self.length, self.clearance)
             surfaces["journal"] = (CylinderMap(self.journal_wear.cells, *size), self.journal_wear)
         return surfaces
+
+    def inner_surfaces(self):
+        return ("journal",)
 
     def features(self, surface, offset, axes, indentations, index):
         centres = self.end_centres(offset, axes)
@@ -262,8 +240,7 @@ class JournalBearing(AbstractJournalBearing):
         if self.flange is None or sp.is_zero(force):
             return 0
         # The rim of a tilted collar comes first; the moment that it adds is left out.
-        lean = sp.mul(self.flange.radius, sp.norm(slope))
-        return -jnp.sign(force) * sp.sub(self.flange.clearance, lean)
+        return -jnp.sign(force) * (self.flange.clearance - self.flange.lowered(slope))
 
 
 def _slope(axis) -> tuple:

@@ -36,7 +36,7 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
     reaction (a seal, a clamped bush); friction is then :math:`\mu` times this. `wear`: one depth,
     worn volume over 2 radius length, how far the pin has sunk; the motion does not feel it. Set-
     valued friction sticks, for `NonColliding`; laws that are functions of the sliding speed serve
-    `Adaptive` and `FixedStep` too.
+    `Adaptive`, `FixedStep` and `ImplicitStep` too.
     """
 
     home: ClassVar = Revolute.home
@@ -111,7 +111,7 @@ class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
     about it loads the two sides; without, they are not counted. `load`: a normal force that rubs
     whatever the reaction (a wiper, a clamp). `wear`: one depth, worn volume over width times
     length; the motion does not feel it. Set-valued friction sticks, for `NonColliding`; laws that
-    are functions of the sliding speed serve `Adaptive` and `FixedStep` too.
+    are functions of the sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too.
     """
 
     home: ClassVar = Prismatic.home

@@ -41,6 +41,12 @@ class AbstractNormalLaw(AbstractLaw):
     def remembers_impact_speed(self) -> bool:
         """Whether the engine must supply the speed of first touch: one entry of the state."""
 
+    @property
+    def lossless(self) -> bool:
+        """Whether the force never depends on the rate, so that nothing is damped; False unless
+        overridden."""
+        return False
+
     @abstractmethod
     def elastic_force(self, indentation: Scalar) -> Scalar:
         """The conservative part [N]: its integral over the indentation is the stored energy."""

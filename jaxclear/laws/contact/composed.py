@@ -86,6 +86,10 @@ class ContactForce(AbstractContactLaw):
         return 1.0 if self.dissipation is None else self.dissipation.restitution
 
     @property
+    def lossless(self) -> bool:
+        return self.dissipation is None
+
+    @property
     def remembers_impact_speed(self) -> bool:
         return self.memory is not None
 

@@ -84,18 +84,23 @@ def _worn(run: Trajectory, name: str, surface: str) -> np.ndarray | None:
 
 
 def _wearing(
-    run: Trajectory, surface: tuple[str, str], joint: Any, frames: np.ndarray, cut: Callable
-) -> np.ndarray:
-    """Share of the end's depth that a `surface` (joint, its name) has at each of `frames`, along a
-    circle (frames, cells), as bytes; all of it where it does not wear. `cut` takes the circle from
-    the form in which the gap reads the depth."""
+    run: Trajectory, surface: tuple[str, str], frames: np.ndarray, circle: Callable, cut: Callable
+) -> Worn | None:
+    """A `surface` (joint, its name) along a circle at each of `frames`, all of its depth where it
+    does not wear any more; None for one that does not wear. `circle` takes the circle from the
+    depth, `cut` from the form in which the gap reads it."""
     name, side = surface
+    worn = _worn(run, name, side)
+    if worn is None:
+        return None
+    joint: Any = run.mechanism.connections[name].joint
     # A gap has read at a saving time what stood at the one before.
     before = jax.tree.map(np.asarray, run.history.read[name][side])
     at_end = cut(joint.maps()[side][0].reading(run.worn[name][side]))
     depth = np.concatenate([cut(before)[1:], np.asarray(at_end)[None]])[frames]
     share = np.where(at_end > 0, depth / np.where(at_end > 0, at_end, 1.0), 1.0)
-    return np.round(255 * np.clip(np.nan_to_num(share), 0.0, 1.0)).astype(np.uint8)
+    in_bytes = np.round(255 * np.clip(np.nan_to_num(share), 0.0, 1.0)).astype(np.uint8)
+    return Worn(circle(worn), in_bytes)
 
 
 def _ways(history: Any, frames: np.ndarray, contacts: list, axes: tuple[int, int]) -> np.ndarray:
@@ -111,28 +116,23 @@ def _wall(joint: Any) -> np.ndarray:
 
 def _bore(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
     """A planar journal."""
-    worn = _worn(run, name, "bearing")
     centre = np.asarray(history.offset)[frames, :2]
-    wear = None
-    if worn is not None:
-        share = _wearing(run, (name, "bearing"), joint, frames, lambda read: read[0][..., 0])
-        wear = Worn(worn[:, 0], share)
+    along = lambda depth: depth[:, 0]
+    wear = _wearing(run, (name, "bearing"), frames, along, lambda read: read[0][..., 0])
     ways = _ways(history, frames, [0], (0, 1))
     return [_round("across the axis", centre, _wall(joint), ways, [0], wear)]
 
 
 def _ends(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
     """A journal that tilts: both end planes of its bearing."""
-    worn = _worn(run, name, "bearing")
     offset, axis = (np.asarray(own)[frames] for own in (history.offset, history.axis))
     found = []
     for end, centre in enumerate(joint.end_centres(tuple(offset.T), (tuple(axis.T),))):
         place = np.stack([np.broadcast_to(np.asarray(x), len(frames)) for x in centre[:2]], -1)
         ways = _ways(history, frames, [end], (0, 1))
-        wear = None
-        if worn is not None:
-            cut = lambda read, end=end: read[end][..., 0]
-            wear = Worn(worn[:, -end], _wearing(run, (name, "bearing"), joint, frames, cut))
+        along = lambda depth, end=end: depth[:, -end]
+        cut = lambda read, end=end: read[end][..., 0]
+        wear = _wearing(run, (name, "bearing"), frames, along, cut)
         title = ("lower end", "upper end")[end]
         found.append(_round(title, place, _wall(joint), ways, [end], wear))
     return found
@@ -140,14 +140,12 @@ def _ends(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
 
 def _ball(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
     """A ball, from above and from the side of its socket."""
-    worn, offset = _worn(run, name, "socket"), np.asarray(history.offset)[frames]
+    offset = np.asarray(history.offset)[frames]
     wall = float(joint.clearance) * np.stack([np.cos(TURN), np.sin(TURN)], -1)
     found = []
     for title, axes in (("along z: x, y", (0, 1)), ("along y: x, z", (0, 2))):
-        wear = None
-        if worn is not None:
-            cut = lambda read, axes=axes: _cut(read, axes)
-            wear = Worn(cut(worn), _wearing(run, (name, "socket"), joint, frames, cut))
+        cut = lambda read, axes=axes: _cut(read, axes)
+        wear = _wearing(run, (name, "socket"), frames, cut, cut)
         ways = _ways(history, frames, [0], axes)
         found.append(_round(title, offset[:, axes], wall, ways, [0], wear))
     return found

@@ -17,7 +17,7 @@ from jaxclear.studies.campaign.recorded import RecordedProblem
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.campaign.run import Wanted, computed
 from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.studies import kept_study
+from jaxclear.studies.campaign.studies import kept_study, refuse_uncompiled
 from jaxclear.studies.campaign.work import AbstractWork, Threads
 from jaxclear.studies.campaign.workers import Workers, check_client
 from jaxclear.studies.growing import FIRST_SAMPLES, first_of
@@ -51,10 +51,10 @@ def campaign(
     Asked again, it goes on from the chunks that are finished, also to more samples: it becomes what
     it would be had it been asked for them at once, in the scramblings that the folder has.
     Samples in a last chunk that was not full are computed again, and count as unfinished until
-    then. A folder of another problem, or of other
-    samples, is refused with what differs. Ctrl-C keeps all finished chunks; whatever ends the
-    process, the chunks in work, one a thread, are all that is lost. Several processes may work at
-    one folder: each chunk is claimed by one. Memory does not grow with the samples.
+    then. A folder of another problem, or of other samples, is refused with what differs. Ctrl-C
+    keeps all finished chunks; whatever ends the process, the chunks in work, one a thread, are all
+    that is lost. Several processes may work at one folder: each chunk is claimed by one. Memory
+    does not grow with the samples.
 
     `samples`, `seed`, and in `settings` also `sampling`, `scramblings` and `accuracy`, as in
     `monte_carlo`, whose samples these are: a sample has the same values and, on one kind of
@@ -117,6 +117,7 @@ def _asked(problem: Any, samples: Any, seed: Any, chunk: Any, sampled: dict[str,
             )
     sampling = sampled.get("sampling", "sobol")
     check_sampled(problem, samples, seed, sampling)
+    refuse_uncompiled(problem)
     accuracy = asked_of(sampled.get("accuracy"), problem.response_names, "campaign")
     first = samples if accuracy is None else min(samples, FIRST_SAMPLES)
     parts = checked_scramblings("campaign", first, sampled.get("scramblings"))

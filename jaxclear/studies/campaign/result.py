@@ -22,7 +22,7 @@ from jaxclear.studies.statistics.tolerance_interval import ToleranceInterval
 from jaxclear.studies.store import first_difference
 from jaxclear.studies.texts import in_texts
 
-__all__ = ["Campaign"]
+__all__ = ["READ", "Campaign"]
 
 # Samples that are read together, about.
 READ = 1 << 16

@@ -14,11 +14,12 @@ from tqdm import tqdm
 from jaxclear.studies.campaign.layout import KIND, RESPONSES
 from jaxclear.studies.campaign.plan import Plan, usual_batch
 from jaxclear.studies.campaign.recorded import in_json
-from jaxclear.studies.campaign.result import Campaign
+from jaxclear.studies.campaign.result import READ, Campaign
 from jaxclear.studies.campaign.samples import Extended, Samples
 from jaxclear.studies.campaign.work import AbstractWork, Heard
 from jaxclear.studies.growing import until_accurate
-from jaxclear.studies.statistics.accuracy import Asked
+from jaxclear.studies.sampling import groups
+from jaxclear.studies.statistics.accuracy import Asked, Piece
 from jaxclear.studies.store import refuse_other
 from jaxclear.studies.texts import in_texts
 
@@ -91,13 +92,17 @@ class _Run:
             # Another process was faster to make the campaign larger.
             self.kept = Samples(self.kept.folder)
 
-    def grown(self, samples: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Has so many samples in the folder; all responses (samples,) that are then there, and
-        their scramblings."""
+    def grown(self, samples: int) -> Iterator[Piece]:
+        """Has so many samples in the folder, and reads all that are then there in pieces of some
+        chunks: responses (samples,), and their scramblings."""
         self.grow(samples)
         names, plan = self.by.problem.response_names, self.kept.plan
-        rows = self.kept.read(RESPONSES, slice(0, plan.samples))
-        return {name: rows[:, i] for i, name in enumerate(names)}, plan.groups()
+        size = max(READ // plan.chunk, 1) * plan.chunk
+        for first in range(0, plan.samples, size):
+            at = slice(first, min(first + size, plan.samples))
+            rows = self.kept.read(RESPONSES, at)
+            own = groups(at.stop, plan.scramblings, at.start)
+            yield {name: rows[:, i] for i, name in enumerate(names)}, own
 
     def _finished(self, samples: int) -> bool:
         """Computes what the folder lacks; False where the plan has changed meanwhile."""

@@ -7,8 +7,6 @@ that computed the same chunk wrote the same bytes. Where the samples become more
 is not full loses its mark before the plan changes; whoever writes such a chunk looks at the plan.
 """
 
-import json
-import os
 import secrets
 import shutil
 import time
@@ -24,6 +22,7 @@ import numpy as np
 from jaxclear.integrators import Check, Checks, Outcome
 from jaxclear.integrators.figures import Figure
 from jaxclear.studies.base import SampleResult
+from jaxclear.studies.campaign.chunk_files import ChunkFiles
 from jaxclear.studies.campaign.layout import (
     CLAIMS,
     ENDED,
@@ -40,7 +39,7 @@ from jaxclear.studies.campaign.layout import (
     resized,
 )
 from jaxclear.studies.campaign.plan import Plan
-from jaxclear.studies.campaign.versions import change, mark_of, told_versions
+from jaxclear.studies.campaign.versions import change, signed, signers, told_versions
 from jaxclear.studies.store import checked_folder
 
 __all__ = ["Extended", "Samples"]
@@ -76,6 +75,7 @@ class Samples:
         # Looking whether a chunk is empty costs as much as compressing it, and none is.
         with zarr.config.set({"array.write_empty_chunks": True}):
             self.arrays: dict[str, Any] = dict(self.group.arrays())
+        self._files = ChunkFiles(folder / SAMPLES, self.arrays)
         self._mark: int | None = None
 
     @classmethod
@@ -147,7 +147,8 @@ class Samples:
 
     def is_finished(self, number: int) -> bool:
         """Whether a chunk is."""
-        return bool(self.arrays[FINISHED][number] != 0)
+        there = self._files.are_there(FINISHED, number)
+        return there and bool(self.arrays[FINISHED][number] != 0)
 
     def finished(self) -> np.ndarray:
         """Numbers of the finished chunks."""
@@ -178,11 +179,14 @@ class Samples:
         self._put(OUTCOME, at, found.outcome)
         self._put(ENDED, at, found.ended)
         if self._mark is None:
-            self._mark = self._signed()
-        self.arrays[FINISHED][number] = self._mark
+            self._mark = signed(self.folder / VERSIONS, told_versions())
+        self._files.put(FINISHED, number, [self._mark])
 
     def _put(self, name: str, at: slice, numbers: Any) -> None:
-        self.arrays[name][at] = numbers
+        if at.stop - at.start == self.plan.chunk:
+            self._files.put(name, at.start // self.plan.chunk, numbers)
+        else:
+            self.arrays[name][at] = numbers
 
     def read(self, name: str, at: slice) -> Any:
         """Numbers of some samples."""
@@ -246,8 +250,9 @@ class Samples:
         try:
             path.parent.mkdir(exist_ok=True)
             lock.acquire()
-        except (filelock.Timeout, FileNotFoundError):
-            # Somebody is at it, or has finished the campaign and tidies up.
+        except (filelock.Timeout, FileNotFoundError, FileExistsError):
+            # Somebody is at it, or has finished the campaign and tidies up: pathlib may find the
+            # folder there, and a moment later not.
             yield False
             return
         try:
@@ -273,19 +278,7 @@ class Samples:
 
     def versions(self) -> dict[int, dict[str, str]]:
         """Versions of the programs that computed finished chunks, by their mark."""
-        texts = [path.read_text() for path in sorted((self.folder / VERSIONS).glob("*.json"))]
-        return {mark_of(own): own for own in map(json.loads, texts)}
-
-    def _signed(self) -> int:
-        """The mark of this process, whose versions the folder then knows."""
-        now = told_versions()
-        place = self.folder / VERSIONS
-        place.mkdir(exist_ok=True)
-        path = place / f"{mark_of(now):x}.json"
-        beside = place / f".{secrets.token_hex(8)}"
-        beside.write_text(json.dumps(now, indent=1, sort_keys=True))
-        os.replace(beside, path)
-        return mark_of(now)
+        return signers(self.folder / VERSIONS)
 
     def warn_of_versions(self) -> None:
         """A warning where chunks were computed by other versions than those to come."""

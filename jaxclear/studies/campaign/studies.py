@@ -19,7 +19,7 @@ from jaxclear.studies.store import checked_folder
 from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.worst_case import worst_case
 
-__all__ = ["kept_study"]
+__all__ = ["kept_study", "refuse_uncompiled"]
 
 # What they keep, in words. Some keep records of their own; of others all samples are kept.
 OWN_RECORDS = {wear_life: "a wear life", wear_lives: "wear lives", design: "a design"}
@@ -31,6 +31,11 @@ BY_SAMPLES = {
     reliability: "a reliability",
     shapley_effects: "a study of Shapley effects",
 }
+# What keeps lives, in words.
+OTHERWISE = (
+    "is no compiled program, and a campaign keeps samples of one; ask jaxclear.monte_carlo for "
+    "lives as responses, or jaxclear.wear_lives(..., store=folder) for lives that are kept."
+)
 # How studies call the number of their samples.
 COUNTS = ("samples", "sample")
 
@@ -52,6 +57,8 @@ def kept_study(
             "out for a Monte Carlo study."
         )
     settings = settings | _named(study, {n: own for n, own in given.items() if own is not None})
+    if study in BY_SAMPLES:
+        refuse_uncompiled(problem)
     path: Path = checked_folder(folder)
     try:
         if study in OWN_RECORDS:
@@ -63,6 +70,13 @@ def kept_study(
             f"The study was interrupted. What it had computed is kept in {path}; ask the same "
             "again, and it goes on from there."
         ) from None
+
+
+def refuse_uncompiled(problem: Any) -> None:
+    """Raises `ValueError` with a sentence for a problem whose samples are no compiled program. What
+    is no problem at all is for its study to refuse."""
+    if isinstance(problem, AbstractProblem) and not problem.compiled():
+        raise ValueError(f"problem of campaign ({type(problem).__name__}) {OTHERWISE}")
 
 
 def _named(study: Callable, given: dict[str, Any]) -> dict[str, Any]:

@@ -2,12 +2,14 @@
 
 import hashlib
 import json
+import secrets
+from pathlib import Path
 
 import numpy as np
 
 from jaxclear.ground.versions import told_versions
 
-__all__ = ["change", "mark_of", "told_versions"]
+__all__ = ["change", "mark_of", "signed", "signers", "told_versions"]
 
 
 def mark_of(versions: dict[str, str]) -> int:
@@ -23,3 +25,18 @@ def change(before: dict[str, str], now: dict[str, str]) -> str:
     return ", ".join(
         f"{n} {before.get(n, 'absent')} then, {now.get(n, 'absent')} now" for n in names
     )
+
+
+def signed(place: Path, now: dict[str, str]) -> int:
+    """The mark of these versions, which the folder then knows."""
+    place.mkdir(exist_ok=True)
+    beside = place / f".{secrets.token_hex(8)}"
+    beside.write_text(json.dumps(now, indent=1, sort_keys=True))
+    beside.replace(place / f"{mark_of(now):x}.json")
+    return mark_of(now)
+
+
+def signers(place: Path) -> dict[int, dict[str, str]]:
+    """The versions that a folder knows, by their mark."""
+    texts = [path.read_text() for path in sorted(place.glob("*.json"))]
+    return {mark_of(own): own for own in map(json.loads, texts)}

@@ -1,9 +1,10 @@
 """Chunks of a campaign on the workers of Dask, which write them themselves.
 
 Dask decides who computes what, and asks again for what a lost worker was at. Only the problem
-travels (pickled by Dask, between processes of one user), once to each worker, and the number of a
-chunk; no samples do. A worker compiles the program once, for
-later campaigns of the same problem too.
+travels (pickled by Dask, between processes of one user), once to each worker, and numbers of
+chunks; no samples do. A worker compiles the program once, for later campaigns of the same problem
+too. What Dask does for a task costs some milliseconds of three processes, so a task is a block of
+chunks that are quick; each of them is written by itself.
 """
 
 import functools
@@ -13,6 +14,7 @@ import secrets
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +23,18 @@ from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.layout import SAMPLES
 from jaxclear.studies.campaign.plan import Evaluation, Plan, Program
 from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.work import PATIENCE, AbstractWork, done
+from jaxclear.studies.campaign.work import PATIENCE, AbstractWork, Heard, done
 from jaxclear.studies.texts import in_texts
 
 __all__ = ["Workers", "check_client"]
 
-# Chunks asked of the scheduler at a time, at least, and for each thread of the workers.
-LEAST_ASKED, ASKED_A_THREAD = 64, 4
+# Blocks asked of the scheduler at a time, at least, and for each thread of the workers; a thread is
+# given so many while nothing is known of their time.
+LEAST_ASKED, ASKED_A_THREAD, ASKED_AT_FIRST = 64, 4, 2
+# [s] that a block is to take, about: Dask's own work is little beside it, progress is still seen.
+WORTH = 1.0
+# [s] that a chunk takes at least: less is not told by a clock.
+QUICKEST = 1e-9
 # [s] for the first worker to join.
 JOINING = 60.0
 # Held by the thread of a worker that makes what all its threads share.
@@ -45,7 +52,7 @@ def check_client(client: Any) -> None:
 
 
 class Workers(AbstractWork):
-    """All workers of a client. Interrupted, it asks for no more; chunks in work are finished.
+    """All workers of a client. Interrupted, it asks for no more; blocks in work are finished.
     Where none has joined, it waits for the first, for a minute."""
 
     def __init__(self, problem: AbstractProblem, client: Any):
@@ -59,7 +66,6 @@ class Workers(AbstractWork):
         import distributed
 
         self._joined()
-
         # All workers compile side by side; what the first one finds is what all find.
         options = {"allow_other_workers": True, "pure": False}
         what = self.there, self.token, plan
@@ -78,25 +84,21 @@ class Workers(AbstractWork):
             self._joined()
         # What a worker knows of a folder is as it was when this began.
         what = self.there, self.token, str(samples.folder.resolve()), secrets.token_hex(8)
-        left: deque[int] = deque(numbers)
-        asked: dict[Any, int] = {}
+        blocks = Blocks(numbers, max(sum(self.client.nthreads().values()), 1))
+        asked: dict[Any, list[int]] = {}
         running = distributed.as_completed()
-        most = max(LEAST_ASKED, ASKED_A_THREAD * sum(self.client.nthreads().values()))
         try:
-            while left or asked:
-                while left and len(asked) < most:
-                    number = left.popleft()
-                    future = self.client.submit(_on_worker, *what, number, pure=False)
-                    asked[future.key] = number
+            while blocks.left or asked:
+                while blocks.left and len(asked) < blocks.most:
+                    block = blocks.next()
+                    future = self.client.submit(_on_worker, *what, block, pure=False)
+                    asked[future.key] = block
                     running.add(future)
                 future = next(running)
-                number = asked.pop(future.key)
-                failed = _answer(future, number)
-                if failed is None:
-                    left.append(number)
-                    time.sleep(PATIENCE)
-                else:
-                    heard(number, failed)
+                block = asked.pop(future.key)
+                failed, seconds = _answer(future, block)
+                others = blocks.heard(block, failed, seconds, heard)
+                time.sleep(PATIENCE if others else 0)
         finally:
             self.client.cancel([*running.futures])
 
@@ -118,16 +120,55 @@ class Workers(AbstractWork):
         self.client.cancel([self.there, *self.compiling])
 
 
-def _answer(future: Any, number: int) -> int | None:
-    """What a worker says of a chunk."""
+class Blocks:
+    """Cuts the chunks that are `left` into blocks: as many as take about as long as a task is to,
+    and fewer toward the end, so that all threads are busy until then."""
+
+    def __init__(self, numbers: Sequence[int], threads: int):
+        self.left, self.threads = deque(numbers), threads
+        self._each: float | None = None
+
+    @property
+    def most(self) -> int:
+        """How many blocks may be asked for at a time."""
+        if self._each is None:
+            return ASKED_AT_FIRST * self.threads
+        return max(LEAST_ASKED, ASKED_A_THREAD * self.threads)
+
+    def next(self) -> list[int]:
+        """Numbers of the next block's chunks."""
+        share = -(-len(self.left) // (ASKED_AT_FIRST * self.threads))
+        # Chunks that others had finished took no time at all.
+        many = 1 if self._each is None else int(min(share, WORTH / max(self._each, QUICKEST)))
+        return [self.left.popleft() for _ in range(max(many, 1))]
+
+    def heard(
+        self, block: list[int], failed: list[int | None], seconds: float, heard: Heard
+    ) -> bool:
+        """Tells of the chunks of a block that are finished, which took so long [s]; whether others
+        are at some of them, which are left."""
+        busy = [number for number, own in zip(block, failed, strict=True) if own is None]
+        if len(busy) < len(block):
+            self._each = seconds / (len(block) - len(busy))
+        for number, own in zip(block, failed, strict=True):
+            if own is not None:
+                heard(number, own)
+        self.left.extend(busy)
+        return bool(busy)
+
+
+def _answer(future: Any, block: list[int]) -> tuple[list[int | None], float]:
+    """What a worker says of a block."""
     import distributed
 
     try:
         return future.result()
     except distributed.KilledWorker as reason:
+        several = f"one of {len(block)} chunks from {min(block)} to {max(block)}"
+        which = several if len(block) > 1 else f"chunk {block[0]}"
         raise RuntimeError(
-            f"chunk {number} of the campaign ended every worker that computed it, for want of "
-            "memory maybe; finished chunks are kept. Give workers more memory, or a smaller chunk."
+            f"{which} of the campaign ended every worker that computed it, for want of memory "
+            "maybe; finished chunks are kept. Give workers more memory, or a smaller chunk."
         ) from reason
 
 
@@ -144,12 +185,15 @@ def _compiled(problem: AbstractProblem, token: str, plan: Plan) -> SampleResult:
 
 
 def _on_worker(
-    problem: AbstractProblem, token: str, folder: str, campaign: str, number: int
-) -> int | None:
-    """Computes and keeps a chunk, on a worker."""
+    problem: AbstractProblem, token: str, folder: str, campaign: str, block: list[int]
+) -> tuple[list[int | None], float]:
+    """Computes and keeps the chunks of a block, on a worker: what `done` says of each, and how
+    long they took [s]."""
     with _MAKING:
         samples, evaluation = _ready(_Once(token, problem), folder, campaign)
-    return done(samples, evaluation, number)
+    begun = time.perf_counter()
+    failed = [done(samples, evaluation, number) for number in block]
+    return failed, time.perf_counter() - begun
 
 
 class _Once:

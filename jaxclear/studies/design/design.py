@@ -121,7 +121,8 @@ def _direct(problem: AbstractProblem, settings: DesignSettings) -> bool:
 
 
 def _runs(problem: AbstractProblem, settings: DesignSettings, store: Any, show: bool) -> Runs:
-    batch = problem.most_together() if problem.at_once() else BATCH
+    usual = problem.compiled() and not problem.at_once()
+    batch = BATCH if usual else problem.most_together()
     return Runs(problem, store, show, min(batch, settings.samples))
 
 

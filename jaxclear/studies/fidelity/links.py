@@ -15,6 +15,7 @@ import numpy as np
 from jaxclear.studies.fidelity.chain import Chain
 from jaxclear.studies.fidelity.model import Model, told_by
 from jaxclear.studies.sampling import by_scrambling, draw
+from jaxclear.studies.scrambling import seed_of
 
 # Points of a scrambling that a link begins with, a power of two, and the most to begin with.
 FIRST, MOST_FIRST = 4, 256
@@ -99,7 +100,7 @@ class Links:
 
     def _grow(self, place: int, link: Link, more: int) -> None:
         asked = self.question
-        seed = int(np.random.SeedSequence([asked.seed, place]).generate_state(1)[0])
+        seed = seed_of(asked.seed, place)
         span = link.points * asked.parts, (link.points + more) * asked.parts
         values = draw(asked.problem, span[1], seed, asked.sampling, asked.parts, span)
         link.add(values, asked.parts, asked, asked.progress_bar)

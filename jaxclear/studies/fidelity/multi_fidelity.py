@@ -19,6 +19,7 @@ from jaxclear.studies.fidelity.links import FIRST, Links
 from jaxclear.studies.fidelity.model import Model, models_of, told_by
 from jaxclear.studies.fidelity.result import MultiFidelity, rate
 from jaxclear.studies.sampling import check_sampled, draw
+from jaxclear.studies.scrambling import seed_of
 from jaxclear.studies.statistics.accuracy import asked_of, unreached
 from jaxclear.studies.statistics.scrambled import Statistic, deviation_of_moments, student
 from jaxclear.studies.warned import any_warning
@@ -117,7 +118,7 @@ class _Pilot:
 
     def __init__(self, question: Question, models: list[Model], points: int, known: dict):
         self.question, self.models = question, models
-        seed = int(np.random.SeedSequence([question.seed, PILOT_SEED]).generate_state(1)[0])
+        seed = seed_of(question.seed, PILOT_SEED)
         count = points * question.parts
         values = draw(question.problem, count, seed, question.sampling, question.parts)
         names = question.names

@@ -20,6 +20,7 @@ from jaxclear.integrators import AbstractIntegrator, Checks, Outcome
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, ungiven
 from jaxclear.multibody.state import names
+from jaxclear.multibody.validation import check_values
 from jaxclear.native import stoppable
 from jaxclear.results import response
 from jaxclear.results.saved_state import SavedMotion, State
@@ -27,7 +28,7 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, beginning
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.loop import run
-from jaxclear.simulation.wear import Worn, deposit, unworn
+from jaxclear.simulation.wear import Worn, unworn, worn_by_some
 from jaxclear.studies.life.periodicity import apart
 from jaxclear.studies.problem import Problem
 
@@ -130,14 +131,8 @@ def kind_of_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> Cycle:
 def _by_fourths(found: Trajectory, worn: Worn) -> Worn:
     """Depth [m] that the run would have worn with every fourth of its saving times: beside what it
     wore, how far that hangs on these times."""
-    history = found.history
-    model, count = history.model(), len(history.time)
-    states = history.states[np.unique([*range(0, count, FOURTH), count - 1])]
-
-    def one(worn, ends):
-        return deposit(model.system, model.layout, worn, *ends), None
-
-    after = jax.lax.scan(one, worn, (states[:-1], states[1:]))[0]
+    model, states = found.history.model(), found.states
+    after = worn_by_some(model.system, model.layout, worn, states, FOURTH)
     return jax.tree.map(lambda after, before: after - before, after, worn)
 
 
@@ -151,9 +146,11 @@ def volumes(found: Trajectory) -> Worn:
 
 def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     """Where the first cycle begins, and on which surfaces. Raises `ValueError` with a sentence for
-    a start that cannot be."""
+    numbers or a start that cannot be."""
     formulation = problem.integrator.formulation
-    mechanism = formulation.seen(problem.with_values(values))
+    mechanism = problem.with_values(values)
+    check_values("this mechanism", mechanism)
+    mechanism = formulation.seen(mechanism)
     mechanism, start, time, past = beginning(mechanism, formulation, problem.state)
     model = model_of(mechanism, formulation)
     layout = model.layout

@@ -2,7 +2,8 @@
 
 The same samples are run with one variable moved up and down, by two steps, and extrapolated to none
 (Richardson). It owes nothing to a polynomial or a density, so it confirms what `regression` finds;
-it is dear, so it begins with few samples, and goes on where these confirm nothing.
+it is dear, so it begins with few samples. Where these confirm nothing, differences between two
+distributions go on (`opposed`), or small steps over more samples where these are not known.
 """
 
 from typing import NamedTuple
@@ -51,10 +52,20 @@ def looks(group: np.ndarray) -> list[np.ndarray]:
     count, scramblings = len(group), len(np.unique(group))
     if count < 2 * FIRST:
         return [np.ones(count, bool)]
-    order, place = np.argsort(group, kind="stable"), np.zeros(count, int)
-    place[order] = np.arange(count) - np.searchsorted(group[order], group[order])
-    first = place < max(FIRST // scramblings, 1)
+    first = _places(group) < max(FIRST // scramblings, 1)
     return [first, ~first]
+
+
+def second_half(group: np.ndarray) -> np.ndarray:
+    """The second half of the points of every scrambling, as a mask (samples,)."""
+    return _places(group) >= len(group) // len(np.unique(group)) // 2
+
+
+def _places(group: np.ndarray) -> np.ndarray:
+    """Numbers (samples,) of samples within their scramblings."""
+    order, place = np.argsort(group, kind="stable"), np.zeros(len(group), int)
+    place[order] = np.arange(len(group)) - np.searchsorted(group[order], group[order])
+    return place
 
 
 def moved(
@@ -97,7 +108,7 @@ def differences(
             )
             continue
         rows = np.asarray(found.responses[one.response]).reshape(-1, len(SHIFTS))[good].T
-        few = one.undecided(*rows)
+        few = one.undecided(*rows, by="difference_samples")
         if few:
             answers[one.label] = refused(few)
             continue
@@ -117,18 +128,17 @@ def differences(
         bias = REMAINDER * max(abs(gap.mean()) - half, 0.0)
         told = concern(problem, one.response, found.checks, among)
         answer = from_parts(parts[:, 2], bias)
-        error = answer.error * _rarity(one, rows, len(parts))
+        error = answer.error * rarity(one.deciding(*rows), len(parts))
         answers[one.label] = answer._replace(
             error=error, warned=told[0], warnings=told[1], runs=count
         )
     return answers
 
 
-def _rarity(one: Functional, rows: np.ndarray, scramblings: int) -> float:
+def rarity(deciding: float, scramblings: int) -> float:
     """By how much an interval is wider where fewer samples decide than there are scramblings: their
     differences have no more degrees of freedom than these and one more. Of 128 samples the slope of
     a 96.5 % quantile is then held in 96 to 99 % of cases, without it in 93 to 96 %."""
-    deciding = float(np.mean([one.deciding(row) for row in rows]))
     return max(student(2.0 + deciding) / student(scramblings), 1.0)
 
 

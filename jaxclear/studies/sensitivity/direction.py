@@ -52,14 +52,32 @@ def directions(problem: AbstractProblem, wanted: list[str]) -> list[Direction]:
     return [known[name] for name in wanted]
 
 
-@eqx.filter_jit
-def _weights(distribution, number, scores, leaning):
+def _speed(distribution, number):
+    """How fast a standard normal score moves, of it."""
+
     def speed(u):
         value, slope = jax.jvp(distribution.of_score, (u,), (jnp.ones_like(u),))
         return safe_divide(1.0 if number is None else value / number, slope)
 
-    found, rate = jax.jvp(speed, (scores,), (jnp.ones_like(scores),))
+    return speed
+
+
+@eqx.filter_jit
+def _weights(distribution, number, scores, leaning):
+    found, rate = jax.jvp(_speed(distribution, number), (scores,), (jnp.ones_like(scores),))
     return found * leaning - rate
+
+
+@eqx.filter_jit
+def _flow(distribution, number, scores):
+    return _speed(distribution, number)(scores) * jax.scipy.stats.norm.pdf(scores)
+
+
+def flow(problem: AbstractProblem, direction: Direction, scores: np.ndarray) -> np.ndarray:
+    """Share of parts [1/unit] that pass the values of standard normal scores (points,) as the
+    distribution moves; upwards is positive."""
+    own = problem.inputs.distributions[direction.variable]
+    return np.array(_flow(own, direction.number, jnp.asarray(scores)))
 
 
 def weights(problem: AbstractProblem, direction: Direction, normal: np.ndarray) -> np.ndarray:

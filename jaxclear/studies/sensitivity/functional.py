@@ -24,6 +24,8 @@ SCORES_ASIDE = 0.3
 # Where fewer samples decide a statistic, its derivative and error are chance, often both zero: of
 # what methods agreed on, 72 % held with two samples beyond a limit, 43 % with one.
 FEWEST_DECIDING = 4
+# Numbers of samples are told in multiples of this, as many as there are scramblings.
+WHOLE = 16
 WORDS = ("mean", "standard deviation")
 KINDS = ("quantile", "above", "below")
 
@@ -67,8 +69,17 @@ class Functional(NamedTuple):
         """Whether it is a smooth function of means, whose bias a jackknife tells."""
         return self.kind != "quantile"
 
-    def deciding(self, responses: np.ndarray) -> float:
-        """How many samples (samples,) decide it: those beyond a quantile or a limit, or all."""
+    @property
+    def linear(self) -> bool:
+        """Whether it is the mean of a function of the response, whatever its distribution."""
+        return self.kind in ("mean", "above", "below")
+
+    def deciding(self, *rows: np.ndarray) -> float:
+        """How many samples decide it, of rows of responses (samples,) in the mean: those beyond a
+        quantile or a limit, or all."""
+        return float(np.mean([self._deciding(row) for row in rows]))
+
+    def _deciding(self, responses: np.ndarray) -> float:
         count = len(responses)
         if self.kind == "quantile":
             return count * min(self.number, 1.0 - self.number)
@@ -77,16 +88,19 @@ class Functional(NamedTuple):
         beyond = int(np.sum(self._beyond(responses)))
         return float(min(beyond, count - beyond))
 
-    def undecided(self, *rows: np.ndarray) -> str:
+    def undecided(self, *rows: np.ndarray, by: str) -> str:
         """Why its derivative is not known from rows of responses (samples,), of which the mean
-        counts: too few samples decide it; "" where enough do."""
-        deciding = float(np.mean([self.deciding(row) for row in rows]))
+        counts: too few samples decide it, and how many would do of what is asked for `by` this
+        name; "" where enough do."""
+        deciding = self.deciding(*rows)
         if deciding >= FEWEST_DECIDING:
             return ""
-        return (
-            f"only {deciding:.2g} of {len(rows[0])} samples decide it, and {FEWEST_DECIDING} "
-            "should; take more samples, or jaxclear.reliability for what is rare."
-        )
+        count = len(rows[0])
+        told = f"only {deciding:.2g} of {count} samples decide it, and {FEWEST_DECIDING} should; "
+        if not deciding:
+            return f"{told}take more samples, or jaxclear.reliability for what is rare."
+        enough = -(-int(np.ceil(FEWEST_DECIDING * count / deciding)) // WHOLE) * WHOLE
+        return f"{told}take about {by}={enough}, or jaxclear.reliability for what is rare."
 
     def place(self, sample: np.ndarray) -> float | None:
         """The value at which parts are told apart; None where none is."""

@@ -145,13 +145,13 @@ def regressions(
     if why:
         return {one.label: refused(why) for one in wanted}
     fit = Fit(problem, i, len(values))
-    normal = np.asarray(_normal(problem.inputs, jnp.asarray(values)))
+    normal = np.asarray(normal_scores_of(problem.inputs, jnp.asarray(values)))
     weight = weights(problem, direction, normal)
     many = Many.drawn(problem, direction, fit, len(np.unique(group)), MANY_SEED + sample.seed)
     answers = {}
     for one in wanted:
         responses = sample.responses[one.response][good]
-        few = one.undecided(responses)
+        few = one.undecided(responses, by="sample")
         if few:
             answers[one.label] = refused(few)
             continue
@@ -204,7 +204,7 @@ def ending_of(ends: Ends, fit: Fit, direction: Direction, response: str) -> Endi
 
 
 @eqx.filter_jit
-def _normal(inputs: Inputs, values):
+def normal_scores_of(inputs: Inputs, values):
     """Independent standard normal numbers of a sample; compiled once for a problem."""
     return inputs.normal(values)
 

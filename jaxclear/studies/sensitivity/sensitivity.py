@@ -17,6 +17,7 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.given_sample import GivenSample, given_sample
 from jaxclear.studies.monte_carlo import MonteCarlo, monte_carlo
 from jaxclear.studies.sampling import draw, groups, usual_scramblings
+from jaxclear.studies.scrambling import seed_of
 from jaxclear.studies.sensitivity.derivative import (
     Derivative,
     Estimate,
@@ -25,9 +26,21 @@ from jaxclear.studies.sensitivity.derivative import (
     confirms,
     refused,
 )
-from jaxclear.studies.sensitivity.differences import differences, looks, moved, refusal
+from jaxclear.studies.sensitivity.differences import (
+    differences,
+    looks,
+    moved,
+    refusal,
+    second_half,
+)
 from jaxclear.studies.sensitivity.direction import Direction, directions
 from jaxclear.studies.sensitivity.functional import Functional, functionals
+from jaxclear.studies.sensitivity.opposed import (
+    Opposed,
+    between_distributions,
+    opposed_of,
+    paired,
+)
 from jaxclear.studies.sensitivity.pathwise import pathwise
 from jaxclear.studies.sensitivity.regression import regressions, runs_at_ends
 
@@ -59,11 +72,11 @@ def sensitivity(
     ("below", limit), for every response, or {response: statistics}; limits in the response's unit,
     the share of parts beyond one is a probability of failure; what fewer than 4 samples decide is
     refused. `methods`: any of "regression" (a polynomial, corrected by the score function),
-    "differences" (over `difference_samples`, or a first 32 of them where these confirm a more
-    certain answer), "pathwise" (fixed-step integrators only; the cheapest where nothing opens and
-    closes; through contacts it is shown only where another method agrees with it, and is never the
-    answer). Raises `ValueError` with a sentence for a name that there is not, and for a sample of
-    another problem.
+    "differences" (by small steps over a first 32 of `difference_samples` where these confirm a more
+    certain answer, else between values that become likelier and such as become less so, or by steps
+    over all), "pathwise" (fixed-step integrators only; the cheapest where nothing opens and closes;
+    through contacts it is shown only where another method agrees with it, and is never the answer).
+    Raises `ValueError` with a sentence for a name that there is not, and for another's sample.
     """
     expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
     _check(sample, difference_samples, methods, seed)
@@ -81,7 +94,7 @@ def sensitivity(
         if "regression" in methods:
             own = _ends(drawn, direction, ends, seed, **bar)
             answers["regression"] = regressions(drawn, direction, asked, own)
-        sampled = lambda own: _shared(problem, difference_samples, seed_of(seed, own))
+        sampled = lambda own: _shared(problem, difference_samples, seed_of(seed, SEEDS, own))
         if "pathwise" in methods:
             answers["pathwise"] = pathwise(problem, sampled(2), direction, asked, **bar)
         if "differences" in methods:
@@ -98,7 +111,9 @@ def _ends(
     place = direction.variable
     if place not in known:
         parts = len(np.unique(drawn.scrambling))
-        known[place] = runs_at_ends(drawn.problem, place, parts, seed_of(seed, 3), progress_bar)
+        known[place] = runs_at_ends(
+            drawn.problem, place, parts, seed_of(seed, SEEDS, 3), progress_bar
+        )
     return known[place]
 
 
@@ -109,24 +124,72 @@ def _differences(
     before: tuple[list[Functional], dict[str, dict[str, Estimate]]],
     **bar: bool,
 ) -> dict[str, Estimate]:
-    """By differences on as much of a sample as is needed: all of it, unless the first look confirms
-    more certain answers to all that is asked. `before`: what is asked, and the answers of other
-    methods."""
+    """By differences on as much of a sample as is needed: a first look by small steps, and what of
+    it confirms no more certain answer by pairs, or by steps on all of the sample. `before`: what is
+    asked, and the answers of other methods."""
     asked, others = before
     why = refusal(problem, direction)
     if why:
         return {one.label: refused(why) for one in asked}
-    values, group = sample
-    runs, answers = None, {}
-    for look in looks(group):
-        now = moved(problem, (values[look], group[look]), direction, **bar)
-        runs = now if runs is None else runs.and_also(now)
-        answers = differences(problem, runs, direction, asked)
-        own = [{"differences": answers[one.label]} for one in asked]
-        known = [{name: of[one.label] for name, of in others.items()} for one in asked]
-        if all(confirms(a | b, "differences") for a, b in zip(known, own, strict=True)):
-            break
+    (values, group), (first, *rest) = sample, looks(sample[1])
+    runs = moved(problem, (values[first], group[first]), direction, **bar)
+    answers = differences(problem, runs, direction, asked)
+    left = _unconfirmed(asked, others, answers)
+    if not left or not rest:
+        return answers
+    # Small steps of what rattles tell little, whatever the sample: whole distributions tell more.
+    linear = [one for one in left if one.linear and _surer(others, one, answers)]
+    between = opposed_of(problem, direction) if linear else None
+    if between is not None:
+        told, spent = _by_pairs(problem, sample, (direction, between), (linear, others), **bar)
+        taken = len(runs.found.outcome)
+        answers |= {name: own._replace(runs=own.runs + taken) for name, own in told.items()}
+        left = [one for one in left if one.label not in told]
+    for look in rest if left else ():
+        runs = runs.and_also(moved(problem, (values[look], group[look]), direction, **bar))
+        answers |= differences(problem, runs, direction, left)
+    # What pairs were run for in vain took them too.
+    for name in [one.label for one in left if between is not None and one in linear]:
+        answers[name] = answers[name]._replace(runs=len(runs.found.outcome) + spent)
     return answers
+
+
+def _by_pairs(
+    problem: AbstractProblem,
+    sample: tuple[np.ndarray, np.ndarray],
+    way: tuple[Direction, Opposed],
+    before: tuple[list[Functional], dict[str, dict[str, Estimate]]],
+    **bar: bool,
+) -> tuple[dict[str, Estimate], int]:
+    """By pairs on the second half of a sample, and on the first where that confirms too little:
+    the answers that they tell, and how many runs they took; `before` as above."""
+    (values, group), (asked, others) = sample, before
+    later, pairs, answers, spent = second_half(group), None, {}, 0
+    for look in (later, ~later):
+        now = paired(problem, (values[look], group[look]), way[0], way[1], **bar)
+        spent += len(now.found.outcome)
+        pairs = now if pairs is None else pairs.and_also(now)
+        answers = between_distributions(problem, pairs, asked)
+        told = [one for one in asked if one.label in answers]
+        if len(told) == len(asked) and not _unconfirmed(told, others, answers):
+            break
+    return answers, spent
+
+
+def _unconfirmed(asked: list[Functional], others: dict, answers: dict) -> list[Functional]:
+    """What is asked whose differences do not confirm a more certain answer."""
+
+    def known(one):
+        return {name: of[one.label] for name, of in others.items()}
+
+    own = lambda one: known(one) | {"differences": answers[one.label]}
+    return [one for one in asked if not confirms(own(one), "differences")]
+
+
+def _surer(others: dict, one: Functional, answers: dict[str, Estimate]) -> bool:
+    """Whether another method has a more certain answer than differences have."""
+    known = [of[one.label].error for of in others.values()]
+    return any(np.isfinite(own) and not own >= answers[one.label].error for own in known)
 
 
 def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarlo) -> Sensitivity:
@@ -151,11 +214,6 @@ def _in_doubt(drawn: MonteCarlo, response: str, answer: Derivative) -> Derivativ
     said = [said for check, said in found if drawn.problem.concerned(response, check.concerns)]
     told = filter(None, [answer.verdict, *said, drawn.unreached])
     return dataclasses.replace(answer, verdict=" ".join(told))
-
-
-def seed_of(seed: int, own: int) -> int:
-    """Of a method's own sample: no study's or campaign's by a number near the one given."""
-    return int(np.random.SeedSequence([seed, SEEDS, own]).generate_state(1)[0])
 
 
 def _shared(problem: AbstractProblem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -27,7 +27,7 @@ from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_effects
 from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.sampling import check_sampled, groups
-from jaxclear.studies.scrambling import normal_scores, scrambled_shares
+from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
 from jaxclear.studies.surface.response_surface import ResponseSurface
 
@@ -141,11 +141,7 @@ def _samples(inputs: Inputs, sets: list[frozenset[int]], group: np.ndarray, seed
     """Values (sets * samples, variables): for each set a sample that shares its variables with the
     last one, which shares all, and is drawn anew in the others, given these."""
     count = len(inputs.names)
-    shares = [
-        scrambled_shares(int(size), 2 * count, np.random.default_rng((seed, i)))
-        for i, size in enumerate(np.bincount(group))
-    ]
-    normal = normal_scores(np.concatenate(shares))
+    normal = scores_by_scrambling(np.bincount(group), 2 * count, seed)
     matrix = np.eye(count) if inputs.independent else np.asarray(inputs.correlation)
     scores = normal[:, :count] @ np.linalg.cholesky(matrix).T
     rows = []

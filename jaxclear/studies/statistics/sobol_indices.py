@@ -22,7 +22,7 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_indices
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
-from jaxclear.studies.scrambling import normal_scores, scrambled_shares
+from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
 
 
@@ -84,7 +84,7 @@ def sobol_indices(
         )
     count = len(problem.names)
     group = np.sort(groups(samples, parts))
-    normal = _normal(2 * count, np.bincount(group, minlength=parts), seed)
+    normal = scores_by_scrambling(np.bincount(group, minlength=parts), 2 * count, seed)
     base, other = normal[:, :count], normal[:, count:]
     columns = [base, other]
     for i in range(count):
@@ -103,15 +103,6 @@ def sobol_indices(
             first[name, variable] = jackknifed(_first, three, group[good])
             total[name, variable] = jackknifed(_total, three, group[good])
     return SobolIndices(problem, first, total, len(values), int(np.sum(~good)))
-
-
-def _normal(variables: int, sizes: np.ndarray, seed: int) -> np.ndarray:
-    """Standard normal numbers (samples, variables), one scrambling after the other."""
-    found = [
-        scrambled_shares(size, variables, np.random.default_rng((seed, i)))
-        for i, size in enumerate(sizes)
-    ]
-    return normal_scores(np.concatenate(found))
 
 
 def _first(rows: np.ndarray) -> float:

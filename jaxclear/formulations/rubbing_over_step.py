@@ -1,0 +1,156 @@
+r"""Friction and wear of ideal joints over an implicit step: friction is a share of the reaction,
+the share that of the sliding speed when friction is taken, the reaction that of the step before.
+
+Along each sliding direction $T = -d\,s$ with $d = \mu(|s|) N / |s|$, taken about the speed found
+last and solved for together with the contacts; friction that brakes a joint within a step is taken
+as late as `slip_over_step` says. Reactions change from step to step by what forces do, so friction
+is right to the first order of the step.
+
+Nothing here is evaluated in a mechanism without such joints.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxclear.complementarity.joint_friction import across
+from jaxclear.components.clearance import carried_load
+from jaxclear.formulations.contact_rows import ContactJacobianRow, MiddleOfStep, lightness
+from jaxclear.formulations.joint_friction import passive_of
+from jaxclear.formulations.law_tangent import Averaging
+from jaxclear.formulations.model import Model
+from jaxclear.formulations.permanent_reactions import (
+    PermanentJoint,
+    Reaction,
+    Slip,
+    answer_to,
+    slips_of,
+    touching,
+    with_friction,
+)
+from jaxclear.formulations.state_rate import Passive
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import rounded_norm, safe_divide
+from jaxclear.multibody.contact_point import SLIP_ROUNDING
+from jaxclear.multibody.dynamics import Solution
+from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.state import unpack_motion
+
+
+class JointOverStep(NamedTuple):
+    """A joint that touches all the time over a step: how it slides (`slips` by component), the
+    directions of its rows among these components, the rows [of the sliding speed by the speeds],
+    the sliding speed as the step begins along each [m/s], what it carried last [N], and after how
+    much of the step its friction is taken [s]."""
+
+    held: PermanentJoint
+    slips: tuple[Slip, ...]
+    directions: tuple[tuple, ...]
+    rows: tuple[ContactJacobianRow, ...]
+    begun: tuple
+    load: Any
+    reach: Any
+
+
+def joints_over_step(
+    model: Model, middle: MiddleOfStep, reactions: tuple[Reaction, ...], averaging: Averaging
+) -> tuple[JointOverStep, ...]:
+    """The joints with which a step begins that were under these reactions in the last."""
+    diagonal = middle.free_motion.diagonal
+    system, motions = model.system, middle.free_motion.forces.motions
+    found = []
+    for held, reaction in zip(touching(system), reactions, strict=True):
+        slips, arm = slips_of(system, motions, held, middle.predicted), held.joint.arm
+        directions = _directions(held, reaction)
+        rows = tuple(_combined(direction, arm, slips) for direction in directions)
+        begun = tuple(
+            sp.mul(arm, sp.dot(direction, [slip.at(middle.v) for slip in slips]))
+            for direction in directions
+        )
+        ratio = 0.0 if held.joint.components == 1 else (0.0,) * held.joint.components
+        load = carried_load(held.joint.carrying_ends(*reaction, ratio))
+        lightnesses = [lightness(row, diagonal) for row in rows]
+        reach = _taken_at(held, load, lightnesses, averaging)
+        found.append(JointOverStep(held, slips, directions, rows, begun, load, reach))
+    return tuple(found)
+
+
+def _directions(held: PermanentJoint, reaction: Reaction) -> tuple[tuple, ...]:
+    """Directions among the components of a joint's sliding speed in which friction moves it: of a
+    ball two across the force; none where nothing rubs, or a drive has the say."""
+    if held.joint.friction is None or held.driven:
+        return ()
+    if held.joint.components == 1:
+        return ((1,),)
+    size = sp.norm(reaction.force)
+    return across(tuple(safe_divide(x, size) for x in reaction.force))
+
+
+def _combined(direction: tuple, arm: Any, slips: tuple[Slip, ...]) -> ContactJacobianRow:
+    row: dict[int, Any] = {}
+    for part, slip in zip(direction, slips, strict=True):
+        for j, entry in slip.row.items():
+            row[j] = sp.add(row.get(j, 0), sp.mul(sp.mul(arm, part), entry))
+    return row
+
+
+def _taken_at(held: PermanentJoint, load: Any, lightnesses: list, averaging: Averaging) -> Any:
+    """After how much of a step friction is taken [s]; `lightnesses` [1/kg]: what unit forces along
+    the joint's rows accelerate these by, about. 0 where none is sought."""
+    if not lightnesses:
+        return 0.0
+    length, bias = averaging
+    mean = sp.total(lightnesses) / len(lightnesses)
+    braked = length * mean * load * held.joint.friction.largest_slope(length)
+    return length * jnp.maximum(0.5 * (1 + bias), 1 - 1 / jnp.maximum(braked, 1.0))
+
+
+def damping(joint: JointOverStep, rates: tuple) -> Any:
+    """Friction over the sliding speed [N s/m] at the speeds along the joint's rows."""
+    return _share(joint.held, rates) * joint.load
+
+
+def _share(held: PermanentJoint, rates: Any) -> Any:
+    """Friction's share of the load over the sliding speed [s/m]."""
+    size = rounded_norm(*rates, width=SLIP_ROUNDING)
+    return held.joint.friction_ratio(held.joint.friction.coefficient(size)) / size
+
+
+def friction(joints: tuple[JointOverStep, ...], forces: list[tuple], mean: list) -> list:
+    """Friction [N] of every component of every joint, from the forces along the rows; where a drive
+    has the say that of the `mean` speeds."""
+    out: list[Any] = []
+    for joint, own in zip(joints, forces, strict=True):
+        held = joint.held
+        if joint.directions:
+            out += [sp.dot(own, parts) for parts in zip(*joint.directions, strict=True)]
+        elif held.joint.friction is None:
+            out += [0.0 * joint.load] * held.joint.components
+        else:
+            slid = [sp.mul(held.joint.arm, slip.at(mean)) for slip in joint.slips]
+            share = _share(held, slid)
+            out += [-share * joint.load * x for x in slid]
+    return out
+
+
+def rubbed(
+    model: Model,
+    joints: tuple[JointOverStep, ...],
+    forces: Forces,
+    middle: MiddleOfStep,
+    total: Solution,
+    found: tuple[list, list],
+) -> tuple[Passive, tuple[Reaction, ...], Forces]:
+    """(what the joints wear and lose over a step, their reactions in it, the forces with their
+    friction) under the `forces` of contacts and loads, with these accelerations; `found`: (friction
+    of every component [N], the mean speeds)."""
+    system, (rubs, mean) = model.system, found
+    held = touching(system)
+    q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]
+    forces = with_friction(system, forces, sp.stack(rubs))
+    answer = answer_to(system, forces, q, held, total)
+    slips = [
+        sp.mul(joint.held.joint.arm, slip.at(mean)) for joint in joints for slip in joint.slips
+    ]
+    passive = passive_of(model, forces, q, answer, rubs, slips)
+    return passive, answer.reactions, forces

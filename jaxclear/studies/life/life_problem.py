@@ -1,0 +1,234 @@
+"""A question about lives: a machine whose numbers vary, and what is asked of the life of each copy.
+
+So a life is a response as any other: of statistics, derivatives, reliability, and of a design that
+is to last. A life chooses its own steps, so it is no compiled program; its cycles are.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.ground.arguments import check_count, check_number, expect
+from jaxclear.integrators import Checks, Outcome
+from jaxclear.multibody.validation import check_values
+from jaxclear.simulation.simulate import SimulationError
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.life.cycle import asked_of, first_state, kind_of_cycle
+from jaxclear.studies.life.life_response import AbstractLifeResponse
+from jaxclear.studies.life.living import Living
+from jaxclear.studies.life.result import DEPTH, VOLUME, WearLife
+from jaxclear.studies.life.settling import Patience
+from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.responses import by_name, check_responses, one_number
+from jaxclear.studies.variable import AbstractMechanismVariable
+
+__all__ = ["LifeProblem"]
+
+# A life that is to reach a limit is lived so much longer than its last rate says it takes, and so
+# often anew: rates fall as contacts widen. One that takes more than so many times what its first
+# rate says is taken to end nowhere: wear that dies away would be followed for ever.
+BEYOND, TRIES, LONGEST = 1.25, 8, 100.0
+
+
+class LifeProblem(AbstractProblem):
+    """Lives of the machine of a `problem`, whose duration is one cycle, and what is asked of them.
+
+    `response`: a `jaxclear.LifeUntil` or `jaxclear.LifeEnd`, any function of what
+    `jaxclear.wear_life` returns, or several by name. `cycles`: how long a life is, for what is
+    asked of its end and for functions; every `LifeUntil` goes without, and a life is as long as
+    it takes to reach their limits. `tolerance` [1] and `most` as in `wear_life`. Variables are the
+    problem's. A sample whose life fails, or does not reach one of the limits, has failed. Raises
+    `ValueError` with a sentence for what cannot be asked.
+    """
+
+    problem: Problem
+    response: dict[str, Callable]
+    variables: dict[str, AbstractMechanismVariable]
+    correlation: Float[Array, "variables variables"] | None
+    cycles: float | None = eqx.field(static=True)
+    tolerance: float = eqx.field(static=True)
+    most: int = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    response_names: tuple[str, ...] = eqx.field(static=True)
+    variable_units: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        problem: Problem,
+        response: Callable | Mapping[str, Callable],
+        *,
+        cycles: float | None = None,
+        tolerance: float = 1e-2,
+        most: int = 12,
+    ):
+        expect(problem, Problem, "the problem of a LifeProblem", "a jaxclear.Problem of one cycle")
+        check_asked(problem)
+        if cycles is not None:
+            check_number("cycles of a LifeProblem", cycles, above=0)
+        check_number("tolerance of a LifeProblem", tolerance, above=0)
+        check_count("most of a LifeProblem", most)
+        self.problem, self.response = problem, by_name("response", response)
+        self.variables, self.correlation = problem.variables, problem.correlation
+        self.cycles = None if cycles is None else float(cycles)
+        self.tolerance, self.most = float(tolerance), most
+        self.names, self.variable_units = problem.names, problem.variable_units
+        self.response_names = tuple(self.response)
+        check_responses(self.response, self.variables, "a life")
+        for own in self._own().values():
+            own.check(self._quantities())
+        self._check_length()
+
+    def nominal(self):
+        return self.problem.nominal()
+
+    def units(self):
+        known = dict.fromkeys(self.response_names, "1")
+        return known | {n: own.unit_among(self._quantities()) for n, own in self._own().items()}
+
+    def life(self, values: Any) -> WearLife:
+        """The life of one set of values. Raises `SimulationError` where it has no first cycle, and
+        `ValueError` for values that make no machine."""
+        if self.cycles is not None:
+            return self._lived(values, self.cycles)
+        wanted = list(self._own().values())
+        # What a cycle wears says how long to live.
+        life, cycles, most = self._lived(values, 1.0), 1.0, np.inf
+        for _ in range(TRIES):
+            aheads = [own.ahead(life) for own in wanted]
+            # A limit that is never reached keeps no other from being reached.
+            ahead = max((own for own in aheads if cycles + own < most), default=0.0)
+            if life.ended or ahead == 0:
+                break
+            most = min(most, LONGEST * (cycles + ahead))
+            cycles += max(BEYOND * ahead, 1.0)
+            life = self._lived(values, cycles)
+        return life
+
+    def evaluate(self, values, *, discrete_derivatives=False):
+        if isinstance(values, jax.core.Tracer):
+            raise ValueError(
+                "a life chooses its own steps and is no compiled program: ask for it by surfaces, "
+                "samples or differences, and for slopes jaxclear.wear_life_derivatives."
+            )
+        values = jnp.asarray(values)
+        try:
+            life = self.life(values)
+        except SimulationError:
+            return self._failed(Outcome.NOT_FINITE)
+        except ValueError:
+            return self._failed(self._impossible(values))
+        found = {
+            name: np.asarray(one_number(name, own(life))) for name, own in self.response.items()
+        }
+        # One with a length asked for is of no use before its end, also to a plain function.
+        whole = self.cycles is None or not life.ended
+        told = whole and np.all(np.isfinite(list(found.values())))
+        outcome = np.asarray(int(Outcome.REACHED if told else Outcome.NOT_FINITE))
+        return SampleResult(found, outcome, np.asarray(life.cycles[-1]), life.checks)
+
+    def compiled(self):
+        return False
+
+    def sample_memory(self):
+        return self.problem.sample_memory()
+
+    def most_together(self):
+        return 1
+
+    def rerun(self, values, index, chunk) -> WearLife:
+        """The life of one sample."""
+        return self.life(values)
+
+    def ending(self, outcome, ended):
+        if outcome == Outcome.REACHED:
+            return "the life tells what is asked of it."
+        if outcome == Outcome.OUT_OF_RANGE:
+            return "these numbers make no machine that wears."
+        if not Outcome(outcome).began:
+            said = Outcome(outcome).sentence
+            return f"{said[0].lower()}{said[1:]}"
+        remedy = "a limit that is reached sooner" if self.cycles is None else "fewer cycles="
+        return (
+            f"the life ended after {ended:.4g} cycles without telling what is asked. Ask for "
+            f"{remedy}; rerun it and print the life to see what ended it."
+        )
+
+    def concerned(self, response, concerns):
+        own = self._own().get(response)
+        return own is None or own.concerned(self.problem, concerns)
+
+    def remark(self):
+        return self.problem.remark()
+
+    def pathwise_limits(self):
+        return "a life chooses its own steps; ask jaxclear.wear_life_derivatives for one.", ""
+
+    def parts(self):
+        told = ("response", "cycles", "tolerance", "most")
+        return self.problem.parts() | {f"{what} of lives": getattr(self, what) for what in told}
+
+    def _own(self) -> dict[str, AbstractLifeResponse]:
+        """Responses that are of this package's own kind."""
+        found = self.response.items()
+        return {name: own for name, own in found if isinstance(own, AbstractLifeResponse)}
+
+    def _quantities(self) -> dict[str, str]:
+        """Unit of all that a life tells of."""
+        connections = self.problem.mechanism.connections
+        found = {DEPTH: "m", VOLUME: "m^3"} | self.problem.units()
+        for joint in self.problem.mechanism.topology.clearances:
+            for surface in connections[joint].joint.maps():
+                found[f"{DEPTH} {joint} {surface}"] = "m"
+                found[f"{VOLUME} {joint} {surface}"] = "m^3"
+        return found
+
+    def _check_length(self) -> None:
+        """Raises `ValueError` where the length of a life is said twice, or not at all."""
+        until = [name for name, own in self._own().items() if own.decides_length()]
+        others = [name for name in self.response_names if name not in until]
+        apart = " Ask the two of a LifeProblem each." if until and others else ""
+        if self.cycles is not None and until:
+            raise ValueError(
+                f'response "{until[0]}" of a LifeProblem decides by itself how long a life is; '
+                "within so many cycles only the lives that are short would tell it: leave out "
+                f"cycles=.{apart}"
+            )
+        if self.cycles is None and others:
+            raise ValueError(
+                f'response "{others[0]}" of a LifeProblem does not decide how long a life is; it '
+                f"needs cycles=, how long a life is.{apart}"
+            )
+
+    def _impossible(self, values: Any) -> Outcome:
+        """Why a set of values makes no machine that lives."""
+        try:
+            check_values("this mechanism", self.problem.with_values(values))
+        except ValueError:
+            return Outcome.OUT_OF_RANGE
+        try:
+            first_state(self.problem, values)
+        except ValueError:
+            return Outcome.UNASSEMBLED
+        return Outcome.OUT_OF_RANGE
+
+    def _lived(self, values: Any, cycles: float) -> WearLife:
+        patience = Patience(SETTLED, float(self.tolerance), self.most)
+        life = Living(self.problem, values, patience, None)
+        return lived(life, float(cycles), float(self.tolerance), None)
+
+    def _failed(self, outcome: Outcome) -> SampleResult:
+        """A sample without a life, of the same shape as others."""
+        nothing: dict[str, Any] = dict.fromkeys(self.response_names, np.asarray(np.nan))
+        nominal = self.problem.nominal()
+        asked, begun = asked_of(self.problem, nominal), first_state(self.problem, nominal)
+        checks: Checks = kind_of_cycle(asked, *begun).checks
+        none = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), checks)
+        how: Any = np.asarray(int(outcome))
+        ended: Any = np.zeros(())
+        return SampleResult(nothing, how, ended, none)

@@ -1,0 +1,87 @@
+"""What a run says of worn depths that hang on its saving times: beside the same run saved more
+often."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.formulations.base import model_of
+from jaxclear.integrators import Check
+from jaxclear.integrators.non_colliding import NonColliding
+from jaxclear.simulation.wear import unworn, worn_by_some
+from jaxclear.simulation.wear_by_saves import figures
+
+VOLUME, NARROW = 1e-13, 0.05
+
+
+@pytest.fixture(scope="module")
+def model():
+    formulation = jc.integrator.FixedStep().formulation
+    return model_of(jc.scenes.four_bar("planar", cells=(72, 1)), formulation)
+
+
+def worn_at(model, angles, length=1.0):
+    """States of a run in which a contact loses as much in every interval, at these angles; `length`
+    of the mean direction."""
+    (slot,) = model.layout.wear
+    states = np.zeros((len(angles) + 1, model.layout.size))
+    features = {
+        0: length * np.cos(angles),
+        1: length * np.sin(angles),
+        3: np.full(len(angles), 1 / NARROW),
+    }
+    lost = [np.full(len(angles), VOLUME)] + [VOLUME * features[i] for i in slot.averaged]
+    states[1:, slot.start : slot.start + len(lost)] = np.cumsum(lost, axis=1).T
+    return jnp.asarray(states)
+
+
+def told(model, angles, length=1.0):
+    states, begun = worn_at(model, np.asarray(angles), length), unworn(model.system)
+    ended = worn_by_some(model.system, model.layout, begun, states, 1)
+    return float(figures(model, begun, ended, states)[Check.WEAR_BY_SAVES][0])
+
+
+def test_places_between_which_a_contact_jumps_are_told_and_one_place_is_none(model):
+    assert told(model, np.full(8, 0.3)) < 0.01
+    assert told(model, np.tile([0.3, 2.1, 0.5, -0.4], 2)) > Check.WEAR_BY_SAVES.limit
+
+
+@pytest.mark.slow
+def test_what_is_told_of_a_contact_that_sweeps_evenly_falls_with_the_saving_times(model):
+    few, many = (told(model, np.linspace(-1.5, 1.5, count)) for count in (12, 24))
+    assert many < 0.5 * few
+
+
+def test_an_interval_in_which_a_contact_goes_round_more_than_once_is_told(model):
+    """Unless it goes round evenly, as a shaft in whole turns."""
+    assert told(model, np.array([0.3]), length=0.25) == pytest.approx(0.5)
+    assert told(model, np.array([0.3]), length=0.01) < Check.WEAR_BY_SAVES.limit
+
+
+@pytest.mark.slow
+def test_turns_are_told_of_several_intervals_unless_their_uneven_rests_cancel(model):
+    assert told(model, np.full(2, 0.3), length=0.25) == pytest.approx(0.5)
+    assert told(model, np.array([0.3, 0.3 + np.pi]), length=0.25) < 0.5
+
+
+def test_of_one_place_in_one_saving_interval_and_of_what_does_not_wear_nothing_is_told(model):
+    states = worn_at(model, np.array([0.3]))
+    assert told(model, np.array([0.3])) == 0
+    assert not figures(model, {}, {}, states)
+
+
+@pytest.mark.slow
+def test_depths_that_few_saving_times_leave_wrong_are_told_and_those_of_many_are_not():
+    """Figures are at least what the depths are off by, beside a run with many saving times."""
+    rig = jc.scenes.four_bar("planar", cells=(144, 1))
+    whole = jc.simulate(rig, 1.26, save=2, integrator=NonColliding())
+    assert "saving times" in whole.result
+    runs = {n: jc.simulate(rig, 1.26, save=n, integrator=NonColliding()) for n in (26, 101, 801)}
+    true = np.asarray(runs[801].worn_depth("B", "bearing"))
+    for count, beyond in ((26, True), (101, False)):
+        found = runs[count].checks.figures[Check.WEAR_BY_SAVES].worst.max()
+        off = np.asarray(runs[count].worn_depth("B", "bearing")) - true
+        assert np.sqrt((off**2).sum() / (true**2).sum()) < found
+        assert (found > Check.WEAR_BY_SAVES.limit) == beyond
+        assert ("saving times" in runs[count].result) == beyond

@@ -1,0 +1,216 @@
+"""Lives as responses, against Archard's law at a constant load: every cell of a ring wears alike,
+so a life is in proportion to hardness over load, and what a design may allot has a closed form.
+"""
+
+import threading
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+import jaxclear as jc
+from jaxclear.integrators import Outcome
+from jaxclear.studies.batch import evaluate_all
+from tests.rigs.wearing_ring import FORCE, HARDNESS, LENGTH, RADIUS, STIFFNESS, WEAR, wearing_ring
+from tests.rigs.wearing_ring import problem as one_turn
+
+LIMIT = 1e-5
+
+
+def closed_form(hardness, load):
+    """Turns until the wall is worn by `LIMIT`."""
+    return LIMIT * LENGTH * hardness / WEAR / load / (1 + 0.5 * load / STIFFNESS / RADIUS)
+
+
+@pytest.fixture(scope="module")
+def asked():
+    response = {
+        "life": jc.LifeUntil("depth", LIMIT),
+        "sure": jc.LifeUntil("depth", LIMIT, sure=True),
+    }
+    return jc.LifeProblem(one_turn(wearing_ring(slope=0.0)), response)
+
+
+@pytest.mark.slow
+def test_lives_of_a_sample_are_in_proportion_to_hardness_over_load(asked):
+    """Each as long as it needs to be, and less its error no longer than it is."""
+    found = jc.monte_carlo(asked, 4)
+    hardness, load = found.values.T
+    np.testing.assert_allclose(found.responses["life"], closed_form(hardness, load), rtol=1e-4)
+    assert np.all(found.responses["sure"] < found.responses["life"])
+    assert found.problem.units() == {"life": "cycles", "sure": "cycles"}
+    assert found.ended == pytest.approx(1.25 * found.responses["life"], rel=1e-3)
+    assert found.rerun(2).until("depth", LIMIT).cycles == found.responses["life"][2]
+
+
+@pytest.mark.slow
+def test_depths_at_the_end_of_lives_hold_their_error_where_they_are_to_be_sure():
+    wanted = {"depth": jc.LifeEnd("depth"), "sure": jc.LifeEnd("depth", sure=True)}
+    lives = jc.LifeProblem(one_turn(wearing_ring(slope=0.0)), wanted, cycles=1e5)
+    values = np.array([1.1 * HARDNESS, 1.2 * FORCE])
+    found = lives.evaluate(values).responses
+    assert lives.units() == {"depth": "m", "sure": "m"}
+    assert found["depth"] == pytest.approx(LIMIT * 1e5 / closed_form(*values), rel=1e-4)
+    known = lives.life(values).error
+    assert found["sure"] == pytest.approx(found["depth"] * (1 + known), rel=1e-12)
+
+
+@pytest.mark.slow
+def test_a_life_that_never_reaches_its_limit_or_has_no_machine_has_failed(asked):
+    """A load that falls to nothing at half the depth, which keeps no nearer limit from being
+    told; a hardness below zero."""
+    both = {"life": jc.LifeUntil("depth", LIMIT), "near": jc.LifeUntil("depth", 0.1 * LIMIT)}
+    short = jc.LifeProblem(one_turn(wearing_ring(slope=2e5)), both)
+    for problem, values in ((short, short.nominal()), (asked, np.array([-1e9, FORCE]))):
+        found = problem.evaluate(values)
+        assert found.outcome != jc.integrator.Outcome.REACHED
+        assert np.isnan(found.responses["life"])
+        other = asked.evaluate(asked.nominal())
+        assert jax.tree.structure(found.checks) == jax.tree.structure(other.checks)
+        assert "Ask for a limit" in problem.ending(Outcome.NOT_FINITE, 1.0)
+    assert np.isfinite(short.evaluate(short.nominal()).responses["near"])
+
+
+def test_values_that_no_machine_has_are_failed_lives_as_they_are_failed_runs(asked):
+    """Also where only the end of a life is asked for, which any hardness has a number for."""
+    end = jc.LifeProblem(asked.problem, jc.LifeEnd("depth"), cycles=1e4)
+    for problem in (asked, end):
+        found = problem.evaluate(np.array([-1e9, FORCE]))
+        assert found.outcome == Outcome.OUT_OF_RANGE and found.outcome.dtype.kind == "i"
+        assert np.isnan(found.responses[problem.response_names[0]])
+    with pytest.raises(ValueError, match="hardness = -1"):
+        end.life(np.array([-1e9, FORCE]))
+
+
+def test_warnings_of_shapes_are_none_of_the_volume(asked):
+    wanted = {"deep": jc.LifeUntil("depth", LIMIT), "lost": jc.LifeUntil("volume", 1e-9)}
+    lives = jc.LifeProblem(asked.problem, wanted)
+    assert lives.concerned("deep", "worn depth") and not lives.concerned("lost", "worn depth")
+    for name in wanted:
+        assert lives.concerned(name, "motion") and not lives.concerned(name, "peak forces")
+
+
+def test_a_life_whose_error_is_unknown_is_told_and_nothing_of_it_is_sure():
+    class Known(NamedTuple):
+        cycles: float = 1e6
+        error: float = np.inf
+
+    class Life:
+        def until(self, name, limit):
+            return Known()
+
+    assert jc.LifeUntil("depth", LIMIT)(Life()) == 1e6
+    assert jc.LifeUntil("depth", LIMIT, sure=True)(Life()) == 0.0
+
+
+def test_a_response_of_a_life_that_returns_nothing_is_told_so(asked):
+    class Alone(eqx.Module):
+        ended: str = ""
+
+    lives = jc.LifeProblem(asked.problem, lambda life: None, cycles=10)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(jc.LifeProblem, "life", lambda self, values: Alone())
+        with pytest.raises(ValueError, match="is a `return` missing"):
+            lives.evaluate(asked.nominal())
+
+
+def test_lives_are_lived_one_after_the_other_in_the_thread_that_asks():
+    class Own:
+        def compiled(self):
+            return False
+
+        def evaluate(self, values):
+            return values[0], np.asarray(threading.get_ident())
+
+    values = np.arange(4.0)[:, None]
+    found, threads = evaluate_all(Own(), values)
+    np.testing.assert_array_equal(found, values[:, 0])
+    assert set(threads) == {threading.get_ident()}
+
+
+@pytest.mark.parametrize(
+    ("made", "sentence"),
+    [
+        (lambda p: jc.LifeProblem(p, jc.LifeEnd("depth")), "needs cycles=, how long a life is"),
+        (lambda p: jc.LifeProblem(p, lambda life: life.error), "needs cycles="),
+        (
+            lambda p: jc.LifeProblem(
+                p, {"a": jc.LifeUntil("depth", 1e-5), "b": jc.LifeEnd("volume")}
+            ),
+            '"b" .* needs cycles=, how long a life is. Ask the two',
+        ),
+        (lambda p: jc.LifeProblem(p, jc.LifeUntil("depth", 1), cycles=9), "leave out cycles="),
+        (lambda p: jc.LifeProblem(p, jc.LifeUntil("deep", 1e-5)), 'no quantity "deep"'),
+        (lambda p: jc.LifeProblem(p.mechanism, jc.LifeUntil("depth", 1e-5)), "of one cycle"),
+        (lambda p: jc.LifeEnd("force", sure=True), "cannot be sure"),
+        (lambda p: jc.LifeProblem(p, jc.LifeUntil("depth", 1e-5), cycles=-1), "LifeProblem is -1"),
+    ],
+)
+def test_what_cannot_be_asked_of_lives_is_refused(asked, made, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        made(asked.problem)
+
+
+def test_slopes_through_a_life_are_refused_with_what_serves_instead(asked):
+    with pytest.raises(ValueError, match="jaxclear.wear_life_derivatives"):
+        jax.grad(lambda values: asked.evaluate(values).responses["life"])(asked.nominal())
+
+
+@pytest.mark.slow
+def test_a_design_for_life_allots_tolerances_as_the_closed_form():
+    """Reciprocal costs of the tolerances x of hardness and y of load, as shares: the worst machine
+    lives (1 - x) / (1 + y) of the nominal life. Verified by runs, sure of the life's own error."""
+    life = {"life": jc.LifeUntil("depth", LIMIT, sure=True)}
+    lives = jc.LifeProblem(one_turn(wearing_ring(slope=0.0)), life)
+    share, prices = 0.9, {"hardness": 1.0, "load": 4.0}
+    sizes = {"hardness": HARDNESS, "load": FORCE}
+    found = jc.design(
+        lives,
+        {name: jc.cost.Reciprocal(price * sizes[name]) for name, price in prices.items()},
+        jc.limit.WorstCase("life", at_least=share * closed_form(HARDNESS, FORCE)),
+        tolerance={name: (0.005 * size, 0.2 * size) for name, size in sizes.items()},
+        settings=jc.DesignSettings(runs=24, check=16, samples=64),
+    )
+    other = lambda x: (1 - x) / share - 1
+    best = minimize_scalar(
+        lambda x: 1.0 / x + 4.0 / other(x), bounds=(1e-3, 1 - share - 1e-3), method="bounded"
+    )
+    assert found.holds and found.cost == pytest.approx(best.fun, rel=0.01)
+    assert found.tolerances["hardness"] / HARDNESS == pytest.approx(best.x, rel=0.05)
+    # A cycle more of the limit costs what it takes from both.
+    assert found.unit(0) == "cycles" and "saves" in found.sentence()
+
+
+@pytest.mark.slow
+def test_derivatives_of_the_mean_life_are_those_of_the_closed_form(asked):
+    found = jc.sensitivity(asked, sample=32, difference_samples=8)
+    hardness = found.derivatives["life", "hardness"]
+    assert hardness.trustworthy
+    exact = closed_form(1.0, FORCE)
+    assert hardness.value == pytest.approx(exact, abs=hardness.error + 0.01 * exact)
+    assert found.unit("life", "hardness") == "(cycles)/(Pa)"
+
+
+@pytest.mark.parametrize("study", [{}, {"study": jc.sensitivity}])
+def test_a_campaign_of_lives_is_refused_with_what_serves(asked, tmp_path, study):
+    """Before a file is written."""
+    with pytest.raises(ValueError, match=r"no compiled program.*monte_carlo.*wear_lives"):
+        jc.campaign(asked, folder=tmp_path / "kept", **study)
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_campaign_of_wearing_runs_is_the_plain_study_bit_for_bit(tmp_path):
+    """Its checks too; read again, it is the same."""
+    turn = one_turn(wearing_ring(slope=0.0))
+    plain, found = jc.monte_carlo(turn, 4), jc.campaign(turn, 4, folder=tmp_path)
+    for kept in (found, jc.open_campaign(tmp_path)):
+        assert kept.is_complete
+        for name, own in plain.responses.items():
+            assert np.array_equal(own, kept.responses[name])
+        assert kept.warnings() == plain.warnings()
+        assert kept.sentence() == plain.sentence()
+    assert np.all(plain.responses["peak depth"] > 0)
