@@ -175,8 +175,9 @@ def test_claims_that_another_takes_away_are_nobodys(monkeypatch, folder):
     def away(self, **_):
         raise FileExistsError(17, "File exists", str(self))
 
+    samples = Samples(folder)
     monkeypatch.setattr(pathlib.Path, "mkdir", away)
-    with Samples(folder).claimed(0) as mine:
+    with samples.claimed(0) as mine:
         assert not mine
 
 
