@@ -97,20 +97,26 @@ class ProjectedGaussSeidel(AbstractSolver):
         v = jnp.stack(problem.delassus) @ r + problem.free_velocity
         return Solution(r, v, problem.residual(r, v), outcome, found.sweeps)
 
-    def iterate(self, problem: FrictionContact, start: Array | None = None) -> Iterate:
+    def iterate(
+        self, problem: FrictionContact, start: Array | None = None, sweep: bool = False
+    ) -> Iterate:
         """The iteration itself, from `start` or from rest: what a time step calls. Its derivatives
-        (forward) are those of the sweeps.
+        (forward) are those of the sweeps; where `start` is a solution there are none, unless one
+        `sweep` is taken all the same.
         """
-        return self._iterate(problem, start, in_kernel=True)
+        return self._iterate(problem, start, in_kernel=True, sweep=sweep)
 
-    def _iterate(self, problem: FrictionContact, start: Array | None, in_kernel: bool) -> Iterate:
+    def _iterate(
+        self, problem: FrictionContact, start: Array | None, in_kernel: bool, sweep: bool = False
+    ) -> Iterate:
         scaled = _scale(problem)
         unit = scaled.size / scaled.weight
         guess = [jnp.zeros(d) for d in problem.sizes]
         if start is not None:
             guess = [x / unit for x in problem.split(jnp.where(problem.acts, start, 0.0))]
+        first = _sweep(scaled, tuple(guess)) if sweep else tuple(guess)
         found, residual, sweeps = _sweep_until(
-            scaled, tuple(guess), self.most_sweeps, self.tolerance, in_kernel
+            scaled, first, self.most_sweeps, self.tolerance, in_kernel
         )
         reaction = jnp.where(problem.acts, jnp.concatenate(found) * unit, 0.0)
         return Iterate(reaction, residual, sweeps)

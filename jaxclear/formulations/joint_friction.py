@@ -120,18 +120,6 @@ def check_rubbing(mechanism: Mechanism, integrator: str) -> None:
             raise ValueError(
                 f'joint "{name}" has friction {type(law).__name__}, which is no function of the '
                 f"sliding speed: for {integrator} give a {type(joint).__name__} one that is, such "
-                "as friction.ThreeZone, or take integrator.NonColliding, where friction sticks."
-            )
-
-
-def refuse_rubbing(mechanism: Mechanism, integrator: str) -> None:
-    """Raises `ValueError` for an ideal joint that rubs, where reactions are not known while forces
-    are sought."""
-    for name, joint in rubbing_in(mechanism.connections).items():
-        if joint.friction is not None or joint.maps():
-            raise ValueError(
-                f'joint "{name}" is a {type(joint).__name__} with friction or wear, which follow '
-                f"its reaction; {integrator} knows that only when a step is over. Take "
-                "integrator.Adaptive, FixedStep, ImplicitStep or NonColliding, or a joint with "
-                "clearance."
+                "as friction.ThreeZone, or take integrator.NonColliding or MoreauJean, where "
+                "friction sticks."
             )

@@ -25,9 +25,8 @@ from jaxclear.formulations.permanent_friction import (
 )
 from jaxclear.formulations.permanent_joints import fit
 from jaxclear.formulations.permanent_reactions import (
-    REACTION,
     Answer,
-    Reaction,
+    check_unique,
     friction_response,
     own_part,
     placed,
@@ -35,7 +34,11 @@ from jaxclear.formulations.permanent_reactions import (
     touching,
     with_friction,
 )
-from jaxclear.formulations.permanent_report import report
+from jaxclear.formulations.permanent_report import (
+    friction_of,
+    joint_components,
+    report_of_means,
+)
 from jaxclear.formulations.permanent_wear import wear_rates
 from jaxclear.formulations.rigid import check_friction
 from jaxclear.formulations.state_rate import link_accelerations
@@ -60,7 +63,7 @@ class PermanentContact(AbstractFormulation):
         return fit(mechanism)
 
     def impulses(self, system):
-        return tuple((one.name, REACTION + one.joint.components + 1) for one in touching(system))
+        return joint_components(system)
 
     def normal_impulses(self, system, name):
         (count,) = (count for joint, count in self.impulses(system) if joint == name)
@@ -71,18 +74,15 @@ class PermanentContact(AbstractFormulation):
 
     def forces(self, instant):
         held = touching(instant.model.system)
-        friction = [x for one in held for x in instant.means_of(one.name)[REACTION:-1]]
+        friction = [x for one in held for x in friction_of(instant, one.name)]
         return with_friction(instant.model.system, instant.forces({}), friction)
 
     def contact(self, instant, name):
-        (held,) = (one for one in touching(instant.model.system) if one.name == name)
-        means = [jnp.asarray(x) for x in instant.means_of(name)]
-        reaction = Reaction(tuple(means[:3]), tuple(means[3:REACTION]))
-        return report(instant, held, reaction, tuple(means[REACTION:-1]))
+        return report_of_means(instant, name)
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:
         """What the first step is handed: no accelerations."""
-        _check_unique(model.system)
+        check_unique(model.system)
         return jnp.zeros(model.layout.speeds + 1)
 
     def step(
@@ -168,16 +168,3 @@ def _powers(model: Model, forces: Forces, found: Answer, friction: Any, slips: l
     rates[places("friction_loss")] = lost
     rates[places("input")] = sp.add(rates[places("input")], driven)
     return rates
-
-
-def _check_unique(system: System) -> None:
-    """Raises `ValueError` where friction would hang on a reaction that is not unique."""
-    redundancy = system.topology.redundancy
-    for held in touching(system):
-        rubs = held.joint.friction is not None
-        if redundancy is not None and rubs and held.name in redundancy.joints:
-            raise ValueError(
-                f'friction in joint "{held.name}" follows its reaction, which is not unique: the '
-                f"loops are {redundancy} Leave its friction out, give another joint of this loop "
-                "more freedom, or take a compliant integrator such as ImplicitStep."
-            )

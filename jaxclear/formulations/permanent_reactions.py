@@ -260,3 +260,16 @@ def reaction_through(
         )
     force, torque = (tuple(sp.neg(x) for x in sp.apply(turn, part)) for part in wrench)
     return Reaction(force, sp.minus(torque, sp.cross(pose.translation, force)))
+
+
+def check_unique(system: System) -> None:
+    """Raises `ValueError` where friction would hang on a reaction that is not unique."""
+    redundancy = system.topology.redundancy
+    for held in touching(system):
+        rubs = held.joint.friction is not None
+        if redundancy is not None and rubs and held.name in redundancy.joints:
+            raise ValueError(
+                f'friction in joint "{held.name}" follows its reaction, which is not unique: the '
+                f"loops are {redundancy} Leave its friction out, give another joint of this loop "
+                "more freedom, or take a compliant integrator such as ImplicitStep."
+            )

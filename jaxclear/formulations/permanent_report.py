@@ -7,13 +7,40 @@ from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.formulations.base import ContactReport
 from jaxclear.formulations.model import Instant
-from jaxclear.formulations.permanent_reactions import PermanentJoint, Reaction, slid, speeds_of
+from jaxclear.formulations.permanent_reactions import (
+    REACTION,
+    PermanentJoint,
+    Reaction,
+    slid,
+    speeds_of,
+    touching,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.multibody.system import System
 
 # A guide's friction adds to the moment and so to the sizes; a pass shrinks the error of the ratio
 # to half of it or, at worst, to (1 + mu width / length) / 2.
 PASSES = 40
+
+
+def joint_components(system: System) -> tuple[tuple[str, int], ...]:
+    """By joint that touches all the time, how many components its forces have in states that hold
+    their impulses: its reaction, friction, the sum of the normal forces."""
+    return tuple((one.name, REACTION + one.joint.components + 1) for one in touching(system))
+
+
+def friction_of(instant: Instant, name: str) -> list:
+    """Components of a joint's friction [N] at a saved instant whose state holds impulses."""
+    return instant.means_of(name)[REACTION:-1]
+
+
+def report_of_means(instant: Instant, name: str) -> ContactReport:
+    """How a joint rubs at a saved instant whose state holds impulses."""
+    (held,) = (one for one in touching(instant.model.system) if one.name == name)
+    means = [jnp.asarray(x) for x in instant.means_of(name)]
+    reaction = Reaction(tuple(means[:3]), tuple(means[3:REACTION]))
+    return report(instant, held, reaction, tuple(means[REACTION:-1]))
 
 
 def report(

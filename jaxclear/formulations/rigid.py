@@ -17,10 +17,25 @@ from jaxtyping import Array, Float
 from jaxclear.formulations.base import AbstractFormulation, clearance_contact
 from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, middle_of_step
 from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
-from jaxclear.formulations.joint_friction import refuse_rubbing
 from jaxclear.formulations.joint_reports import reports_of_means, rigid_reports
 from jaxclear.formulations.model import Model, State
-from jaxclear.formulations.state_rate import link_accelerations, passive_rates
+from jaxclear.formulations.permanent_reactions import (
+    check_unique,
+    touching,
+    with_friction,
+)
+from jaxclear.formulations.permanent_report import (
+    friction_of,
+    joint_components,
+    report_of_means,
+)
+from jaxclear.formulations.rubbing_percussions import (
+    RubbedOver,
+    joints_in_step,
+    percussions_and_friction,
+    rubbed_over,
+)
+from jaxclear.formulations.state_rate import Passive, link_accelerations, passive_rates
 from jaxclear.formulations.unilateral import (
     MoreauJeanSettings,
     Percussions,
@@ -46,7 +61,6 @@ class RigidContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
-        refuse_rubbing(mechanism, integrator)
         for name in mechanism.topology.clearances:
             for laws in mechanism.connections[name].joint.contact_laws():
                 if laws.contact.restitution is None:
@@ -60,24 +74,34 @@ class RigidContact(AbstractFormulation):
         return mechanism
 
     def impulses(self, system):
-        return contact_components(system)
+        return contact_components(system) + joint_components(system)
 
     def normal_impulses(self, system, name):
+        if name not in system.bearings:
+            return (dict(joint_components(system))[name] - 1,)
         counts = components(system, system.bearings[name])
         return tuple(sum(counts[:k]) for k in range(len(counts)))
 
     def contact_joints(self, mechanism):
-        return mechanism.topology.clearances
+        return (*mechanism.topology.clearances, *rubbing_in(mechanism.connections))
 
     def forces(self, instant):
-        return instant.forces(reports_of_means(instant))
+        forces = instant.forces(reports_of_means(instant))
+        held = touching(instant.model.system)
+        friction = [x for one in held for x in friction_of(instant, one.name)]
+        return with_friction(instant.model.system, forces, friction)
 
     def contact(self, instant, name):
-        return clearance_contact(instant, reports_of_means(instant)[name], name)
+        if name in instant.model.system.bearings:
+            return clearance_contact(instant, reports_of_means(instant)[name], name)
+        return report_of_means(instant, name)
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:
-        """What the first step is handed: no accelerations, no percussions."""
-        count = sum(own for _, own in model.layout.impulses)
+        """What the first step is handed: no accelerations, no percussions, no friction."""
+        system = model.system
+        check_unique(system)
+        count = sum(own for _, own in contact_components(system))
+        count += sum(one.joint.components for one in touching(system))
         return jnp.zeros(model.layout.speeds + count + 1)
 
     def step(
@@ -95,11 +119,17 @@ class RigidContact(AbstractFormulation):
         entries, h, count = model.entries(state), time_step.length, model.layout.speeds
         middle = middle_of_step(model, time_step, entries, handed[:count])
         contacts = unilateral_contacts(middle.free_motion.contacts)
+        joints = joints_in_step(model, middle)
         rows = [row for contact in contacts for row in contact.rows]
-        delassus = delassus_operator(middle.free_motion, rows)
-        impact = Percussions([], [0] * count, (0,) * len(delassus.multipliers), 0.0)
-        if contacts:
-            impact = percussions(middle, contacts, delassus, handed[count:-1], h, settings)
+        rows += [row for joint in joints for row in joint.rows]
+        delassus, known = delassus_operator(middle.free_motion, rows), handed[count:-1]
+        impact, rubbed = Percussions([], [0] * count, (0,) * len(delassus.multipliers), 0.0), None
+        if joints:
+            impact, rubbed = percussions_and_friction(
+                model, middle, contacts, joints, delassus, known, h, settings
+            )
+        elif contacts:
+            impact = percussions(middle, contacts, delassus, known, h, settings)
         v = [x + h * k + p for x, k, p in zip(middle.v, delassus.free, impact.changes, strict=True)]
         mean = [
             settings.theta * b + (1 - settings.theta) * a for a, b in zip(middle.v, v, strict=True)
@@ -109,9 +139,11 @@ class RigidContact(AbstractFormulation):
             before = (end.coordinates, v)
             end = project(model, time_step, middle, contacts, delassus, before, settings)
         after = [*end.coordinates, *v, *_memories(model, entries)]
-        passive = _passive(model, time_step, middle, delassus, impact, mean, end)
+        over = None if rubbed is None else rubbed_over(model, middle, joints, rubbed, mean)
+        passive = _passive(model, time_step, middle, delassus, impact, mean, end, over)
         after += [x + change for x, change in zip(entries[len(after) :], passive, strict=True)]
         flat = [part for own in impact.by_contact for part in own]
+        flat += [] if over is None else [h * x for x in over.friction]
         residual = jnp.maximum(handed[-1], impact.residual)
         return sp.stack(after), sp.stack([*delassus.free, *flat, residual])
 
@@ -146,10 +178,12 @@ def _passive(
     impact: Percussions,
     mean: list,
     end: Projected,
+    rubbed: RubbedOver | None,
 ) -> list:
     """Changes of what only follows the motion: angles, worn volumes, impulses, energies."""
     system, layout, h = model.system, model.layout, time_step.length
     impulses = [part for own in impact.by_contact for part in own]
+    impulses += [] if rubbed is None else [h * force for force in rubbed.forces]
     free_motion = middle.free_motion
     if not layout.wear and not layout.energies:
         rates = angle_rates(system, layout, free_motion.forces.motions)
@@ -166,10 +200,13 @@ def _passive(
         motions = kinematics.link_motions(system, *motion, time_step.middle)
         angles = free_motion.forces.angles
         acting = applied_forces(system, motions, reports, *motion, time_step.middle, angles)
+        if rubbed is not None:
+            acting = with_friction(system, acting, rubbed.friction)
     total = _add_rates(delassus.free, impact.changes, h)
     multipliers = tuple(_add_rates(delassus.multipliers, impact.multipliers, h))
     solution = link_accelerations(system, total, multipliers)
-    rates = [sp.mul(h, rate) for rate in passive_rates(system, layout, acting, solution)]
+    passive = Passive() if rubbed is None else rubbed.passive
+    rates = [sp.mul(h, rate) for rate in passive_rates(system, layout, acting, solution, passive)]
     worn = len(rates) - len(layout.energies)
     for name in ("contact_work", "contact_loss") if layout.energies else ():
         place = worn + layout.energies.index(name)

@@ -134,20 +134,30 @@ def _combined(rows: tuple[ContactJacobianRow, ...], weights: tuple) -> ContactJa
     return {j: entry for j, entry in out.items() if not sp.is_zero(entry)}
 
 
-def percussions(
+class ContactDemands(NamedTuple):
+    """What the contacts ask of the velocities at a step's end: `lifted`, those without percussions
+    and what the law of impact adds to them, `mu` and how many rows each contact has, which of them
+    count as closed."""
+
+    lifted: list
+    mu: list
+    sizes: tuple[int, ...]
+    closed: Any
+
+
+def demands(
     middle: MiddleOfStep,
     contacts: list[UnilateralContact],
-    delassus: DelassusOperator,
-    last: list,
+    free: list,
     h: Any,
     settings: MoreauJeanSettings,
-) -> Percussions:
-    """Percussions of a step of length h [s], searched from the `last` ones."""
+) -> ContactDemands:
+    """What contacts ask in a step of length h [s] with these accelerations without them."""
     # u-: at the step's start; u_free: at its end as if nothing touched.
     start = middle.change_to(middle.v)
-    free = [sp.add(s, h * k) for s, k in zip(start, delassus.free, strict=True)]
+    ahead = [sp.add(s, h * k) for s, k in zip(start, free, strict=True)]
     before = [contact.velocities_at(start) for contact in contacts]
-    unhindered = [contact.velocities_at(free) for contact in contacts]
+    unhindered = [contact.velocities_at(ahead) for contact in contacts]
     opening = sp.stack([velocities[0] for velocities in before])
     mu = [
         0 if contact.friction is None else contact.friction.bound(_size(velocities[1:]))
@@ -157,19 +167,41 @@ def percussions(
     lifted = []
     for contact, (normal, *slips), (u, *_) in zip(contacts, unhindered, before, strict=True):
         lifted += [normal + contact.restitution * u, *slips]
+    closed = _forecast_closed(middle, opening, unhindered, h, settings)
+    return ContactDemands(lifted, mu, sizes, closed)
+
+
+def percussions(
+    middle: MiddleOfStep,
+    contacts: list[UnilateralContact],
+    delassus: DelassusOperator,
+    last: list,
+    h: Any,
+    settings: MoreauJeanSettings,
+) -> Percussions:
+    """Percussions of a step of length h [s], searched from the `last` ones."""
+    asked = demands(middle, contacts, delassus.free, h, settings)
     problem = FrictionContact(
         [sp.stack(line) for line in delassus.matrix()],
-        sp.stack(lifted),
-        sp.stack(mu),
-        sizes,
-        _forecast_closed(middle, opening, unhindered, h, settings),
+        sp.stack(asked.lifted),
+        sp.stack(asked.mu),
+        asked.sizes,
+        asked.closed,
     )
-    found = settings.solver().iterate(problem, jnp.concatenate(_first_guess(contacts, last)))
-    flat = [found.z[i] for i in range(sum(sizes))]
-    by_contact = []
-    for contact, (normal, *slips) in zip(contacts, split(flat, sizes), strict=True):
-        by_contact.append((normal, *[sp.dot(shares, slips) for shares in contact.shares]))
+    found = settings.solver().iterate(problem, jnp.concatenate(first_guess(contacts, last)))
+    flat = [found.z[i] for i in range(sum(asked.sizes))]
+    by_contact = in_own_directions(contacts, flat)
     return Percussions(by_contact, *delassus.under(flat), found.residual)
+
+
+def in_own_directions(contacts: list[UnilateralContact], flat: list) -> list[tuple]:
+    """By contact its percussions, those across the normal along the joint's own slip directions."""
+    return [
+        (normal, *[sp.dot(shares, slips) for shares in contact.shares])
+        for contact, (normal, *slips) in zip(
+            contacts, split(flat, [len(contact.rows) for contact in contacts]), strict=True
+        )
+    ]
 
 
 def _forecast_closed(
@@ -188,7 +220,7 @@ def _forecast_closed(
     return depths >= 0
 
 
-def _first_guess(contacts: list[UnilateralContact], last: list) -> list:
+def first_guess(contacts: list[UnilateralContact], last: list) -> list:
     """From components in the state's order to those of percussions, contact by contact."""
     counts = [1 + len(contact.shares) for contact in contacts]
     out = []

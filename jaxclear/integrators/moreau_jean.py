@@ -33,6 +33,9 @@ class MoreauJean(AbstractIntegrator):
     clearance, for light bodies above all), and with a restitution near 1 turning bodies gain energy
     unless step x spin is well below 1 - restitution.
 
+    Ideal joints that rub do so by the reaction of the same step, an impact's impulse included, and
+    stick as contacts do; of their friction laws too the coefficients are taken.
+
     Forces are impulses: `Trajectory.contact` gives the means over each saving interval.
     `most_sweeps` over the contacts at most, until the laws hold to `tolerance` of the largest
     velocity; where they end far from that, the run ends and says so. Derivatives

@@ -136,11 +136,12 @@ def _first_warm_start(
 
 
 def _sweeps_outside_kernels(model: Model, integrator: AbstractIntegrator, warm_start: Any) -> bool:
-    """Whether ideal joints have friction that counted steps, or the first implicit one, ask for."""
+    """Whether ideal joints have friction that counted steps, or the first implicit one, ask for.
+    Where forces are means over steps the first step starts from none."""
     joints = rubbing_joints(model.system).values()
     counted = integrator.steps_between_saves is not None
-    asked = counted or bool(jax.tree.leaves(warm_start))
-    return asked and any(joint.friction is not None for joint in joints)
+    begun = bool(jax.tree.leaves(warm_start)) and not integrator.formulation.forces_are_means
+    return (counted or begun) and any(joint.friction is not None for joint in joints)
 
 
 def _turns(model: Model, integrator: AbstractIntegrator, report: bool) -> tuple[Callable, Callable]:

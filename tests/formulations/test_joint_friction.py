@@ -201,8 +201,6 @@ def test_what_cannot_rub_is_refused():
         jc.simulate(rotor(jc.friction.Dahl()), 0.1)
     with pytest.raises(ValueError, match='joint "B" has friction Coulomb, which is no function'):
         jc.simulate(rotor(STICKS), 0.1, integrator=jc.integrator.ImplicitStep())
-    with pytest.raises(ValueError, match='joint "B" is a PlainBearing with friction or wear'):
-        jc.simulate(rotor(STICKS), 0.1, integrator=jc.integrator.MoreauJean())
     with pytest.raises(ValueError, match="PlainBearing with wear has no length"):
         jc.joint.PlainBearing(wear=jc.Wearing(LAW))
     with pytest.raises(ValueError, match="Slideway with wear has no width"):

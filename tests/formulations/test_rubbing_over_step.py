@@ -23,6 +23,7 @@ from tests.formulations.test_joint_friction import (
 
 SMOOTH = jc.friction.CoulombTanh(mu_kinetic=MU, transition_speed=1e-2)
 STEEP = jc.friction.CoulombTanh(mu_kinetic=MU, transition_speed=1e-5)
+STIFF = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.5)
 SMALL = jc.integrator.FixedStep(1e-6)
 
 
@@ -58,9 +59,9 @@ def test_a_drive_gives_what_the_bearing_that_it_turns_takes():
     assert float(np.abs(given.error).max()) < 1e-9 * work
 
 
-def driven_crank():
+def driven_crank(friction=SMOOTH):
     """As `crank`, without its spring, turned by a drive; the slider rubs as well."""
-    pin = lambda **more: jc.joint.PlainBearing(SMOOTH, radius=RADIUS, **more)
+    pin = lambda **more: jc.joint.PlainBearing(friction, radius=RADIUS, **more)
     bar = lambda length: jc.Body(0.5, 0.5 * length**2 / 12, com=(0.5 * length, 0.0))
     return jc.Mechanism(
         {"crank": bar(0.1), "rod": bar(0.3), "slider": jc.Body(1.0, 1e-3)},
@@ -69,7 +70,7 @@ def driven_crank():
             "B": jc.Connection(pin(), "crank", "rod", at=(0.1, 0.0)),
             "C": jc.Connection(pin(), jc.Marker("rod", (0.3, 0.0)), "slider"),
             "D": jc.Connection(
-                jc.joint.Slideway(SMOOTH, length=0.05, width=0.03), "ground", "slider", axis="x"
+                jc.joint.Slideway(friction, length=0.05, width=0.03), "ground", "slider", axis="x"
             ),
         },
         {"g": jc.load.Gravity()},
@@ -90,10 +91,9 @@ def test_a_drive_gives_what_all_joints_of_its_mechanism_take():
     assert float(np.abs(given.error).max()) < 3e-4 * float(given.input[-1])
 
 
-def with_play(**numbers):
+def with_play(law=STIFF, **numbers):
     """The crank with a journal that has clearance at the slider."""
     pin = jc.joint.PlainBearing(**numbers)
-    law = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.5)
     gap = jc.clearance.PlanarJournalBearing(law, bearing_radius=10e-3, clearance=0.1e-3)
     bar = lambda length: jc.Body(0.5, 0.5 * length**2 / 12, com=(0.5 * length, 0.0))
     return jc.Mechanism(

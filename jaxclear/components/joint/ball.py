@@ -76,8 +76,8 @@ class AbstractRubbingBall(AbstractRubbingJoint, AbstractGroupJoint):
 class BallJoint(AbstractRubbingBall):
     """Turns about a point as `Spherical` does, and rubs by its reaction. `wear`: one depth, worn
     volume over the ball's cross-section, how far it has sunk; the motion does not feel it.
-    Set-valued friction sticks, for `NonColliding`; laws that are functions of the sliding speed
-    serve `Adaptive`, `FixedStep` and `ImplicitStep` too."""
+    Set-valued friction sticks, for `NonColliding` and `MoreauJean`; laws that are functions of the
+    sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too."""
 
     home: ClassVar = Spherical.home
     units: ClassVar = Spherical.units

@@ -34,9 +34,9 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
     `length` the moment across the axis loads the two ends as forces; without, it is not counted.
     Force along the axis rubs without a torque. `load`: a normal force that rubs whatever the
     reaction (a seal, a clamped bush); friction is then :math:`\mu` times this. `wear`: one depth,
-    worn volume over 2 radius length, how far the pin has sunk; the motion does not feel it. Set-
-    valued friction sticks, for `NonColliding`; laws that are functions of the sliding speed serve
-    `Adaptive`, `FixedStep` and `ImplicitStep` too.
+    worn volume over 2 radius length, how far the pin has sunk; the motion does not feel it.
+    Set-valued friction sticks, for `NonColliding` and `MoreauJean`; laws that are functions of the
+    sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too.
     """
 
     home: ClassVar = Revolute.home
@@ -110,8 +110,9 @@ class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
     With `length` the moment across the axis loads the two ends as forces, with `width` the moment
     about it loads the two sides; without, they are not counted. `load`: a normal force that rubs
     whatever the reaction (a wiper, a clamp). `wear`: one depth, worn volume over width times
-    length; the motion does not feel it. Set-valued friction sticks, for `NonColliding`; laws that
-    are functions of the sliding speed serve `Adaptive`, `FixedStep` and `ImplicitStep` too.
+    length; the motion does not feel it. Set-valued friction sticks, for `NonColliding` and
+    `MoreauJean`; laws that are functions of the sliding speed serve `Adaptive`, `FixedStep` and
+    `ImplicitStep` too.
     """
 
     home: ClassVar = Prismatic.home

@@ -1,0 +1,187 @@
+"""Friction and wear of ideal joints in steps of percussions: in closed form, through an impact too,
+and beside other rungs."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.native.verdicts import KERNELS
+from tests.formulations.test_joint_friction import (
+    BRAKING,
+    GRIP,
+    INERTIA,
+    LAW,
+    LENGTH,
+    LOAD,
+    MU,
+    RADIUS,
+    RATE,
+    SPEED,
+    STICKS,
+    crank,
+    oscillator,
+    rotor,
+    slider,
+)
+from tests.formulations.test_rubbing_over_step import STIFF, driven_crank, pendulum, with_play
+
+STEPS = jc.integrator.MoreauJean(1e-3)
+CLEARANCE, FALL, RESTITUTION = 1e-4, 1.0, 0.5
+BLOCK, JOURNAL = 2.0, 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [STICKS, jc.friction.ThreeZone(mu_static=MU, mu_kinetic=MU)])
+def test_a_bearing_is_braked_evenly_rests_and_wears_by_archard(law):
+    """Deceleration sin(arctan mu) F r / I until it rests, and not beyond; V = k N s / H. Of a law
+    that is a function of the speed its coefficients are taken."""
+    mechanism = rotor(law, length=LENGTH, wear=jc.Wearing(LAW))
+    run = jc.simulate(mechanism, 0.1, integrator=STEPS, save=11, balance=True)
+    left = np.maximum(SPEED - BRAKING * np.asarray(run.time), 0.0)
+    np.testing.assert_allclose(run.speed("B")[:, 0], left, atol=1e-9)
+    energies = run.energy_balance()
+    np.testing.assert_allclose(energies.friction_loss[-1], 0.5 * INERTIA * SPEED**2, rtol=1e-12)
+    assert float(np.abs(energies.error).max()) < 1e-12
+    volume = RATE * LOAD / np.sqrt(1 + MU**2) * RADIUS * 0.5 * SPEED * 0.05
+    np.testing.assert_allclose(run.worn_volume("B", "bearing")[-1], volume, rtol=1e-9)
+    contact = run.contact("B")
+    np.testing.assert_allclose(contact.traction[2].sum(), GRIP * LOAD, rtol=1e-9)
+    np.testing.assert_allclose(run.reaction("B").force[3, :2], [0.0, LOAD], atol=1e-9)
+    pressed = 0.05 * LOAD * (1 + 1 / np.sqrt(1 + MU**2))
+    np.testing.assert_allclose(run.contact_impulse("B")[-1], pressed, rtol=1e-9)
+
+
+def struck(speed, friction=STICKS):
+    """A block that slides, with a journal in its bore that is thrown at the wall across the sliding
+    direction."""
+    gap = jc.clearance.PlanarJournalBearing(
+        jc.contact.Rigid(restitution=RESTITUTION), bearing_radius=10e-3, clearance=CLEARANCE
+    )
+    way = jc.joint.Slideway(friction, length=0.1, width=0.1, wear=jc.Wearing(LAW))
+    return jc.Mechanism(
+        {"block": jc.Body(BLOCK, 1e-2), "journal": jc.Body(JOURNAL, 1e-4)},
+        {
+            "S": jc.Connection(way, "ground", "block", axis="x"),
+            "C": jc.Connection(gap, "block", "journal"),
+        },
+        speeds={"S": speed, "journal": (speed, -FALL, 0.0)},
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [0.3, 0.01])
+def test_an_impact_rubs_in_the_slideway_that_takes_its_impulse(speed):
+    """P = m u (1 + e) across the slideway takes mu P from the block's momentum, and no more than
+    it has."""
+    run = jc.simulate(struck(speed), 2e-4, integrator=jc.integrator.MoreauJean(1e-5), save=3)
+    percussion = JOURNAL * FALL * (1 + RESTITUTION)
+    after = max(speed - MU * percussion / BLOCK, 0.0)
+    np.testing.assert_allclose(run.speed("S")[-1, 0], after, atol=1e-12)
+    for joint in "SC":
+        np.testing.assert_allclose(run.contact_impulse(joint)[-1], percussion, rtol=1e-9)
+    # over the step in which it strikes the block slides at the mean of its speeds
+    volume = RATE * percussion * 0.5 * (speed + after)
+    np.testing.assert_allclose(run.worn_volume("S", "guide")[-1], volume, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_an_impact_that_rubs_closes_the_energy_balance():
+    run = jc.simulate(
+        struck(0.3), 2e-4, integrator=jc.integrator.MoreauJean(1e-5), save=3, balance=True
+    )
+    energies, percussion = run.energy_balance(), JOURNAL * FALL * (1 + RESTITUTION)
+    lost = MU * percussion * (0.3 - 0.5 * MU * percussion / BLOCK)
+    np.testing.assert_allclose(energies.friction_loss[-1], lost, rtol=1e-9)
+    assert float(np.abs(energies.error).max()) < 1e-12
+
+
+@pytest.mark.slow
+def test_constant_friction_takes_the_same_from_every_half_swing():
+    """x_n = x_0 - 2 n M / k, until the spring cannot overcome friction."""
+    half = np.pi * np.sqrt(INERTIA / 40.0)
+    mechanism = oscillator(friction=STICKS)
+    run = jc.simulate(mechanism, 5 * half, integrator=jc.integrator.MoreauJean(1e-4), save=6)
+    lost = 2 * MU * LOAD * RADIUS / 40.0 * np.arange(6)
+    np.testing.assert_allclose(np.abs(run.coordinate("B")[:, 0]), 0.05 - lost, atol=2e-6)
+
+
+@pytest.mark.parametrize("arm", [0.5, 1.1])
+def test_a_carriage_pulled_beside_its_guide_jams_beyond_half_its_length_over_mu(arm):
+    run = jc.simulate(slider(STICKS, arm), 0.1, integrator=STEPS, save=3)
+    speed = max(0.0, 50.0 * (1 - 2 * MU * arm / 0.2)) / 2.0 * 0.1
+    np.testing.assert_allclose(run.speed("S")[-1, 0], speed, atol=1e-9)
+
+
+RIGS = {
+    "closed loop": lambda law: crank(jc.joint.PlainBearing, friction=law, radius=RADIUS),
+    "ball": pendulum,
+    "driven": driven_crank,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RIGS)
+def test_friction_in_a_mechanism_is_that_of_joints_that_always_touch_to_the_first_order(name):
+    rig = RIGS[name](STICKS)
+    true = jc.simulate(rig, 0.05, integrator=jc.integrator.NonColliding(1e-5), save=6, balance=True)
+    names, errors = tuple(true.formulation.contact_joints(true.mechanism)), []
+    wanted = float(true.energy_balance().friction_loss[-1])
+    for step in (4e-4, 1e-4):
+        integrator = jc.integrator.MoreauJean(step)
+        run = jc.simulate(rig, 0.05, integrator=integrator, save=6, balance=True)
+        assert run.stats.loops == KERNELS
+        energies = run.energy_balance()
+        errors.append(abs(float(energies.friction_loss[-1]) / wanted - 1))
+        for joint in names:
+            impulse = float(run.contact_impulse(joint)[-1])
+            assert impulse == pytest.approx(float(true.contact_impulse(joint)[-1]), rel=10 * step)
+        assert float(np.abs(energies.error).max()) < 100 * step * wanted
+    assert wanted > 1e-3 and errors[1] < 0.5 * errors[0] < 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RIGS)
+def test_derivatives_are_those_of_differences(name):
+    """At a coefficient with which nothing changes its way at the end of a step."""
+
+    def last(mu, integrator=jc.integrator.MoreauJean(2e-4)):
+        rig = RIGS[name](jc.friction.Coulomb(mu_kinetic=mu))
+        run = jc.simulate(rig, 0.03, integrator=integrator, save=3, balance=True, throw=False)
+        return run.states[-1]
+
+    mu, change = 0.1037, 1e-6
+    wanted = (last(mu + change) - last(mu - change)) / (2 * change)
+    forwards, backwards = (jax.jit(way(last))(mu) for way in (jax.jacfwd, jax.jacrev))
+    scale = float(np.abs(wanted).max())
+    assert scale > 0.01
+    np.testing.assert_allclose(forwards, wanted, atol=1e-6 * scale)
+    np.testing.assert_allclose(backwards, forwards, atol=1e-12 * scale)
+
+
+def rattling(contact, friction):
+    """With a journal that has clearance at the slider; the pins of crank and rod wear as well."""
+    numbers = {"friction": friction, "radius": RADIUS, "length": LENGTH, "wear": jc.Wearing(LAW)}
+    return with_play(contact, **numbers)
+
+
+@pytest.mark.slow
+def test_a_joint_beside_one_that_strikes_rubs_as_in_implicit_steps():
+    """As far as a rigid contact strikes as a stiff one does."""
+    smooth = jc.friction.CoulombTanh(mu_kinetic=MU, transition_speed=1e-4)
+    run, true = (
+        jc.simulate(rattling(*laws), 0.05, integrator=integrator, save=6, balance=True)
+        for laws, integrator in (
+            ((jc.contact.Rigid(restitution=0.5), STICKS), jc.integrator.MoreauJean(2e-5)),
+            ((STIFF, smooth), jc.integrator.ImplicitStep(5e-6)),
+        )
+    )
+    assert run.stats.loops == KERNELS
+    for joint in "AB":
+        for found in ("worn_volume", "contact_impulse"):
+            ask = (joint, "bearing") if found == "worn_volume" else (joint,)
+            one, other = (float(getattr(each, found)(*ask)[-1]) for each in (run, true))
+            assert one == pytest.approx(other, rel=0.03), found
+    lost = [float(each.energy_balance().friction_loss[-1]) for each in (run, true)]
+    assert lost[0] == pytest.approx(lost[1], rel=0.02) and lost[0] > 0.1
+    assert float(np.abs(run.energy_balance().error).max()) < 0.01 * lost[0]
