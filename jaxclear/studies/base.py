@@ -96,6 +96,15 @@ class AbstractProblem(AbstractQuantified):
         passes on what the steps of a run have for one.
         """
 
+    def endless(self, response: str) -> str:
+        """What it says of a sample that a response is infinite, where that is an answer, as that
+        "it is not reached within 1e6 cycles"; "" where such a sample has failed."""
+        return ""
+
+    def told_up_to(self, response: str) -> float:
+        """The largest value of a response that is told; what is more is infinite."""
+        return float("inf")
+
     @abstractmethod
     def sample_memory(self) -> int:
         """Memory [bytes] that one sample takes while it is computed, roughly."""

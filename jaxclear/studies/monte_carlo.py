@@ -10,16 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.answering import answering
-from jaxclear.ground.arguments import (
-    check_count,
-    check_flags,
-    check_known,
-    check_number,
-)
+from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number
 from jaxclear.integrators import Checks, Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.datasets import of_samples
+from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
 from jaxclear.studies.growing import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.statistics.accuracy import asked_of
@@ -69,8 +65,8 @@ class MonteCarlo(eqx.Module):
     @property
     def failed(self) -> np.ndarray:
         """Indices of the samples that failed."""
-        finite = np.all([np.isfinite(r) for r in self.responses.values()], axis=0)
-        return np.flatnonzero((self.outcome != Outcome.REACHED) | ~finite)
+        told = answered(self.problem, self.responses)
+        return np.flatnonzero((self.outcome != Outcome.REACHED) | ~told)
 
     def failures(self) -> dict[int, str]:
         """Why each failed sample failed, by its index."""
@@ -119,6 +115,7 @@ class MonteCarlo(eqx.Module):
             text,
             agreement(self.nominal, counts),
             *self.doubts,
+            *endless_sentences(self.problem, self.responses),
             self.unreached,
             self.problem.remark(),
         )
@@ -167,9 +164,11 @@ class MonteCarlo(eqx.Module):
         return self.responses[response][kept], self.scrambling[kept]
 
     def statistic(self, function: Callable[[np.ndarray], float], response: str) -> Statistic:
-        """Any smooth function of a sample (samples,), such as `scipy.stats.skew`, with its
-        error."""
-        return jackknifed(function, *self.good(response))
+        """Any smooth function of a sample (samples,), such as `scipy.stats.skew`, with its error.
+        Raises `ValueError` where the response has infinite values, as lives may."""
+        values, group = self.good(response)
+        refuse_endless(self.problem, response, values, "mean or deviation")
+        return jackknifed(function, values, group)
 
     def mean(self, response: str) -> Statistic:
         """Mean of a response."""
@@ -189,6 +188,8 @@ class MonteCarlo(eqx.Module):
         (low, high)} with None for no limit. Samples that failed are in the interval alone: outside
         at its lower end, inside at its upper."""
         check_limits(limits, self.responses)
+        for name, pair in limits.items():
+            check_told(self.problem, name, *pair)
         return yield_of(self.responses, limits, self.failed, self.scrambling)
 
     def process_capability(self, response: str, limits: Limits) -> Statistic:
@@ -218,13 +219,16 @@ class MonteCarlo(eqx.Module):
         check_number("confidence of tolerance_interval", confidence, above=0, below=1)
         check_known("side of tolerance_interval", side, SIDES)
         check_flags("tolerance_interval", normal=normal)
-        kind = normal_interval if normal else free_interval
-        return kind(*self.good(response), content, confidence, side)
+        kind, (values, group) = normal_interval if normal else free_interval, self.good(response)
+        if normal:
+            refuse_endless(self.problem, response, values, "normal distribution")
+        return kind(values, group, content, confidence, side)
 
     def error_budget(self, response: str) -> dict[str, Statistic]:
         """What each variable contributes to the variance of a response [its unit squared], and what
         no plane through the sample explains; the parts sum to the variance."""
         responses, group = self.good(response)
+        refuse_endless(self.problem, response, responses, "variance")
         values = np.delete(self.values, self.failed, axis=0)
         return error_budget(values, responses, group, self.problem.names)
 

@@ -25,6 +25,7 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_corners
 from jaxclear.studies.distribution.base import END_SCORE
+from jaxclear.studies.endless import answered, finite_beside
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
 
@@ -150,8 +151,9 @@ class Search:
         found = evaluate_all(
             self.problem, jnp.asarray(points), progress_bar=self.bar, label="worst case"
         )
-        good = found.outcome == Outcome.REACHED
-        return {name: np.where(good, r, np.nan) for name, r in found.responses.items()}
+        good = np.asarray(found.outcome) == Outcome.REACHED
+        told = lambda name, own: good & answered(self.problem, {name: own})
+        return {n: np.where(told(n, own), own, np.nan) for n, own in found.responses.items()}
 
     def slopes(self, name: str, at: np.ndarray) -> np.ndarray:
         """Of a response at a point (variables,): derivatives, or differences across the box where
@@ -161,7 +163,7 @@ class Search:
             found = np.asarray(_value_and_slopes(self.problem, name, jnp.asarray(at))[1])
             return np.where(np.isfinite(found), found, 0.0)
         both = np.stack([np.where(np.eye(len(at)), end, at) for end in (self.low, self.high)])
-        ends = self.responses(both.reshape(-1, len(at)))[name].reshape(2, -1)
+        ends = finite_beside(self.responses(both.reshape(-1, len(at)))[name].reshape(2, -1))
         width = self.high - self.low
         return np.nan_to_num((ends[1] - ends[0]) / np.where(width > 0, width, 1.0))
 
@@ -169,7 +171,7 @@ class Search:
         """The farthest that is climbed to from starts (variables,)."""
         climb = self._by_gradient if self.differentiable else self._by_compass
         ends = [climb(name, sign, np.asarray(start)) for start in starts]
-        ends = [(value, at) for value, at in ends if np.isfinite(value)]
+        ends = [(value, at) for value, at in ends if not np.isnan(value)]
         if not ends:
             return Extreme(np.nan, np.full(len(self.low), np.nan), first)
         value, at = max(ends, key=lambda end: sign * end[0])
@@ -210,7 +212,7 @@ class Search:
             moves = step * (self.high - self.low) * np.concatenate([np.eye(count), -np.eye(count)])
             around = np.clip(start + moves, self.low, self.high)
             found = self.responses(around)[name]
-            best = int(np.nanargmax(sign * found)) if np.isfinite(found).any() else 0
+            best = 0 if np.isnan(found).all() else int(np.nanargmax(sign * found))
             if np.isnan(value) or sign * found[best] > sign * value:
                 value, start = float(found[best]), around[best]
             else:

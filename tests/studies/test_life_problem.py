@@ -59,19 +59,69 @@ def test_depths_at_the_end_of_lives_hold_their_error_where_they_are_to_be_sure()
 
 
 @pytest.mark.slow
-def test_a_life_that_never_reaches_its_limit_or_has_no_machine_has_failed(asked):
-    """A load that falls to nothing at half the depth, which keeps no nearer limit from being
-    told; a hardness below zero."""
+def test_a_life_that_never_reaches_its_limit_is_infinite_and_loses_no_other(asked):
+    """A load that falls to nothing at half the depth. What has no machine has failed."""
     both = {"life": jc.LifeUntil("depth", LIMIT), "near": jc.LifeUntil("depth", 0.1 * LIMIT)}
     short = jc.LifeProblem(one_turn(wearing_ring(slope=2e5)), both)
-    for problem, values in ((short, short.nominal()), (asked, np.array([-1e9, FORCE]))):
-        found = problem.evaluate(values)
-        assert found.outcome != jc.integrator.Outcome.REACHED
-        assert np.isnan(found.responses["life"])
-        other = asked.evaluate(asked.nominal())
-        assert jax.tree.structure(found.checks) == jax.tree.structure(other.checks)
-        assert "Ask for a limit" in problem.ending(Outcome.NOT_FINITE, 1.0)
-    assert np.isfinite(short.evaluate(short.nominal()).responses["near"])
+    found = short.evaluate(short.nominal())
+    assert found.outcome == Outcome.REACHED
+    assert np.isposinf(found.responses["life"]) and 0 < found.responses["near"] < found.ended
+    lost = asked.evaluate(np.array([-1e9, FORCE]))
+    assert lost.outcome == Outcome.OUT_OF_RANGE and np.isnan(lost.responses["life"])
+    assert jax.tree.structure(found.checks) == jax.tree.structure(lost.checks)
+
+
+@pytest.fixture(scope="module")
+def followed():
+    """Lives that scatter about the nominal one, which is as long as they are followed."""
+    wanted = {
+        "life": jc.LifeUntil("depth", LIMIT),
+        "sure": jc.LifeUntil("depth", LIMIT, sure=True),
+        "worn": jc.LifeEnd("depth"),
+    }
+    nominal = closed_form(HARDNESS, FORCE)
+    return jc.LifeProblem(one_turn(wearing_ring(slope=0.0)), wanted, cycles=nominal)
+
+
+@pytest.mark.slow
+def test_lives_longer_than_they_are_followed_count_on_their_side_and_have_no_mean(followed):
+    """Each is told apart by the closed form; a limit beyond what is followed is refused."""
+    nominal = followed.cycles
+    found = jc.monte_carlo(followed, 8)
+    exact = closed_form(*found.values.T)
+    longer = exact > nominal
+    assert 2 <= longer.sum() <= 6 and not len(found.failed)
+    np.testing.assert_array_equal(np.isposinf(found.responses["life"]), longer)
+    np.testing.assert_allclose(found.responses["life"][~longer], exact[~longer], rtol=1e-4)
+    assert np.all(found.responses["sure"] <= found.responses["life"])
+    assert np.isfinite(found.mean("worn").value)
+    within = found.share_within({"life": (0.9 * nominal, None)})
+    assert within.value == np.mean(exact >= 0.9 * nominal)
+    assert found.quantile("life", 0.1).value < nominal < found.quantile("life", 0.99).value
+    assert found.quantile("life", 0.99).error == np.inf
+    told = f'"life" is infinite in {longer.sum()} of 8 samples (its limit is not reached within'
+    assert told in found.sentence()
+    for ask in (found.mean, found.standard_deviation, found.error_budget):
+        with pytest.raises(ValueError, match=r"infinite in .* ask for a quantile, or"):
+            ask("life")
+    row = found.summary({"life": (0.9 * nominal, None)}).set_index("response").loc["life"]
+    assert np.isnan(row["mean"]) and np.isnan(row["Cpk"]) and row["infinite"] == longer.sum()
+    assert row["failed"] == 0 and np.isfinite(row["5 %"])
+    with pytest.raises(ValueError, match=r"told up to .* not reached within"):
+        found.share_within({"life": (1.1 * nominal, None)})
+
+
+def test_limits_beyond_what_lives_are_followed_for_are_refused(followed):
+    beyond = 2 * followed.cycles
+    with pytest.raises(ValueError, match="told up to"):
+        jc.reliability(followed, jc.limit_state.Below("life", beyond))
+    costs = {"hardness": jc.cost.Reciprocal(1.0)}
+    for limit in (
+        jc.limit.Quantile("life", at_least=beyond, share=0.9),
+        jc.limit.Probability("life", below=beyond, at_most=0.01),
+    ):
+        with pytest.raises(ValueError, match="told up to"):
+            jc.design(followed, costs, limit, tolerance={"hardness": (1e7, 4e8)})
 
 
 def test_values_that_no_machine_has_are_failed_lives_as_they_are_failed_runs(asked):
@@ -140,9 +190,8 @@ def test_lives_are_lived_one_after_the_other_in_the_thread_that_asks():
             lambda p: jc.LifeProblem(
                 p, {"a": jc.LifeUntil("depth", 1e-5), "b": jc.LifeEnd("volume")}
             ),
-            '"b" .* needs cycles=, how long a life is. Ask the two',
+            '"b" .* needs cycles=, how long a life is',
         ),
-        (lambda p: jc.LifeProblem(p, jc.LifeUntil("depth", 1), cycles=9), "leave out cycles="),
         (lambda p: jc.LifeProblem(p, jc.LifeUntil("deep", 1e-5)), 'no quantity "deep"'),
         (lambda p: jc.LifeProblem(p.mechanism, jc.LifeUntil("depth", 1e-5)), "of one cycle"),
         (lambda p: jc.LifeEnd("force", sure=True), "cannot be sure"),

@@ -91,25 +91,33 @@ def test_what_rattles_is_confirmed_by_whole_distributions_and_not_by_ever_more_s
 
 
 def test_pairs_of_a_skewed_variable_know_how_far_they_are_off():
-    """Of |x| about a place, whose slope is what lies above less what lies below; the few values far
-    out decide a lognormal's higher moments."""
+    """Of |x| about a place, whose slope is what lies above less what lies below, and of the square,
+    which few values far out decide: their scatter is in few samples, 79 % held by it alone."""
     own = jc.distribution.Lognormal(1.0, spread=1.0)
     scale = float(own.deviation())
     problem = jc.FunctionProblem(
-        lambda x, y: jnp.abs(x / scale - 0.3) * (1.0 + 0.3 * y),
+        lambda x, y: {
+            "response": jnp.abs(x / scale - 0.3) * (1.0 + 0.3 * y),
+            "square": (x / scale) ** 2 * (1.0 + 0.3 * y),
+        },
         {"x": jc.Dimension(0.0, own), "y": jc.Dimension(0.0, jc.distribution.Normal(0.3))},
     )
     parts = np.asarray(own.quantile(jnp.asarray((np.arange(MANY) + 0.5) / MANY)))
     wanted = np.sign(parts / scale - 0.3).mean() / scale
     direction = directions(problem, ["x"])[0]
-    between, mean = opposed_of(problem, direction), Functional("response", "mean")
-    found = []
+    between = opposed_of(problem, direction)
+    means = [Functional(name, "mean") for name in problem.response_names]
+    found, square = [], []
     for seed in range(48):
         sample = draw(problem, 64, seed, scramblings=16), groups(64, 16)
         pairs = paired(problem, sample, direction, between)
-        found.append(between_distributions(problem, pairs, [mean])["response"][:2])
+        told = between_distributions(problem, pairs, means)
+        found.append(told["response"][:2])
+        square.append(
+            abs(told["square"].value - 2 * parts.mean() / scale**2) <= told["square"].error
+        )
     off, error = np.array(found).T - np.array([[wanted], [0.0]])
-    assert np.mean(np.abs(off) <= error) >= 0.88
+    assert np.mean(np.abs(off) <= error) >= 0.88 and np.mean(square) >= 0.88
     assert np.sqrt(np.mean(off**2)) < 0.05 * scale**-1
 
 
@@ -132,7 +140,7 @@ def test_pairs_are_decided_where_all_that_gains_lies_beyond_a_limit_and_all_that
         (found,) = jc.sensitivity(problem, "x", of=[("above", 0.9)], seed=seed).derivatives.values()
         own = found.estimates["differences"]
         assert found.trustworthy and abs(found.value - wanted) <= found.error
-        assert not own.refusal and abs(own.value - wanted) <= own.error < 0.04
+        assert not own.refusal and abs(own.value - wanted) <= own.error < 0.07
 
 
 def test_what_pairs_do_not_tell_small_steps_over_the_whole_sample_do():

@@ -78,6 +78,14 @@ class AbstractLimit(AbstractQuantified):
         """Whether the number is limited from above."""
         return getattr(self, "at_most", None) is not None
 
+    def levels(self) -> tuple[Any, ...]:
+        """Values of the response that decide, in its unit."""
+        return ()
+
+    def by_moments(self) -> bool:
+        """Whether mean and deviation decide, which infinite responses have none of."""
+        return False
+
     def extreme(self) -> bool:
         """Whether the ends of tolerances decide, not how often they are reached."""
         return False

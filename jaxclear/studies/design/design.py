@@ -22,6 +22,7 @@ from jaxclear.studies.design.result import Design, prices_of
 from jaxclear.studies.design.runs import BATCH, Runs
 from jaxclear.studies.design.search import Sought, sought
 from jaxclear.studies.design.settings import DesignSettings
+from jaxclear.studies.endless import endless_sentences
 
 __all__ = ["design", "design_front"]
 
@@ -157,4 +158,5 @@ def _told(found: Sought, runs: Runs, settings: DesignSettings, before: tuple) ->
         runs.count - before[0],
         runs.computed - before[1],
         runs.failed - before[2],
+        tuple(endless_sentences(runs.problem, runs.named(before[0]))),
     )

@@ -47,6 +47,9 @@ class AbstractOneSidedLimit(AbstractLimit):
     def sides(self, values):
         return [values if self.upper() else -values]
 
+    def levels(self):
+        return (self.bound(),)
+
     def size(self, sample):
         return _size(self.bound(), sample)
 
@@ -81,6 +84,9 @@ class MeanAndDeviation(AbstractOneSidedLimit):
 
     def rarest(self):
         return 0.5
+
+    def by_moments(self):
+        return True
 
     def words(self):
         side = "+" if self.upper() else "-"
@@ -170,8 +176,11 @@ class Probability(AbstractLimit):
         return (ends[1] - ends[0]) / (2.0 * jnp.log(factor) * self.at_most)
 
     def size(self, sample):
-        ends = [jnp.abs(end) for end in (self.above, self.below) if end is not None]
+        ends = [jnp.abs(end) for end in self.levels()]
         return _size(jnp.max(jnp.stack(ends)), sample)
+
+    def levels(self):
+        return tuple(end for end in (self.above, self.below) if end is not None)
 
     def words(self):
         sides = [] if self.above is None else [f"above {float(self.above):.4g}"]

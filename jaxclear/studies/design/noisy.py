@@ -28,6 +28,7 @@ from jaxclear.studies.design.optimise import Candidate, Search
 from jaxclear.studies.design.population import Points, points
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
+from jaxclear.studies.endless import bounded
 from jaxclear.studies.sensitivity.direction import Direction, weights
 
 # How often multipliers are set anew, steps between, and new runs of each step.
@@ -58,12 +59,13 @@ class _Seen:
         drawn = points(count, RUNS, self.seed + 7919 * (1 + len(self.excesses)))
         values = np.asarray(question.values(jnp.asarray(place), drawn.normal))
         responses = self.runs.ask(values, "steps")
-        good = np.isfinite(responses).all(axis=1)
+        good = ~np.isnan(responses).any(axis=1)
         if not good.any():
             raise ValueError(_all_failed(question, place, values[0]))
         names = self.runs.problem.response_names
         known = np.where(good[:, None], responses, 0.0).T
-        told = dict(zip(names, known, strict=True))
+        pairs = zip(names, known, strict=True)
+        told = {name: bounded(self.runs.problem, name, own) for name, own in pairs}
         scores = scores_of(question, self.runs.problem, place, drawn.normal)
         found, slopes = noisy(
             question,

@@ -18,6 +18,7 @@ from jaxclear.studies.design.cost import AbstractCost
 from jaxclear.studies.design.freedom import NOMINAL, TOLERANCE, Freedom
 from jaxclear.studies.design.model import AbstractModel
 from jaxclear.studies.design.population import Points
+from jaxclear.studies.endless import check_told
 
 Cost = dict[str, AbstractCost] | Callable[[dict, dict], Any]
 
@@ -153,6 +154,8 @@ def checked_limits(limits: Any, problem: Any) -> tuple[AbstractLimit, ...]:
         expect(limit, AbstractLimit, "a limit of design", "one of jaxclear.limit")
         known = (*problem.response_names, *problem.names)
         check_known("response", limit.response, known, " in this problem (nor variable)")
+        if limit.response in problem.response_names:
+            check_told(problem, limit.response, *limit.levels())
     return tuple(given)
 
 

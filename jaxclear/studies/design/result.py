@@ -50,6 +50,8 @@ class Design(eqx.Module):
     runs: int = eqx.field(static=True)
     computed: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
+    # Responses that are infinite in some runs, and what that says.
+    endless: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def limits(self) -> tuple[AbstractLimit, ...]:
@@ -103,6 +105,7 @@ class Design(eqx.Module):
         said += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
         if self.failed:
             said.append(f"{self.failed} of {self.runs} runs failed and are left out.")
+        said += self.endless
         said += [
             f'The surface of "{name}" does not stand for its runs: the design was led by runs '
             "alone and may not be the cheapest."

@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.endless import answered, bounded
 from jaxclear.studies.store import Store
 from jaxclear.studies.texts import in_texts
 
@@ -23,7 +24,8 @@ KIND = "a design"
 
 
 class Runs:
-    """Values (samples, variables) and responses by name (samples,); `nan` for those that failed."""
+    """Values (samples, variables) and responses (samples, responses); `nan` of those that
+    failed."""
 
     def __init__(self, problem: Any, store: Any, show: bool, batch: int = BATCH):
         self.problem, self.show, self.batch = problem, show, batch
@@ -40,7 +42,11 @@ class Runs:
     @property
     def failed(self) -> int:
         """Samples without a response."""
-        return int(np.sum(~np.isfinite(self.responses).all(axis=1)))
+        return int(np.sum(np.isnan(self.responses).any(axis=1)))
+
+    def named(self, first: int) -> dict[str, np.ndarray]:
+        """Responses by name (samples,), from the sample of this number on."""
+        return dict(zip(self.problem.response_names, self.responses[first:].T, strict=True))
 
     def ask(self, values: np.ndarray, label: str) -> np.ndarray:
         """Responses (samples, responses) of values (samples, variables)."""
@@ -62,9 +68,13 @@ class Runs:
         return answers
 
     def within(self, inside: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """(values, responses) of the samples that succeeded and lie inside."""
-        good = np.isfinite(self.responses).all(axis=1) & inside(self.values)
-        return self.values[good], self.responses[good]
+        """(values, responses) of the samples that succeeded and lie inside, for a surface: where
+        responses are infinite, what they are told up to, or beyond all that are not."""
+        good = ~np.isnan(self.responses).any(axis=1) & inside(self.values)
+        names = self.problem.response_names
+        pairs = zip(names, self.responses[good].T, strict=True)
+        columns = [bounded(self.problem, name, own) for name, own in pairs]
+        return self.values[good], np.stack(columns, axis=1)
 
     def _taken(self, piece: np.ndarray) -> np.ndarray | None:
         if self.store is None:
@@ -77,7 +87,7 @@ class Runs:
         found = evaluate_all(
             self.problem, flat, chunk=self.batch, progress_bar=self.show, label=f"design, {label}"
         )
-        good = found.outcome == Outcome.REACHED
+        good = (found.outcome == Outcome.REACHED) & answered(self.problem, found.responses)
         columns = [np.where(good, found.responses[n], np.nan) for n in self.problem.response_names]
         answers = np.stack(columns, axis=1).reshape(len(pieces), self.batch, -1)
         self.computed += len(flat)

@@ -16,10 +16,13 @@ from jaxclear.studies.design.model import AbstractModel
 from jaxclear.studies.design.population import Points, points
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
+from jaxclear.studies.endless import finite_beside, refuse_endless
 from jaxclear.studies.statistics.scrambled import student
 
 # Independent scramblings.
 GROUPS = 8
+# What limits infinite responses, as lives may be.
+INSTEAD = "take limit.Quantile or limit.Probability"
 
 
 class Check(NamedTuple):
@@ -54,22 +57,25 @@ class Verifier(NamedTuple):
         weights = np.concatenate([one.weights for one in sets]) / GROUPS
         values = np.asarray(self.question.values(jnp.asarray(place), normal))
         responses = self.runs.ask(values, "verification")
-        good = np.isfinite(responses).all(axis=1)
+        good = ~np.isnan(responses).any(axis=1)
         by_group = np.repeat(np.arange(GROUPS), len(values) // GROUPS)
         found = []
         for limit in self.question.limits:
-            sample = self._sampler(limit, place, model, values, responses)
+            sample, largest = self._sampler(limit, place, model, values, responses)
             rows = []
             for left_out in (-1, *range(GROUPS)):
                 kept = np.where(good & (by_group != left_out), weights, 0.0)
-                rows.append([float(one) for one in _measured(limit, sample(kept))])
+                number, excess = (float(one) for one in _measured(limit, sample(kept)))
+                # A number that stands for infinite ones is none to be told.
+                rows.append([number if number <= largest else np.inf, excess])
             found.append(rows)
         return self._told(np.array(found), len(values), int((~good).sum()))
 
     def _told(self, found: np.ndarray, runs: int, failed: int) -> Check:
         """`found` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each."""
         factor = student(GROUPS)
-        errors = factor * np.sqrt((GROUPS - 1) * found[:, 1:].var(axis=1))
+        known = np.where(np.isfinite(found), found, np.nan)
+        errors = factor * np.sqrt((GROUPS - 1) * known[:, 1:].var(axis=1))
         sizes = self.question.sizes
         return Check(
             found[:, 0, 0],
@@ -81,16 +87,20 @@ class Verifier(NamedTuple):
         )
 
     def _sampler(self, limit: AbstractLimit, place: Any, model: Any, values: Any, responses: Any):
-        """What a limit sees of runs with weights, of which some may be 0."""
+        """What a limit sees of runs with weights, of which some may be 0; and the largest number
+        that is told, where some are infinite."""
         question, names = self.question, self.runs.problem.response_names
         if limit.extreme():
             corner, told = question.corner(limit, place, model)[None], {}
             if limit.response in names:
                 told = dict(zip(names, self.runs.ask(corner, "worst case").T, strict=True))
-            ends = jnp.tile(jnp.asarray(question.of(limit, corner, told)), 2)
-            return lambda weights: Sample(jnp.zeros(1), jnp.ones(1), ends)
+            own, largest = _finite(limit, np.asarray(question.of(limit, corner, told)))
+            ends = jnp.tile(jnp.asarray(own), 2)
+            return lambda weights: Sample(jnp.zeros(1), jnp.ones(1), ends), largest
         own = np.asarray(question.of(limit, values, dict(zip(names, responses.T, strict=True))))
-        own = np.where(np.isfinite(own), own, 0.0)
+        if limit.by_moments():
+            refuse_endless(self.runs.problem, limit.response, own, "mean or deviation", INSTEAD)
+        own, largest = _finite(limit, np.where(np.isnan(own), 0.0, own))
         parts, before = [own], []
         corrected = self.corrected and limit.response in names
         if corrected:
@@ -105,7 +115,17 @@ class Verifier(NamedTuple):
             scale = [*before, share, -share] if corrected else [share]
             return Sample(joined, jnp.asarray(np.concatenate(scale)), jnp.zeros(2))
 
-        return seen
+        return seen, largest
+
+
+def _finite(limit: AbstractLimit, values: np.ndarray) -> tuple[np.ndarray, float]:
+    """What a limit is about, finite, and the largest number of it that is told: of values beyond
+    all that decides it is enough to know on which side they lie."""
+    if not np.isinf(values).any():
+        return values, np.inf
+    levels = [float(level) for level in limit.levels()]
+    told = [*values[np.isfinite(values)].tolist(), *levels]
+    return finite_beside(values, *levels), max(told, default=-np.inf)
 
 
 @eqx.filter_jit

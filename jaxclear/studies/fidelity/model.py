@@ -19,6 +19,7 @@ from jaxclear.ground.wording import listed
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import chunk_size, evaluate_all
+from jaxclear.studies.endless import refuse_endless
 
 # What a single cheaper model is called.
 ALONE = "cheaper"
@@ -114,6 +115,8 @@ def told_by(model: Model, names: tuple[str, ...], found: Any) -> Told:
     """What samples of a model tell of the responses of these names."""
     reached = np.asarray(found.outcome) == Outcome.REACHED
     nothing = np.full(len(reached), np.nan)
+    for name in model.problem.response_names:
+        refuse_endless(model.problem, name, found.responses[name], "mean or deviation")
     columns = [np.asarray(found.responses.get(name, nothing), float) for name in names]
     own = [i for i, name in enumerate(names) if name in model.problem.response_names]
     responses = np.where(reached[:, None], np.stack(columns, axis=1), np.nan)

@@ -18,6 +18,7 @@ from jaxclear.integrators import Checks, Outcome
 from jaxclear.multibody.validation import check_values
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.endless import answered
 from jaxclear.studies.life.cycle import asked_of, first_state, kind_of_cycle
 from jaxclear.studies.life.life_response import AbstractLifeResponse
 from jaxclear.studies.life.living import Living
@@ -40,11 +41,13 @@ class LifeProblem(AbstractProblem):
     """Lives of the machine of a `problem`, whose duration is one cycle, and what is asked of them.
 
     `response`: a `jaxclear.LifeUntil` or `jaxclear.LifeEnd`, any function of what
-    `jaxclear.wear_life` returns, or several by name. `cycles`: how long a life is, for what is
-    asked of its end and for functions; every `LifeUntil` goes without, and a life is as long as
-    it takes to reach their limits. `tolerance` [1] and `most` as in `wear_life`. Variables are the
-    problem's. A sample whose life fails, or does not reach one of the limits, has failed. Raises
-    `ValueError` with a sentence for what cannot be asked.
+    `jaxclear.wear_life` returns, or several by name. `cycles`: how long lives are followed, for
+    what is asked of their end and for functions; a `LifeUntil` goes without, and a life is then as
+    long as it takes to reach the limits. One whose limit is not reached within `cycles`, or without
+    them in 100 times what its first cycles say, is infinite: longer than told. That counts as such
+    in shares, quantiles and limits; a mean of it is refused. `tolerance` [1] and `most` as in
+    `wear_life`. Variables are the problem's. A sample whose life ends by a failed cycle before it
+    tells what is asked has failed. Raises `ValueError` with a sentence for what cannot be asked.
     """
 
     problem: Problem
@@ -94,19 +97,24 @@ class LifeProblem(AbstractProblem):
     def life(self, values: Any) -> WearLife:
         """The life of one set of values. Raises `SimulationError` where it has no first cycle, and
         `ValueError` for values that make no machine."""
-        if self.cycles is not None:
+        wanted = [own for own in self._own().values() if own.decides_length()]
+        if self.cycles is not None and len(wanted) < len(self.response):
             return self._lived(values, self.cycles)
-        wanted = list(self._own().values())
+        longest = np.inf if self.cycles is None else self.cycles
         # What a cycle wears says how long to live.
-        life, cycles, most = self._lived(values, 1.0), 1.0, np.inf
-        for _ in range(TRIES):
+        cycles, most = min(1.0, longest), np.inf
+        life = self._lived(values, cycles)
+        for tried in range(TRIES):
             aheads = [own.ahead(life) for own in wanted]
-            # A limit that is never reached keeps no other from being reached.
-            ahead = max((own for own in aheads if cycles + own < most), default=0.0)
-            if life.ended or ahead == 0:
+            if self.cycles is None:
+                # A limit that is never reached keeps no other from being reached.
+                aheads = [own for own in aheads if cycles + own < most]
+            ahead = max(aheads, default=0.0)
+            if life.ended or ahead == 0 or cycles >= longest:
                 break
             most = min(most, LONGEST * (cycles + ahead))
-            cycles += max(BEYOND * ahead, 1.0)
+            last = self.cycles is not None and tried == TRIES - 1
+            cycles = longest if last else min(cycles + max(BEYOND * ahead, 1.0), longest)
             life = self._lived(values, cycles)
         return life
 
@@ -126,11 +134,21 @@ class LifeProblem(AbstractProblem):
         found = {
             name: np.asarray(one_number(name, own(life))) for name, own in self.response.items()
         }
-        # One with a length asked for is of no use before its end, also to a plain function.
-        whole = self.cycles is None or not life.ended
-        told = whole and np.all(np.isfinite(list(found.values())))
+        # One with a length asked for is of no use before its end to what is asked of that.
+        whole = not life.ended or all(self._decides(name) for name in self.response_names)
+        told = whole and bool(np.all(answered(self, found)))
         outcome = np.asarray(int(Outcome.REACHED if told else Outcome.NOT_FINITE))
         return SampleResult(found, outcome, np.asarray(life.cycles[-1]), life.checks)
+
+    def endless(self, response):
+        if not self._decides(response):
+            return ""
+        if self.cycles is None:
+            return f"its limit is not reached in {LONGEST:g} times what the first cycles say"
+        return f"its limit is not reached within {self.cycles:.6g} cycles"
+
+    def told_up_to(self, response):
+        return self.cycles if self.cycles is not None and self._decides(response) else np.inf
 
     def compiled(self):
         return False
@@ -153,10 +171,9 @@ class LifeProblem(AbstractProblem):
         if not Outcome(outcome).began:
             said = Outcome(outcome).sentence
             return f"{said[0].lower()}{said[1:]}"
-        remedy = "a limit that is reached sooner" if self.cycles is None else "fewer cycles="
         return (
-            f"the life ended after {ended:.4g} cycles without telling what is asked. Ask for "
-            f"{remedy}; rerun it and print the life to see what ended it."
+            f"the life ended after {ended:.4g} cycles without telling what is asked. Rerun it and "
+            "print the life to see what ended it."
         )
 
     def concerned(self, response, concerns):
@@ -178,6 +195,11 @@ class LifeProblem(AbstractProblem):
         found = self.response.items()
         return {name: own for name, own in found if isinstance(own, AbstractLifeResponse)}
 
+    def _decides(self, response: str) -> bool:
+        """Whether a response says by itself how long a life is."""
+        own = self._own().get(response)
+        return own is not None and own.decides_length()
+
     def _quantities(self) -> dict[str, str]:
         """Unit of all that a life tells of."""
         connections = self.problem.mechanism.connections
@@ -189,20 +211,12 @@ class LifeProblem(AbstractProblem):
         return found
 
     def _check_length(self) -> None:
-        """Raises `ValueError` where the length of a life is said twice, or not at all."""
-        until = [name for name, own in self._own().items() if own.decides_length()]
-        others = [name for name in self.response_names if name not in until]
-        apart = " Ask the two of a LifeProblem each." if until and others else ""
-        if self.cycles is not None and until:
-            raise ValueError(
-                f'response "{until[0]}" of a LifeProblem decides by itself how long a life is; '
-                "within so many cycles only the lives that are short would tell it: leave out "
-                f"cycles=.{apart}"
-            )
+        """Raises `ValueError` where nothing says how long a life is."""
+        others = [name for name in self.response_names if not self._decides(name)]
         if self.cycles is None and others:
             raise ValueError(
                 f'response "{others[0]}" of a LifeProblem does not decide how long a life is; it '
-                f"needs cycles=, how long a life is.{apart}"
+                "needs cycles=, how long a life is."
             )
 
     def _impossible(self, values: Any) -> Outcome:

@@ -1,5 +1,5 @@
-"""What is asked of a life by one number: after how many cycles a limit is reached, or what a
-quantity has come to at its end.
+"""What is asked of a life by one number: after how many cycles a limit is reached, infinite where
+it never is, or what a quantity has come to at its end.
 
 A life knows its own error. With `sure` the answer is the end of its 95 % interval that is on the
 safe side: what is left out is the rest beyond it, and what hangs on the saving times of a cycle
@@ -14,7 +14,7 @@ import numpy as np
 from jaxclear.ground.arguments import check_flags, check_known, expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.results.response import REACHES
-from jaxclear.studies.life.result import DEPTH, VOLUME, WearLife
+from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 from jaxclear.studies.problem import Problem
 
 # From which part of a cycle what every life tells of is drawn.
@@ -62,8 +62,9 @@ class AbstractLifeResponse(AbstractQuantified):
 
 
 class LifeUntil(AbstractLifeResponse):
-    """Cycles until a quantity first reaches a `limit`, in its unit, as `WearLife.until`. `sure`:
-    less the error of the life, the lower end of its 95 % interval [cycles]."""
+    """Cycles until a quantity first reaches a `limit`, in its unit, as `WearLife.until`; infinite
+    where it does not in as long a life as is followed (`LifeProblem`). `sure`: less the error of
+    the life, the lower end of its 95 % interval [cycles]."""
 
     name: str = eqx.field(static=True)
     limit: Scalar = quantity(unit="(in the quantity's unit)", meaning="what it reaches")
@@ -75,10 +76,21 @@ class LifeUntil(AbstractLifeResponse):
     def __call__(self, life):
         found = life.until(self.name, float(self.limit))
         if not np.isfinite(found.cycles):
-            return np.nan
+            # Of a life that ended by a failed cycle nobody knows.
+            return np.nan if life.ended else self._outlived(life)
         if not self.sure:
             return found.cycles
         return max(found.cycles - found.error, 0.0)
+
+    def _outlived(self, life: WearLife) -> float:
+        """Of a life in which the limit is not reached: infinite, unless it is to be sure and the
+        error at the end may hide that it is."""
+        now = float(life.over_life(self.name)[-1])
+        off, limit = _error_at_end(life, self.name, now), float(self.limit)
+        if not self.sure or abs(limit - now) > off:
+            return np.inf
+        nearer = life.until(self.name, limit - np.copysign(off, limit - now)).cycles
+        return nearer if np.isfinite(nearer) else 0.0
 
     def unit_among(self, units):
         return "cycles"
@@ -114,15 +126,21 @@ class LifeEnd(AbstractLifeResponse):
         if life.ended:
             return np.nan
         value = float(life.over_life(self.name)[-1])
-        of_volume = self.name.startswith(VOLUME)
-        errors = life.errors_of_volume if of_volume else life.errors
-        return value * (1.0 + float(errors[-1])) if self.sure else value
+        return value + _error_at_end(life, self.name, value) if self.sure else value
 
     def unit_among(self, units):
         return units[self.name]
 
     def decides_length(self):
         return False
+
+
+def _error_at_end(life: WearLife, name: str, value: float) -> float:
+    """Half of the 95 % interval of a quantity at the end of a life, in its unit."""
+    if name in life.problem.response_names:
+        return CONFIDENCE * float(life.stages[-1].settled.responses()[name][1])
+    errors = life.errors_of_volume if name.startswith(VOLUME) else life.errors
+    return abs(value) * float(errors[-1])
 
 
 def _check_quantity(owner: str, quantity: str, sure: bool) -> None:

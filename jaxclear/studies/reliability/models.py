@@ -17,6 +17,7 @@ import numpy as np
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import chunk_size, evaluate_all
+from jaxclear.studies.endless import answered
 from jaxclear.studies.limit_state import AbstractLimitState
 from jaxclear.studies.surface.drawing import all_values, value_slopes
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -79,10 +80,12 @@ class RunModel(AbstractModel):
         return self.of(found), np.stack(steep, axis=1)
 
     def of(self, found: SampleResult) -> np.ndarray:
-        """Margins (samples, limits) of runs; nan where one did not reach its end."""
+        """Margins (samples, limits) of runs, infinite where a response is and that is an answer;
+        nan where one did not reach its end."""
         own = {name: np.asarray(r, float) for name, r in found.responses.items()}
         margins = np.stack([np.asarray(limit.margin(own)) for limit in self.limit.limits()], axis=1)
-        good = (np.asarray(found.outcome) == Outcome.REACHED) & np.isfinite(margins).all(axis=1)
+        limited = {limit.response: own[limit.response] for limit in self.limit.limits()}
+        good = (np.asarray(found.outcome) == Outcome.REACHED) & answered(self.problem, limited)
         self.failed += int((~good).sum())
         return np.where(good[:, None], margins, np.nan)
 

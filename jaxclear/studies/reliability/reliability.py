@@ -11,6 +11,7 @@ from typing import Any
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
 from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.endless import check_told
 from jaxclear.studies.identity import first_difference
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit
 from jaxclear.studies.reliability.design_point import DesignPoint, design_points
@@ -158,6 +159,8 @@ def _checked(problem: AbstractProblem, limit: Any, methods: Any, surface: Any) -
             "the problem has no variables; nothing would fail by chance: give it some."
         )
     check_limit(limit, problem.response_names, "reliability")
+    for own in limit.limits():
+        check_told(problem, own.response, own.threshold)
     if surface is not None:
         expect(surface, ResponseSurface, "surface of reliability", "what jaxclear.surface gives")
         difference = first_difference(surface.problem, problem)

@@ -82,7 +82,8 @@ def _repetitions(
 
     margins = model.margins(normal.reshape(-1, variables))
     # Limits in one scale, so that a system's worst samples are not those of the largest unit.
-    scales = np.maximum(np.nanstd(margins, axis=0), np.finfo(float).tiny)
+    finite = np.where(np.isfinite(margins), margins, np.nan)
+    scales = np.maximum(np.nanstd(finite, axis=0), np.finfo(float).tiny)
     lost = np.isnan(margins).any(axis=1)
     margins = system_margin(np.where(lost[:, None], 0.0, margins / scales), cuts)
     margins = np.where(lost, -np.inf, margins).reshape(repetitions, count)

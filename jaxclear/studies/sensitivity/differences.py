@@ -6,6 +6,7 @@ it is dear, so it begins with few samples. Where these confirm nothing, differen
 distributions go on (`opposed`), or small steps over more samples where these are not known.
 """
 
+import itertools
 from typing import NamedTuple
 
 import jax
@@ -29,8 +30,8 @@ FEWEST = 8
 # Where the two steps differ by more than chance, what a third would still move the answer: the
 # extrapolation gains a factor of 4 a halving at least.
 REMAINDER = 0.25
-# Samples that differences begin with: 128 runs, half of what a regression takes.
-FIRST = 32
+# Samples that differences begin with: 64 runs, a quarter of what a regression takes.
+FIRST = 16
 
 
 class Moved(NamedTuple):
@@ -56,9 +57,15 @@ def looks(group: np.ndarray) -> list[np.ndarray]:
     return [first, ~first]
 
 
-def second_half(group: np.ndarray) -> np.ndarray:
-    """The second half of the points of every scrambling, as a mask (samples,)."""
-    return _places(group) >= len(group) // len(np.unique(group)) // 2
+def doubling(group: np.ndarray) -> list[np.ndarray]:
+    """The samples (samples,) in parts, as masks: the last quarter of the points of every
+    scrambling, the quarter before, and the first half, so that each part doubles what is there."""
+    place, each = _places(group), len(group) // len(np.unique(group))
+    edges = [each, each - each // 4, each // 2, 0]
+    parts = [(place >= low) & (place < high) for high, low in itertools.pairwise(edges)]
+    # Scramblings may differ by a point.
+    parts[0] |= place >= each
+    return [part for part in parts if part.any()]
 
 
 def _places(group: np.ndarray) -> np.ndarray:
@@ -108,10 +115,11 @@ def differences(
             )
             continue
         rows = np.asarray(found.responses[one.response]).reshape(-1, len(SHIFTS))[good].T
-        few = one.undecided(*rows, by="difference_samples")
+        few = one.undecided(*rows, by="difference_samples") or one.unbounded(*rows)
         if few:
             answers[one.label] = refused(few)
             continue
+        rows = one.bounded(rows)
 
         def slopes(kept, rows=rows, one=one):
             far_down, down, up, far_up = (one.value(row[kept]) for row in rows)

@@ -16,7 +16,8 @@ import scipy
 
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.ground.wording import described
-from jaxclear.studies.statistics.scrambled import smooth_quantile
+from jaxclear.studies.endless import INSTEAD, finite_beside
+from jaxclear.studies.statistics.scrambled import ordinary_quantile, smooth_quantile
 
 # The slope of a quantile by the score of its share is taken over +- this many scores: wide enough
 # for some samples to lie within, narrow enough for the slope to be that of the middle.
@@ -102,6 +103,27 @@ class Functional(NamedTuple):
         enough = -(-int(np.ceil(FEWEST_DECIDING * count / deciding)) // WHOLE) * WHOLE
         return f"{told}take about {by}={enough}, or jaxclear.reliability for what is rare."
 
+    def unbounded(self, *rows: np.ndarray) -> str:
+        """Why its derivative is not known from rows of responses (samples,) of which some are
+        infinite; "" where what decides is finite."""
+        endless = [int(np.isinf(row).sum()) for row in rows]
+        if not any(endless) or self.kind in ("above", "below"):
+            return ""
+        told = f"{max(endless)} of {len(rows[0])} samples are infinite, "
+        if self.kind != "quantile":
+            return f"{told}of which there is no {self.kind}; {INSTEAD}."
+        ends = [ordinary_quantile(row, share) for row in rows for share in self._around()]
+        return "" if np.all(np.isfinite(ends)) else f"{told}and the quantile is among them."
+
+    def bounded(self, rows: np.ndarray) -> np.ndarray:
+        """Responses with finite numbers in place of infinite ones, where that is no difference."""
+        return finite_beside(rows, self.number if self.kind in ("above", "below") else None)
+
+    def _around(self) -> np.ndarray:
+        """Shares (2,) [1] a little aside of that of the quantile."""
+        score = scipy.stats.norm.ppf(self.number)
+        return scipy.stats.norm.cdf([score - SCORES_ASIDE, score + SCORES_ASIDE])
+
     def place(self, sample: np.ndarray) -> float | None:
         """The value at which parts are told apart; None where none is."""
         if self.kind == "quantile":
@@ -113,9 +135,8 @@ class Functional(NamedTuple):
         as a share of it [1]: of so many samples around the quantile."""
         if self.kind != "quantile":
             return 0.0
-        normal = scipy.stats.norm
-        low, high = normal.cdf(normal.ppf(self.number) + np.array([-1, 1]) * SCORES_ASIDE)
-        return float(normal.ppf(0.975) / np.sqrt(max(len(sample) * (high - low), 1.0)))
+        low, high = self._around()
+        return float(scipy.stats.norm.ppf(0.975) / np.sqrt(max(len(sample) * (high - low), 1.0)))
 
     def influence(self, sample: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The function of responses whose mean has the statistic's derivative, as a sample
@@ -127,8 +148,7 @@ class Functional(NamedTuple):
             return lambda y: (y - mean) ** 2 / (2.0 * spread) if spread > 0 else 0.0 * y
         if self.kind == "quantile":
             score = scipy.stats.norm.ppf(self.number)
-            around = scipy.stats.norm.cdf([score - SCORES_ASIDE, score + SCORES_ASIDE])
-            low, high = np.quantile(sample, around)
+            low, high = np.quantile(sample, self._around())
             density = 2 * SCORES_ASIDE * scipy.stats.norm.pdf(score) / max(high - low, 1e-300)
             place = np.quantile(sample, self.number)
             return lambda y: (y <= place) / -density

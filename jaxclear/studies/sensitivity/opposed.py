@@ -38,6 +38,8 @@ RANK = 1e-9
 # Of what fewer than `FEWEST_DECIDING` pairs show, so many more may be unseen: with their scatter
 # the 95 % bound of Poisson's distribution, for none to three.
 UNSEEN = 3.0
+# What is missed far out counts above this share of the standard error.
+SMALL = 0.3
 
 
 class Opposed(NamedTuple):
@@ -77,13 +79,14 @@ def opposed_of(problem: AbstractProblem, direction: Direction) -> Opposed | None
 
 class Pairs(NamedTuple):
     """Runs of pairs of values, one that gains and one that loses: what was found (pairs after each
-    other), scramblings (samples,), derivatives (samples,) of the variable's mean by each pair and
-    what they are in the mean, `known`, and the `size` by which differences count."""
+    other), scramblings (samples,), derivatives (samples, 2) of the variable's mean and mean square
+    about its nominal value by each pair and what they are in the mean, `known` (2,), and the `size`
+    by which differences count."""
 
     found: SampleResult
     group: np.ndarray
     terms: np.ndarray
-    known: float
+    known: np.ndarray
     size: float
 
     def and_also(self, other: "Pairs") -> "Pairs":
@@ -116,18 +119,22 @@ def paired(
     found = evaluate_all(
         problem, jnp.asarray(both), chunk=chunk, progress_bar=progress_bar, label="differences"
     )
-    terms = between.size * (away[0] - away[1])
+    powers = np.stack([away, away**2], axis=2)
+    terms = between.size * (powers[0] - powers[1])
     return Pairs(found, group, terms, _known(problem, direction), between.size)
 
 
-def _known(problem: AbstractProblem, direction: Direction) -> float:
-    """Derivative of the variable's mean along a direction."""
-    if direction.number is None:
-        return 1.0
+def _known(problem: AbstractProblem, direction: Direction) -> np.ndarray:
+    """Derivatives (2,) of the variable's mean and mean square about its nominal value along a
+    direction."""
     edges = np.linspace(-END_SCORE, END_SCORE, CELLS + 1)
     own = problem.inputs.distributions[direction.variable]
     away = np.asarray(own.of_score(jnp.asarray(edges)))
-    return float(np.average(away, weights=scipy.stats.norm.pdf(edges)) / direction.number)
+    weights = scipy.stats.norm.pdf(edges)
+    first, second = (float(np.average(away**power, weights=weights)) for power in (1, 2))
+    if direction.number is None:
+        return np.array([1.0, 2.0 * first])
+    return np.array([first, 2.0 * second]) / direction.number
 
 
 def between_distributions(
@@ -138,14 +145,16 @@ def between_distributions(
     reached = np.asarray(pairs.found.outcome) == Outcome.REACHED
     good = np.all(reached.reshape(-1, 2), axis=1)
     among, group = np.repeat(good, 2), pairs.group[good]
-    terms = np.column_stack([np.ones(len(group)), pairs.terms[good] - pairs.known])
+    line, square = (pairs.terms[good] - pairs.known).T
+    terms = np.column_stack([np.ones(len(group)), line])
     answers = {}
     for one in wanted:
         rows = np.asarray(pairs.found.responses[one.response]).reshape(-1, 2)[good].T
         # All that gain may lie beyond a limit and all that lose below: the clearest case there is.
         deciding = one.deciding(rows.ravel())
-        if len(group) < FEWEST or deciding < FEWEST_DECIDING:
+        if len(group) < FEWEST or deciding < FEWEST_DECIDING or one.unbounded(*rows):
             continue
+        rows = one.bounded(rows)
         of = one.influence(rows.ravel())
         differences = pairs.size * (of(rows[0]) - of(rows[1]))
 
@@ -155,7 +164,9 @@ def between_distributions(
         told = concern(problem, one.response, pairs.found.checks, among)
         rare = sum(one.deciding(row) < FEWEST_DECIDING for row in rows)
         unseen = pairs.size * UNSEEN / len(group) * np.sqrt(rare)
-        answer = from_parts(pseudo_values(slope, group), float(unseen))
+        parts, missed = pseudo_values(slope, group), _missed(differences, terms, square)
+        few = missed <= SMALL * parts.std() / np.sqrt(len(parts))
+        answer = from_parts(parts, float(unseen if few else np.hypot(unseen, missed)))
         answers[one.label] = answer._replace(
             error=answer.error * rarity(deciding, len(answer.parts)),
             warned=told[0],
@@ -163,3 +174,12 @@ def between_distributions(
             runs=len(reached),
         )
     return {label: answer for label, answer in answers.items() if not answer.refusal}
+
+
+def _missed(differences: np.ndarray, terms: np.ndarray, square: np.ndarray) -> float:
+    """How far the derivative of the variable's own mean square, which is known, is off by these
+    pairs, as much of it as is in the differences: what few values far out decide, whose scatter no
+    few pairs show."""
+    off = np.linalg.lstsq(terms, square, rcond=RANK)[0][0]
+    beside = np.column_stack([terms, square])
+    return float(abs(np.linalg.lstsq(beside, differences, rcond=RANK)[0][2] * off))

@@ -151,12 +151,13 @@ def regressions(
     answers = {}
     for one in wanted:
         responses = sample.responses[one.response][good]
-        few = one.undecided(responses, by="sample")
+        few = one.undecided(responses, by="sample") or one.unbounded(responses)
         if few:
             answers[one.label] = refused(few)
             continue
+        responses = one.bounded(responses)
         own = Slope(one, responses, fit.basis(values), weight, many)
-        ending = None if ends is None else ending_of(ends, fit, direction, one.response)
+        ending = None if ends is None else ending_of(ends, fit, direction, one)
         slope = lambda kept, own=own, ending=ending: own.of(kept, group, ending)
         # What the many points do not know of the polynomial's slope is shared out to the parts.
         parts = pseudo_values(slope, group) + own.scatter()
@@ -195,12 +196,12 @@ class Ending(NamedTuple):
     scrambling: np.ndarray
 
 
-def ending_of(ends: Ends, fit: Fit, direction: Direction, response: str) -> Ending:
-    """The ends as one response sees them."""
+def ending_of(ends: Ends, fit: Fit, direction: Direction, one: Functional) -> Ending:
+    """The ends as the response of one statistic sees them."""
     speeds = np.ones(2) if direction.number is None else ends.velocities / direction.number
     basis = np.stack([fit.basis(own) for own in ends.values])
     factors = np.array([-1.0, 1.0]) * speeds * ends.densities
-    return Ending(factors, basis, ends.responses[response], ends.scrambling)
+    return Ending(factors, basis, one.bounded(ends.responses[one.response]), ends.scrambling)
 
 
 @eqx.filter_jit

@@ -28,10 +28,10 @@ from jaxclear.studies.sensitivity.derivative import (
 )
 from jaxclear.studies.sensitivity.differences import (
     differences,
+    doubling,
     looks,
     moved,
     refusal,
-    second_half,
 )
 from jaxclear.studies.sensitivity.direction import Direction, directions
 from jaxclear.studies.sensitivity.functional import Functional, functionals
@@ -72,7 +72,7 @@ def sensitivity(
     ("below", limit), for every response, or {response: statistics}; limits in the response's unit,
     the share of parts beyond one is a probability of failure; what fewer than 4 samples decide is
     refused. `methods`: any of "regression" (a polynomial, corrected by the score function),
-    "differences" (by small steps over a first 32 of `difference_samples` where these confirm a more
+    "differences" (by small steps over a first 16 of `difference_samples` where these confirm a more
     certain answer, else between values that become likelier and such as become less so, or by steps
     over all), "pathwise" (fixed-step integrators only; the cheapest where nothing opens and closes;
     through contacts it is shown only where another method agrees with it, and is never the answer).
@@ -161,11 +161,11 @@ def _by_pairs(
     before: tuple[list[Functional], dict[str, dict[str, Estimate]]],
     **bar: bool,
 ) -> tuple[dict[str, Estimate], int]:
-    """By pairs on the second half of a sample, and on the first where that confirms too little:
-    the answers that they tell, and how many runs they took; `before` as above."""
+    """By pairs on a quarter of a sample, and on twice as much while that confirms too little: the
+    answers that they tell, and how many runs they took; `before` as above."""
     (values, group), (asked, others) = sample, before
-    later, pairs, answers, spent = second_half(group), None, {}, 0
-    for look in (later, ~later):
+    pairs, answers, spent = None, {}, 0
+    for look in doubling(group):
         now = paired(problem, (values[look], group[look]), way[0], way[1], **bar)
         spent += len(now.found.outcome)
         pairs = now if pairs is None else pairs.and_also(now)

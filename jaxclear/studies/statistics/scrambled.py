@@ -36,6 +36,8 @@ class Statistic(NamedTuple):
     @property
     def error(self) -> float:
         """How far the farther end of the interval is away."""
+        if np.isinf(self.value):
+            return np.inf
         return max(self.high - self.value, self.value - self.low)
 
     def __str__(self) -> str:
@@ -117,12 +119,21 @@ def deviation(values: np.ndarray) -> float:
     return float(values.std(ddof=1)) if len(values) > 1 else np.nan
 
 
+def ordinary_quantile(values: np.ndarray, share: float) -> float:
+    """The value that a share [1] of the responses does not exceed; infinite where one of the two
+    samples that it lies between is."""
+    ends = [float(np.quantile(values, share, method=method)) for method in ("lower", "higher")]
+    if np.all(np.isfinite(ends)):
+        return float(np.quantile(np.where(np.isfinite(values), values, ends[1]), share))
+    return next(end for end in ends[::-1] if not np.isfinite(end))
+
+
 def quantile(values: np.ndarray, group: np.ndarray, share: float) -> Statistic:
     """The value that a share [1] of the responses does not exceed, with its interval."""
     count = len(values)
     if count < 2:
         return UNKNOWN
-    value = float(np.quantile(values, share))
+    value = ordinary_quantile(values, share)
     below = (values <= value).astype(float)
     error, groups = standard_error(np.mean, below, group)
     half = student(groups) * error if np.isfinite(error) else np.inf

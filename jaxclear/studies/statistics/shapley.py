@@ -25,6 +25,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_effects
+from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
@@ -103,6 +104,8 @@ def shapley_effects(
         found = evaluate_all(problem, values, progress_bar=progress_bar, label="Shapley effects")
         reached = np.asarray(found.outcome) == Outcome.REACHED
         responses = found.responses
+        for name in problem.response_names:
+            refuse_endless(problem, name, responses[name], "variance")
     else:
         responses = _on_surface(surface.bare(), values)
         reached = np.ones(len(values), bool)

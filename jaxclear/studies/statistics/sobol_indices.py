@@ -21,6 +21,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_indices
+from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
@@ -97,6 +98,7 @@ def sobol_indices(
     first, total = {}, {}
     good = np.all(reached, axis=0)
     for name in problem.response_names:
+        refuse_endless(problem, name, found.responses[name], "variance")
         rows = np.asarray(found.responses[name]).reshape(len(columns), -1)[:, good].T
         for i, variable in enumerate(problem.names):
             three = rows[:, [0, 1, 2 + i]]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.studies.statistics.limits import Limits
-from jaxclear.studies.statistics.scrambled import deviation, standard_error
+from jaxclear.studies.statistics.scrambled import UNKNOWN, deviation, standard_error
 
 PERCENTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
 
@@ -17,7 +17,10 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
     warned = study.concerned(name)
     clean = np.setdiff1d(np.setdiff1d(np.arange(study.count), study.failed), warned)
     clean = study.responses[name][clean]
-    known = {"mean": study.mean(name)}
+    # Of infinite answers, as lives may be, there is no mean, nor a deviation.
+    bounded = bool(np.all(np.isfinite(values)))
+    known = {"mean": study.mean(name) if bounded else UNKNOWN}
+    error = standard_error(np.mean, values, group)[0] if bounded and len(values) else np.nan
     row = {
         "response": name,
         "unit": study.problem.units()[name],
@@ -25,16 +28,18 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
         "failed": len(study.failed),
         "warned": len(warned),
         "mean": known["mean"].value,
-        "standard error": standard_error(np.mean, values, group)[0] if len(values) else np.nan,
+        "standard error": error,
     }
-    known["standard deviation"] = study.standard_deviation(name)
+    known["standard deviation"] = study.standard_deviation(name) if bounded else UNKNOWN
     known |= {label: study.quantile(name, share) for label, share in PERCENTILES.items()}
     if name in limits:
         known["yield"] = study.share_within({name: limits[name]})
-        known["Cpk"] = study.process_capability(name, limits[name])
+        known["Cpk"] = study.process_capability(name, limits[name]) if bounded else UNKNOWN
     for label, told in known.items():
         row[label] = told.value
         row[f"{label} error"] = told.error
-    row["mean without warned"] = clean.mean() if len(clean) else np.nan
-    row["standard deviation without warned"] = deviation(clean)
+    row["mean without warned"] = clean.mean() if bounded and len(clean) else np.nan
+    row["standard deviation without warned"] = deviation(clean) if bounded else np.nan
+    if study.problem.endless(name):
+        row["infinite"] = int(np.isinf(values).sum())
     return row

@@ -21,6 +21,7 @@ from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_corrected
+from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.surface.drawing import all_values, scrambled_normal
@@ -121,6 +122,8 @@ def corrected(
     values = jnp.asarray(all_values(problem, np.concatenate(normal)))
     found = evaluate_all(problem, values, chunk=chunk, progress_bar=progress_bar, label="corrected")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
+    for name, responses in own.items():
+        refuse_endless(problem, name, responses, "mean or deviation", "jaxclear.monte_carlo serves")
     finite = np.all([np.isfinite(own[name]) for name in own], axis=0)
     good = (np.asarray(found.outcome) == Outcome.REACHED) & finite
     many = _blocks(SURFACE_SCRAMBLINGS, SURFACE_POINTS, len(problem.names), [seed, 1])

@@ -18,6 +18,7 @@ from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.given_sample import GivenSample, given_sample
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.surface.fitting import fitted
@@ -75,6 +76,9 @@ def surface(
         values = drawn(problem, runs, over, seed)
         found, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
         lacking = ""
+    for name in problem.response_names:
+        told = "limits of jaxclear.design and jaxclear.reliability take it"
+        refuse_endless(problem, name, found.responses[name], "surface", told)
     through = fitted(
         problem, values, found, degree=degree, truncation=truncation, gradients=gradients
     )

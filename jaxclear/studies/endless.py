@@ -1,0 +1,92 @@
+"""Infinite answers: a life that never reaches its limit is a good one, not a failed one.
+
+Where a problem says so (`AbstractProblem.endless`), an infinite response counts on its side of
+every limit, share and quantile. Means and variances of it there are none: whoever asks for one is
+told so, and what serves instead.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxclear.studies.base import AbstractProblem
+
+__all__ = [
+    "answered",
+    "bounded",
+    "check_told",
+    "endless_sentences",
+    "finite_beside",
+    "refuse_endless",
+]
+
+INSTEAD = "ask for a quantile, or for the share of samples beyond a limit"
+
+
+def answered(problem: AbstractProblem, responses: Mapping[str, Any]) -> np.ndarray:
+    """Whether each sample (samples,) has an answer in each of the responses: a finite number, or an
+    infinite one where that is an answer."""
+    parts = [
+        ~np.isnan(own) if problem.endless(name) else np.isfinite(own)
+        for name, own in responses.items()
+    ]
+    return np.all(parts, axis=0)
+
+
+def endless_sentences(problem: AbstractProblem, responses: Mapping[str, Any]) -> list[str]:
+    """A sentence for each response that is infinite in some samples."""
+    told = {name: _words(problem, name, own) for name, own in responses.items()}
+    return [f'"{name}" {words}.' for name, words in told.items() if words]
+
+
+def refuse_endless(
+    problem: AbstractProblem, name: str, values: Any, what: str, instead: str = INSTEAD
+) -> None:
+    """Raises `ValueError` where a response has infinite values (samples,), of which there is no
+    `what`."""
+    words = _words(problem, name, values)
+    if words:
+        raise ValueError(f'"{name}" {words}: there is no {what} of it; {instead}.')
+
+
+def check_told(problem: AbstractProblem, name: str, *limits: Any) -> None:
+    """Raises `ValueError` for limits beyond what a response is told up to."""
+    most = problem.told_up_to(name)
+    for limit in limits:
+        if limit is not None and float(limit) > most:
+            raise ValueError(
+                f'a limit of "{name}" is {float(limit):.6g}, and it is told up to {most:.6g}: '
+                f"beyond that, {problem.endless(name)}. Ask for more of it, or for a limit that is "
+                "not beyond."
+            )
+
+
+def finite_beside(values: np.ndarray, *limits: Any) -> np.ndarray:
+    """Values with a finite number, beyond all others and these limits, in place of those that are
+    infinite: what only asks on which side of a limit they lie sees no difference."""
+    if not np.isinf(values).any():
+        return values
+    beside = [float(limit) for limit in limits if limit is not None]
+    known = np.append(values[np.isfinite(values)], beside)
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+    aside = (high - low) or abs(high) or 1.0
+    return np.where(np.isinf(values), np.where(values > 0, high + aside, low - aside), values)
+
+
+def bounded(problem: AbstractProblem, name: str, values: np.ndarray) -> np.ndarray:
+    """Values for a surface: where they are infinite, what a response is told up to, or beyond all
+    others where that has no end. Raises `ValueError` where nothing but infinite ones is told."""
+    most = problem.told_up_to(name)
+    if np.isfinite(most):
+        return np.minimum(values, most)
+    if len(values) and np.isinf(values).all():
+        refuse_endless(problem, name, values, "surface", "ask for a limit that some reach")
+    return finite_beside(values)
+
+
+def _words(problem: AbstractProblem, name: str, values: Any) -> str:
+    """In how many samples a response is infinite, and what that says; "" for none."""
+    count = int(np.isinf(np.asarray(values, float)).sum())
+    why = problem.endless(name)
+    return f"is infinite in {count} of {np.size(values)} samples ({why})" if count and why else ""
