@@ -135,6 +135,28 @@ def test_values_that_no_machine_has_are_failed_lives_as_they_are_failed_runs(ask
         end.life(np.array([-1e9, FORCE]))
 
 
+@pytest.mark.slow
+def test_values_of_which_no_machine_can_be_put_together_are_told_so():
+    """A coupler that is too short to reach the follower, as it is of runs."""
+    links = {
+        "coupler": jc.Variable(
+            lambda rig: rig.connections["B"].parent.at[0], jc.distribution.Uniform(0.35)
+        )
+    }
+    turn = jc.Problem(
+        jc.scenes.four_bar("planar", cells=(36, 1)),
+        jc.response.MeanContactForce("B"),
+        links,
+        duration=0.2 * np.pi,
+        save=73,
+        integrator=jc.integrator.FixedStep(2e-5, "semi_implicit"),
+    )
+    lives = jc.LifeProblem(turn, jc.LifeUntil("depth", LIMIT))
+    found = lives.evaluate(np.array([0.06]))
+    assert found.outcome == Outcome.UNASSEMBLED and np.isnan(found.responses["response"])
+    assert lives.ending(int(found.outcome), 0.0) == "the mechanism cannot be assembled."
+
+
 def test_warnings_of_shapes_are_none_of_the_volume(asked):
     wanted = {"deep": jc.LifeUntil("depth", LIMIT), "lost": jc.LifeUntil("volume", 1e-9)}
     lives = jc.LifeProblem(asked.problem, wanted)

@@ -76,13 +76,18 @@ def surface(
         values = drawn(problem, runs, over, seed)
         found, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
         lacking = ""
-    for name in problem.response_names:
-        told = "limits of jaxclear.design and jaxclear.reliability take it"
-        refuse_endless(problem, name, found.responses[name], "surface", told)
+    _check_finite(problem, found)
     through = fitted(
         problem, values, found, degree=degree, truncation=truncation, gradients=gradients
     )
     return dataclasses.replace(through, unreached=lacking)
+
+
+def _check_finite(problem: AbstractProblem, found: SampleResult) -> None:
+    """Raises `ValueError` for responses that are infinite, which no polynomial is."""
+    instead = "limits of jaxclear.design and jaxclear.reliability take it"
+    for name in problem.response_names:
+        refuse_endless(problem, name, found.responses[name], "surface", instead)
 
 
 def _there(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, str]:

@@ -1,0 +1,185 @@
+"""Infinite answers, such as lives that outlast what is followed, in every study: they count on
+their side of limits and quantiles, against closed forms, and have no mean."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import jaxclear as jc
+from jaxclear.integrators import Outcome
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.endless import finite_beside
+from jaxclear.studies.function_problem import FunctionProblem
+from jaxclear.studies.statistics.scrambled import ordinary_quantile
+
+# ln(life / 1e6) is normal about half the hardness; a quarter of the lives are not followed.
+SLOPES = {"hardness": 0.5, "load": -0.3}
+SPREAD = float(np.hypot(*SLOPES.values()))
+FOLLOWED, LIMIT = 1.5e6, 4e5
+SCORE = np.log(LIMIT / 1e6) / SPREAD
+
+
+class Lasting(AbstractProblem):
+    """Lives in closed form, infinite beyond what is followed."""
+
+    inner: FunctionProblem
+    variables: dict[str, Any]
+    names: tuple[str, ...]
+    response_names: tuple[str, ...]
+    variable_units: tuple[str, ...]
+    correlation: Any
+
+    def nominal(self):
+        return self.inner.nominal()
+
+    def units(self):
+        return {"life": "cycles"}
+
+    def evaluate(self, values, *, discrete_derivatives=False):
+        life = self.inner.evaluate(values).responses["life"]
+        told = {"life": jnp.where(life > FOLLOWED, jnp.inf, life)}
+        return SampleResult(told, jnp.asarray(int(Outcome.REACHED)), jnp.zeros(()))
+
+    def endless(self, response):
+        return "it is not followed further"
+
+    def told_up_to(self, response):
+        return FOLLOWED
+
+    def sample_memory(self):
+        return 1000
+
+    def most_together(self):
+        return 512
+
+    def rerun(self, values, index, chunk):
+        return self.evaluate(values)
+
+    def ending(self, outcome, ended):
+        return "it is told."
+
+    def pathwise_limits(self):
+        return "lives end", ""
+
+    def parts(self):
+        return self.inner.parts()
+
+
+@pytest.fixture(scope="module")
+def lasting():
+    unit = jc.distribution.Normal(1.0)
+    inner = FunctionProblem(
+        lambda **x: {"life": 1e6 * jnp.exp(sum(SLOPES[n] * own for n, own in x.items()))},
+        {name: jc.Dimension(0.0, unit, unit="1") for name in SLOPES},
+    )
+    same = inner.variables, inner.names, inner.response_names, inner.variable_units
+    return Lasting(inner, *same, None)
+
+
+@pytest.fixture(scope="module")
+def sample(lasting):
+    return jc.monte_carlo(lasting, 512)
+
+
+def test_shares_and_quantiles_are_those_of_the_closed_form(sample):
+    assert not len(sample.failed) and "(it is not followed further)" in sample.sentence()
+    below = sample.share_within({"life": (LIMIT, None)})
+    assert below.low <= 1 - stats.norm.cdf(SCORE) <= below.high
+    for share in (0.01, 0.5):
+        found, exact = sample.quantile("life", share), 1e6 * np.exp(SPREAD * stats.norm.ppf(share))
+        assert found.low <= exact <= found.high
+    assert sample.quantile("life", 0.9).value == np.inf
+    lowest = sample.tolerance_interval("life", 0.9, side="lower")
+    assert 0 < lowest.low.value < 1e6
+    one = jc.monte_carlo(sample.problem, 64, accuracy=1e-3)
+    assert "accuracy asked is not reached" in one.unreached
+
+
+@pytest.mark.slow
+def test_derivatives_of_shares_are_found_and_those_of_means_refused(lasting, sample):
+    """Below a limit and of low quantiles; not of quantiles that are themselves infinite."""
+    of = {"life": ["mean", "standard deviation", ("below", LIMIT), ("quantile", 0.1)]}
+    of["life"].append(("quantile", 0.8))
+    found = jc.sensitivity(lasting, "hardness", sample=sample, of=of).derivatives
+    answers = {label: own for (label, _), own in found.items()}
+    low = 1e6 * np.exp(SPREAD * stats.norm.ppf(0.1))
+    exact = -stats.norm.pdf(SCORE) * SLOPES["hardness"] / SPREAD
+    for label, wanted in ((f"P(life < {LIMIT:g})", exact), ("10 % quantile of life", 0.5 * low)):
+        own = answers[label]
+        assert own.trustworthy and abs(own.value - wanted) <= 1.5 * own.error < abs(wanted)
+    for label in ("life", "standard deviation of life", "80 % quantile of life"):
+        assert np.isnan(answers[label].value) and "are infinite" in answers[label].verdict
+    assert "ask for a quantile, or for the share" in answers["life"].verdict
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("methods", [None, "subset"])
+def test_reliability_counts_endless_ones_as_safe(lasting, methods):
+    threshold = 1e6 * np.exp(SPREAD * stats.norm.ppf(1e-3))
+    found = jc.reliability(lasting, jc.limit_state.Below("life", threshold), methods=methods)
+    assert found.failed == 0 and found.interval[0] <= 1e-3 <= found.interval[1]
+    often = jc.reliability(lasting, jc.limit_state.Above("life", 1.2e6), methods="subset")
+    assert often.probability == pytest.approx(stats.norm.sf(np.log(1.2) / SPREAD), rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("at_least", [LIMIT, FOLLOWED])
+def test_a_design_for_life_counts_endless_ones_as_good(lasting, at_least):
+    """The least hardness of which 95 in 100 live so long, also as long as they are followed."""
+    found = jc.design(
+        lasting,
+        lambda nominal, tolerance: 3.0 + nominal["hardness"],
+        jc.limit.Quantile("life", at_least=at_least, share=0.95),
+        nominal={"hardness": (-1.0, 4.0)},
+        settings=jc.DesignSettings(check=1024),
+    )
+    exact = (np.log(at_least / 1e6) - SPREAD * stats.norm.ppf(0.05)) / SLOPES["hardness"]
+    assert found.holds and found.nominal["hardness"] == pytest.approx(exact, abs=0.1)
+    assert '"life" is infinite in' in found.sentence() and found.failed == 0
+
+
+@pytest.mark.slow
+def test_what_takes_no_infinite_answer_says_what_does(lasting, sample):
+    costs = {"hardness": jc.cost.Reciprocal(1.0)}
+    moments = jc.limit.MeanAndDeviation("life", at_least=LIMIT)
+    free = {"tolerance": {"hardness": (0.1, 2.0)}}
+    studies = (
+        lambda: sample.process_capability("life", (LIMIT, None)),
+        lambda: sample.tolerance_interval("life", normal=True),
+        lambda: jc.sobol_indices(lasting, 64),
+        lambda: jc.shapley_effects(lasting, 64),
+        lambda: jc.surface(lasting),
+        lambda: jc.design(lasting, costs, moments, **free),
+    )
+    for study in studies:
+        with pytest.raises(ValueError, match=r'"life" is infinite in \d+ of \d+ samples.*: there'):
+            study()
+    row = sample.summary().iloc[0]
+    assert row["infinite"] == np.isinf(sample.responses["life"]).sum() > 0
+    assert np.isnan(row["mean"]) and np.isfinite(row["median"]) and row["failed"] == 0
+
+
+@pytest.mark.slow
+def test_the_worst_life_is_finite_and_the_best_endless(lasting):
+    found = jc.worst_case(lasting, samples=64)
+    assert found.least["life"].value == pytest.approx(1e6 * np.exp(-3 * 0.8), rel=1e-3)
+    assert found.largest["life"].value == np.inf
+
+
+def test_a_problem_without_endless_answers_has_failed_samples_as_before():
+    single = jc.FunctionProblem(lambda x: 1.0 / x, {"x": jc.Dimension(0.0, tolerance=1.0)})
+    found = single.evaluate(jnp.zeros(1))
+    assert found.outcome == Outcome.NOT_FINITE
+
+
+def test_quantiles_and_stand_ins_of_infinite_values():
+    values = np.array([3.0, 1.0, np.inf, 2.0, np.inf])
+    assert [ordinary_quantile(values, q) for q in (0.0, 0.25, 0.5)] == [1.0, 2.0, 3.0]
+    assert ordinary_quantile(values, 0.4) == pytest.approx(2.6)
+    assert ordinary_quantile(values, 0.51) == ordinary_quantile(values, 1.0) == np.inf
+    np.testing.assert_array_equal(finite_beside(values, 10.0)[[0, 1, 3]], values[[0, 1, 3]])
+    assert np.all(finite_beside(values, 10.0)[[2, 4]] == 19.0)
+    assert np.isnan(finite_beside(np.array([np.nan, -np.inf]))[0])
