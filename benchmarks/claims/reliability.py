@@ -4,7 +4,9 @@ Limit states: all cases of tests/rigs/limit_states.py, to a coefficient of varia
 runs are all of them, those of the search for design points too (a run with slopes counts as one for
 each variable more), beside those of plain Monte Carlo to the same error, (1 - P) / (P 0.1^2), and
 those of OpenTURNS' subset sampling on the same limits where it is installed. "off" is the distance
-from the reference in standard errors.
+from the reference in standard errors. What one run tells of its own error is held against studies
+with other seeds: their scatter about their mean, the coefficient of variation that they tell (root
+mean square), and how many of their 95 % intervals hold the reference.
 
 Mechanisms: the four-bar (two turns' error of the follower, clearance and four lengths with standard
 deviations of a third of 20 um) and the antenna (four clearances, two joints radial and axial). A
@@ -36,6 +38,8 @@ FOLLOWER, POINTING = 190e-6, 10.29e-3
 OFTEN, PLAIN = 0.98, 2048
 # Repetitions that tell the true error of OpenTURNS' sampling.
 REPEATS = 10
+# Studies with other seeds that tell how far one scatters.
+SEEDS = 8
 STEP, SECONDS, SAVES = 1e-3, 0.5, 51
 
 
@@ -43,7 +47,34 @@ def plain_runs(probability: float) -> float:
     return (1 - probability) / (probability * ACCURACY**2)
 
 
-def limit_states(names) -> list[dict]:
+def over_seeds(ask, low: float, high: float, seeds: int) -> dict:
+    """What studies by `ask(seed)` scatter, tell and hold of a reference from `low` to `high`."""
+    found = [ask(seed) for seed in range(1, seeds + 1)]
+    values, told = np.array([(own.probability, own.variation) for own in found]).T
+    held = [own.interval[0] <= high and low <= own.interval[1] for own in found]
+    return {
+        f"scatter over {seeds} seeds": float(values.std(ddof=1) / values.mean()),
+        "told": float(np.sqrt(np.mean(told**2))),
+        "intervals that hold": int(np.sum(held)),
+        "runs in the mean": float(np.mean([own.runs for own in found])),
+    }
+
+
+def together(rows: list[dict], seeds: int) -> list[dict]:
+    """All limit states together: scatter over what is told, and intervals that hold."""
+    shares = np.array([row[f"scatter over {seeds} seeds"] / row["told"] for row in rows])
+    return [
+        {
+            "limit states": len(rows),
+            "scatter over told, root mean square": float(np.sqrt(np.mean(shares**2))),
+            "intervals that hold [%]": 100
+            * sum(row["intervals that hold"] for row in rows)
+            / (seeds * len(rows)),
+        }
+    ]
+
+
+def limit_states(names, seeds: int) -> list[dict]:
     rows = []
     for name in names:
         problem, limit, reference = case(name)
@@ -53,6 +84,9 @@ def limit_states(names) -> list[dict]:
         print(f"{name}: {found.sentence()}", flush=True)
         nearest = np.clip(found.probability, reference["low"], reference["high"])
         form = found.estimates["form"].value
+        ask = lambda seed, problem=problem, limit=limit: jc.reliability(
+            problem, limit, accuracy=ACCURACY, most_runs=MOST_RUNS, seed=seed
+        )
         rows.append(
             {
                 "case": name,
@@ -75,6 +109,7 @@ def limit_states(names) -> list[dict]:
                 "OpenTURNS subset": openturns_runs(problem, limit),
                 "CPU [s]": spent,
             }
+            | over_seeds(ask, reference["low"], reference["high"], seeds)
         )
     return rows
 
@@ -170,6 +205,11 @@ def mechanism(name: str, problem: jc.Problem, rare: float) -> list[dict]:
         spent = time.process_time() - begun
         share = np.mean(drawn > threshold)
         spread = np.sqrt((1 - share) / (share * PLAIN)) if share > 0 else None
+        limit = Above(response, threshold)
+        ask = lambda seed, limit=limit: jc.reliability(problem, limit, accuracy=ACCURACY, seed=seed)
+        # No other reference than the studies' own mean: nobody runs that many.
+        seeds = over_seeds(ask, 0.0, 1.0, SEEDS)
+        del seeds["intervals that hold"]
         rows.append(
             {
                 "mechanism": name,
@@ -186,6 +226,7 @@ def mechanism(name: str, problem: jc.Problem, rare: float) -> list[dict]:
                 "plain Monte Carlo's runs to 10 %": round(plain_runs(found.probability)),
                 "CPU [s]": spent,
             }
+            | seeds
         )
         print(found.sentence(), flush=True)
     return rows
@@ -193,7 +234,10 @@ def mechanism(name: str, problem: jc.Problem, rare: float) -> list[dict]:
 
 def main() -> None:
     options = arguments(__doc__)
-    report("reliability: limit states", limit_states(QUICK if options.quick else CASES), options)
+    seeds = 2 if options.quick else SEEDS
+    rows = limit_states(QUICK if options.quick else CASES, seeds)
+    report("reliability: limit states", rows, options)
+    report("reliability: over seeds", together(rows, seeds), options)
     if options.quick:
         return
     rows = mechanism("four-bar", four_bar_problem(), FOLLOWER)
