@@ -14,6 +14,7 @@ threshold that fails often is asked as well and compared with plain Monte Carlo,
 that of the rare one.
 """
 
+import json
 import time
 
 import jax
@@ -21,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report
+from benchmarks.measure import about, arguments, report
 from jaxclear.scenes.antenna import BASE, TIP, antenna
 from jaxclear.scenes.four_bar import four_bar
 from tests.rigs.limit_states import CASES, case
@@ -244,6 +245,10 @@ def main() -> None:
     report("reliability: four-bar", rows, options)
     rows = mechanism("antenna", antenna_problem(), POINTING)
     report("reliability: antenna", rows, options)
+    if options.json is not None:
+        known = json.loads(options.json.read_text())
+        told = {"about": about("benchmarks.claims.reliability", options.json)}
+        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
 
 
 if __name__ == "__main__":
