@@ -42,6 +42,7 @@ from jaxclear.multibody.start_equations import (
     speed_blocks,
     stacked,
 )
+from jaxclear.multibody.system import readings
 
 __all__ = [
     "Start",
@@ -69,10 +70,11 @@ def assemble_arrays(
     concentric: bool = True,
     time: Any = 0.0,
     rough: tuple[Array, Array] | None = None,
+    worn: dict | None = None,
 ) -> Start:
     """The consistent start nearest `rough` coordinates and speeds, by default the mechanism's
-    guess; pure, so it maps and differentiates."""
-    asked = ask(mechanism, concentric)
+    guess; of surfaces `worn` so deep [m]; pure, so it maps and differentiates."""
+    asked = ask(mechanism, concentric, worn)
     q, v = guess(mechanism) if rough is None else rough
     start_check.check_flat_bodies(mechanism, asked.system, motions_at(asked, q, v, time)[2])
     if is_solved(asked):
@@ -149,10 +151,10 @@ def _depths(asked: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
     if asked.concentric and not asked.mechanism.start:
         return {}
     motions = motions_at(asked, q, v, time)[2]
-    out = {}
+    out, worn = {}, readings(asked.system, asked.worn)
     for name, bearing in asked.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
-        depths = contact_point.depths(bearing.joint, pose, {})
+        depths = contact_point.depths(bearing.joint, pose, worn.get(name, {}))
         allowed = DEEPEST * jnp.min(sp.stack(bearing.radii))
         out[name] = jnp.stack([jnp.max(sp.stack(depths)), allowed])
     return out
@@ -175,8 +177,8 @@ assembled = compiled_quickly(assemble_arrays)
 
 
 @compiled_quickly
-def _judged(mechanism: Mechanism, concentric: bool) -> tuple[Start, Array]:
-    start = assemble_arrays(mechanism, concentric)
+def _judged(mechanism: Mechanism, concentric: bool, worn: dict | None) -> tuple[Start, Array]:
+    start = assemble_arrays(mechanism, concentric, worn=worn)
     return start, is_sound(mechanism, start)
 
 
@@ -201,17 +203,20 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     return ready(mechanism, concentric)[1]
 
 
-def ready(mechanism: Mechanism, concentric: bool = True) -> tuple[Mechanism, Start]:
+def ready(
+    mechanism: Mechanism, concentric: bool = True, worn: dict | None = None
+) -> tuple[Mechanism, Start]:
     """A mechanism that knows which rows of its loops are redundant, and its start, both as
-    `assemble` wants them. What is being traced is taken as it comes."""
-    bare = with_redundancy(mechanism, None)
-    start, sound = _judged(bare, concentric)
+    `assemble` wants them, of surfaces `worn` so deep [m] (None: new ones). What is being traced is
+    taken as it comes."""
+    bare, judged = with_redundancy(mechanism, None), lambda m: _judged(m, concentric, worn)
+    start, sound = judged(bare)
     if is_traced(start):
-        return mechanism, _judged(mechanism, concentric)[0]
-    known, start, sound = _known(bare, start, sound, 0.0, lambda m: _judged(m, concentric))
+        return mechanism, judged(mechanism)[0]
+    known, start, sound = _known(bare, start, sound, 0.0, judged)
     if not sound:
         start_check.refuse(known, start)
-    warn_of_nearer_assembly(known, start, lambda other: _judged(other, concentric))
+    warn_of_nearer_assembly(known, start, judged)
     return known, start
 
 
@@ -257,10 +262,12 @@ def _known(
     return bare, min(start, place, key=start_check.open_by), sound
 
 
-def determined(mechanism: Mechanism, concentric: bool = True) -> tuple[tuple[str, ...], Mechanism]:
+def determined(
+    mechanism: Mechanism, concentric: bool = True, worn: dict | None = None
+) -> tuple[tuple[str, ...], Mechanism]:
     """Names of coordinates that `start` gives although loops, drives, concentric journals and what
     is given before determine them, and the mechanism that knows its redundant rows. Raises
     `ValueError` for a start that is refused."""
-    known, start = ready(mechanism, concentric)
+    known, start = ready(mechanism, concentric, worn)
     told = mechanism.start and not is_traced(start)
     return start_check.determined(known, start) if told else (), known

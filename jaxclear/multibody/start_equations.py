@@ -49,12 +49,13 @@ class Start(NamedTuple):
 
 class Ask(NamedTuple):
     """What is asked of a start: the mechanism, ready and as given, whether journals are to be
-    concentric, and the longest arm [m]."""
+    concentric, the longest arm [m], and the depths of surfaces that are worn as it starts [m]."""
 
     mechanism: Mechanism
     system: System
     concentric: bool
     arm: Any
+    worn: dict[str, dict[str, Array]]
 
 
 class Block(NamedTuple):
@@ -69,11 +70,12 @@ class Block(NamedTuple):
     fixed: Float[Array, " fixed"]
 
 
-def ask(mechanism: Mechanism, concentric: bool) -> Ask:
-    """What is asked of a mechanism's start."""
+def ask(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask:
+    """What is asked of a mechanism's start, with surfaces `worn` so deep [m] (None: new ones)."""
     system = prepare(mechanism)
     # A measure only: the start is not to follow its changes.
-    return Ask(mechanism, system, concentric, jax.lax.stop_gradient(longest_arm(system)))
+    arm = jax.lax.stop_gradient(longest_arm(system))
+    return Ask(mechanism, system, concentric, arm, worn or {})
 
 
 def guess(mechanism: Mechanism) -> tuple[Array, Array]:

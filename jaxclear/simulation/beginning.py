@@ -33,7 +33,7 @@ def beginning(
     Raises `ValueError` with a sentence for what cannot be."""
     past = past_of(mechanism, formulation, state)
     if state.motion is None:
-        return *ready(mechanism, state.concentric), 0.0, past
+        return *ready(mechanism, state.concentric, past.worn), 0.0, past
     return *ready_from(mechanism, *state.motion.moving), state.motion.time, past
 
 

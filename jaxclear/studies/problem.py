@@ -128,7 +128,7 @@ class Problem(AbstractProblem):
         self.past = past_of(seen, self.integrator.formulation, self.state)
         self.determined, motion = (), self.state.motion
         if motion is None:
-            self.determined, seen = determined(seen, self.state.concentric)
+            self.determined, seen = determined(seen, self.state.concentric, self.past.worn)
         self.redundancy = seen.topology.redundancy if motion is None else motion.redundancy
         check_responses(self.response, self.variables, "a trajectory")
         check_variables(self.variables, mechanism)
@@ -174,7 +174,7 @@ class Problem(AbstractProblem):
         mechanism = self.seen(values)
         times, motion = self.shares * self.duration, self.state.motion
         if motion is None:
-            start = assemble_arrays(mechanism, self.state.concentric)
+            start = assemble_arrays(mechanism, self.state.concentric, worn=self.past.worn)
         else:
             start = carried_on(mechanism, *motion.moving)
             times = motion.time + times

@@ -266,6 +266,42 @@ def test_a_start_deep_in_a_wall_is_refused(concentric):
             jc.assemble(rig, concentric)
 
 
+def hollowed():
+    """A journal that lies in a hollow 1 mm deep of its bearing, and a state in which this is worn
+    out."""
+    wearing = jc.Wearing(jc.wear.Archard(), cells=(72, 1))
+    joint = jc.clearance.PlanarJournalBearing(
+        jc.contact.CarvalhoMartins(stiffness=1e8), clearance=1e-4, bearing_wear=wearing
+    )
+    rig = jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)},
+        {"B": jc.Connection(joint, "ground", "journal")},
+        start={"journal": (0.0, -0.9e-3, 0.0)},
+    )
+    worn = {"B": {"bearing": np.full((72, 1), 1e-3)}}
+    return rig, jc.State(worn=worn)
+
+
+@pytest.mark.slow
+def test_a_start_in_a_worn_hollow_is_judged_on_the_worn_surface():
+    """In simulate, and in a study."""
+    rig, state = hollowed()
+    with pytest.raises(ValueError, match=r'joint "B" start 0.0008 m deep in each other'):
+        jc.simulate(rig, 1e-4, save=2, integrator=jc.integrator.FixedStep(1e-5))
+    jc.simulate(rig, 1e-4, save=2, state=state, integrator=jc.integrator.FixedStep(1e-5))
+    problem = jc.Problem(
+        rig,
+        {"y": lambda run: run.coordinate("journal")[-1, 1]},
+        {"mass": jc.Variable(lambda m: m.bodies["journal"].mass, tolerance=0.1)},
+        duration=1e-4,
+        save=2,
+        state=state,
+        integrator=jc.integrator.FixedStep(1e-5),
+    )
+    sample = problem.evaluate(problem.nominal())
+    assert int(sample.outcome) == 0 and float(sample.responses["y"]) == pytest.approx(-0.9e-3)
+
+
 GUIDE = jc.clearance.SliderGuide(jc.contact.CarvalhoMartins(stiffness=1e8), clearance=1e-4)
 
 
