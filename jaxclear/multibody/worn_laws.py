@@ -31,20 +31,28 @@ def fitted_laws(joint: AbstractClearance) -> tuple[ContactLaws, ...]:
 
 def check_followed(joint: AbstractClearance) -> None:
     """Raises `ValueError`, with a sentence that goes behind the joint's name, where a surface
-    counts with its worn radius and no contact law there takes a number from the geometry."""
+    counts with its worn radius and no contact law there takes a number from the radii."""
     follows = [name for name, (_, wearing) in joint.maps().items() if wearing.worn_radius]
-    fits = [
-        isinstance(node, AbstractFit)
+    fits = (
+        isinstance(node, AbstractFit) and _asks_for_radii(node, own.shape)
         for own in joint.contact_laws()
         if own.wears
         for node in jax.tree.leaves(own.contact, is_leaf=lambda x: isinstance(x, AbstractFit))
-    ]
+    )
     if follows and not any(fits):
         raise ValueError(
             f"the wear of its {follows[0]} has worn_radius=True, but no number of its contact law "
             "follows from the radii, so nothing would change; give the law such a number "
             "(stiffness=jaxclear.stiffness.HertzStiffness(...), say) or leave worn_radius out."
         )
+
+
+def _asks_for_radii(fit: AbstractFit, shape: Shape) -> bool:
+    """Whether a number follows from the radii: not from the materials or the length alone."""
+    value = lambda inner, outer: fit.value(Shape(inner, outer, shape.length))
+    program = jax.make_jaxpr(value)(shape.inner_radius, shape.outer_radius).jaxpr
+    used = [x for equation in program.eqns for x in equation.invars] + program.outvars
+    return any(x is radius for x in used for radius in program.invars)
 
 
 def laws_now(

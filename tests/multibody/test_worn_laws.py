@@ -115,14 +115,31 @@ def test_a_ball_rests_where_the_worn_radius_carries_its_load(name):
     assert np.abs(np.asarray(other.contact("S").indentation) / SUNK - 1).max() > 0.01
 
 
-def test_a_law_that_nothing_fits_to_the_worn_radius_is_refused():
+@pytest.mark.parametrize(
+    "stiffness",
+    [1e9, jc.stiffness.CombinedModulus(STEEL, STEEL), jc.stiffness.LengthOf()],
+    ids=["number", "of the materials", "of the length"],
+)
+def test_a_law_that_nothing_fits_to_the_worn_radius_is_refused(stiffness):
     wearing = Wearing(jc.wear.Archard(), (12, 2), worn_radius=True)
-    law = jc.contact.CarvalhoMartins(stiffness=1e9)
+    law = jc.contact.HuntCrossley(stiffness=stiffness, restitution=0.9)
     joint = jc.clearance.JournalBearing(
         law, bearing_radius=RADIUS, clearance=CLEARANCE, bearing_wear=wearing
     )
     with pytest.raises(ValueError, match='joint "S": the wear of its bearing .*HertzStiffness'):
         rig(joint)
+
+
+@pytest.mark.parametrize("name", ["PlainBearing", "Slideway", "BallJoint"])
+def test_an_ideal_joint_has_no_worn_radius(name):
+    kind = getattr(jc.joint, name)
+    sizes = {"PlainBearing": ["length"], "Slideway": ["length", "width"], "BallJoint": []}[name]
+    make = lambda follows: kind(
+        wear=Wearing(jc.wear.Archard(), worn_radius=follows), **dict.fromkeys(sizes, 0.1)
+    )
+    make(False)
+    with pytest.raises(ValueError, match=f"the wear of a {name} has worn_radius=True"):
+        make(True)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxclear.components.area_map import AreaMap
 from jaxclear.components.joint.base import AbstractGroupJoint
 from jaxclear.components.joint.group import Spherical
-from jaxclear.components.joint.rubbing import AbstractRubbingJoint, ball_end
+from jaxclear.components.joint.rubbing import AbstractRubbingJoint, ball_end, check_radius_as_made
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_sqrt
@@ -88,6 +88,9 @@ class BallJoint(AbstractRubbingBall):
     friction: AbstractFrictionLaw | None = None
     radius: Scalar = quantity(10e-3, "m", "radius of the ball", above=0, kw_only=True)
     wear: Wearing | None = eqx.field(default=None, kw_only=True)
+
+    def __check_init__(self):
+        check_radius_as_made(self)
 
     @property
     def arm(self):

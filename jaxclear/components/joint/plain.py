@@ -16,6 +16,7 @@ from jaxclear.components.joint.rubbing import (
     AbstractRubbingJoint,
     CarriedContact,
     CarryingEnd,
+    check_radius_as_made,
     pressed_end,
     shared_by_ends,
 )
@@ -194,7 +195,9 @@ def _side(number: int, normal: Any, ratio: Any, force: sp.Vec, place: sp.Vec) ->
 
 
 def _check_area(joint: Any, **sizes: Any) -> None:
-    """Raises `ValueError` where a joint wears and its bearing area is not known."""
+    """Raises `ValueError` where a joint wears and its bearing area is not known, or asks for a
+    radius that nothing reads."""
+    check_radius_as_made(joint)
     missing = [name for name, size in sizes.items() if size is None]
     if joint.wear is not None and missing:
         raise ValueError(

@@ -94,6 +94,17 @@ class AbstractRubbingJoint(AbstractJoint):
         the child within the gap."""
 
 
+def check_radius_as_made(joint: Any) -> None:
+    """Raises `ValueError` for wear that asks for the worn radius, which nothing in an ideal joint
+    reads."""
+    if joint.wear is not None and joint.wear.worn_radius:
+        raise ValueError(
+            f"the wear of a {type(joint).__name__} has worn_radius=True, but an ideal joint has no "
+            "contact law that would follow its worn radius, so nothing would change; leave "
+            "worn_radius out, or take a joint with clearance."
+        )
+
+
 def carried_load(ends: tuple[CarryingEnd, ...]) -> Any:
     """Sum of the sizes of the carried forces [N], of which friction is a share."""
     return sp.total(sp.norm(end.force) for end in ends)
