@@ -58,9 +58,10 @@ from jaxclear.native.differentiation import forwards_only
 from jaxclear.native.rows import one_row, over_rows
 from jaxclear.native.stopping import stop, stoppable, stops
 from jaxclear.native.verdicts import calls_lapack, explain, verdict
-from jaxclear.native.while_loops import scan, while_loop, with_fast_loops
+from jaxclear.native.while_loops import Kept, scan, while_loop, with_fast_loops
 
 __all__ = [
+    "Kept",
     "calls_lapack",
     "explain",
     "forwards_only",

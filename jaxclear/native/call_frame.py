@@ -180,18 +180,18 @@ def text(
     width: int,
     height: int,
     in_memory: Sequence[int],
-    table: int | None = None,
+    tables: Sequence[int] = (),
 ) -> str:
     """LLVM code of the function that XLA enters and of the loop over samples, for a kernel `name`.
 
-    `width`, `height`: floats of a packed row in and out; `in_memory`: numbers in each of the arrays
-    that are read by index; `table`: numbers in the one that the loop writes for each sample, which
-    stands behind them (None: it writes none).
+    `width`, `height`: floats of a packed row in and out; `in_memory`: numbers that each sample has
+    in each of the arrays that are read by index (0: it is the same for all); `tables`: in each of
+    those that are written, which stand behind them.
     """
     loads, pointers = [], []
-    read, in_memory = len(in_memory), [*in_memory, *([] if table is None else [table])]
+    read, in_memory = len(in_memory), [*in_memory, *tables]
     for i in range(1 + len(in_memory)):
-        given = f"%arguments, i64 {i}" if i <= read else "%results, i64 1"
+        given = f"%arguments, i64 {i}" if i <= read else f"%results, i64 {i - read}"
         loads += [
             f"  %a{i} = getelementptr ptr, ptr {given}",
             f"  %b{i} = load ptr, ptr %a{i}",

@@ -7,12 +7,13 @@ out either way, so that a touching contact is looked at and a parted one.
 """
 
 import ctypes
+from typing import Any
 
 import jax
 import numpy as np
 
 from jaxclear.native.by_numpy import evaluator
-from jaxclear.native.program import Program, avals_of, floats_in, in_memory, packed, row_of
+from jaxclear.native.program import Program, Table, avals_of, floats_in, in_memory, packed, row_of
 from jaxclear.native.writer import Unsupported
 
 # Largest whole number that is drawn: a place among the rows of a table.
@@ -59,18 +60,15 @@ def _agrees(program: Program, address: int, draw: int) -> tuple[tuple[bool, bool
     agrees with NumPy on all others."""
     constants, state = avals_of(program)
     samples = random_values(constants, state, draw)
-    if program.length:
-        # A place within the table.
-        last = np.asarray(program.length - 1)
-        samples = [
-            [np.minimum(v, last) if i == len(constants) else v for i, v in enumerate(own)]
-            for own in samples
-        ]
+    samples = [_within_tables(program, own) for own in samples]
     found = _one_turn(program, address, samples)
     turn_of = evaluator(program.body)
 
     def by_numpy(sample):
-        return packed(turn_of(*sample[program.condition_constants :]))
+        given = sample[program.condition_constants :]
+        out = turn_of(*given)
+        rows = zip(program.tables, out[len(state) :], strict=True)
+        return packed([*out, *(_first_row(table, row, given) for table, row in rows)])
 
     def anywhere(sample):
         try:
@@ -84,42 +82,54 @@ def _agrees(program: Program, address: int, draw: int) -> tuple[tuple[bool, bool
             np.array([by_numpy(own[0]), *map(anywhere, own[1:])])
             for own in (samples, [nudged(sample) for sample in samples])
         )
-    nothing = np.zeros((len(samples), floats_in(row_of(program))))
-    first = np.hstack([[packed(s[len(constants) :]) for s in samples], nothing])
+    first = np.zeros(found.shape)
+    before = np.array([packed(s[len(constants) :]) for s in samples])
+    first[:, : before.shape[1]] = before
     parts = [(a[:1], a[1:]) for a in (found, wanted, changed, first)]
     usual, others = (judged(*part) for part in zip(*parts, strict=True))
     return usual, others[0]
 
 
 def _one_turn(program: Program, address: int, samples: list) -> np.ndarray:
-    """The state of each sample after one turn by the kernel, and the row that this leaves."""
+    """The state of each sample after one turn by the kernel, the row that this leaves, and the
+    first rows of all tables."""
     kept = in_memory(program)
     rows = [packed([v for v, k in zip(s, kept, strict=True) if not k]) for s in samples]
     given = np.ascontiguousarray(rows)
     big = [np.ascontiguousarray([s[i] for s in samples]) for i, k in enumerate(kept) if k]
     out = np.zeros((len(samples), floats_in(avals_of(program)[1])))
-    width = floats_in(row_of(program))
-    table = np.zeros((len(samples), program.length * width))
-    big += [table] if program.length else []
+    tables = [
+        np.zeros((len(samples), table.height, floats_in([aval])))
+        for table, aval in _tables(program)
+    ]
+    big += tables
     data = (ctypes.c_void_p * (1 + len(big)))(given.ctypes.data, *[b.ctypes.data for b in big])
     call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
     call(address)(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples), 1)
+    return np.hstack([out, *(rows[:, -1] for rows in tables), *(rows[:, 0] for rows in tables)])
+
+
+def _tables(program: Program) -> list[tuple[Table, Any]]:
+    return list(zip(program.tables, row_of(program), strict=True))
+
+
+def _within_tables(program: Program, sample: list[np.ndarray]) -> list[np.ndarray]:
+    """The sample where its turn is one of the loop's, and leaves the last row of every table."""
     if not program.length:
-        return out
-    return np.hstack([out, _rows_at(_turn_of(program, samples), program, table)])
+        return sample
+    constants, out = len(avals_of(program)[0]), list(sample)
+    out[constants] = np.minimum(out[constants], np.asarray(program.length - 1))
+    for table in program.tables:
+        i = program.condition_constants + table.places
+        out[i] = np.full_like(out[i], table.height - 1)
+    return out
 
 
-def _turn_of(program: Program, samples: list) -> int:
-    """Which turn it is: the same in all samples."""
-    return int(samples[0][len(avals_of(program)[0])])
-
-
-def _rows_at(turn: int, program: Program, tables: np.ndarray) -> np.ndarray:
-    """The row that a turn has left in the table of each sample, a block for each of its arrays."""
-    sizes = [floats_in([aval]) for aval in row_of(program)]
-    starts = program.length * np.cumsum([0, *sizes])[:-1] + turn * np.array(sizes)
-    places = [start + k for start, size in zip(starts, sizes, strict=True) for k in range(size)]
-    return tables[:, np.array(places, int)]
+def _first_row(table: Table, row: np.ndarray, constants: list[np.ndarray]) -> np.ndarray:
+    """What stands in the first row of a table after a turn that leaves this one as the last."""
+    if table.height == 1:
+        return row
+    return np.broadcast_to(0.0 if table.begins is None else constants[table.begins], row.shape)
 
 
 def random_values(constants: list, state: list, draw: int) -> list[list[np.ndarray]]:

@@ -190,9 +190,10 @@ def loop(
     carry: Any,
     kinds: list[str],
     outermost: bool = False,
+    together: bool = False,
 ) -> list:
     """A while loop over arrays of registers: every sample stops by itself, the loop ends with the
-    last one.
+    last one; `together`: all take the same turns, which the state's first number counts.
 
     The `outermost` one, and a time loop within it, looks at `writer.most` and at the flag that
     stops all kernels: the unfinished becomes nan. Others are bounded while a kernel is checked.
@@ -200,23 +201,29 @@ def loop(
     refuse_memory(*carry)
     head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
     flat = [(value, kind) for array, kind in zip(carry, kinds, strict=True) for value in array.flat]
+    begun = writer.lane(flat[0][0], WHOLE, 0) if together else ""
     before = writer.block
     writer.say(f"br label %{head}")
     writer.start(head)
     registers, places = [writer.fresh("s") for _ in flat], len(writer.lines)
     turn = writer.fresh("turn")
     region, outer = writer.enter(), writer.active
-    truth = condition(_shaped(registers, carry))
+    state = registers
+    if together:
+        writer.turn = writer.put(f"add i64 {begun}, {turn}")
+        state = [writer.spread(writer.turn, WHOLE), *registers[1:]]
+    truth = condition(_shaped(state, carry))
     if outer is not None:
         truth = writer.operate("and {type} {0}, {1}", TRUTH, truth, outer)
     go, truth, stopped = _bounded(writer, truth, turn, outermost)
     writer.say(f"br i1 {go}, label %{inside}, label %{behind}")
     writer.start(inside)
-    writer.active = truth if writer.lanes > 1 else None
+    masked = writer.lanes > 1 and not together
+    writer.active = truth if masked else None
     writer.depth += 1
-    found = [value for array in body(_shaped(registers, carry)) for value in array.flat]
+    found = [value for array in body(_shaped(state, carry)) for value in array.flat]
     writer.depth -= 1
-    if writer.lanes > 1:
+    if masked:
         found = [
             writer.choose(truth, new, old, kind)
             for new, old, (_, kind) in zip(found, registers, flat, strict=True)

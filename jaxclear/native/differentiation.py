@@ -62,10 +62,17 @@ def _differentiate(values, tangents, *, program, rank):
     results = moving_state(program, constants, moving[b:])
     parts = len(values) - b
     wanted = [i for i, moves in enumerate([*constants, *results[:parts]], c) if moves]
-    given = {
-        i: jnp.zeros_like(values[i]) if isinstance(tangents[i], ad.Zero) else tangents[i]
-        for i in wanted
-    }
+    lead = jnp.shape(values[-1])[:rank]
+
+    def tangent(i):
+        shape = jnp.shape(values[i])
+        # What is the same for all samples has tangents of its own for each.
+        shape = (*lead, *shape) if i in program.shared else shape
+        if isinstance(tangents[i], ad.Zero):
+            return jnp.zeros(shape, jnp.result_type(values[i]))
+        return jnp.broadcast_to(tangents[i], shape)
+
+    given = {i: tangent(i) for i in wanted}
     with_tangents = tangent_program(program, constants, results)
     out = loop_p.bind(
         *values[:b],
@@ -109,7 +116,8 @@ def _known_first(trace, *tracers, program, rank):
     known = [*tracers[: c + b], *tracers[state : state + parts]]
     if not all(tracer.pval.is_known() for tracer in known):
         return out
-    motion = loop_p.bind(*(t.pval.get_known() for t in known), program=program.motion, rank=rank)
+    alone = program.motion._replace(shared=program.shared)
+    motion = loop_p.bind(*(t.pval.get_known() for t in known), program=alone, rank=rank)
     for place, value in zip(places, motion, strict=True):
         out[place] = trace.new_const(value)
     return out

@@ -27,8 +27,9 @@ from jaxclear.native import (  # noqa: F401  (rules register themselves when imp
 from jaxclear.native.by_numpy import LONGEST_LOOP
 from jaxclear.native.check import check
 from jaxclear.native.control import loop
-from jaxclear.native.program import Program, avals_of, floats_in, in_memory, row_of
+from jaxclear.native.program import Program, avals_of, floats_in, in_memory
 from jaxclear.native.rules import array_of, write_closed
+from jaxclear.native.tables import SPOIL, Tables, array_starts, sizes_of_tables, store
 from jaxclear.native.writer import (
     ENDLESS,
     FLOAT,
@@ -51,17 +52,17 @@ def text_of(program: Program, lanes: int) -> str:
     c, b = program.condition_constants, program.body_constants
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], values[c + b :]
     kinds = [kind_of(a.dtype) for a in avals_of(program)[1]]
-    slot = sum(in_memory(program))
+    tables = Tables(writer, program, fixed_body)
 
     def turn(state):
         found = write_closed(writer, program.body, [*fixed_body, *state])
-        if program.length:
-            _leave(writer, slot, state[0].item(), program, found[len(state) :])
+        tables.leave(found[len(state) :])
         return found[: len(state)]
 
     checked = writer.put("icmp sgt i64 %most, 0")
     writer.most = writer.put(f"select i1 {checked}, i64 %most, i64 {ENDLESS}")
     writer.most_inside = writer.put(f"select i1 {checked}, i64 {MOST_TURNS}, i64 {ENDLESS}")
+    tables.begin()
     last = loop(
         writer,
         lambda s: write_closed(writer, program.condition, [*fixed_condition, *s])[0].item(),
@@ -69,12 +70,14 @@ def text_of(program: Program, lanes: int) -> str:
         first,
         kinds,
         outermost=True,
+        together=bool(program.length),
     )
+    tables.spoil_unless_whole(last[0].item(), checked)
     numbers = [
         (value, kind) for array, kind in zip(last, kinds, strict=True) for value in array.flat
     ]
     for position, (value, kind) in enumerate(numbers):
-        _store(writer, position, value, kind)
+        store(writer, position, value, kind)
     head = (
         "define internal void @NAME.loop(ptr noalias %in, ptr noalias %out, ptr noalias %big, "
         "i64 %most) {\nentry:"
@@ -85,6 +88,7 @@ def text_of(program: Program, lanes: int) -> str:
         if name in needs:
             lines, further = make(lanes)
             parts, needs = [*lines, *parts], (needs - {name}) | further
+    parts += [SPOIL] if program.tables else []
     return "\n".join([*sorted(needs), *parts, "!0 = !{}"])
 
 
@@ -93,16 +97,12 @@ def _arguments(writer: Writer, program: Program) -> list:
     constants, state = avals_of(program)
     position, slot = 0, 0
     values: list[Any] = []
-    for aval, long in zip([*constants, *state], in_memory(program), strict=True):
+    for i, (aval, long) in enumerate(zip([*constants, *state], in_memory(program), strict=True)):
         kind, shape = kind_of(aval.dtype), tuple(aval.shape)
         if long:
-            first = slot * writer.lanes
-            places = [
-                writer.put(f"getelementptr ptr, ptr %big, i64 {first + lane}")
-                for lane in range(writer.lanes)
-            ]
-            starts = [writer.put(f"load ptr, ptr {place}") for place in places]
-            values.append(InMemory(starts, shape))
+            starts = array_starts(writer, slot)
+            alike = i in program.shared
+            values.append(InMemory(starts[:1] * writer.lanes if alike else starts, shape))
             slot += 1
             continue
         array = array_of(None, shape)
@@ -113,51 +113,12 @@ def _arguments(writer: Writer, program: Program) -> list:
     return values
 
 
-def _leave(writer: Writer, slot: int, turn: Any, program: Program, row: list) -> None:
-    """A turn's row into the table of each sample, at the place of the turn: each of its arrays is
-    one block of the table, so that who reads one goes through its numbers alone."""
-    parts: list[tuple[int, list[str]]] = []
-    ahead = 0
-    for array, aval in zip(row, row_of(program), strict=True):
-        words = [_as_float(writer, value, kind_of(aval.dtype)) for value in array.flat]
-        parts.append((ahead * program.length, words))
-        ahead += len(words)
-    for lane in range(writer.lanes):
-        base = writer.put(f"getelementptr ptr, ptr %big, i64 {slot * writer.lanes + lane}")
-        table = writer.put(f"load ptr, ptr {base}")
-        at = writer.lane(turn, WHOLE, lane)
-        for start, words in parts:
-            block = writer.put(f"getelementptr double, ptr {table}, i64 {start}")
-            first = writer.put(f"mul i64 {at}, {len(words)}")
-            own = writer.put(f"getelementptr double, ptr {block}, i64 {first}")
-            for k, word in enumerate(words):
-                place = writer.put(f"getelementptr double, ptr {own}, i64 {k}")
-                number = word
-                if writer.lanes > 1:
-                    wide = writer.wide(FLOAT)
-                    number = writer.put(f"extractelement {wide} {word}, i64 {lane}")
-                writer.say(f"store double {number}, ptr {place}")
-
-
 def _load(writer: Writer, position: int, kind: str) -> str:
     place = writer.put(f"getelementptr double, ptr %in, i64 {position * writer.lanes}")
     value = writer.put(f"load {writer.wide(FLOAT)}, ptr {place}")
     if kind == WHOLE:
         return writer.put(f"fptosi {writer.wide(FLOAT)} {value} to {writer.wide(WHOLE)}")
     return writer.operate("fcmp une {type} {0}, {1}", FLOAT, value, 0.0) if kind == TRUTH else value
-
-
-def _store(writer: Writer, position: int, value: Any, kind: str) -> None:
-    place = writer.put(f"getelementptr double, ptr %out, i64 {position * writer.lanes}")
-    writer.say(f"store {writer.wide(FLOAT)} {_as_float(writer, value, kind)}, ptr {place}")
-
-
-def _as_float(writer: Writer, value: Any, kind: str) -> str:
-    word = writer.text(value, kind)
-    if kind == FLOAT:
-        return word
-    convert = "sitofp" if kind == WHOLE else "uitofp"
-    return writer.put(f"{convert} {writer.wide(kind)} {word} to {writer.wide(FLOAT)}")
 
 
 class Kernel:
@@ -214,7 +175,8 @@ def build(program: Program, lanes: int) -> Kernel:
     constants, state = avals_of(program)
     kept = list(zip([*constants, *state], in_memory(program), strict=True))
     long = [aval for aval, is_long in kept if is_long]
-    form = f"{lanes}{[a.shape for a in long]}{program.length}"
+    ways = [i in program.shared for i, is_long in enumerate(in_memory(program)) if is_long]
+    form = f"{lanes}{[a.shape for a in long]}{ways}{program.tables}{program.length}"
     mark = hashlib.sha256(f"{text}{form}".encode()).hexdigest()
     number = max(int(mark[:16], 16) >> 1, 1)
     name = f"jaxclear_{mark[:24]}"
@@ -223,8 +185,8 @@ def build(program: Program, lanes: int) -> Kernel:
         lanes,
         width=floats_in([aval for aval, is_long in kept if not is_long]),
         height=floats_in(state),
-        in_memory=[int(np.prod(aval.shape)) for aval in long],
-        table=program.length * floats_in(row_of(program)) if program.length else None,
+        in_memory=[0 if way else floats_in([aval]) for aval, way in zip(long, ways, strict=True)],
+        tables=sizes_of_tables(program),
     )
     whole = text.replace("@NAME", f"@{name}").replace(STOP_FLAG, stopping.flag_in_llvm()) + frame
     with _BUILDING:

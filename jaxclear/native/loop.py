@@ -9,7 +9,7 @@ import functools
 import logging
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -23,6 +23,7 @@ from jaxclear.native import kernel as kernels
 from jaxclear.native.machine import widest
 from jaxclear.native.program import (
     Program,
+    Table,
     avals_of,
     floats_in,
     in_memory,
@@ -50,13 +51,18 @@ def reference(*values: Any, program: Program) -> list:
     if program.length:
         # The loops within it are then kernels by themselves.
         turns = jaxpr_as_fun(loops_marked(program.body, within=False))
+        places = [fixed_body[table.places] for table in program.tables]
+        empty = list(map(_begun(fixed_body), program.tables, row_of(program)))
 
-        def turn(state, _):
+        def turn(carry, index):
+            state, tables = carry
             found = turns(*fixed_body, *state)
-            return found[: len(first)], found[len(first) :]
+            rows = zip(tables, places, found[len(first) :], strict=True)
+            put = [t.at[p[index].astype(int)].set(row, mode="drop") for t, p, row in rows]
+            return (found[: len(first)], put), None
 
-        last, rows = jax.lax.scan(turn, first, None, program.length)
-        return [*last, *rows]
+        (last, tables), _ = jax.lax.scan(turn, (first, empty), jnp.arange(program.length))
+        return [*last, *tables]
     return list(
         jax.lax.while_loop(
             lambda s: tests(*fixed_condition, *s)[0], lambda s: list(turns(*fixed_body, *s)), first
@@ -64,18 +70,37 @@ def reference(*values: Any, program: Program) -> list:
     )
 
 
+def _begun(constants: Sequence[Any]) -> Callable[[Table, Any], Any]:
+    """What a table, of rows of a shape and type, holds before the first turn."""
+
+    def begun(table, aval):
+        rows = jnp.zeros((table.height, *aval.shape), aval.dtype)
+        return rows if table.begins is None else rows.at[0].set(constants[table.begins])
+
+    return begun
+
+
 def reference_of_batch(*values: Any, program: Program, rank: int) -> list:
     """The same for batches of so many leading axes."""
     function = functools.partial(reference, program=program)
+    axes = [None if i in program.shared else 0 for i in range(len(values))]
     for _ in range(rank):
-        function = _row_by_row(function) if program.once else jax.vmap(function)
+        function = _row_by_row(function, axes) if program.once else jax.vmap(function, axes)
     return function(*values)
 
 
-def _row_by_row(function):
+def _row_by_row(function, axes):
     # XLA would fuse what a long function works out into every place that reads it, over whole
     # arrays, and compile without end.
-    return lambda *values: jax.lax.map(lambda row: function(*row), values)
+    def by_row(*values):
+        def one(row):
+            own = iter(row)
+            pairs = zip(values, axes, strict=True)
+            return function(*(v if axis is None else next(own) for v, axis in pairs))
+
+        return jax.lax.map(one, [v for v, a in zip(values, axes, strict=True) if a is not None])
+
+    return by_row
 
 
 @loop_p.def_impl
@@ -90,8 +115,8 @@ def _shapes(*avals, program, rank):
     return [
         *(jax.core.ShapedArray(a.shape, a.dtype) for a in state),
         *(
-            jax.core.ShapedArray((*lead, program.length, *a.shape), a.dtype)
-            for a in row_of(program)
+            jax.core.ShapedArray((*lead, table.height, *a.shape), a.dtype)
+            for table, a in zip(program.tables, row_of(program), strict=True)
         ),
     ]
 
@@ -101,11 +126,28 @@ def _batch(values, dims, *, program, rank):
     if bundle is not None:
         return loop_p.bind(*bundle.values, program=bundle.program, rank=rank), bundle.axes
     size = next(v.shape[d] for v, d in zip(values, dims, strict=True) if d is not None)
-    moved = [
-        jnp.broadcast_to(v, (size, *jnp.shape(v))) if d is None else jnp.moveaxis(v, d, 0)
-        for v, d in zip(values, dims, strict=True)
-    ]
-    out = loop_p.bind(*moved, program=program, rank=rank + 1)
+    # A long array that is the same for all samples is read where it is.
+    alike = {i for i, long in enumerate(in_memory(program)) if long and dims[i] is None}
+    alike -= {program.condition_constants + i for i in program.tangents}
+    shared = frozenset(alike & program.shared if rank else alike)
+    lead = list(np.shape(values[-1]))
+    if dims[-1] is not None:
+        del lead[dims[-1]]
+
+    def moved(i, value, dim):
+        if i in shared:
+            return value
+        if dim is None:
+            return jnp.broadcast_to(value, (size, *jnp.shape(value)))
+        ahead = jnp.moveaxis(value, dim, 0)
+        if i not in program.shared:
+            return ahead
+        shape = ahead.shape[1:]
+        ahead = ahead.reshape(size, *[1] * rank, *shape)
+        return jnp.broadcast_to(ahead, (size, *lead[:rank], *shape))
+
+    given = [moved(i, *pair) for i, pair in enumerate(zip(values, dims, strict=True))]
+    out = loop_p.bind(*given, program=program._replace(shared=shared), rank=rank + 1)
     return out, [0] * len(out)
 
 
@@ -123,20 +165,15 @@ def _native(*values, program, rank, number):
         if not k
     ]
     big = [v for v, k in zip(values, kept, strict=True) if k]
-    row = row_of(program)
     shapes = [jax.ShapeDtypeStruct((*batch, floats_in(state)), jnp.float64)]
-    if program.length:
-        table = (*batch, program.length * floats_in(row))
-        shapes.append(jax.ShapeDtypeStruct(table, jnp.float64))
+    row = row_of(program)
+    for table, aval in zip(program.tables, row, strict=True):
+        shape = (*batch, table.height, *aval.shape)
+        shapes.append(jax.ShapeDtypeStruct(shape, jnp.float64))
     call = jax.ffi.ffi_call(dispatch.TARGET, shapes)
     packed, *tables = call(jnp.concatenate(rows, -1), *big, kernel=np.int64(number))
-    out = _unpacked(packed, state)
-    if tables:
-        # Where the kernel was stopped on its way, it has written no rows.
-        whole = (out[0] == program.length)[..., None]
-        blocks = [jax.ShapeDtypeStruct((program.length, *a.shape), a.dtype) for a in row]
-        out += _unpacked(jnp.where(whole, tables[0], jnp.nan), blocks)
-    return out
+    pairs = zip(tables, row, strict=True)
+    return [*_unpacked(packed, state), *(_typed(each, aval.dtype) for each, aval in pairs)]
 
 
 def _unpacked(packed: Any, avals: Sequence[Any]) -> list:
@@ -145,15 +182,22 @@ def _unpacked(packed: Any, avals: Sequence[Any]) -> list:
     for aval in avals:
         size = int(np.prod(aval.shape))
         part = packed[..., position : position + size].reshape(lead + aval.shape)
-        out.append((part != 0) if aval.dtype == bool else part.astype(aval.dtype))
+        out.append(_typed(part, aval.dtype))
         position += size
     return out
 
 
+def _typed(floats: Any, kind: Any) -> Any:
+    return (floats != 0) if np.dtype(kind) == np.bool_ else floats.astype(kind)
+
+
 def _by_portions(*values, program, rank, samples):
-    run = lambda given, narrower, rank: loop_p.bind(*given, program=narrower, rank=rank)
+    def run(given, narrower, rank):
+        own = narrower._replace(shared=program.shared)
+        return loop_p.bind(*given, program=own, rank=rank)
+
     size = side_by_side(program.narrow, samples)
-    return by_portions(values, program.narrow, rank, size, run)
+    return by_portions(values, program, rank, size, run)
 
 
 def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU):

@@ -2,8 +2,8 @@
 
 A kernel takes one packed row of floats for each sample (constants, then the first state; whole
 numbers and truth values as floats, which is exact to 2^53), and long arrays of constants, which it
-reads by index; it gives one packed row, the last state, and of a loop of known length a table: for
-each array that a turn leaves a block with that of every turn.
+reads by index; it gives one packed row, the last state, and of a loop of known length a table of
+each array that a turn leaves.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,26 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 
+class Table(NamedTuple):
+    """Where one of the arrays that a turn leaves is kept: in `height` rows, that of a turn at the
+    place that an array of numbers says, which is the body's constant number `places` (beyond the
+    table: nowhere); the constant number `begins` stands in the first row from the start (None:
+    nothing does). Every row is somebody's."""
+
+    height: int
+    places: int
+    begins: int | None = None
+
+
 class Program(NamedTuple):
     """A while loop as two programs: condition over (its constants, state), body over (its
     constants, state). `once`: it always takes one turn, and so is a function. `tangents`: inputs of
     the body that nothing but other tangents depends on; `motion`: the loop without the last of
     them. `length`: of a loop that takes so many turns, which the state's first number counts, and
-    whose body gives a row of results behind the state, kept for every turn (0: of any other).
+    whose body gives a row of results behind the state, kept in as many `tables` (0: of any other).
     `within`: it stands in the body of another loop, whose kernel it is a part of. `narrow`: the
-    loop of one of the tangents that it takes side by side.
+    loop of one of the tangents that it takes side by side. `shared`: constants that are the same
+    for all samples of a batch, and have no axes for them.
     """
 
     condition: ClosedJaxpr
@@ -35,6 +47,8 @@ class Program(NamedTuple):
     length: int = 0
     within: bool = False
     narrow: "Narrow | None" = None
+    tables: tuple[Table, ...] = ()
+    shared: frozenset[int] = frozenset()
 
 
 class Narrow(NamedTuple):

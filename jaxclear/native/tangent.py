@@ -27,9 +27,11 @@ def moving_state(
     program: Program, constants: Sequence[bool], state: Sequence[bool]
 ) -> tuple[bool, ...]:
     """Which parts of the state ever move, where these of the body's constants and of the first
-    state do; behind them the same of the row that every turn leaves."""
+    state do; behind them the same of the tables that its turns leave."""
     now, out = _settled(program.body, constants, state)
-    return (*now, *out[len(now) :])
+    begun = (t.begins is not None and constants[t.begins] for t in program.tables)
+    rows = zip(out[len(now) :], begun, strict=True)
+    return (*now, *(row or first for row, first in rows))
 
 
 def _settled(
@@ -121,6 +123,10 @@ def tangent_program(
     condition = _traced(
         lambda *numbers: tests(*numbers[: c + n]), [*program.condition.in_avals, *behind]
     )
+    # A table of tangents begins with the tangent of what the motion's begins with.
+    found = {old: b + k for k, old in enumerate(of_constants)}
+    tables = [program.tables[i - n] for i in of_results[len(of_state) :]]
+    own = [t._replace(begins=found.get(t.begins)) for t in tables]
     earlier = {i if i < b else i + len(of_constants) for i in program.tangents}
     tangents = earlier | {*range(b, known), *range(known + n, known + n + len(behind))}
     return program._replace(
@@ -130,6 +136,7 @@ def tangent_program(
         tangents=frozenset(tangents),
         motion=program,
         narrow=None,
+        tables=(*program.tables, *own),
     )
 
 
@@ -186,20 +193,25 @@ def side_by_side(narrow: Narrow, samples: int) -> int:
     return min(SIDE_BY_SIDE, narrow.tangents if samples > 1 else alone)
 
 
-def by_portions(values: Sequence[Any], narrow: Narrow, rank: int, size: int, run: Any) -> list[Any]:
+def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run: Any) -> list[Any]:
     """What the loop of all tangents gives, by one that takes `size` of them at once: `run(values,
     program, rank)`."""
+    narrow = wide.narrow
+    assert narrow is not None
     portions = -(-narrow.tangents // size)
     # The last one stands in for those that the last portion lacks.
     places = np.arange(portions * size).clip(max=narrow.tangents - 1)
 
-    def arranged(value, differs):
+    def arranged(i, value, differs):
+        if i in wide.shared:
+            return value
         if not differs:
             return jnp.broadcast_to(value, (portions, *value.shape))
         value = jnp.moveaxis(value, rank, 0)[places]
         return jnp.moveaxis(value.reshape(portions, size, *value.shape[1:]), 1, 1 + rank)
 
-    given = [arranged(*each) for each in zip(values, narrow.batched, strict=True)]
+    pairs = enumerate(zip(values, narrow.batched, strict=True))
+    given = [arranged(i, *each) for i, each in pairs]
     out = run(given, _widened(narrow, size), rank + 1)
     state = len(avals_of(narrow.program)[1])
     found: list[Any] = []

@@ -1,8 +1,8 @@
 """Loops as a user of this room writes them: `while_loop` in the place of `jax.lax.while_loop`,
 functions as loops of one turn, and the loops that a library has written."""
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 from jaxclear.native import differentiation  # noqa: F401  (its rules)
 from jaxclear.native.calls import CALLS, called
 from jaxclear.native.loop import loop_p
-from jaxclear.native.program import Program, loops_marked
+from jaxclear.native.program import Program, Table, loops_marked
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 
@@ -34,40 +34,80 @@ def once(function: Callable, *numbers: Any) -> Any:
     return _loop(lambda carry: carry[0] < 1, turn, (jnp.zeros((), int), nothing), True)[1]
 
 
-def scan(turn: Callable[[Any, Any], tuple], first: Any, rows: Any) -> tuple[Any, Any]:
+class Kept(NamedTuple):
+    """How a part of what turns leave is kept: that of each turn at one of `places`, in a table of
+    so many rows as the largest of these within `height`, where each place is somebody's; from
+    `height` on a turn's part goes nowhere. `begins`: what stands in row 0 from the start."""
+
+    places: np.ndarray
+    height: int
+    begins: Any = None
+
+
+def scan(
+    turn: Callable[[Any, Any], tuple], first: Any, rows: Any, kept: Sequence[Kept] = ()
+) -> tuple[Any, Any]:
     """As `jax.lax.scan(turn, first, rows)`, for a state and rows of few numbers: all turns, and
     loops within them, are one kernel that reads and leaves its rows itself. Forward-mode
-    differentiable, maps over batches.
+    differentiable, maps over batches. `kept`: how each part of the tuple that a turn leaves is kept
+    (nothing: as of each turn in turn).
     """
     length = len(jax.tree.leaves(rows)[0])
-    # Short tables as well are read from memory: an entry of registers is chosen among all of them.
-    beyond = max(0, LONGEST_IN_REGISTERS + 1 - length)
-    kept = jax.tree.map(
-        lambda each: jnp.concatenate(
-            [jnp.asarray(each, float), jnp.zeros((beyond, *jnp.shape(each)[1:]))]
-        ),
-        rows,
-    )
+    tables = jax.tree.map(_in_memory, rows)
+    places = [_in_memory(each.places) for each in kept] or [_in_memory(np.arange(length))]
+    begins = [jax.tree.map(jnp.asarray, jax.tree.leaves(each.begins)) for each in kept]
+    for each in kept:
+        taken = {*np.ravel(each.places), *([] if each.begins is None else [0])}
+        if not taken >= set(range(each.height)):
+            raise ValueError("a table of a scan has rows that no turn leaves.")
     first = jax.tree.map(jnp.asarray, (0, first))
     form: list[Any] = []
 
-    def body(carry):
+    def body(given, carry):
         index, state = carry
         row = jax.tree.map(
-            lambda each, given: each[index].astype(jnp.asarray(given).dtype), kept, rows
+            lambda each, like: each[index].astype(jnp.asarray(like).dtype), tables, rows
         )
         state, left = turn(state, row)
         leaves, structure = jax.tree.flatten(left)
-        form.append(structure)
+        parts = [len(jax.tree.leaves(part)) for part in left] if kept else [len(leaves)]
+        form.append((structure, parts))
         return (index + 1, state), leaves
 
     leaves, structure = jax.tree.flatten(first)
     tests, _ = _open(jax.make_jaxpr(lambda carry: carry[0] < length)(first))
-    turns, fixed = _open(jax.make_jaxpr(body)(first))
-    program = Program(tests, loops_marked(turns, within=True), 0, len(fixed), length=length)
+    turns, fixed = _open(jax.make_jaxpr(body)((places, begins), first))
+    shape, parts = form[0]
+    given = jax.tree.leaves((places, begins))
+    heights = [each.height for each in kept] or [length]
+    found = _tables(parts, heights, [len(each) for each in begins] or [0], len(fixed))
+    fixed = [*fixed, *given]
+    body_of_all = loops_marked(turns, within=True)
+    program = Program(tests, body_of_all, 0, len(fixed), length=length, tables=found)
     out = loop_p.bind(*fixed, *leaves, program=program, rank=0)
     _, last = jax.tree.unflatten(structure, out[: len(leaves)])
-    return last, jax.tree.unflatten(form[0], out[len(leaves) :])
+    return last, jax.tree.unflatten(shape, out[len(leaves) :])
+
+
+def _in_memory(table: Any) -> Any:
+    """A table as floats that a kernel reads from memory, however short: an entry of registers is
+    chosen among all of them."""
+    beyond = max(0, LONGEST_IN_REGISTERS + 1 - len(table))
+    by = np if isinstance(table, np.ndarray) else jnp
+    filled = by.zeros((beyond, *np.shape(table)[1:]))
+    return jnp.asarray(by.concatenate([by.asarray(table, float), filled]))
+
+
+def _tables(
+    parts: Sequence[int], heights: Sequence[int], begun: Sequence[int], ahead: int
+) -> tuple[Table, ...]:
+    """The table of each array that turns leave, where so many arrays are in each of the parts, as
+    many or none of which are `begun`: behind so many constants stand their places, then these."""
+    out, start = [], ahead + len(parts)
+    for k, (count, height, own) in enumerate(zip(parts, heights, begun, strict=True)):
+        out += [Table(height, ahead + k, start + i if own else None) for i in range(count)]
+        start += own
+    return tuple(out)
 
 
 def _loop(condition: Callable, body: Callable, first: Any, once: bool) -> Any:

@@ -64,6 +64,8 @@ class Writer:
         self.active: str | None = None
         # Registers with the largest number of turns of the outermost loop, and of loops within it.
         self.most, self.most_inside = str(ENDLESS), str(ENDLESS)
+        # Register with the turn of a scan, the same for all samples.
+        self.turn = ""
         self._count = 0
         self._seen: dict[tuple, Any] = {}
 
@@ -152,6 +154,15 @@ class Writer:
         for lane, part in enumerate(parts):
             value = self.put(f"insertelement {self.wide(kind)} {value}, {kind} {part}, i64 {lane}")
         return value
+
+    def spread(self, number: str, kind: str) -> str:
+        """A register that holds one number for every sample."""
+        if self.lanes == 1:
+            return number
+        wide = self.wide(kind)
+        first = self.put(f"insertelement {wide} poison, {kind} {number}, i64 0")
+        zeros = f"<{self.lanes} x i32> zeroinitializer"
+        return self.put(f"shufflevector {wide} {first}, {wide} poison, {zeros}")
 
     def library(self, name: str, *values: Any) -> str:
         """A function of the C mathematical library, called for each sample."""

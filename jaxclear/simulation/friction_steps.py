@@ -22,9 +22,6 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.integrators.checks import Check
 
-# Both are kept by integrators as the length [s] of their steps in contact; so is what damping is
-# judged by (`damper_steps`).
-KINDS = (Check.FRICTION_STEP, Check.CREEP_STEP)
 # Explicit steps h of a slip that decays (or of bristles that vibrate) at the rate r carry it past
 # rest, back and forth, from h r = STABLE on; below, what they are off by falls as a power of h r.
 STABLE, POWER = 2.0, 3

@@ -37,10 +37,14 @@ class Looks(NamedTuple):
         return over_time(self.seen, function, self.model)
 
 
+def looked_at(count: int) -> np.ndarray:
+    """Up to `MOST` of so many saving intervals, evenly spread, the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
+
+
 def look(history: StateHistory, model: Model) -> Looks:
-    """Up to `MOST` of the saving intervals, evenly spread, the last among them."""
-    count = len(history.time) - 1
-    intervals = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
+    """The looks of a run at itself."""
+    intervals = looked_at(len(history.time) - 1)
     rows = np.concatenate([[0], 1 + intervals])
     still, model = constant((history, model))
     time, states, read = jax.tree.map(

@@ -24,15 +24,14 @@ SLOWED = 0.3
 
 def rebound_steps(
     model: Model,
-    rises: Float[Array, "intervals contacts"],
-    depths: Float[Array, "intervals contacts"],
-    steps: Float[Array, "intervals 2"],
+    rise: Float[Array, " contacts"],
+    depth: Float[Array, " contacts"],
+    steps: Float[Array, "2"],
 ) -> Float[Array, " contacts"]:
     """By contact about how much the restitution of its impacts is off, beside the law's, over a run
-    with these largest rises of indentations within a step [m] and largest indentations [m] in each
-    saving interval; `steps`: their length [s], and what they keep of an elastic impact's speed."""
-    rise, depth = jnp.max(rises, axis=0), jnp.max(depths, axis=0)
-    length, kept = jnp.max(steps, axis=0)
+    with these largest rises of indentations within a step [m] and largest indentations [m];
+    `steps`: their length [s], and what they keep of an elastic impact's speed, at most."""
+    length, kept = steps
     share = safe_divide(rise, jnp.max(depth, initial=0.0))
     within = positive_part(share - RESOLVED) / (1 - RESOLVED)
     laws = [own.contact for b in model.system.bearings.values() for own in b.contact_laws]

@@ -24,10 +24,11 @@ from jaxclear.multibody import contact_point, energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.damper_steps import damper_steps, damping
-from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubbing
+from jaxclear.simulation.friction_steps import contacts, friction_steps, rubbing
 from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.rebound import rebound_steps
 from jaxclear.simulation.spot_checks import beside_way
+from jaxclear.simulation.tally import LENGTHS, Figures, Tally
 
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
@@ -37,37 +38,33 @@ LEAST_LIFT = 0.01
 def refereed(
     trajectory: Trajectory,
     model: Model,
-    figures: dict[Check, Float[Array, "intervals places"]],
+    tally: Tally,
+    figures: Figures,
     windows: dict[Check, Float[Array, " places"]],
 ) -> Trajectory:
-    """The run with its checks: those that its integrator kept in each saving interval, those of its
-    `windows`, and those that its saved states tell. It ends where one of these is beyond what a run
-    can mend.
+    """The run with its checks: the worst that its integrator met, those of its `windows`, and those
+    that its saved states tell, with the `figures` of the saving intervals that end with a look. It
+    ends where one of these is beyond what a run can mend.
     """
     history = trajectory.history
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
-    lengths = (*KINDS, Check.DAMPER_STEP)
-    steps = {check: figures[check][looks.intervals] for check in lengths if check in figures}
-    kept = {check: each for check, each in figures.items() if check not in lengths}
-    rebound = kept.pop(Check.REBOUND_STEP, None)
-    seen, rubbed, inside = _of_saved_states(looks, steps, kept.get(Check.INDENTATION))
+    steps = {check: figures[check] for check in LENGTHS if check in figures}
+    sunk = figures.get(Check.INDENTATION)
+    seen, rubbed, inside = _of_saved_states(looks, steps, sunk)
     if inside is None:
-        inside = beside_way(model, history.states, history.time)[looks.rows]
+        inside = beside_way(model, history.states[looks.rows], tally, history.time)
     trajectory = dataclasses.replace(trajectory, places=jax.lax.stop_gradient(inside))
     of_run = {check: each[None] for check, each in (windows | rubbed).items()}
+    met, when = dict(tally.worst), dict(tally.when)
+    rebound = met.pop(Check.REBOUND_STEP, None)
     if rebound is not None:
-        rises = kept[Check.CONTACT_STEP], kept[Check.INDENTATION]
+        rises = met[Check.CONTACT_STEP], met[Check.INDENTATION]
         of_run[Check.REBOUND_STEP] = rebound_steps(model, *rises, rebound)[None]
-    met = _of_contacts(model.system, kept)
-    parts = [
-        (met, ends),
-        (seen, ends[looks.intervals]),
-        (of_run, ends[-1:]),
-    ]
     places = _places(model)
-    checks = _over_run([(jax.lax.stop_gradient(each), at) for each, at in parts], places)
-    sunk = met.get(Check.INDENTATION)
-    judged = seen if sunk is None else {Check.INDENTATION: sunk[looks.intervals]} | seen
+    parts = [(seen, ends[looks.intervals]), (of_run, ends[-1:])]
+    others = _over_run([(jax.lax.stop_gradient(each), at) for each, at in parts], places)
+    checks = Checks(_met(_of_contacts(model.system, met), when, places) | others)
+    judged = seen if sunk is None else {Check.INDENTATION: sunk / _radii(model.system)} | seen
     verdict = _ending(judged)
     if jnp.ndim(verdict) == 0:
         return dataclasses.replace(trajectory, checks=checks)
@@ -86,12 +83,21 @@ def refereed(
     )
 
 
+def _met(worst: Figures, when: Figures, places: dict[str, tuple[str, ...]]) -> dict[Check, Figure]:
+    """The worst figures that were met, and when; `places` as for `_over_run`."""
+    return {
+        check: Figure(jnp.where(jnp.isnan(each), jnp.inf, each), when[check], places[check.of])
+        for check, each in worst.items()
+        if places[check.of]
+    }
+
+
 def _over_run(
-    parts: list[tuple[dict[Check, Float[Array, "intervals places"]], Float[Array, " intervals"]]],
+    parts: list[tuple[dict[Check, Float[Array, "looks places"]], Float[Array, " looks"]]],
     places: dict[str, tuple[str, ...]],
-) -> Checks:
-    """The worst over a run of figures found in saving intervals, which end at such times [s];
-    `places`: names of the places by what they are of. What is not a number counts as infinite.
+) -> dict[Check, Figure]:
+    """The worst of figures found by looks, at such times [s]; `places`: names of the places by what
+    they are of. What is not a number counts as infinite.
     """
     figures = {}
     for found, ends in parts:
@@ -102,7 +108,7 @@ def _over_run(
             latest = jnp.argmax(known, axis=0)
             worst = jnp.take_along_axis(known, latest[None], axis=0)[0]
             figures[check] = Figure(worst, ends[latest], places[check.of])
-    return Checks(figures)
+    return figures
 
 
 def _ending(found: dict[Check, Float[Array, "looks places"]]) -> Float[Array, " looks"]:
@@ -115,9 +121,9 @@ def _ending(found: dict[Check, Float[Array, "looks places"]]) -> Float[Array, " 
     return outcome
 
 
-def _of_contacts(system: System, figures: dict[Check, Array]) -> dict[Check, Array]:
-    """The figures with those of contacts, which integrators keep in metres, beside what they are
-    measured by: the largest indentation of all, and the radius of each joint."""
+def _of_contacts(system: System, figures: Figures) -> Figures:
+    """The worst figures with those of contacts, which integrators keep in metres, beside what they
+    are measured by: the largest indentation of all, and the radius of each joint."""
     if Check.INDENTATION not in figures:
         return figures
     depths = figures[Check.INDENTATION]
@@ -156,8 +162,8 @@ def _of_saved_states(
     Float[Array, "looks places"] | None,
 ]:
     """Figures that the looks tell, and those of friction, of the run as a whole, also from the
-    lengths [s] of `steps` there and the largest indentations [m] in every saving interval (None:
-    those seen count); and where parts were in their gaps (None: there are none)."""
+    lengths [s] of `steps` there and the largest indentations [m] since the saving time before
+    (None: those seen count); and where parts were in their gaps (None: there are none)."""
     model, formulation = looks.model, looks.seen.formulation
     system = model.system
     driven = looks.seen.mechanism.driven
@@ -190,8 +196,7 @@ def _of_saved_states(
     if damped is not None:
         of_steps[Check.DAMPER_STEP] = damper_steps(said["contacts"][1:], damped)
     if steps:
-        deepest = None if depths is None else depths[looks.intervals]
-        of_steps |= friction_steps(model, said["contacts"][1:], deepest, steps)
+        of_steps |= friction_steps(model, said["contacts"][1:], depths, steps)
     return found, of_steps, inside
 
 

@@ -26,6 +26,7 @@ from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.reach import driven_ways, narrowest_gap, reaches, turning
 from jaxclear.multibody.system import longest_arm
+from jaxclear.simulation.tally import Tally
 
 # Share of a run's steps that windows take; in a window steps are taken 1 + 2 times.
 SHARE, PASSES = 0.03, 3.0
@@ -93,8 +94,12 @@ class Plan(NamedTuple):
 
     def shadows(self, name: str) -> np.ndarray:
         """Where among the parts the turn of this name of each window is."""
-        rows = np.flatnonzero(~self.parts.own).reshape(-1, len(self.names))
-        return rows[:, self.names.index(name)]
+        return np.flatnonzero(~self.parts.own)[self.among_shadows(name)]
+
+    def among_shadows(self, name: str) -> np.ndarray:
+        """Where among the turns of windows, in the order in which they are gone through, that of
+        this name of each is."""
+        return np.arange(len(self.windows)) * len(self.names) + self.names.index(name)
 
 
 def plan(times: Float[Array, " saves"], step: Scalar | None) -> Plan:
@@ -161,28 +166,30 @@ def window_starts(count: int) -> list[int]:
 
 
 def figures(
-    model: Model, plan: Plan, states: Array, ends: Array | None, means: bool
+    model: Model, plan: Plan, states: Array, ends: Array | None, tally: Tally, means: bool
 ) -> dict[Check, Float[Array, " places"]]:
-    """What the windows tell, from the states at the saving times and at the end of every part
-    (None: no windows): by how much changes of the speeds (so mean forces), accelerations at their
-    ends (so forces, but where these are `means`) and worn volumes differ between the two passes,
-    beside their sizes."""
+    """What the windows tell, from the states at the saving times and at the ends of their turns
+    (None: no windows), and from what the run has followed of itself: by how much changes of the
+    speeds (so mean forces), accelerations at their ends (so forces, but where these are `means`)
+    and worn volumes differ between the two passes, beside their sizes."""
     if ends is None:
         return {}
     layout = model.layout
     begin = states[plan.windows]
-    fine, fine_on, coarse_on = (ends[plan.shadows(k)] for k in (FINE, FINE_ON, COARSE_ON))
+    of = lambda name: ends[plan.among_shadows(name)]
+    fine, fine_on, coarse_on = map(of, (FINE, FINE_ON, COARSE_ON))
     own = plan.names == WHOLE
-    coarse = states[plan.windows + 1] if own else ends[plan.shadows(COARSE)]
+    coarse = states[plan.windows + 1] if own else of(COARSE)
     speeds = slice(layout.coordinates, layout.memory_start)
     # What makes each speed one in m/s: the longest arm for those of turning.
     arm = longest_arm(model.system)
     scales = arm / speed_scales(model.system, arm)
-    usual = _usual_rates(plan, states)
+    # How fast each entry changes over the run: a window that is quiet beside that tells nothing.
+    usual = safe_divide(tally.way, plan.times[-1] - plan.times[0])
     met = usual * jnp.sum(_durations(plan, FINE))
     found = {
         Check.HALVED_MEAN_FORCES: _difference(coarse - begin, fine - begin, met, speeds, scales),
-        Check.HALVED_MOTION: _motion(model, plan, states, coarse - fine, scales)[None],
+        Check.HALVED_MOTION: _motion(model, plan, tally, coarse - fine, scales)[None],
     }
     if not means:
         found[Check.HALVED_FORCES] = _difference(
@@ -200,34 +207,32 @@ def figures(
     return found
 
 
-def _motion(model: Model, plan: Plan, states: Array, off: Array, scales: Array) -> Float[Array, ""]:
+def _motion(model: Model, plan: Plan, tally: Tally, off: Array, scales: Array) -> Float[Array, ""]:
     """By how much bodies would be elsewhere at the end of the run, beside their way, if all of it
     were `off` by what the windows end with (windows, states).
 
     Beside the longest way of a coordinate, no more than that of a turn there and back, or `GAPS`
     clearances; speeds beside the usual ones, where no contact vibrates.
     """
-    system, layout = model.system, model.layout
+    layout = model.layout
     count = layout.coordinates
     times = plan.times
     share = safe_divide(times[-1] - times[0], jnp.sum(_durations(plan, FINE)))
     total = share * jnp.sum(abs(off), axis=0)
-    places = jnp.max(total[:count] * _shares_of_way(model, states, times), initial=0.0)
-    if system.bearings:
+    places = jnp.max(total[:count] * _shares_of_way(model, tally, times), initial=0.0)
+    if tally.squares is None:
         return places
     speeds = slice(count, layout.memory_start)
-    squares = jnp.ones(len(states)) @ states[:, speeds] ** 2 / len(states)
-    usual = jnp.max(safe_sqrt(squares) * scales, initial=0.0)
+    usual = jnp.max(safe_sqrt(tally.squares / len(times)) * scales, initial=0.0)
     faster = safe_divide(jnp.max(total[speeds] * scales, initial=0.0), usual)
     return jnp.maximum(places, faster)
 
 
-def _shares_of_way(model: Model, states: Array, times: Array) -> Float[Array, " coordinates"]:
+def _shares_of_way(model: Model, tally: Tally, times: Array) -> Float[Array, " coordinates"]:
     """What a unit of each coordinate is beside the longest way of one, or a tenth of that on which
     drives lead: a joint that a spring holds still while its arm is swung goes nowhere by itself."""
-    system, count = model.system, model.layout.coordinates
+    system, way = model.system, tally.reach
     reach = reaches(system, longest_arm(system))
-    way = jnp.max(abs(states[:, :count] - states[0, :count]), axis=0)
     turned = jnp.where(turning(system), jnp.minimum(way, ACROSS), way)
     longest = jnp.max(turned * reach, initial=0.0)
     if system.bearings:
@@ -239,24 +244,16 @@ def _shares_of_way(model: Model, states: Array, times: Array) -> Float[Array, " 
 
 
 def beside_way(
-    model: Model, states: Float[Array, "time n"], times: Float[Array, " time"]
-) -> Float[Array, "time coordinates"]:
+    model: Model, states: Float[Array, "looks n"], tally: Tally, times: Float[Array, " time"]
+) -> Float[Array, "looks coordinates"]:
     """The coordinates beside the longest way of one."""
-    return states[:, : model.layout.coordinates] * _shares_of_way(model, states, times)
+    return states[:, : model.layout.coordinates] * _shares_of_way(model, tally, times)
 
 
 def _durations(plan: Plan, turn: str) -> Float[Array, "windows 1"]:
     """How long the turn of this name takes in each window [s]."""
     rows = plan.parts.first[plan.shadows(turn)]
     return (plan.turns.stop[rows] - plan.turns.start[rows])[:, None]
-
-
-def _usual_rates(plan: Plan, states: Array) -> Float[Array, " states"]:
-    """How fast each entry of the state changes over the run, from one saving time to the next
-    [1/s]: a window that is quiet beside that tells nothing of the run."""
-    # XLA sums along a long first axis many times slower than it multiplies by it.
-    way = jnp.ones(len(states) - 1) @ abs(states[1:] - states[:-1])
-    return safe_divide(way, plan.times[-1] - plan.times[0])
 
 
 def _difference(

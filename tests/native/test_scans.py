@@ -132,7 +132,7 @@ def test_what_has_no_machine_code_keeps_its_inner_kernels():
 
 
 def test_a_kernel_that_leaves_no_rows_is_not_taken(monkeypatch):
-    monkeypatch.setattr(loop.kernels, "_leave", lambda writer, slot, turn, program, row: None)
+    monkeypatch.setattr(loop.kernels.Tables, "leave", lambda self, row: None)
     tried, build = [], loop.kernels.build
 
     def watched(program, lanes):

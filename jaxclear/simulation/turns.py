@@ -1,0 +1,140 @@
+"""One turn of a run's loop, from a saving time to the next or through a part of a window: what it
+hands on, and what it leaves.
+
+Worn surfaces enter the gap as they were at the last saving time, and are updated at every saving
+time.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+
+from jaxclear.formulations.model import Model, State
+from jaxclear.integrators.base import AbstractIntegrator, Interval
+from jaxclear.integrators.checks import Check
+from jaxclear.integrators.events import Events
+from jaxclear.integrators.outcome import Outcome
+from jaxclear.multibody import closure_coordinates
+from jaxclear.multibody.state import Layout
+from jaxclear.multibody.system import readings
+from jaxclear.simulation import progress
+from jaxclear.simulation.spot_checks import Turns
+from jaxclear.simulation.tally import Tally, figures_of_a_look, followed
+from jaxclear.simulation.wear import Worn, deposit
+
+
+class Carry(NamedTuple):
+    """What a run hands from turn to turn; `ended` [s] is the last saving time that it reached,
+    `steps` those accepted and rejected so far."""
+
+    state: State
+    worn: Worn
+    warm_start: Any
+    outcome: Int[Array, ""]
+    ended: Float[Array, ""]
+    steps: tuple[Int[Array, ""], Int[Array, ""]]
+    tally: Tally
+
+
+class Left(NamedTuple):
+    """What a turn leaves, and what is left of all: states and worn surfaces as its gaps saw them,
+    its events, and the figures that go with a look at its end (these two packed)."""
+
+    saved: tuple[State, Worn]
+    noted: Array
+    figures: Array
+
+
+def turns_of(
+    model: Model, integrator: AbstractIntegrator, report: bool, begun: tuple[State, Worn, Any]
+) -> tuple[Callable, dict[Check, Any], Callable]:
+    """(a turn as it stands in the loop, traced once however often it stands there; the shapes of
+    its figures; how what turns have left is unpacked, known once it has been traced), of a run that
+    has `begun` with a state, worn surfaces and a warm start."""
+    arrays, rest = eqx.partition((model, integrator), eqx.is_array)
+    unpack: list[Callable] = []
+
+    @jax.jit
+    def advance(arrays, worn, ahead, state, warm_start):
+        model, integrator = eqx.combine(arrays, rest)
+        return integrator.advance(model_of_worn(model, worn), ahead, state, warm_start)
+
+    @jax.jit
+    def one(arrays, start, now, turn):
+        going = functools.partial(advance, arrays)
+        now, saved, found = _turn(eqx.combine(arrays, rest)[0], going, start, now, turn)
+        # A loop of XLA pays for every array that its turns leave.
+        packed, unpacked = zip(*map(_packed, found), strict=True)
+        unpack.append(unpacked)
+        return now, Left(saved, *packed)
+
+    def turn(now, span):
+        if report:
+            jax.debug.callback(progress.advance, span.progress)
+        return one(arrays, state, now, span)
+
+    def apart(left):
+        parts = zip(unpack[0], (left.noted, left.figures), strict=True)
+        return [jax.vmap(own)(packed) for own, packed in parts]
+
+    number, running = (jax.ShapeDtypeStruct((), kind) for kind in (float, bool))
+    ahead = Interval(number, number, _error_weights(model.layout), running, number)
+    state, worn, warm_start = begun
+    done = jax.eval_shape(advance, arrays, worn, ahead, state, warm_start)
+    return turn, done.figures or {}, apart
+
+
+def _packed(found: Any) -> tuple[Array, Callable]:
+    some = bool(jax.tree.leaves(found))
+    return ravel_pytree(found) if some else (jnp.zeros(0), lambda _: found)
+
+
+def _turn(
+    model: Model, advance: Callable, start: State, now: Carry, turn: Turns
+) -> tuple[Carry, tuple[State, Worn], tuple[Events | None, dict[Check, Array]]]:
+    """One turn of the loop of a run that began with the state `start`: what it hands on, and what
+    it leaves."""
+    running = now.outcome == Outcome.REACHED
+    ahead = Interval(turn.start, turn.stop, _error_weights(model.layout), running, turn.share)
+    result = advance(now.worn, ahead, now.state, now.warm_start)
+    sound = jnp.all(jnp.isfinite(result.state))
+    reached = closure_coordinates.anchored(model.system, model.layout, turn.stop, result.state)
+    state = jnp.where(running & sound, reached, now.state)
+    worn = deposit(model.system, model.layout, now.worn, now.state, state)
+    # What is not held to a tolerance (worn volumes, energies) can be lost while the steps still
+    # succeed.
+    lost = ~sound & (result.outcome == Outcome.REACHED)
+    found = jnp.where(lost, Outcome.NOT_FINITE, result.outcome)
+    outcome = jnp.where(running, found, now.outcome)
+    ended = jnp.where(running & (outcome == Outcome.REACHED), turn.stop, now.ended)
+    taken = jax.tree.map(
+        lambda before, more: before + jnp.where(running, more, 0),
+        now.steps,
+        (result.accepted, result.rejected),
+    )
+    figures, path = result.figures or {}, (start, now.state, state)
+    tally = followed(now.tally, model.layout, figures, running, turn.stop, path)
+    after = Carry(state, worn, result.warm_start, outcome, ended, taken, tally)
+    read = model_of_worn(model, now.worn).worn
+    return after, (state, read), (result.events, figures_of_a_look(figures, running))
+
+
+def model_of_worn(model: Model, worn: Worn) -> Model:
+    """The model with its gaps reading surfaces of these depths."""
+    return dataclasses.replace(model, worn=readings(model.system, worn))
+
+
+def _error_weights(layout: Layout) -> Float[Array, " n"]:
+    """Weights of the state's entries in an error control: deflections of bristles are lengths, held
+    as places are (a hundred times looser, what a contact wore was 2 % off); what follows the motion
+    is not held."""
+    held = layout.memory_start + layout.memory_count
+    return jnp.asarray(np.repeat([1.0, 0.0], [held, layout.size - held]))
