@@ -9,7 +9,8 @@ The boundary is six functions, three that tell of the program, and three for Ctr
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `scan(turn, first, rows)` in the place of `jax.lax.scan(turn, first, rows)`: loops within its
-  turns are part of the same kernel;
+  turns are part of the same kernel; by `Kept` parts of what turns leave go to tables of their own,
+  each turn's to a place that is chosen beforehand, or nowhere;
 - `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`, and
   `one_row(function, *numbers)` in the place of the function itself;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
@@ -42,8 +43,9 @@ all reasons are in the verdict.
 
 What a kernel holds of its arguments: constants and the first state as one packed row of floats for
 each sample (whole numbers and truth values as floats, exact to 2^53); constant arrays of more than
-64 numbers stay in memory and are read by index, and so is written what a scan leaves at every
-turn: a block for each of its arrays. An array in the state always lives in registers.
+64 numbers stay in memory and are read by index, once for all samples that share them; and so is
+written what turns of a scan leave (`tables`): an array for each of its parts, handed to XLA as it
+is. An array in the state always lives in registers.
 
 How it is tested (tests/native): every rule by itself on awkward numbers (zeros of both signs,
 infinities, nan, empty arrays, several lanes) against JAX's own evaluation; a rule without such a

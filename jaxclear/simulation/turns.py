@@ -85,7 +85,7 @@ def turns_of(
         parts = zip(unpack[0], (left.noted, left.figures), strict=True)
         return [jax.vmap(own)(packed) for own, packed in parts]
 
-    number, running = (jax.ShapeDtypeStruct((), kind) for kind in (float, bool))
+    number, running = jnp.zeros(()), jnp.ones((), bool)
     ahead = Interval(number, number, _error_weights(model.layout), running, number)
     state, worn, warm_start = begun
     done = jax.eval_shape(advance, arrays, worn, ahead, state, warm_start)
@@ -102,7 +102,7 @@ def _turn(
 ) -> tuple[Carry, tuple[State, Worn], tuple[Events | None, dict[Check, Array]]]:
     """One turn of the loop of a run that began with the state `start`: what it hands on, and what
     it leaves."""
-    running = now.outcome == Outcome.REACHED
+    running = (now.outcome == Outcome.REACHED).astype(bool)
     ahead = Interval(turn.start, turn.stop, _error_weights(model.layout), running, turn.share)
     result = advance(now.worn, ahead, now.state, now.warm_start)
     sound = jnp.all(jnp.isfinite(result.state))
