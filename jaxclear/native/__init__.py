@@ -28,6 +28,7 @@ On its way a loop passes through these files:
 - `rows`: functions as loops of one turn.
 - `calls`, `control`, `arithmetic`, `elementary`, `shapes`, `indexing`, `reductions`: one rule for
   each of JAX's primitives, in the registry of `rules`: what it becomes as LLVM code.
+- `turning`: loops as text; `tables`: what a kernel writes.
 - `writer`: the text under construction. An array is a NumPy array of register names, so reshaping
   costs nothing and a sum of three numbers is two instructions.
 - `functions`: sine, cosine and angle for several samples at once.

@@ -16,6 +16,7 @@ import numpy as np
 from jaxclear.native import (  # noqa: F401  (rules register themselves when imported)
     call_frame,
     calls,
+    control,
     dispatch,
     elementary,
     functions,
@@ -26,10 +27,10 @@ from jaxclear.native import (  # noqa: F401  (rules register themselves when imp
 )
 from jaxclear.native.by_numpy import LONGEST_LOOP
 from jaxclear.native.check import check
-from jaxclear.native.control import loop
 from jaxclear.native.program import Program, avals_of, floats_in, in_memory
 from jaxclear.native.rules import array_of, write_closed
 from jaxclear.native.tables import SPOIL, Tables, array_starts, sizes_of_tables, store
+from jaxclear.native.turning import loop
 from jaxclear.native.writer import (
     ENDLESS,
     FLOAT,
