@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxclear  # noqa: F401  (float64)
-from jaxclear.native import explain, loop, scan, stop, stoppable, verdict, while_loop
+from jaxclear.native import Kept, explain, loop, scan, stop, stoppable, verdict, while_loop
 from jaxclear.native.verdicts import KERNELS
 
 # Sums of products in another order, beside numbers up to some ten.
@@ -165,3 +165,50 @@ def test_nothing_that_was_stopped_looks_like_an_answer():
     assert time.perf_counter() - begun < 5
     for last, rows in kept:
         assert np.isnan(last) and np.all(np.isnan(rows))
+
+
+TURNS, SEEN = 30, np.array([4, 11, 29])
+
+
+def by_parts(turn, first, rows):
+    """A scan as `through` asks for it, what its turns leave kept in parts: states behind a first
+    one, some at three turns only, some in reversed order."""
+    numbers = np.arange(TURNS)
+    looks = np.where(np.isin(numbers, SEEN), np.searchsorted(SEEN, numbers), len(SEEN))
+
+    def one(state, row):
+        state, (states, steps, knocked, scaled) = turn(state, row)
+        return state, (states, (steps, scaled), knocked)
+
+    kept = [
+        Kept(numbers + 1, TURNS + 1, jnp.stack([first[0], 2 * first[1]])),
+        Kept(looks, len(SEEN)),
+        Kept(numbers[::-1], TURNS),
+    ]
+    last, (states, (steps, scaled), knocked) = scan(one, first, rows, kept)
+    return last, (states, steps, knocked, scaled)
+
+
+def by_jax(turn, first, rows):
+    """The same picked out of what JAX's own scan leaves."""
+    last, (states, steps, knocked, scaled) = jax.lax.scan(turn, first, rows)
+    states = jnp.vstack([jnp.stack([first[0], 2 * first[1]]), states])
+    return last, (states, steps[SEEN], knocked[::-1], scaled[SEEN])
+
+
+@pytest.mark.parametrize(
+    "way", [pytest.param(w, marks=() if w == "of a batch" else pytest.mark.slow) for w in WAYS]
+)
+def test_parts_go_to_their_places(way, monkeypatch):
+    kernels = jax.jit(WAYS[way](lambda p: through(by_parts, while_loop, p)))(PLACE)
+    wanted = jax.jit(WAYS[way](lambda p: through(by_jax, jax.lax.while_loop, p)))(PLACE)
+    same(kernels, wanted)
+    # Where there are no kernels.
+    monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", "1")
+    same(jax.jit(WAYS[way](lambda p: through(by_parts, while_loop, p)))(PLACE), wanted)
+
+
+def test_a_table_with_rows_of_nobody_is_refused():
+    kept = [Kept(np.array([0, 2]), 3)]
+    with pytest.raises(ValueError, match="rows that no turn leaves"):
+        scan(lambda state, row: (state, (row,)), jnp.zeros(()), jnp.zeros(2), kept)
