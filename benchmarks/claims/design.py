@@ -95,7 +95,7 @@ class Evolution:
             method="COBYQA",
             bounds=[(0.0, 1.0)] * len(self.best_place),
             constraints=NonlinearConstraint(lambda at: self.told([at])[0][1], -np.inf, 0.0),
-            options={"maxfev": LAST_CANDIDATES, "initial_tr_radius": 0.1},
+            options={"maxfev": LAST_CANDIDATES, "initial_tr_radius": 0.1, "final_tr_radius": 1e-3},
         )
         return self.best
 
