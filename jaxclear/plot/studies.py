@@ -31,14 +31,18 @@ def monte_carlo(study: MonteCarlo, *, ax: Any = None) -> Any:
     names = list(study.responses)
     sheet = panels("monte_carlo", ax, 1, len(names), (4.6 * len(names), 3.8))
     for axis, name in zip(sheet.axes.flat, names, strict=True):
-        values = study.responses[name]
-        values = values[np.isfinite(values)]
+        told = study.good(name)[0]
+        values = told[np.isfinite(told)]
         factor, unit = readable(values, study.problem.units()[name])
         axis.hist(factor * values, bins="auto", color="C0", alpha=0.8)
-        axis.axvline(factor * values.mean(), color="k", lw=1.2, label="mean")
-        low, high = np.percentile(factor * values, [5, 95])
-        axis.axvspan(low, high, color="C1", alpha=0.25, label="5 to 95 %", zorder=0)
         axis.set_xlabel(f"{name} [{unit}]")
+        if len(values) < len(told):
+            # Of infinite answers, as lives may be, there is no mean, and no place on an axis.
+            axis.set_xlabel(f"{name} [{unit}], infinite in {len(told) - len(values)} more")
+        else:
+            axis.axvline(factor * values.mean(), color="k", lw=1.2, label="mean")
+            low, high = np.percentile(factor * values, [5, 95])
+            axis.axvspan(low, high, color="C1", alpha=0.25, label="5 to 95 %", zorder=0)
         axis.set_ylabel("samples")
     sheet.legend(ncols=2)
     sheet.title(f"Monte Carlo, {study.count} samples, {len(study.failed)} failed")

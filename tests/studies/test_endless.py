@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 import jaxclear as jc
+from jaxclear import plot
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.endless import finite_beside
@@ -96,6 +97,14 @@ def test_shares_and_quantiles_are_those_of_the_closed_form(sample):
     assert 0 < lowest.low.value < 1e6
     one = jc.monte_carlo(sample.problem, 64, accuracy=1e-3)
     assert "accuracy asked is not reached" in one.unreached
+
+
+def test_a_histogram_draws_no_mean_of_infinite_answers(sample):
+    figure = plot.monte_carlo(sample)
+    (axis,) = figure.axes
+    infinite = int(np.isinf(sample.responses["life"]).sum())
+    assert axis.get_xlabel().endswith(f"infinite in {infinite} more")
+    assert not axis.get_lines()
 
 
 @pytest.mark.slow
