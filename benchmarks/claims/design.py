@@ -34,7 +34,7 @@ CANDIDATES = 24
 GENERATIONS = {"antenna": 80, "four-bar": 30}
 EQUAL_CANDIDATES, EQUAL_GENERATIONS = 12, 20
 # Candidates of the search that ends it.
-LAST_CANDIDATES = 150
+LAST_CANDIDATES = 200
 # What a broken limit adds, in costs for each part of it.
 PENALTY, FRESH = 20.0, 2048
 
@@ -106,7 +106,6 @@ class Evolution:
             options={
                 "maxfev": LAST_CANDIDATES,
                 "initial_tr_radius": 0.1,
-                "final_tr_radius": 1e-3,
             },
         )
         return self.best
