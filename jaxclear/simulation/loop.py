@@ -153,15 +153,21 @@ def _in_one_kernel(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Lef
         return last, Left(*left), None
 
     def one(carry, row):
+        # Of a shadow no more is carried than the next one needs: a step's registers are few.
         now, shadow = carry
         span, is_own, follows = row
-        end, left = turn(_choose(follows, shadow, now), span)
-        shadow = now._replace(state=end.state, warm_start=end.warm_start)
+        state, warm_start, outcome = _choose(
+            follows, shadow, (now.state, now.warm_start, now.outcome)
+        )
+        begin = now._replace(state=state, warm_start=warm_start, outcome=outcome)
+        end, left = turn(begin, span)
+        shadow = end.state, end.warm_start, now.outcome
         return (_choose(is_own, end, now), shadow), (*left, _end(end))
 
     shadows = np.where(own, np.sum(~own), np.cumsum(~own) - 1)
     kept.append(Kept(shadows, np.sum(~own)))
-    (last, _), (*left, ends) = scan(one, (first, first), (turns, own, goes_on), kept)
+    shadow = first.state, first.warm_start, first.outcome
+    (last, _), (*left, ends) = scan(one, (first, shadow), (turns, own, goes_on), kept)
     return last, Left(*left), ends
 
 
