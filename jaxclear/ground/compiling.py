@@ -15,7 +15,12 @@ from jaxclear.ground.quantity import is_traced
 # 1 to 5 % of a run, and 17 % of one that XLA's own loop goes through.
 AROUND_A_KERNEL = {"xla_cpu_use_fusion_emitters": False}
 # What runs once is not optimised either: assemblies compile three times as fast and take no longer.
-ONCE = {**AROUND_A_KERNEL, "xla_backend_optimization_level": 0}
+# A loop that XLA goes through itself takes two to three times as long so.
+ONCE = {
+    **AROUND_A_KERNEL,
+    "xla_backend_optimization_level": 0,
+    "xla_llvm_disable_expensive_passes": True,
+}
 # XLA drops options between its versions, and says so by this; those that this one lacks.
 NO_OPTION = "No such compile option"
 _unknown: set[str] = set()

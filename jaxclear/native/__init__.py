@@ -5,7 +5,7 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is six functions, three that tell of the program, and three for Ctrl-C:
+The boundary is six functions, four that tell of the program, and three for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `scan(turn, first, rows)` in the place of `jax.lax.scan(turn, first, rows)`: loops within its
@@ -16,6 +16,7 @@ The boundary is six functions, three that tell of the program, and three for Ctr
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
 - `forwards_only(sentence, numbers)`: what is not differentiated backwards, and why;
 - `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence;
+- `has_kernels()`: whether loops become kernels here at all;
 - `calls_lapack(after)`: whether the compiled program does, and cannot run beside another one;
 - `stoppable()`: what runs within it ends at once on Ctrl-C, or by `stop()` (see `stopping`);
   `stops()`: how often that happened.
@@ -58,6 +59,7 @@ give it a case in tests/native/test_rules.py.
 """
 
 from jaxclear.native.differentiation import forwards_only
+from jaxclear.native.loop import has_kernels
 from jaxclear.native.rows import one_row, over_rows
 from jaxclear.native.stopping import stop, stoppable, stops
 from jaxclear.native.verdicts import calls_lapack, explain, verdict
@@ -68,6 +70,7 @@ __all__ = [
     "calls_lapack",
     "explain",
     "forwards_only",
+    "has_kernels",
     "one_row",
     "over_rows",
     "scan",

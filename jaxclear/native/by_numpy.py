@@ -49,6 +49,8 @@ def _dynamic_slice(p):
 
 def _broadcast(p):
     def spread(a):
+        if not p["shape"]:
+            return a
         shape = [1] * len(p["shape"])
         for place, size in zip(p["broadcast_dimensions"], np.shape(a), strict=True):
             shape[place] = size
@@ -101,13 +103,12 @@ PLAIN: dict[str, Callable] = {
 }
 
 
-def _least(a: Any) -> Any:
-    """What a maximum over nothing is."""
-    return (
-        -np.inf
-        if np.issubdtype(np.result_type(a), np.floating)
-        else np.iinfo(np.result_type(a)).min
-    )
+def _range(a: Any) -> tuple[Any, Any]:
+    """What a maximum and a minimum over nothing are."""
+    kind = np.result_type(a)
+    if np.issubdtype(kind, np.floating):
+        return -np.inf, np.inf
+    return np.iinfo(kind).min, np.iinfo(kind).max
 
 
 WITH_PARAMETERS: dict[str, Callable] = {
@@ -123,7 +124,8 @@ WITH_PARAMETERS: dict[str, Callable] = {
     "dynamic_slice": _dynamic_slice,
     "broadcast_in_dim": _broadcast,
     "reduce_sum": lambda p: lambda a: np.sum(a, p["axes"]),
-    "reduce_max": lambda p: lambda a: np.max(a, p["axes"], initial=_least(a)),
+    "reduce_max": lambda p: lambda a: np.max(a, p["axes"], initial=_range(a)[0]),
+    "reduce_min": lambda p: lambda a: np.min(a, p["axes"], initial=_range(a)[1]),
     "reduce_or": lambda p: lambda a: np.any(a, p["axes"]),
     "reduce_and": lambda p: lambda a: np.all(a, p["axes"]),
 }
@@ -185,12 +187,20 @@ class _Slots:
 def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
     """What an equation does, and whether it gives a list."""
     name, p = equation.primitive.name, equation.params
+    if name == "iota":
+        places = [np.asarray(own) for own in _bound(equation, ())]
+        return lambda: places, True
+    if name == "unstack":
+        return lambda a: list(np.moveaxis(np.asarray(a), p["axis"], 0)), True
     if name in PLAIN:
         return PLAIN[name], False
     if name in WITH_PARAMETERS:
         return WITH_PARAMETERS[name](p), False
     if name in ON_FLOATS and np.issubdtype(equation.outvars[0].aval.dtype, np.floating):
         return ON_FLOATS[name], False
+    if name == "rem":
+        # Of whole numbers by 0 XLA gives the number itself.
+        return lambda a, b: np.where(b == 0, a, np.fmod(a, b)), False
     if name == "scan" and not p["reverse"]:
         return _scan(p, evaluator(p["jaxpr"], known)), True
     if name == "cond":
@@ -212,7 +222,7 @@ def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
         return _set, False
     if name in CALLS:
         return evaluator(called(p), known), True
-    return lambda *inputs: _by_jax(equation, inputs), True
+    return lambda *inputs: [np.asarray(own) for own in _bound(equation, inputs)], True
 
 
 def _scan(p: dict, turn: Callable) -> Callable:
@@ -250,6 +260,6 @@ def _set(_, array, value, *places):
     return out
 
 
-def _by_jax(equation: Any, inputs: tuple) -> list:
+def _bound(equation: Any, inputs: tuple) -> list:
     found = equation.primitive.bind(*map(jnp.asarray, inputs), **equation.params)
-    return [np.asarray(f) for f in (found if equation.primitive.multiple_results else [found])]
+    return found if equation.primitive.multiple_results else [found]

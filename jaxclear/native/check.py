@@ -7,6 +7,7 @@ out either way, so that a touching contact is looked at and a parted one.
 """
 
 import ctypes
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -43,30 +44,33 @@ def check(program: Program, address: int) -> None:
     more draws that agree outweigh it, and a fault shows there too. States of either sign may be
     none that the loop was written for: there one draw that agrees outweighs the others.
     """
-    first, anywhere = _agrees(program, address, 0)
+    turn = evaluator(program.body)
+    first, anywhere = _agrees(program, address, turn, 0)
     if all(first) and anywhere:
         return
-    looks = [_agrees(program, address, draw) for draw in SECOND_LOOKS]
+    looks = [_agrees(program, address, turn, draw) for draw in SECOND_LOOKS]
     usual = all(first) or all(all(look[0]) for look in looks)
     if not usual and all(close for (close, _), _ in [(first, anywhere), *looks]):
-        close, tell = zip(*(_agrees(program, address, draw)[0] for draw in SIGNED), strict=True)
+        found = [_agrees(program, address, turn, draw)[0] for draw in SIGNED]
+        close, tell = zip(*found, strict=True)
         usual = all(close) and sum(tell) >= 2
     if not (usual and (anywhere or any(look[1] for look in looks))):
         raise Unsupported("a loop whose kernel does not agree with NumPy")
 
 
-def _agrees(program: Program, address: int, draw: int) -> tuple[tuple[bool, bool], bool]:
+def _agrees(
+    program: Program, address: int, turn: Callable[..., list], draw: int
+) -> tuple[tuple[bool, bool], bool]:
     """What `judged` says of the first sample of a draw's random numbers, and whether the kernel
-    agrees with NumPy on all others."""
+    agrees with NumPy, which goes through a `turn`, on all others."""
     constants, state = avals_of(program)
     samples = random_values(constants, state, draw)
     samples = [_within_tables(program, own) for own in samples]
     found = _one_turn(program, address, samples)
-    turn_of = evaluator(program.body)
 
     def by_numpy(sample):
         given = sample[program.condition_constants :]
-        out = turn_of(*given)
+        out = turn(*given)
         rows = zip(program.tables, out[len(state) :], strict=True)
         return packed([*out, *(_first_row(table, row, given) for table, row in rows)])
 

@@ -207,8 +207,17 @@ def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU):
     return lower(ctx, *values, program=program, rank=rank)
 
 
+def _switched_off() -> bool:
+    return os.environ.get("JAXCLEAR_PLAIN_LOOPS", "0") not in ("", "0")
+
+
+def has_kernels() -> bool:
+    """Whether loops become kernels here at all: on a CPU, unless they are switched off."""
+    return jax.default_backend() == "cpu" and not _switched_off()
+
+
 def _lower_on_cpu(ctx, *values, program, rank):
-    if os.environ.get("JAXCLEAR_PLAIN_LOOPS", "0") not in ("", "0"):
+    if _switched_off():
         return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=SWITCHED_OFF)
     samples = int(np.prod(ctx.avals_in[-1].shape[:rank]))
     if (
