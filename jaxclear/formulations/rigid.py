@@ -118,7 +118,8 @@ class RigidContact(AbstractFormulation):
         handed = [last[i] for i in range(len(last))]
         entries, h, count = model.entries(state), time_step.length, model.layout.speeds
         middle = middle_of_step(model, time_step, entries, handed[:count])
-        contacts = unilateral_contacts(middle.free_motion.contacts)
+        names = [name for name, own in model.system.bearings.items() for _ in own.contact_laws]
+        contacts = unilateral_contacts(middle.free_motion.contacts, names, handed[count:-1])
         joints = joints_in_step(model, middle)
         rows = [row for contact in contacts for row in contact.rows]
         rows += [row for joint in joints for row in joint.rows]

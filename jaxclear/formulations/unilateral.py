@@ -15,6 +15,7 @@ doi:10.1016/S0045-7825(98)00383-1; Acary & Brogliato 2008, Numerical Methods for
 Systems, ch. 10, doi:10.1007/978-3-540-75392-6.
 """
 
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -29,6 +30,7 @@ from jaxclear.formulations.contact_rows import (
     split,
 )
 from jaxclear.formulations.delassus import DelassusOperator
+from jaxclear.formulations.impacts_in_turn import put_off
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
@@ -57,13 +59,15 @@ class MoreauJeanSettings(NamedTuple):
 class UnilateralContact(NamedTuple):
     """A contact as percussions see it: its rows of G (opening, then two or fewer slips), the local
     velocities at the predicted speeds, for each direction of the joint's own slip its shares in
-    these slips, and its laws."""
+    these slips, its laws, its joint, and its normal percussion in the step before."""
 
     rows: list[ContactJacobianRow]
     velocities: list
     shares: list[list]
     restitution: Any
     friction: AbstractSetValuedFriction | None
+    joint: str
+    last: Any
 
     def velocities_at(self, change: list) -> list:
         """Local velocities where the speeds are changed from the predicted ones."""
@@ -94,10 +98,13 @@ class Projected(NamedTuple):
     energy: Any
 
 
-def unilateral_contacts(points: tuple[ContactPoint, ...]) -> list[UnilateralContact]:
-    """Every possible contact as percussions see it."""
-    contacts = []
-    for point in points:
+def unilateral_contacts(
+    points: tuple[ContactPoint, ...], joints: list[str], last: list
+) -> list[UnilateralContact]:
+    """Every possible contact as percussions see it: the joint of each, and percussions of the step
+    before in the state's order."""
+    contacts, first = [], 0
+    for point, joint in zip(points, joints, strict=True):
         friction = None if point.laws.friction is None else point.laws.friction.coulomb()
         slips = [] if friction is None else _slip_directions(point)
         rows = [{j: sp.neg(entry) for j, entry in point.rows[0].items()}]
@@ -108,7 +115,9 @@ def unilateral_contacts(points: tuple[ContactPoint, ...]) -> list[UnilateralCont
         own = 0 if friction is None else len(point.rows) - 1
         shares = [[weights[k] for weights in slips] for k in range(own)]
         law = point.laws.contact
-        contacts.append(UnilateralContact(rows, velocities, shares, law.restitution, friction))
+        laws = law.restitution, friction
+        contacts.append(UnilateralContact(rows, velocities, shares, *laws, joint, last[first]))
+        first += 1 + own
     return contacts
 
 
@@ -168,6 +177,14 @@ def demands(
     for contact, (normal, *slips), (u, *_) in zip(contacts, unhindered, before, strict=True):
         lifted += [normal + contact.restitution * u, *slips]
     closed = _forecast_closed(middle, opening, unhindered, h, settings)
+    joints = [len(list(own)) for _, own in groupby(contact.joint for contact in contacts)]
+    if max(joints) > 1:
+        # What had a percussion in the step before does not strike, nor what loads press shut.
+        pressed = positive_part(opening - sp.stack([normal for normal, *_ in unhindered]))
+        apart = sp.stack([contact.last for contact in contacts]) <= 0
+        depths = sp.stack([c.gap_function.indentation for c in middle.free_motion.contacts])
+        strikes = closed & apart & (-opening > pressed)
+        closed = closed & ~put_off(strikes, depths, -opening, h, joints)
     return ContactDemands(lifted, mu, sizes, closed)
 
 

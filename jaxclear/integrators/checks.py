@@ -131,6 +131,28 @@ class Check(enum.IntEnum):
         "{figure:.2g} of the largest of all joints (limit {limit:g}), so forces are off: take "
         "shorter steps or integrator.Adaptive",
     )
+    # The same, where places in gaps say that paths have parted.
+    PARTED_FORCE = (
+        17,
+        "second look: mean force of parted paths",
+        "1",
+        0.02,
+        "forces",
+        CONTACTS,
+        "with steps a quarter as long parts are elsewhere in their gaps, and with that the mean of "
+        'the contact forces in joint "{place}" changes by {figure:.2g} of the largest of all '
+        "joints (limit {limit:g}): take shorter steps or integrator.Adaptive",
+    )
+    FRICTION_LOSS = (
+        16,
+        "second look: friction loss",
+        "1",
+        0.05,
+        "wear",
+        WHOLE,
+        "with steps a quarter as long what friction takes changes by {figure:.2g} of itself (limit "
+        "{limit:g}), so friction loss and wear are off: take shorter steps or integrator.Adaptive",
+    )
     # Largest rise of a contact's indentation within a step beside the largest that was met: of
     # steps in which a contact does the work of its law whatever their length.
     CONTACT_STEP = (

@@ -27,6 +27,13 @@ REASONS: dict[Check, str] = {
         "nearly all that is wrong, as of places in gaps: the accuracy of mean forces that steps "
         "of rk4 promise, half of that of implicit steps"
     ),
+    Check.PARTED_FORCE: (
+        "the accuracy of mean forces that the default of studies promises; where paths have not "
+        "parted, what differs falls with the step and shows in other figures"
+    ),
+    Check.FRICTION_LOSS: (
+        "nearly all that is wrong, as of mean forces, with the same accuracy in mind"
+    ),
     Check.HALVED_FORCES: (
         "forces at an instant swing about their mean; a tenth is what reading them off a figure "
         "takes"

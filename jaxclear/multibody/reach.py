@@ -42,10 +42,14 @@ def driven_ways(system: System, times: Float[Array, " time"]) -> list[tuple[Scal
     return found
 
 
+def rooms(system: System) -> Float[Array, " contacts"]:
+    """The room on one side [m] that each possible contact leaves where its parts stand as drawn,
+    unworn."""
+    return sp.stack(
+        [abs(depth) for own in system.bearings.values() for depth in depths(own.joint, REST, {})]
+    )
+
+
 def narrowest_gap(system: System) -> Scalar:
-    """Smallest room on one side [m] that a joint leaves where its parts stand as drawn, unworn;
-    infinite without clearance."""
-    rooms = [
-        abs(depth) for own in system.bearings.values() for depth in depths(own.joint, REST, {})
-    ]
-    return jnp.min(sp.stack(rooms)) if rooms else jnp.asarray(jnp.inf)
+    """Smallest of the `rooms` [m]; infinite without clearance."""
+    return jnp.min(rooms(system)) if system.bearings else jnp.asarray(jnp.inf)

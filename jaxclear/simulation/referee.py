@@ -21,13 +21,14 @@ from jaxclear.integrators.checks import CONTACTS, LOOPS, SPEEDS, SURFACES, WHOLE
 from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import contact_point, energy, kinematics, loops
+from jaxclear.multibody.reach import rooms
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.damper_steps import damper_steps, damping
 from jaxclear.simulation.friction_steps import contacts, friction_steps, rubbing
 from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.rebound import rebound_steps
-from jaxclear.simulation.spot_checks import beside_way
+from jaxclear.simulation.spot_checks import GAPS, beside_way
 from jaxclear.simulation.tally import LENGTHS, Figures, Tally
 
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
@@ -50,10 +51,11 @@ def refereed(
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
     steps = {check: figures[check] for check in LENGTHS if check in figures}
     sunk = figures.get(Check.INDENTATION)
-    seen, rubbed, inside = _of_saved_states(looks, steps, sunk)
-    if inside is None:
-        inside = beside_way(model, history.states[looks.rows], tally, history.time)
-    trajectory = dataclasses.replace(trajectory, places=jax.lax.stop_gradient(inside))
+    seen, rubbed, inside, ways = _of_saved_states(looks, steps, sunk)
+    if ways is None:
+        ways = beside_way(model, history.states[looks.rows], tally, history.time)
+    inside, ways = jax.lax.stop_gradient((inside, ways))
+    trajectory = dataclasses.replace(trajectory, places=inside, ways=ways)
     of_run = {check: each[None] for check, each in (windows | rubbed).items()}
     met, when = dict(tally.worst), dict(tally.when)
     rebound = met.pop(Check.REBOUND_STEP, None)
@@ -160,10 +162,12 @@ def _of_saved_states(
     dict[Check, Float[Array, "looks places"]],
     dict[Check, Float[Array, " contacts"]],
     Float[Array, "looks places"] | None,
+    Float[Array, "looks places"] | None,
 ]:
     """Figures that the looks tell, and those of friction, of the run as a whole, also from the
     lengths [s] of `steps` there and the largest indentations [m] since the saving time before
-    (None: those seen count); and where parts were in their gaps (None: there are none)."""
+    (None: those seen count); and where parts were in their gaps, and bodies on their ways (None:
+    there are no gaps)."""
     model, formulation = looks.model, looks.seen.formulation
     system = model.system
     driven = looks.seen.mechanism.driven
@@ -179,7 +183,7 @@ def _of_saved_states(
             | ({} if driven else _energies(now, formulation))
             | ({"contacts": contacts(now, formulation)} if looking else {})
             | ({"depths": _depths(now, formulation)} if sinking else {})
-            | ({"places": _in_gaps(now)} if system.bearings else {})
+            | ({"places": _in_gaps(now), "centres": _centres(now)} if system.bearings else {})
         )
 
     said = looks.of(judged)
@@ -191,13 +195,35 @@ def _of_saved_states(
     if "energies" in said:
         gains = _gains(_small_energy(system), said["energies"], formulation.forces_are_means)
         found[Check.ENERGY_GAIN] = gains[1:, None]
-    inside = said.get("places")
+    inside, ways = said.get("places"), None
+    if inside is not None:
+        ways = _ways(system, said["centres"], inside)
     of_steps = {}
     if damped is not None:
         of_steps[Check.DAMPER_STEP] = damper_steps(said["contacts"][1:], damped)
     if steps:
         of_steps |= friction_steps(model, said["contacts"][1:], depths, steps)
-    return found, of_steps, inside
+    return found, of_steps, inside, ways
+
+
+def _centres(now: Instant) -> Float[Array, " components"]:
+    """Where the centres of mass are [m] (3 components a body)."""
+    places: list[Any] = []
+    for link, motion in zip(now.model.system.links, now.motions, strict=True):
+        inner = sp.scale(safe_divide(1.0, link.mass), link.first_moment)
+        places += motion.pose.point(inner)
+    return sp.stack(places)
+
+
+def _ways(
+    system: System, centres: Float[Array, "looks centres"], places: Float[Array, "looks places"]
+) -> Float[Array, "looks centres"]:
+    """How far the centres of mass [m] have gone, beside the longest way, or `GAPS` times as far as
+    a part comes from the middle of its gap, where it has such `places`, if that is more."""
+    gone = centres - centres[0]
+    off_middle = safe_sqrt(jnp.sum(places.reshape(len(places), -1, 3) ** 2, axis=-1))
+    furthest = jnp.max(off_middle * rooms(system), initial=0.0)
+    return safe_divide(gone, jnp.maximum(jnp.max(abs(gone), initial=0.0), GAPS * furthest))
 
 
 def _in_gaps(now: Instant) -> Float[Array, " components"]:
