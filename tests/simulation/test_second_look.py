@@ -162,6 +162,49 @@ def test_a_joint_is_cleared_of_its_own_steps_alone():
     assert left([0.9, 0.3, 0.3, 0.3], {"A", "B", "C"}) == [("A", 0.9)]
 
 
+def test_bodies_that_are_elsewhere_are_said(pushed):
+    """Their ways are those of the centres of mass, beside the longest or a hundred clearances."""
+    run = pushed(5e-6)
+    rows = np.unique(np.linspace(0, 199, 50).round().astype(int)) + 1
+    gone = [np.asarray(run.body(name).com) for name in run.mechanism.bodies]
+    gone = np.concatenate(gone, axis=1)[[0, *rows]]
+    gone = gone - gone[0]
+    ways = np.asarray(run.ways)
+    share = np.abs(gone).max() / np.abs(ways).max()
+    np.testing.assert_allclose(share * ways, gone, atol=1e-12)
+    (name,) = run.mechanism.topology.clearances
+    clearance = float(run.mechanism.connections[name].joint.clearance)
+    assert share >= max(np.abs(gone).max(), 100 * clearance) * (1 - 1e-9)
+
+    def looked(off):
+        other = dataclasses.replace(run, ways=run.ways + off)
+        found = looked_at(run, other)
+        return {check for check, flag in found.checks.beyond().items() if flag}
+
+    assert looked(0.03) - looked(0.01) == {Check.HALVED_MOTION}
+
+
+def looked_at(run, other):
+    """The run as a second look leaves it that finds the other."""
+    doubted = rising(run, 0.06)
+    return second_look.looked_at_again(doubted, jc.integrator.FixedStep(5e-6), lambda _: other)
+
+
+@pytest.mark.parametrize(
+    ("place", "factor", "said"),
+    [
+        (0.0, 1.03, set()),
+        (0.1, 1.01, {Check.PLACE_IN_GAP}),
+        (0.1, 1.03, {Check.PLACE_IN_GAP, Check.PARTED_FORCE}),
+    ],
+)
+def test_mean_forces_of_paths_that_have_parted_are_held_to_less(pushed, place, factor, said):
+    run = pushed(5e-6)
+    other = dataclasses.replace(rising(run, 0.06, factor), places=run.places + place)
+    found = looked_at(run, other)
+    assert {check for check, flag in found.checks.beyond().items() if flag} == said
+
+
 @pytest.mark.parametrize(("deeper", "dropped"), [(1.005, True), (1.02, False)])
 def test_impacts_are_right_only_where_their_peaks_are(pushed, deeper, dropped):
     """A run whose places agree, and whose deepest indentations are so many times as deep."""
