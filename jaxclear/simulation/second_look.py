@@ -6,8 +6,7 @@ may be elsewhere in its gap though each was nearly right, and how fast that grow
 own affair. So the run itself is asked. In doubt is what has steps of a fixed length in which
 contacts rise or creep, or bodies drift, by more than a little; impacts that take no energy; and
 rigid contact, whose impacts leave nothing in a step that tells how long it is beside them. Runs of
-many steps are not gone through again; of a study, whose samples share their doubts, the nominal one
-is.
+many steps are not gone through again; of a study, whose samples share doubts, the nominal one is.
 """
 
 import dataclasses
@@ -61,8 +60,9 @@ SAME_DEPTH = 0.01
 # Restitution from which on what an impact is off by does not die out at the next ones: of
 # mechanisms drawn at random (restitution to 0.98) `DOUBTS` told every one.
 ELASTIC = 0.99
-# What friction takes, beside the most of all energies of the balance, that is more than rounding.
-LEAST_LOSS = 1e-4
+# What friction takes, beside the most of all energies of the balance, below which nobody reads it;
+# and what is rounding in any mechanism [J].
+LEAST_LOSS, NO_LOSS = 1e-3, 1e-15
 # Steps of a run beyond which it is not gone through again: seconds in any mechanism.
 MOST_STEPS = 100_000
 
@@ -243,8 +243,7 @@ def _friction_loss_apart(run: Trajectory, other: Trajectory) -> float:
     `LEAST_LOSS` of the most of all energies."""
     one, two = (float(_friction_loss(each)) for each in (run, other))
     most = LEAST_LOSS * float(np.abs(_energies(other)).max())
-    largest = max(abs(one), abs(two), most)
-    return abs(one - two) / largest if largest > 0 else 0.0
+    return abs(one - two) / max(abs(one), abs(two), most, NO_LOSS)
 
 
 def _impulses(run: Trajectory, joints: tuple[str, ...]) -> np.ndarray:
@@ -258,9 +257,10 @@ def _apart(
     """By check how far two runs are apart, by place, and the names of these; `gaps`: whether places
     in gaps count."""
     found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
-    elsewhere = np.abs(np.asarray(run.ways) - np.asarray(other.ways)).max(initial=0.0)
-    found[Check.HALVED_MOTION] = (elsewhere[None], ("",))
     sunk = run.checks.figures.get(Check.INDENTATION)
+    if _opens(run) or bool(doubted(run.checks)):
+        elsewhere = np.abs(np.asarray(run.ways) - np.asarray(other.ways)).max(initial=0.0)
+        found[Check.HALVED_MOTION] = (elsewhere[None], ("",))
     if _opens(run) and gaps and sunk is not None:
         off = np.abs(np.asarray(run.places) - np.asarray(other.places)).max(axis=0)
         found[Check.PLACE_IN_GAP] = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)
