@@ -10,6 +10,9 @@ import sys
 import numpy as np
 import pytest
 
+import jaxclear as jc
+from jaxclear.simulation.simulate import FEW_CELLS, is_all_kernel
+
 RUN = """
 import json, os, sys
 import jaxclear as jc
@@ -53,3 +56,15 @@ def test_results_are_the_same_with_and_without(plain, kernels):
 def test_flags_of_the_user_are_kept():
     own = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=2048"
     assert in_a_process("flags", XLA_FLAGS=own)["flags"] == own
+
+
+def test_what_xla_goes_through_itself_is_optimised(monkeypatch):
+    """Large maps, counted steps and loops without kernels: XLA then does much of a run's work."""
+    rungs, scene = jc.integrator, jc.scenes.flap()
+    assert is_all_kernel(scene, rungs.Adaptive())
+    assert not is_all_kernel(scene, rungs.FixedStep(1e-5, steps_per_save=10))
+    for cells in ((12, 12), (24, 24)):
+        rig = jc.scenes.parallel_3rsr(cells=cells)
+        assert is_all_kernel(rig, rungs.Adaptive()) == (cells[0] * cells[1] <= FEW_CELLS)
+    monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", "1")
+    assert not is_all_kernel(scene, rungs.Adaptive())

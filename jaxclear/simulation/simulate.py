@@ -113,7 +113,7 @@ def _check_compiling() -> None:
         )
 
 
-def _is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
+def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
     """Whether next to all work of a run is that of its kernels: then XLA need not optimise the
     rest."""
     topology = mechanism.topology
@@ -163,7 +163,7 @@ def simulate(
     with stoppable(), progress.bar(progress_bar, "simulating"):
         ready = mechanism, start.coordinates, start.speeds, begins + times
         extras = Extras(balance, progress_bar, saving.events)
-        runs = _run_soon if _is_all_kernel(mechanism, integrator) else _run
+        runs = _run_soon if is_all_kernel(mechanism, integrator) else _run
         again = lambda finer: runs(*ready, finer, extras, past)
         trajectory = diagnosed(guarded(jax.block_until_ready(again(integrator)), integrator))
         trajectory = looked_at_again(trajectory, integrator, again)
