@@ -18,7 +18,7 @@ import jaxclear as jc
 from benchmarks.measure import about, arguments, report, side_by_side
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.integrators import fixed_step, implicit_step
-from jaxclear.simulation import loop, referee, second_look, spot_checks
+from jaxclear.simulation import loop, referee, second_look, spot_checks, turns
 from jaxclear.simulation.simulate import saving_times
 
 FIXED, IMPLICIT, ADAPTIVE, PERMANENT = (
@@ -59,7 +59,12 @@ def unchecked() -> Iterator[None]:
     """Programs that are traced in here have no checks."""
     places: list[tuple[Any, str, Any]] = [
         (spot_checks, "window_starts", lambda count: []),
-        (referee, "_of_saved_states", lambda *_: ({}, {}, jnp.zeros((0, 0)))),
+        (
+            referee,
+            "_of_saved_states",
+            lambda *_: referee.Seen({}, {}, None, None, jnp.zeros((0, 0))),
+        ),
+        (turns, "followed", lambda tally, *_: tally),
         (fixed_step, "_nothing_met", lambda *_: None),
         (implicit_step, "contacts_met", lambda met, *_: met),
     ]

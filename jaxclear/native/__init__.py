@@ -5,14 +5,15 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is six functions, four that tell of the program, and three for Ctrl-C:
+The boundary is eight functions, four that tell of the program, and three for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `scan(turn, first, rows)` in the place of `jax.lax.scan(turn, first, rows)`: loops within its
   turns are part of the same kernel; by `Kept` parts of what turns leave go to tables of their own,
   each turn's to a place that is chosen beforehand, or nowhere;
-- `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`, and
-  `one_row(function, *numbers)` in the place of the function itself;
+- `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`, `through_rows` where
+  rows are few and arrays are long, `one_row(function, *numbers)` in the place of the function
+  itself, and `once`, which makes a kernel of a short one too;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
 - `forwards_only(sentence, numbers)`: what is not differentiated backwards, and why;
 - `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence;
@@ -60,10 +61,10 @@ give it a case in tests/native/test_rules.py.
 
 from jaxclear.native.differentiation import forwards_only
 from jaxclear.native.loop import has_kernels
-from jaxclear.native.rows import one_row, over_rows
+from jaxclear.native.rows import one_row, over_rows, through_rows
 from jaxclear.native.stopping import stop, stoppable, stops
 from jaxclear.native.verdicts import calls_lapack, explain, verdict
-from jaxclear.native.while_loops import Kept, scan, while_loop, with_fast_loops
+from jaxclear.native.while_loops import Kept, once, scan, while_loop, with_fast_loops
 
 __all__ = [
     "Kept",
@@ -71,12 +72,14 @@ __all__ = [
     "explain",
     "forwards_only",
     "has_kernels",
+    "once",
     "one_row",
     "over_rows",
     "scan",
     "stop",
     "stoppable",
     "stops",
+    "through_rows",
     "verdict",
     "while_loop",
     "with_fast_loops",

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from jaxclear.native.while_loops import once
+from jaxclear.native.while_loops import once, scan
 
 # Operations up to which a function is short: a body's place has some 100, the reactions of a
 # slider-crank have 456.
@@ -39,6 +39,13 @@ def over_rows(function: Callable, *rows: Any) -> Any:
     portion = np.arange(-(-count // times) * times).clip(max=count - 1).reshape(times, -1)
     found = jax.lax.map(one, jax.tree.map(lambda each: each[portion], rows))
     return jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:])[:count], found)
+
+
+def through_rows(function: Callable, *rows: Any) -> Any:
+    """As `over_rows`, one row after the other in a single kernel: constants come once, not with
+    every row, and what a row needs of long arrays that the function closes over is read by index.
+    For a batch, or where little is asked of each row. Its derivatives are not asked for."""
+    return scan(lambda none, row: (none, function(*row)), (), rows)[1]
 
 
 def one_row(function: Callable, *numbers: Any) -> Any:

@@ -6,6 +6,8 @@ is faster than the steps its force swings from step to step about a mean that is
 neither motion nor mean forces nor wear tell.
 """
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -16,16 +18,13 @@ from jaxclear.multibody.system import System
 LEAST_RATE = 1e-9
 
 
-def damper_steps(
-    seen: Float[Array, "looks 8 contacts"], lengths: Float[Array, " looks"]
-) -> Float[Array, " contacts"]:
-    """By contact the largest rate of damping in the looks, as the secant through rest, times the
-    steps' `lengths` there [s], each beside what is stable; `seen` as `friction_steps.contacts`
-    says."""
-    _, _, normal, _, rate, elastic, along, _ = (seen[:, part] for part in range(8))
+def damper_step(seen: Float[Array, "8 contacts"], length: Any) -> Float[Array, " contacts"]:
+    """By contact the rate of damping at a look, as the secant through rest, times the length [s] of
+    the steps there beside what is stable; `seen` as `friction_steps.contacts` says."""
+    _, _, normal, _, rate, elastic, along, _ = seen
     pressed = (normal > 0) & (abs(rate) > LEAST_RATE)
     damper = safe_divide(normal - elastic, jnp.where(pressed, rate, 0.0))
-    return jnp.max(lengths[:, None] * damper * along, axis=0, initial=0.0)
+    return length * damper * along
 
 
 def damping(system: System) -> bool:

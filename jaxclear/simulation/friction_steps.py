@@ -22,6 +22,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.integrators.checks import Check
 
+KINDS = (Check.FRICTION_STEP, Check.CREEP_STEP)
 # Explicit steps h of a slip that decays (or of bristles that vibrate) at the rate r carry it past
 # rest, back and forth, from h r = STABLE on; below, what they are off by falls as a power of h r.
 STABLE, POWER = 2.0, 3
@@ -37,62 +38,64 @@ def rubbing(model: Model) -> set[str]:
     }
 
 
-def friction_steps(
+def taken(
     model: Model,
-    seen: Float[Array, "looks 8 contacts"],
-    depths: Float[Array, "looks contacts"] | None,
-    steps: dict[Check, Float[Array, " looks"]],
-) -> dict[Check, Float[Array, " contacts"]]:
-    """By contact (its joint's) the figures of friction over a run, from what its looks have `seen`
-    of the `contacts`, the largest indentations [m] of the saving intervals that end there
-    (None: those seen), and the lengths [s] of `steps` by the check that judges them."""
-    bearings = model.system.bearings
-    laws = [own for b in bearings.values() for own in b.contact_laws]
-    joints = np.array([name for name, b in bearings.items() for _ in b.contact_laws])
-    drag, slip, normal, indented, _, _, along, across = (seen[:, part] for part in range(8))
-    depths = jnp.maximum(indented, 0.0 if depths is None else depths)
+    seen: Float[Array, "8 contacts"],
+    depths: Any,
+    steps: dict[Check, Any],
+) -> dict[Check, Float[Array, "2 contacts"]]:
+    """By the check that judges steps of these lengths [s]: of every contact the power [W] that
+    friction takes where these do not resolve it, and all of it, from what a look has `seen` of the
+    `contacts`, and the largest indentations [m] in the saving interval that ends there (0: those
+    seen count)."""
+    laws = [own for b in model.system.bearings.values() for own in b.contact_laws]
+    drag, slip, normal, indented, _, _, along, across = seen
     power = drag * slip
-    force, stiffness = (
-        jnp.stack(part, axis=1)
-        for part in zip(*(_pressed(own, depths[:, k]) for k, own in enumerate(laws)), strict=True)
-    )
+    depths = jnp.maximum(indented, depths)
+    pressed = [_pressed(own, depths[k]) for k, own in enumerate(laws)]
+    force, stiffness = (jnp.stack(part) for part in zip(*pressed, strict=True))
     # Friction by slip, as the secant through rest: slip that is stopped too hard swings about it.
     secant = safe_divide(drag, slip * jnp.where(normal > 0, normal, 1.0))
     pushed = jnp.maximum(force, normal) * across
     out = {}
     for check, step in steps.items():
-        steepest, spring = (
-            jnp.stack(part, axis=1)
-            for part in zip(*(_slopes(own, step) for own in laws), strict=True)
-        )
-        lengths = step[:, None]
+        slopes = [_slopes(own, step) for own in laws]
+        steepest, spring = (jnp.stack(part) for part in zip(*slopes, strict=True))
         if check == Check.CREEP_STEP:
             hardest = jnp.maximum(stiffness * along, spring * pushed)
             rate = jnp.minimum(jnp.minimum(secant, steepest) * pushed, safe_sqrt(hardest))
-            share = lengths * rate
+            share = step * rate
         else:
-            viscous = jnp.maximum(steepest - 0.5 * spring * lengths, 0.0) * pushed
+            viscous = jnp.maximum(steepest - 0.5 * spring * step, 0.0) * pushed
             rate = jnp.minimum(secant * pushed, jnp.maximum(viscous, safe_sqrt(spring * pushed)))
-            share = jnp.minimum(lengths * rate / STABLE, 1.0) ** POWER
-        sums = jnp.stack([jnp.sum(power * share, axis=0), jnp.sum(power, axis=0)])
-        # A joint's contacts wear one surface: they have one figure.
-        out[check] = safe_divide(*(sums @ (joints[:, None] == joints)))
+            share = jnp.minimum(step * rate / STABLE, 1.0) ** POWER
+        out[check] = jnp.stack([power * share, power])
     return out
 
 
-def _pressed(laws: Any, depths: Float[Array, " looks"]) -> tuple[Array, Array]:
-    """Elastic force [N] at given indentations and its slope [N/m]."""
-    force = laws.contact.elastic_force
-    return jax.vmap(lambda depth: jax.jvp(force, (depth,), (jnp.ones(()),)))(depths)
+def friction_steps(
+    model: Model, power: Float[Array, "looks 2 contacts"]
+) -> Float[Array, " contacts"]:
+    """By contact (its joint's) a figure of friction over a run, from the power `taken` at its
+    looks."""
+    bearings = model.system.bearings
+    joints = np.array([name for name, b in bearings.items() for _ in b.contact_laws])
+    # A joint's contacts wear one surface: they have one figure.
+    return safe_divide(*(jnp.sum(power, axis=0) @ (joints[:, None] == joints)))
 
 
-def _slopes(laws: Any, steps: Float[Array, " looks"]) -> tuple[Array, Array]:
-    """Largest slope [s/m] of a contact's friction over steps of these lengths [s], and how it grows
-    with half their length [1/m]: the spring that bristles are; 0 without friction."""
+def _pressed(laws: Any, depth: Any) -> tuple[Array, Array]:
+    """Elastic force [N] at an indentation and its slope [N/m]."""
+    return jax.jvp(laws.contact.elastic_force, (depth,), (jnp.ones(()),))
+
+
+def _slopes(laws: Any, step: Any) -> tuple[Array, Array]:
+    """Largest slope [s/m] of a contact's friction over a step of this length [s], and how it grows
+    with half its length [1/m]: the spring that bristles are; 0 without friction."""
     if laws.friction is None or laws.friction.set_valued:
-        return jnp.zeros_like(steps), jnp.zeros_like(steps)
-    slope = jax.vmap(lambda h: jnp.asarray(laws.friction.largest_slope(h), float))
-    return slope(steps), 2 * (slope(2 * steps) - slope(steps)) / steps
+        return jnp.zeros(()), jnp.zeros(())
+    slope = lambda h: jnp.asarray(laws.friction.largest_slope(h), float)
+    return slope(step), 2 * (slope(2 * step) - slope(step)) / step
 
 
 def contacts(now: Instant, formulation: AbstractFormulation) -> Float[Array, "8 contacts"]:

@@ -2,9 +2,8 @@
 functions of an instant are taken of them: all at once, so that what they share is worked out once.
 """
 
-import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,29 +11,73 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxclear.formulations.model import Instant, Model
+from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import constant
-from jaxclear.results.state_history import StateHistory, over_time
+from jaxclear.multibody import kinematics, state
+from jaxclear.native import over_rows, through_rows
+from jaxclear.results.state_history import StateHistory
+from jaxclear.simulation.tally import Figures
 
 # Saved states of a run, at most, that are looked at: a loop that has come open stays so for long.
 MOST = 50
 
 
 class Looks(NamedTuple):
-    """The saving `intervals` at whose ends a run looks, and what it has `seen`: the states at its
-    start and there, of which `model`."""
+    """The saving `intervals` at whose ends a run looks, at its start too; its `history`, of which
+    nothing is differentiated, its `model`, and the `figures` of these intervals."""
 
     intervals: np.ndarray
-    seen: StateHistory
+    history: StateHistory
     model: Model
+    figures: Figures
 
     @property
     def rows(self) -> np.ndarray:
         """Their places among the saving times, the start in front."""
         return np.concatenate([[0], 1 + self.intervals])
 
-    def of(self, function: Callable[[Instant], dict[str, Array]]) -> dict[str, Array]:
-        """What a function says of every state seen, the run's start in front. No derivatives."""
-        return over_time(self.seen, function, self.model)
+    def of(self, function: Callable[[Instant, Figures], dict[str, Any]]) -> dict[str, Any]:
+        """What a function of an instant, and of the figures of the saving interval that ends there
+        (at the start: of the first), says of every look. No derivatives."""
+        rows, times, states = self.rows, jnp.asarray(self.history.time), self.history.states
+        # Means of forces are those from one look to the next.
+        begins, ends = np.append(rows[:1], rows[:-1]), np.append(rows[1:2], rows[1:])
+        looks = (np.arange(len(rows)) - 1).clip(min=0)
+        impulses = range(self.model.layout.impulse_start, self.model.layout.energy_start)
+
+        def at(row: Any, begin: Any, end: Any, look: Any) -> tuple[Any, list, list, Figures]:
+            before, after = (_numbers_of(states, k, impulses) for k in (begin, end))
+            length = times[end] - times[begin]
+            means = [(late - early) / length for early, late in zip(before, after, strict=True)]
+            return times[row], _numbers_of(states, row), means, _row_of(self.figures, look)
+
+        def seen(time, entries, means, figures, read) -> dict[str, Any]:
+            model, system = self.model, self.model.system
+            q, v = state.unpack_motion(system, entries)
+            now = Model(system, read, model.stabilisation, model.layout, model.projects)
+            motions = kinematics.link_motions(system, q, v, time)
+            return sp.dense(function(Instant(now, motions, q, v, time, entries, means), figures))
+
+        places = rows, begins, ends, looks
+        if not self.history.read:
+            return through_rows(lambda *places: seen(*at(*places), read={}), *places)
+        # The depths of worn surfaces are more than a kernel reads by index.
+        read = jax.tree.map(lambda depths: depths[rows], self.history.read)
+        return over_rows(seen, *jax.vmap(at)(*places), read)
+
+
+def _row_of(figures: Figures, row: Any) -> Figures:
+    """Figures of one row."""
+    return {
+        check: jnp.stack(_numbers_of(each, row)) if each.ndim > 1 else each[row]
+        for check, each in figures.items()
+    }
+
+
+def _numbers_of(rows: Array, row: Any, columns: Any = None) -> list[Array]:
+    """The numbers of a row of many, one by one: so a kernel reads any number of them by index."""
+    columns = range(rows.shape[1]) if columns is None else columns
+    return [jax.lax.dynamic_slice(rows, (row, k), (1, 1))[0, 0] for k in columns]
 
 
 def looked_at(count: int) -> np.ndarray:
@@ -42,12 +85,6 @@ def looked_at(count: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
 
 
-def look(history: StateHistory, model: Model) -> Looks:
+def look(history: StateHistory, model: Model, figures: Figures) -> Looks:
     """The looks of a run at itself."""
-    intervals = looked_at(len(history.time) - 1)
-    rows = np.concatenate([[0], 1 + intervals])
-    still, model = constant((history, model))
-    time, states, read = jax.tree.map(
-        lambda x: jnp.asarray(x)[rows], (still.time, still.states, still.read)
-    )
-    return Looks(intervals, dataclasses.replace(still, time=time, states=states, read=read), model)
+    return Looks(looked_at(len(history.time) - 1), *constant((history, model, figures)))

@@ -5,12 +5,13 @@ Nothing here touches the motion: what reached its end does so with the same numb
 """
 
 import dataclasses
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant, Model
@@ -24,16 +25,18 @@ from jaxclear.multibody import contact_point, energy, kinematics, loops
 from jaxclear.multibody.reach import rooms
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.damper_steps import damper_steps, damping
-from jaxclear.simulation.friction_steps import contacts, friction_steps, rubbing
+from jaxclear.simulation.damper_steps import damper_step, damping
+from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubbing, taken
 from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.rebound import rebound_steps
 from jaxclear.simulation.spot_checks import GAPS, beside_way
-from jaxclear.simulation.tally import LENGTHS, Figures, Tally
+from jaxclear.simulation.tally import Figures, Tally
 
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
 LEAST_LIFT = 0.01
+# Figures of every look beyond which a run ends.
+ENDING = (Check.INDENTATION, Check.LOOP_DRIFT)
 
 
 def refereed(
@@ -48,27 +51,24 @@ def refereed(
     ends where one of these is beyond what a run can mend.
     """
     history = trajectory.history
-    looks, ends = look(history, model), jnp.asarray(history.time)[1:]
-    steps = {check: figures[check] for check in LENGTHS if check in figures}
-    sunk = figures.get(Check.INDENTATION)
-    seen, rubbed, inside, ways = _of_saved_states(looks, steps, sunk)
+    looks, ends = look(history, model, figures), jnp.asarray(history.time)[1:]
+    seen, rubbed, verdict, inside, ways = _of_saved_states(looks)
     if ways is None:
-        ways = beside_way(model, history.states[looks.rows], tally, history.time)
+        ways = beside_way(model, looks.history.states[looks.rows], tally, looks.history.time)
     inside, ways = jax.lax.stop_gradient((inside, ways))
     trajectory = dataclasses.replace(trajectory, places=inside, ways=ways)
-    of_run = {check: each[None] for check, each in (windows | rubbed).items()}
+    of_run = windows | rubbed
     met, when = dict(tally.worst), dict(tally.when)
     rebound = met.pop(Check.REBOUND_STEP, None)
     if rebound is not None:
         rises = met[Check.CONTACT_STEP], met[Check.INDENTATION]
-        of_run[Check.REBOUND_STEP] = rebound_steps(model, *rises, rebound)[None]
+        of_run[Check.REBOUND_STEP] = rebound_steps(model, *rises, rebound)
     places = _places(model)
-    parts = [(seen, ends[looks.intervals]), (of_run, ends[-1:])]
-    others = _over_run([(jax.lax.stop_gradient(each), at) for each, at in parts], places)
-    checks = Checks(_met(_of_contacts(model.system, met), when, places) | others)
-    judged = seen if sunk is None else {Check.INDENTATION: sunk / _radii(model.system)} | seen
-    verdict = _ending(judged)
-    if jnp.ndim(verdict) == 0:
+    met = _of_contacts(model.system, met) | jax.lax.stop_gradient(of_run)
+    when |= {check: jnp.full(each.shape, ends[-1]) for check, each in of_run.items()}
+    others = _over_looks(jax.lax.stop_gradient(seen), ends[looks.intervals], places)
+    checks = Checks(_met(met, when, places) | others)
+    if verdict is None:
         return dataclasses.replace(trajectory, checks=checks)
     bad = (verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
     worst, stops = jnp.argmax(bad), jnp.any(bad)
@@ -86,7 +86,7 @@ def refereed(
 
 
 def _met(worst: Figures, when: Figures, places: dict[str, tuple[str, ...]]) -> dict[Check, Figure]:
-    """The worst figures that were met, and when; `places` as for `_over_run`."""
+    """The worst figures that were met, and when; `places` as for `_over_looks`."""
     return {
         check: Figure(jnp.where(jnp.isnan(each), jnp.inf, each), when[check], places[check.of])
         for check, each in worst.items()
@@ -94,32 +94,29 @@ def _met(worst: Figures, when: Figures, places: dict[str, tuple[str, ...]]) -> d
     }
 
 
-def _over_run(
-    parts: list[tuple[dict[Check, Float[Array, "looks places"]], Float[Array, " looks"]]],
-    places: dict[str, tuple[str, ...]],
+def _over_looks(
+    found: Figures, ends: Float[Array, " looks"], places: dict[str, tuple[str, ...]]
 ) -> dict[Check, Figure]:
     """The worst of figures found by looks, at such times [s]; `places`: names of the places by what
     they are of. What is not a number counts as infinite.
     """
     figures = {}
-    for found, ends in parts:
-        for check, each in found.items():
-            if not places[check.of]:
-                continue
-            known = jnp.where(jnp.isnan(each), jnp.inf, each)
-            latest = jnp.argmax(known, axis=0)
-            worst = jnp.take_along_axis(known, latest[None], axis=0)[0]
-            figures[check] = Figure(worst, ends[latest], places[check.of])
+    for check, each in found.items():
+        known = jnp.where(jnp.isnan(each), jnp.inf, each)
+        latest = jnp.argmax(known, axis=0)
+        worst = jnp.take_along_axis(known, latest[None], axis=0)[0]
+        figures[check] = Figure(worst, ends[latest], places[check.of])
     return figures
 
 
-def _ending(found: dict[Check, Float[Array, "looks places"]]) -> Float[Array, " looks"]:
-    """`Outcome` that the figures of each look call for: `REACHED` where none is certainly wrong."""
-    outcome: Any = Outcome.REACHED
+def _ending(found: Figures, outcome: Any = None) -> Any:
+    """`Outcome` that figures at an instant call for, `REACHED` where none is certainly wrong, or
+    else this one; None where there is none."""
     for check, each in found.items():
         if np.isfinite(check.ends_at):
             bad = jnp.any(~(each <= check.ends_at), axis=-1)
-            outcome = jnp.where(bad, check.outcome, outcome)
+            known = int(Outcome.REACHED) if outcome is None else outcome
+            outcome = jnp.where(bad, int(check.outcome), known)
     return outcome
 
 
@@ -156,54 +153,64 @@ def _places(model: Model) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _of_saved_states(
-    looks: Looks, steps: dict[Check, Array], depths: Array | None
-) -> tuple[
-    dict[Check, Float[Array, "looks places"]],
-    dict[Check, Float[Array, " contacts"]],
-    Float[Array, "looks places"] | None,
-    Float[Array, "looks places"] | None,
-]:
-    """Figures that the looks tell, and those of friction, of the run as a whole, also from the
-    lengths [s] of `steps` there and the largest indentations [m] since the saving time before
-    (None: those seen count); and where parts were in their gaps, and bodies on their ways (None:
-    there are no gaps)."""
-    model, formulation = looks.model, looks.seen.formulation
-    system = model.system
-    driven = looks.seen.mechanism.driven
-    damped = steps.pop(Check.DAMPER_STEP, None)
-    damped = damped if damping(system) else None
-    steps = steps if rubbing(model) else {}
-    looking = bool(steps) or damped is not None
-    sinking = depths is None and bool(system.bearings) and not formulation.forces_are_means
+class Seen(NamedTuple):
+    """What the looks tell: figures by look, figures of the run as a whole, the `Outcome` that each
+    look calls for (None: none ever ends a run), where parts were in their gaps, and bodies on their
+    ways (None: there are no gaps)."""
 
-    def judged(now: Instant) -> dict[str, Array]:
-        return (
-            ({"openings": _openings(now)} if system.closures else {})
-            | ({} if driven else _energies(now, formulation))
-            | ({"contacts": contacts(now, formulation)} if looking else {})
-            | ({"depths": _depths(now, formulation)} if sinking else {})
-            | ({"places": _in_gaps(now), "centres": _centres(now)} if system.bearings else {})
-        )
+    figures: dict[Check, Float[Array, "looks places"]]
+    of_run: dict[Check, Float[Array, " contacts"]]
+    verdict: Int[Array, " looks"] | None
+    inside: Float[Array, "looks places"] | None
+    ways: Float[Array, "looks places"] | None
 
-    said = looks.of(judged)
-    found = {}
-    if "depths" in said:
-        found[Check.INDENTATION] = said["depths"][1:] / _radii(system)
-    if "openings" in said:
-        found[Check.LOOP_DRIFT] = said["openings"][1:]
-    if "energies" in said:
-        gains = _gains(_small_energy(system), said["energies"], formulation.forces_are_means)
-        found[Check.ENERGY_GAIN] = gains[1:, None]
-    inside, ways = said.get("places"), None
-    if inside is not None:
-        ways = _ways(system, said["centres"], inside)
-    of_steps = {}
-    if damped is not None:
-        of_steps[Check.DAMPER_STEP] = damper_steps(said["contacts"][1:], damped)
-    if steps:
-        of_steps |= friction_steps(model, said["contacts"][1:], depths, steps)
-    return found, of_steps, inside, ways
+
+def _of_saved_states(looks: Looks) -> Seen:
+    """What a run's looks at its saved states tell."""
+    model, system = looks.model, looks.model.system
+    means = looks.history.formulation.forces_are_means
+    said = looks.of(_judging(looks))
+    inside, energies = said.get("places"), said.get("energies")
+    # Without the start.
+    told, verdict = jax.tree.map(lambda each: each[1:], (said["told"], said.get("verdict")))
+    figures = {check: told[check] for check in ENDING if check in told}
+    if energies is not None:
+        gains = _gains(_small_energy(system), energies, means)[1:, None]
+        figures[Check.ENERGY_GAIN] = gains
+        verdict = _ending({Check.ENERGY_GAIN: gains}, verdict)
+    of_run = {check: friction_steps(model, told[check]) for check in KINDS if check in told}
+    if Check.DAMPER_STEP in told:
+        of_run[Check.DAMPER_STEP] = jnp.max(told[Check.DAMPER_STEP], axis=0, initial=0.0)
+    ways = None if inside is None else _ways(system, said["centres"], inside)
+    return Seen(figures, of_run, verdict, inside, ways)
+
+
+def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
+    """What is worked out at every look, from the figures of its saving interval."""
+    system, formulation = looks.model.system, looks.history.formulation
+    slides, driven = bool(rubbing(looks.model)), looks.history.mechanism.driven
+    sinks = bool(system.bearings) and not formulation.forces_are_means
+
+    def judged(now: Instant, figures: Figures) -> dict[str, Any]:
+        told: dict[Check, Array] = {}
+        steps = {check: figures[check] for check in KINDS if check in figures and slides}
+        length = figures.get(Check.DAMPER_STEP) if damping(system) else None
+        depths = figures.get(Check.INDENTATION)
+        if steps or length is not None:
+            met = contacts(now, formulation)
+            told |= taken(looks.model, met, 0.0 if depths is None else depths, steps)
+            told |= {} if length is None else {Check.DAMPER_STEP: damper_step(met, length)}
+        if depths is None and sinks:
+            told[Check.INDENTATION] = _depths(now, formulation) / _radii(system)
+        told |= {Check.LOOP_DRIFT: _openings(now)} if system.closures else {}
+        judging = {} if depths is None else {Check.INDENTATION: depths / _radii(system)}
+        verdict = _ending(judging | {check: told[check] for check in ENDING if check in told})
+        said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
+        said |= {} if driven else _energies(now, formulation)
+        inside = {"places": _in_gaps(now), "centres": _centres(now)} if system.bearings else {}
+        return said | inside
+
+    return judged
 
 
 def _centres(now: Instant) -> Float[Array, " components"]:

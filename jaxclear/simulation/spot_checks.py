@@ -26,6 +26,7 @@ from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.reach import driven_ways, narrowest_gap, reaches, turning
 from jaxclear.multibody.system import longest_arm
+from jaxclear.native import once
 from jaxclear.simulation.tally import Tally
 
 # Share of a run's steps that windows take; in a window steps are taken 1 + 2 times.
@@ -46,6 +47,8 @@ APART, WHOLE = (COARSE, COARSE_ON, FINE, FINE_ON), (FINE, FINE_ON, COARSE_ON)
 LEAST = 0.1
 # A turn moves bodies by no more than so many arms; less than so many clearances is no way.
 ACROSS, GAPS = 2.0, 100.0
+# How far drives lead, as `driven_ways` has it.
+Led = list[tuple[Scalar, bool]]
 
 
 class Turns(NamedTuple):
@@ -91,6 +94,11 @@ class Plan(NamedTuple):
         """The run's saving times [s]."""
         starts, stops = self.turns.start[: self.intervals], self.turns.stop[: self.intervals]
         return jnp.append(starts, stops[-1])
+
+    @property
+    def duration(self) -> Float[Array, ""]:
+        """How long the run is [s]."""
+        return self.turns.stop[self.intervals - 1] - self.turns.start[0]
 
     def shadows(self, name: str) -> np.ndarray:
         """Where among the parts the turn of this name of each window is."""
@@ -174,22 +182,32 @@ def figures(
     and worn volumes differ between the two passes, beside their sizes."""
     if ends is None:
         return {}
+    led = driven_ways(model.system, plan.times)
+    # As a kernel: XLA starts some fifty operations on few numbers, for what they cost a twentieth
+    # of a short run.
+    return once(lambda: _figures(model, plan, states, ends, tally, means, led))
+
+
+def _figures(
+    model: Model, plan: Plan, states: Array, ends: Array, tally: Tally, means: bool, led: Led
+) -> dict[Check, Float[Array, " places"]]:
+    """As `figures`."""
     layout = model.layout
-    begin = states[plan.windows]
-    of = lambda name: ends[plan.among_shadows(name)]
+    begin = _rows(states, plan.windows)
+    of = lambda name: _rows(ends, plan.among_shadows(name))
     fine, fine_on, coarse_on = map(of, (FINE, FINE_ON, COARSE_ON))
     own = plan.names == WHOLE
-    coarse = states[plan.windows + 1] if own else of(COARSE)
+    coarse = _rows(states, plan.windows + 1) if own else of(COARSE)
     speeds = slice(layout.coordinates, layout.memory_start)
     # What makes each speed one in m/s: the longest arm for those of turning.
     arm = longest_arm(model.system)
     scales = arm / speed_scales(model.system, arm)
     # How fast each entry changes over the run: a window that is quiet beside that tells nothing.
-    usual = safe_divide(tally.way, plan.times[-1] - plan.times[0])
+    usual = safe_divide(tally.way, plan.duration)
     met = usual * jnp.sum(_durations(plan, FINE))
     found = {
         Check.HALVED_MEAN_FORCES: _difference(coarse - begin, fine - begin, met, speeds, scales),
-        Check.HALVED_MOTION: _motion(model, plan, tally, coarse - fine, scales)[None],
+        Check.HALVED_MOTION: _motion(model, plan, tally, coarse - fine, scales, led)[None],
     }
     if not means:
         found[Check.HALVED_FORCES] = _difference(
@@ -207,7 +225,9 @@ def figures(
     return found
 
 
-def _motion(model: Model, plan: Plan, tally: Tally, off: Array, scales: Array) -> Float[Array, ""]:
+def _motion(
+    model: Model, plan: Plan, tally: Tally, off: Array, scales: Array, led: Led
+) -> Float[Array, ""]:
     """By how much bodies would be elsewhere at the end of the run, beside their way, if all of it
     were `off` by what the windows end with (windows, states).
 
@@ -216,19 +236,18 @@ def _motion(model: Model, plan: Plan, tally: Tally, off: Array, scales: Array) -
     """
     layout = model.layout
     count = layout.coordinates
-    times = plan.times
-    share = safe_divide(times[-1] - times[0], jnp.sum(_durations(plan, FINE)))
+    share = safe_divide(plan.duration, jnp.sum(_durations(plan, FINE)))
     total = share * jnp.sum(abs(off), axis=0)
-    places = jnp.max(total[:count] * _shares_of_way(model, tally, times), initial=0.0)
+    places = jnp.max(total[:count] * _shares_of_way(model, tally, led), initial=0.0)
     if tally.squares is None:
         return places
     speeds = slice(count, layout.memory_start)
-    usual = jnp.max(safe_sqrt(tally.squares / len(times)) * scales, initial=0.0)
+    usual = jnp.max(safe_sqrt(tally.squares / (plan.intervals + 1)) * scales, initial=0.0)
     faster = safe_divide(jnp.max(total[speeds] * scales, initial=0.0), usual)
     return jnp.maximum(places, faster)
 
 
-def _shares_of_way(model: Model, tally: Tally, times: Array) -> Float[Array, " coordinates"]:
+def _shares_of_way(model: Model, tally: Tally, led: Led) -> Float[Array, " coordinates"]:
     """What a unit of each coordinate is beside the longest way of one, or a tenth of that on which
     drives lead: a joint that a spring holds still while its arm is swung goes nowhere by itself."""
     system, way = model.system, tally.reach
@@ -237,9 +256,9 @@ def _shares_of_way(model: Model, tally: Tally, times: Array) -> Float[Array, " c
     longest = jnp.max(turned * reach, initial=0.0)
     if system.bearings:
         longest = jnp.maximum(longest, GAPS * narrowest_gap(system))
-    for led, turns in driven_ways(system, times):
-        led = jnp.minimum(led, ACROSS) * longest_arm(system) if turns else led
-        longest = jnp.maximum(longest, LEAST * led)
+    for way_led, turns in led:
+        across = jnp.minimum(way_led, ACROSS) * longest_arm(system) if turns else way_led
+        longest = jnp.maximum(longest, LEAST * across)
     return safe_divide(reach, longest)
 
 
@@ -247,13 +266,19 @@ def beside_way(
     model: Model, states: Float[Array, "looks n"], tally: Tally, times: Float[Array, " time"]
 ) -> Float[Array, "looks coordinates"]:
     """The coordinates beside the longest way of one."""
-    return states[:, : model.layout.coordinates] * _shares_of_way(model, tally, times)
+    led = driven_ways(model.system, times)
+    return states[:, : model.layout.coordinates] * _shares_of_way(model, tally, led)
 
 
 def _durations(plan: Plan, turn: str) -> Float[Array, "windows 1"]:
     """How long the turn of this name takes in each window [s]."""
     rows = plan.parts.first[plan.shadows(turn)]
-    return (plan.turns.stop[rows] - plan.turns.start[rows])[:, None]
+    return (_rows(plan.turns.stop, rows) - _rows(plan.turns.start, rows))[:, None]
+
+
+def _rows(array: Array, places: np.ndarray) -> Array:
+    """Rows of an array at places known beforehand, which a kernel reads by themselves."""
+    return jnp.stack([array[int(k)] for k in places])
 
 
 def _difference(
