@@ -205,6 +205,36 @@ def test_mean_forces_of_paths_that_have_parted_are_held_to_less(pushed, place, f
     assert {check for check, flag in found.checks.beyond().items() if flag} == said
 
 
+@pytest.mark.parametrize(("finer", "cleared"), [(0.29, True), (0.31, False)])
+def test_creep_is_cleared_by_steps_that_resolve_the_vibration_of_a_contact(finer, cleared):
+    """Not by those that are within the limit of a run alone (0.1 rad): 14 of 50 right runs of
+    ImplicitStep that warned warned of creep and of nothing else (benchmarks/attack.py)."""
+    own, other = (Figure(np.array([x]), np.zeros(1), ("A",)) for x in (0.9, finer))
+    run = SimpleNamespace(checks=Checks({Check.CREEP_STEP: other}))
+    assert (second_look._accused(own, Check.CREEP_STEP, run, {"A"}) is None) == cleared
+
+
+@pytest.mark.parametrize(
+    ("finer", "factor", "dropped"),
+    [(0.05, 1.0, True), (0.2, 1.0, False), (0.05, 1.1, False)],
+    ids=["the same", "not within its limit", "other forces"],
+)
+def test_what_windows_say_of_forces_is_dropped_where_the_whole_run_has_the_same(
+    pushed, finer, factor, dropped
+):
+    def with_window(run, figure):
+        window = Figure(np.full(1, figure), np.zeros(1), ("slide",))
+        checks = Checks(run.checks.figures | {Check.HALVED_FORCES: window})
+        return dataclasses.replace(run, checks=checks)
+
+    run = rising(pushed(5e-6), 0.2)
+    other = with_window(rising(pushed(5e-6), 0.2, factor), finer)
+    found = second_look.looked_at_again(
+        with_window(run, 0.5), jc.integrator.FixedStep(5e-6), lambda _: other
+    )
+    assert (Check.HALVED_FORCES not in found.checks.figures) == dropped
+
+
 @pytest.mark.parametrize(("deeper", "dropped"), [(1.005, True), (1.02, False)])
 def test_impacts_are_right_only_where_their_peaks_are(pushed, deeper, dropped):
     """A run whose places agree, and whose deepest indentations are so many times as deep."""
