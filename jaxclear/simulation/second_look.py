@@ -49,6 +49,8 @@ RESOLVED_CREEP = 0.3
 # What short windows say of forces, and is dropped where forces, wear and friction of the whole run
 # are the same, as long as the shorter steps are within its limit.
 OF_WINDOWS = (Check.HALVED_MEAN_FORCES, Check.HALVED_FORCES)
+# Not where bodies may drift, of which nothing else tells.
+DRIFTING = {Check.HALVED_MOTION: 0.005}
 # By how much, beside themselves, mean forces, what friction takes and what is worn may change there
 # (twice that left worn depths 13 % off), and the deepest indentations: peaks of forces by a fifth.
 LITTLE, DEEPEST = 0.02, 0.13
@@ -99,10 +101,10 @@ def looked_at_again(
         if right and check in figures:
             left = _accused(figures.pop(check), check, other, right)
             figures |= {} if left is None else {check: left}
-    if right and right >= set(figures[Check.INDENTATION].places):
+    if right and right >= set(figures[Check.INDENTATION].places) and _within(run, DRIFTING):
         for check in OF_WINDOWS:
-            if check in figures and _within(other, check):
-                del figures[check]
+            if _within(other, {check: check.limit}):
+                figures.pop(check, None)
     return dataclasses.replace(run, checks=Checks(figures))
 
 
@@ -204,10 +206,13 @@ def _accused(figure: Figure, check: Check, other: Trajectory, right: set[str]) -
     return Figure(figure.worst[kept], figure.time[kept], places)
 
 
-def _within(run: Trajectory, check: Check) -> bool:
-    """Whether a figure of a run is known and within its limit."""
-    known = run.checks.figures.get(check)
-    return known is not None and bool(np.all(np.asarray(known.worst) <= check.limit))
+def _within(run: Trajectory, limits: dict[Check, float]) -> bool:
+    """Whether figures of a run are known and within these limits."""
+    known = run.checks.figures
+    return all(
+        check in known and bool(np.all(np.asarray(known[check].worst) <= limit))
+        for check, limit in limits.items()
+    )
 
 
 def _right_joints(run: Trajectory, other: Trajectory, worst: dict[Check, float]) -> set[str]:
