@@ -21,11 +21,17 @@ from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.integrators.stepping import SLIVER
-from jaxclear.multibody.state import ENERGIES
-from jaxclear.results.histories import contact_impulse
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.friction_steps import rubbing
 from jaxclear.simulation.rebound import RESOLVED
+from jaxclear.simulation.two_runs import (
+    apart_by_check,
+    deepest_apart,
+    friction_loss,
+    impulses,
+    opens,
+    share_of_largest,
+)
 
 # Length of the steps beside those of the run.
 FINER = 0.25
@@ -68,9 +74,6 @@ SAME_DEPTH = 0.01
 # Restitution from which on what an impact is off by does not die out at the next ones: of
 # mechanisms drawn at random (restitution to 0.98) `DOUBTS` told every one.
 ELASTIC = 0.99
-# What friction takes, beside the most of all energies of the balance, below which nobody reads it;
-# and what is rounding in any mechanism [J].
-LEAST_LOSS, NO_LOSS = 1e-3, 1e-15
 # Steps of a run beyond which it is not gone through again: seconds in any mechanism.
 MOST_STEPS = 100_000
 
@@ -89,7 +92,7 @@ def looked_at_again(
     if not other.succeeded:
         return run
     figures = dict(run.checks.figures)
-    apart = _apart(run, other, integrator.places_in_gaps)
+    apart = apart_by_check(run, other, integrator.places_in_gaps, bool(doubted(run.checks)))
     for check, (found, places) in apart.items():
         figure = Figure(jnp.asarray(found), jnp.full(len(places), run.ended), places)
         figures[check] = _worse(figure, figures.get(check))
@@ -127,8 +130,8 @@ def _in_doubt(run: Trajectory) -> bool:
     friction that stops slip within a step, however long, where its loss is asked for, and what
     keeps all that an impact is off by."""
     if run.formulation.forces_are_means:
-        rubs = run.history.balanced and bool(_friction_loss(run) != 0)
-        return _opens(run) or rubs
+        rubs = run.history.balanced and bool(friction_loss(run) != 0)
+        return opens(run) or rubs
     return _elastic(run) or bool(doubted(run.checks))
 
 
@@ -172,11 +175,6 @@ def found_in_one(integrator: AbstractIntegrator, again: Callable[[Any], Trajecto
     return Checks({check: found.figures[check] for check in FINDINGS if check in told})
 
 
-def _opens(run: Trajectory) -> bool:
-    """Whether contacts may open and close."""
-    return bool(run.mechanism.topology.clearances)
-
-
 def _impacts_are_right(run: Trajectory, other: Trajectory, worst: dict[Check, float]) -> bool:
     """Whether what explicit steps may do to impacts has been measured, and is little: then that
     says more than by how much indentations rise."""
@@ -185,7 +183,7 @@ def _impacts_are_right(run: Trajectory, other: Trajectory, worst: dict[Check, fl
         return False
     little = worst[Check.PLACE_IN_GAP] <= Check.PLACE_IN_GAP.limit
     little = little and worst.get(Check.HALVED_WEAR, 0.0) <= LITTLE
-    little = little and _deepest_apart(run, other) <= SAME_DEPTH
+    little = little and deepest_apart(run, other) <= SAME_DEPTH
     return bool(little and np.max(rises.worst) <= RESOLVED)
 
 
@@ -225,94 +223,16 @@ def _right_joints(run: Trajectory, other: Trajectory, worst: dict[Check, float])
     if max(worst[Check.MEAN_FORCE], worst.get(Check.HALVED_WEAR, 0.0)) > LITTLE:
         return set()
     balanced = run.history.balanced
-    if balanced and _share(*(_friction_loss(one) for one in (run, other))) > LITTLE:
+    if balanced and share_of_largest(*(friction_loss(one) for one in (run, other))) > LITTLE:
         return set()
     unknown = set() if balanced else rubbing(run.history.model()) - set(run.worn)
     joints = tuple(dict.fromkeys(run.checks.figures[Check.INDENTATION].places))
     return {
         name
         for name in set(joints) - unknown
-        if _share(*(_impulses(one, (name,)) for one in (run, other))) <= LITTLE
-        and _deepest_apart(run, other, name) <= DEEPEST
+        if share_of_largest(*(impulses(one, (name,)) for one in (run, other))) <= LITTLE
+        and deepest_apart(run, other, name) <= DEEPEST
     }
-
-
-def _deepest_apart(run: Trajectory, other: Trajectory, joint: str | None = None) -> float:
-    """Change of the deepest indentations beside the deepest, of all joints or of one."""
-    figures = [one.checks.figures[Check.INDENTATION] for one in (run, other)]
-    own = [joint in (None, place) for place in figures[0].places]
-    return _share(*(np.asarray(figure.worst)[own] for figure in figures))
-
-
-def _share(one: np.ndarray, other: np.ndarray) -> float:
-    """Largest difference beside the largest of both."""
-    largest = np.maximum(np.abs(one), np.abs(other)).max()
-    return float(np.abs(one - other).max() / largest) if largest > 0 else 0.0
-
-
-def _friction_loss(run: Trajectory) -> np.ndarray:
-    """What friction has taken [J]."""
-    return _energies(run)[-1, ENERGIES.index("friction_loss")]
-
-
-def _energies(run: Trajectory) -> np.ndarray:
-    """The energies of the balance [J] at the saving times."""
-    return np.asarray(run.states)[:, run.history.layout().energy_start :]
-
-
-def _friction_loss_apart(run: Trajectory, other: Trajectory) -> float:
-    """Difference of what friction has taken, beside that; where it takes next to nothing, beside
-    `LEAST_LOSS` of the most of all energies."""
-    one, two = (float(_friction_loss(each)) for each in (run, other))
-    most = LEAST_LOSS * float(np.abs(_energies(other)).max())
-    return abs(one - two) / max(abs(one), abs(two), most, NO_LOSS)
-
-
-def _impulses(run: Trajectory, joints: tuple[str, ...]) -> np.ndarray:
-    """What the normal forces of each joint have given over the run [N s]."""
-    return np.array([float(contact_impulse(run.history, name)[-1]) for name in joints])
-
-
-def _apart(
-    run: Trajectory, other: Trajectory, gaps: bool
-) -> dict[Check, tuple[np.ndarray, tuple[str, ...]]]:
-    """By check how far two runs are apart, by place, and the names of these; `gaps`: whether places
-    in gaps count."""
-    found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
-    sunk = run.checks.figures.get(Check.INDENTATION)
-    if _opens(run) or bool(doubted(run.checks)):
-        elsewhere = np.abs(np.asarray(run.ways) - np.asarray(other.ways)).max(initial=0.0)
-        found[Check.HALVED_MOTION] = (elsewhere[None], ("",))
-    if _opens(run) and gaps and sunk is not None:
-        off = np.abs(np.asarray(run.places) - np.asarray(other.places)).max(axis=0)
-        found[Check.PLACE_IN_GAP] = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)
-    if _opens(run):
-        joints = tuple(run.mechanism.topology.clearances)
-        one, two = (_impulses(each, joints) for each in (run, other))
-        largest = max(one.max(), two.max())
-        shares = abs(one - two) / largest if largest > 0 else np.zeros(len(joints))
-        found[Check.MEAN_FORCE] = (shares, joints)
-        inside = found.get(Check.PLACE_IN_GAP)
-        if inside is not None and np.max(inside[0]) > Check.PLACE_IN_GAP.limit:
-            found[Check.PARTED_FORCE] = (shares, joints)
-    if run.history.balanced:
-        found[Check.FRICTION_LOSS] = (np.array([_friction_loss_apart(run, other)]), ("",))
-    if run.worn:
-        wears = [_worn_apart(run.worn[joint], other.worn[joint]) for joint in run.worn]
-        found[Check.HALVED_WEAR] = (np.array(wears), tuple(run.worn))
-    return found
-
-
-def _worn_apart(maps: dict[str, Any], others: dict[str, Any]) -> float:
-    """Largest difference of what surfaces have lost and of their largest depths, beside these."""
-    shares = [0.0]
-    for surface in maps:
-        for one, other in (
-            (np.sum(maps[surface]), np.sum(others[surface])),
-            (np.max(maps[surface]), np.max(others[surface])),
-        ):
-            shares.append(_share(one, other))
-    return float(max(shares))
 
 
 def _worse(figure: Figure, known: Figure | None) -> Figure:

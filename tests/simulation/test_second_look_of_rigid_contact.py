@@ -10,7 +10,7 @@ import pytest
 import jaxclear as jc
 from benchmarks.claims import extremes
 from jaxclear.integrators import Check
-from jaxclear.simulation import second_look
+from jaxclear.simulation import second_look, two_runs
 
 MASS, LOAD, PUSH, MU, SPEED = 1.0, 100.0, 9.0, 0.1, 1e-3
 
@@ -64,15 +64,15 @@ def test_what_friction_takes_is_compared_with_the_energies_where_it_is_next_to_n
     place = run.history.layout().energy_start
 
     def apart(loss):
-        states = run.states.at[-1, place + second_look.ENERGIES.index("friction_loss")].set(loss)
+        states = run.states.at[-1, place + two_runs.ENERGIES.index("friction_loss")].set(loss)
         most = np.abs(np.asarray(states)[:, place:]).max()
         other = dataclasses.replace(run, history=dataclasses.replace(run.history, states=states))
-        return second_look._friction_loss_apart(other, other), most, other
+        return two_runs._friction_loss_apart(other, other), most, other
 
     nothing, most, still = apart(0.0)
     assert nothing == 0.0
-    _, _, little = apart(0.1 * second_look.LEAST_LOSS * most)
-    assert second_look._friction_loss_apart(still, little) == pytest.approx(0.1, rel=1e-3)
+    _, _, little = apart(0.1 * two_runs.LEAST_LOSS * most)
+    assert two_runs._friction_loss_apart(still, little) == pytest.approx(0.1, rel=1e-3)
 
 
 @pytest.fixture(scope="module")

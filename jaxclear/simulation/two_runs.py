@@ -1,0 +1,97 @@
+"""How far a run and the same run in shorter steps are apart, by the check that judges it."""
+
+from typing import Any
+
+import numpy as np
+
+from jaxclear.integrators.checks import Check
+from jaxclear.multibody.state import ENERGIES
+from jaxclear.results.histories import contact_impulse
+from jaxclear.results.trajectory import Trajectory
+
+# What friction takes, beside the most of all energies of the balance, below which nobody reads it;
+# and what is rounding in any mechanism [J].
+LEAST_LOSS, NO_LOSS = 1e-3, 1e-15
+
+
+def opens(run: Trajectory) -> bool:
+    """Whether contacts may open and close."""
+    return bool(run.mechanism.topology.clearances)
+
+
+def deepest_apart(run: Trajectory, other: Trajectory, joint: str | None = None) -> float:
+    """Change of the deepest indentations beside the deepest, of all joints or of one."""
+    figures = [one.checks.figures[Check.INDENTATION] for one in (run, other)]
+    own = [joint in (None, place) for place in figures[0].places]
+    return share_of_largest(*(np.asarray(figure.worst)[own] for figure in figures))
+
+
+def share_of_largest(one: np.ndarray, other: np.ndarray) -> float:
+    """Largest difference beside the largest of both."""
+    largest = np.maximum(np.abs(one), np.abs(other)).max()
+    return float(np.abs(one - other).max() / largest) if largest > 0 else 0.0
+
+
+def friction_loss(run: Trajectory) -> np.ndarray:
+    """What friction has taken [J]."""
+    return _energies(run)[-1, ENERGIES.index("friction_loss")]
+
+
+def _energies(run: Trajectory) -> np.ndarray:
+    """The energies of the balance [J] at the saving times."""
+    return np.asarray(run.states)[:, run.history.layout().energy_start :]
+
+
+def _friction_loss_apart(run: Trajectory, other: Trajectory) -> float:
+    """Difference of what friction has taken, beside that; where it takes next to nothing, beside
+    `LEAST_LOSS` of the most of all energies."""
+    one, two = (float(friction_loss(each)) for each in (run, other))
+    most = LEAST_LOSS * float(np.abs(_energies(other)).max())
+    return abs(one - two) / max(abs(one), abs(two), most, NO_LOSS)
+
+
+def impulses(run: Trajectory, joints: tuple[str, ...]) -> np.ndarray:
+    """What the normal forces of each joint have given over the run [N s]."""
+    return np.array([float(contact_impulse(run.history, name)[-1]) for name in joints])
+
+
+def apart_by_check(
+    run: Trajectory, other: Trajectory, gaps: bool, doubts: bool
+) -> dict[Check, tuple[np.ndarray, tuple[str, ...]]]:
+    """By check how far two runs are apart, by place, and the names of these; `gaps`: whether places
+    in gaps count, `doubts`: whether a figure brings the run in doubt."""
+    found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
+    sunk = run.checks.figures.get(Check.INDENTATION)
+    if opens(run) or doubts:
+        elsewhere = np.abs(np.asarray(run.ways) - np.asarray(other.ways)).max(initial=0.0)
+        found[Check.HALVED_MOTION] = (elsewhere[None], ("",))
+    if opens(run) and gaps and sunk is not None:
+        off = np.abs(np.asarray(run.places) - np.asarray(other.places)).max(axis=0)
+        found[Check.PLACE_IN_GAP] = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)
+    if opens(run):
+        joints = tuple(run.mechanism.topology.clearances)
+        one, two = (impulses(each, joints) for each in (run, other))
+        largest = max(one.max(), two.max())
+        shares = abs(one - two) / largest if largest > 0 else np.zeros(len(joints))
+        found[Check.MEAN_FORCE] = (shares, joints)
+        inside = found.get(Check.PLACE_IN_GAP)
+        if inside is not None and np.max(inside[0]) > Check.PLACE_IN_GAP.limit:
+            found[Check.PARTED_FORCE] = (shares, joints)
+    if run.history.balanced:
+        found[Check.FRICTION_LOSS] = (np.array([_friction_loss_apart(run, other)]), ("",))
+    if run.worn:
+        wears = [_worn_apart(run.worn[joint], other.worn[joint]) for joint in run.worn]
+        found[Check.HALVED_WEAR] = (np.array(wears), tuple(run.worn))
+    return found
+
+
+def _worn_apart(maps: dict[str, Any], others: dict[str, Any]) -> float:
+    """Largest difference of what surfaces have lost and of their largest depths, beside these."""
+    shares = [0.0]
+    for surface in maps:
+        for one, other in (
+            (np.sum(maps[surface]), np.sum(others[surface])),
+            (np.max(maps[surface]), np.max(others[surface])),
+        ):
+            shares.append(share_of_largest(one, other))
+    return float(max(shares))
