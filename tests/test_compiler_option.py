@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 
+import diffrax
 import numpy as np
 import pytest
 
@@ -63,6 +64,7 @@ def test_what_xla_goes_through_itself_is_optimised(monkeypatch):
     rungs, scene = jc.integrator, jc.scenes.flap()
     assert is_all_kernel(scene, rungs.Adaptive())
     assert not is_all_kernel(scene, rungs.FixedStep(1e-5, steps_per_save=10))
+    assert not is_all_kernel(scene, rungs.Adaptive(diffrax.Kvaerno5()))
     for cells in ((12, 12), (24, 24)):
         rig = jc.scenes.parallel_3rsr(cells=cells)
         assert is_all_kernel(rig, rungs.Adaptive()) == (cells[0] * cells[1] <= FEW_CELLS)

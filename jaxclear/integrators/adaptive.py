@@ -87,6 +87,10 @@ class Adaptive(AbstractIntegrator):
         return 0.0
 
     @property
+    def in_kernels(self):
+        return not isinstance(self.solver, diffrax.AbstractImplicitSolver)
+
+    @property
     def notes_events(self):
         return True
 

@@ -93,6 +93,11 @@ class AbstractIntegrator(AbstractQuantified):
         """Their number, where it is fixed."""
         return None
 
+    @property
+    def in_kernels(self) -> bool:
+        """Whether its steps can be machine code, as far as it knows."""
+        return True
+
     def with_finer_steps(self, share: Scalar) -> "AbstractIntegrator | None":
         """Itself with steps of this share of their length; None where it finds their length itself,
         or where they are counted."""

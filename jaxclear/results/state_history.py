@@ -79,14 +79,12 @@ def check_known(name: str, names: Any, kind: str) -> None:
         raise ValueError(unknown(kind, name, names, " in this mechanism"))
 
 
-def over_time(
-    history: StateHistory, function: Callable[[Instant], Any], model: Model | None = None
-) -> Any:
+def over_time(history: StateHistory, function: Callable[[Instant], Any]) -> Any:
     """Maps a function of an `Instant` over the saved states; tuples of numbers become arrays with
-    time first. `model`: the one that the states belong to, where it is at hand.
+    time first.
     """
     check_double_precision()
-    model = history.model() if model is None else model
+    model = history.model()
     system, layout = model.system, model.layout
 
     def one(time, entries, read, means):

@@ -64,7 +64,7 @@ def refereed(
         rises = met[Check.CONTACT_STEP], met[Check.INDENTATION]
         of_run[Check.REBOUND_STEP] = rebound_steps(model, *rises, rebound)
     places = _places(model)
-    met = _of_contacts(model.system, met) | jax.lax.stop_gradient(of_run)
+    met = jax.lax.stop_gradient(_of_contacts(model.system, met) | of_run)
     when |= {check: jnp.full(each.shape, ends[-1]) for check, each in of_run.items()}
     others = _over_looks(jax.lax.stop_gradient(seen), ends[looks.intervals], places)
     checks = Checks(_met(met, when, places) | others)

@@ -131,7 +131,7 @@ def _in_doubt(run: Trajectory) -> bool:
     keeps all that an impact is off by."""
     if run.formulation.forces_are_means:
         rubs = run.history.balanced and bool(friction_loss(run) != 0)
-        return opens(run) or rubs
+        return opens(run) or rubs or bool(doubted(run.checks))
     return _elastic(run) or bool(doubted(run.checks))
 
 
@@ -156,7 +156,8 @@ def doubted(checks: Checks) -> np.ndarray:
 
 def many_in_doubt(checks: Checks, opens: bool) -> bool:
     """Whether runs of a study are, by their `checks` (samples in front); `opens`: whether contacts
-    may open and close. As of one run, wear in rigid contact always is."""
+    may open and close. Of rigid contact that is where it wears; elastic impacts and friction of
+    joints that always touch, which bring one run in doubt, do not here."""
     if opens and Check.INDENTATION not in checks.figures:
         return Check.HALVED_WEAR in checks.figures
     return bool(np.mean(doubted(checks)) >= MANY)

@@ -121,7 +121,8 @@ def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
     joints += rubbing_in(mechanism.connections).values()
     cells = sum(math.prod(own.cells) for joint in joints for own, _ in joint.maps().values())
     small = cells <= FEW_CELLS and topology.coordinate_count <= FEW_COORDINATES
-    return small and integrator.steps_between_saves is None and has_kernels()
+    ready = has_kernels() and integrator.in_kernels
+    return small and ready and integrator.steps_between_saves is None
 
 
 @answering

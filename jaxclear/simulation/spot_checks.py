@@ -26,7 +26,7 @@ from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.reach import driven_ways, narrowest_gap, reaches, turning
 from jaxclear.multibody.system import longest_arm
-from jaxclear.native import once
+from jaxclear.native import has_kernels, once
 from jaxclear.simulation.tally import Tally
 
 # Share of a run's steps that windows take; in a window steps are taken 1 + 2 times.
@@ -185,7 +185,8 @@ def figures(
     led = driven_ways(model.system, plan.times)
     # As a kernel: XLA starts some fifty operations on few numbers, for what they cost a twentieth
     # of a short run.
-    return once(lambda: _figures(model, plan, states, ends, tally, means, led))
+    found = lambda: _figures(model, plan, states, ends, tally, means, led)
+    return once(found) if has_kernels() else found()
 
 
 def _figures(

@@ -9,7 +9,8 @@ from jaxclear.multibody.state import ENERGIES
 from jaxclear.results.histories import contact_impulse
 from jaxclear.results.trajectory import Trajectory
 
-# What friction takes, beside the most of all energies of the balance, below which nobody reads it;
+# What friction takes, beside the most of all energies of the balance that come in or go out, below
+# which nobody reads it;
 # and what is rounding in any mechanism [J].
 LEAST_LOSS, NO_LOSS = 1e-3, 1e-15
 
@@ -77,7 +78,7 @@ def apart_by_check(
         inside = found.get(Check.PLACE_IN_GAP)
         if inside is not None and np.max(inside[0]) > Check.PLACE_IN_GAP.limit:
             found[Check.PARTED_FORCE] = (shares, joints)
-    if run.history.balanced:
+    if run.history.balanced and any(friction_loss(each) != 0 for each in (run, other)):
         found[Check.FRICTION_LOSS] = (np.array([_friction_loss_apart(run, other)]), ("",))
     if run.worn:
         wears = [_worn_apart(run.worn[joint], other.worn[joint]) for joint in run.worn]

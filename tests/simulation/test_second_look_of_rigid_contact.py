@@ -4,12 +4,14 @@ impacts, and of where bodies are."""
 import dataclasses
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxclear as jc
 from benchmarks.claims import extremes
 from jaxclear.integrators import Check
+from jaxclear.integrators.figures import Figure
 from jaxclear.simulation import second_look, two_runs
 
 MASS, LOAD, PUSH, MU, SPEED = 1.0, 100.0, 9.0, 0.1, 1e-3
@@ -169,3 +171,18 @@ def test_a_light_body_that_crosses_its_clearance_within_a_step_is_said():
     )
     forces = [float(jc.response.MeanContactForce("B")(each)) for each in (run, exact)]
     assert abs(forces[0] / forces[1] - 1) > 0.2 and Check.MEAN_FORCE in beyond(run)
+
+
+@pytest.mark.parametrize("drift", [0.004, 0.02])
+def test_bodies_that_drift_bring_rigid_steps_in_doubt(drift):
+    """Also where nothing opens and nothing rubs."""
+    joint = jc.Connection(jc.joint.Revolute(), "ground", "arm")
+    rig = jc.Mechanism({"arm": jc.Body(1.0, 1e-4)}, {"A": joint})
+    figure = Figure(jnp.array([drift]), jnp.zeros(1), ("",))
+    run = SimpleNamespace(
+        mechanism=rig,
+        formulation=jc.integrator.NonColliding().formulation,
+        history=SimpleNamespace(balanced=False),
+        checks=jc.integrator.Checks({Check.HALVED_MOTION: figure}),
+    )
+    assert second_look._in_doubt(run) == (drift > second_look.DOUBTS[Check.HALVED_MOTION])
