@@ -32,6 +32,7 @@ CASES: dict[str, tuple[Callable[[], Any], Any, float]] = {
     "slider-crank, FixedStep": (jc.scenes.slider_crank, FIXED, 0.1),
     "slider-crank, ImplicitStep": (jc.scenes.slider_crank, IMPLICIT, 0.25),
     "slider-crank, Adaptive": (jc.scenes.slider_crank, ADAPTIVE, 0.25),
+    "slider-crank, MoreauJean": (jc.scenes.slider_crank, jc.integrator.MoreauJean(), 0.25),
     "four-bar, FixedStep": (jc.scenes.four_bar, FIXED, 0.1),
     "four-bar, ImplicitStep": (jc.scenes.four_bar, IMPLICIT, 0.25),
     "antenna, NonColliding": (jc.scenes.antenna, PERMANENT, 0.5),

@@ -73,7 +73,8 @@ def text_of(program: Program, lanes: int) -> str:
         outermost=True,
         together=bool(program.length),
     )
-    tables.spoil_unless_whole(last[0].item(), checked)
+    if program.tables:
+        tables.spoil_unless_whole(last[0].item(), checked)
     numbers = [
         (value, kind) for array, kind in zip(last, kinds, strict=True) for value in array.flat
     ]

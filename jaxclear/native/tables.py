@@ -103,8 +103,6 @@ class Tables:
     def spoil_unless_whole(self, turns: Any, checked: str) -> None:
         """All rows become nan where the loop was stopped before it had taken all its `turns`; a
         kernel under check takes one."""
-        if not self.program.tables:
-            return
         writer = self.writer
         taken = writer.lane(turns, WHOLE, 0)
         ended = writer.put(f"icmp eq i64 {taken}, {self.program.length}")
