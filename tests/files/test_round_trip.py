@@ -75,7 +75,15 @@ TOGETHER = {
     "number": 3,
 }
 # Of one class only.
+# Surfaces of ideal joints have no worn radius.
+ARCHARD_WEAR = {
+    "kind": "Wearing",
+    "law": {"kind": "Archard", "wear_coefficient": 1e-4, "hardness": 2e9},
+}
 OWN = {
+    ("PlainBearing", "wear"): ARCHARD_WEAR,
+    ("Slideway", "wear"): ARCHARD_WEAR,
+    ("BallJoint", "wear"): ARCHARD_WEAR,
     ("KelvinVoigt", "stiffness"): "number",
     ("Position", "function"): {"kind": "PeriodicTorque", "amplitude": 0.5},
     ("Force", "value"): [1.0, 2.0, 3.0],
