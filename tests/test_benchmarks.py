@@ -5,15 +5,18 @@ what is absent, agreement.
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("numba")
 
 from benchmarks.attacks import verdicts
 from benchmarks.by_hand import evaluation
-from benchmarks.claims import equations, work_precision, worn_depth
+from benchmarks.claims import design, equations, flap, work_precision, worn_depth
 from benchmarks.claims import four_bar_variants as scenes
+from jaxclear.integrators.checks import Check
 
 ROOT = Path(__file__).resolve().parents[1]
 BOOK, RESULTS = ROOT / "notebooks", ROOT / "benchmarks" / "results"
@@ -83,6 +86,21 @@ def test_tables_of_the_book_are_in_the_files_of_results(page, name, title):
     document = json.loads((RESULTS / f"{name}.json").read_text())
     assert set(document.pop("about")) == {"command", "machine", "date"}
     assert [rows for found, rows in document.items() if found.startswith(title)], page
+
+
+def test_what_a_run_does_not_check_is_null_in_the_results_of_the_flap():
+    def refused(word):
+        raise AssertionError(f"{word} is no JSON")
+
+    json.loads((RESULTS / "flap.json").read_text(), parse_constant=refused)
+    run = SimpleNamespace(checks=SimpleNamespace(figures={}))
+    assert flap.figure(run, Check.CREEP_STEP) is None
+
+
+def test_a_global_search_without_a_candidate_that_keeps_its_limits_is_infinite():
+    search = object.__new__(design.Evolution)
+    search.question, search.best, search.best_place = None, float("inf"), np.zeros(0)
+    assert search.ended() == float("inf")
 
 
 def test_summary_of_work_and_precision_is_that_of_its_points():

@@ -87,7 +87,10 @@ class Evolution:
         return told
 
     def ended(self):
-        """The cheapest, from the best so far on by a search that learns slopes."""
+        """The cheapest, from the best so far on by a search that learns slopes; infinite where no
+        candidate so far keeps its limits."""
+        if not len(self.best_place):
+            return np.inf
         price = lambda place: float(self.question.price(jnp.asarray(place)))
         known: dict[bytes, np.ndarray] = {}
 
@@ -182,7 +185,9 @@ def scene_row(name: str, asked: Asked, options: Any) -> dict[str, Any]:
         "saving over equal [%]": 100 * (1 - found.cost / alike),
         "holds": found.holds,
         "excess on fresh samples [%]": fresh_excess(found, found.rounds[-1].candidate.place),
-        "excess of the global search's [%]": fresh_excess(found, search.best_place),
+        "excess of the global search's [%]": (
+            fresh_excess(found, search.best_place) if len(search.best_place) else None
+        ),
         "runs": found.runs,
         "runs of global search": search.runs,
         "CPU s": spent,

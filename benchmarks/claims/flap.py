@@ -47,10 +47,11 @@ def off(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> dict[str
     }
 
 
-def figure(run: jc.Trajectory, check: Check) -> float:
-    """The worst that the run has found of a check."""
+def figure(run: jc.Trajectory, check: Check) -> float | None:
+    """The worst that the run has found of a check; none where it does not check that."""
     known = run.checks.figures.get(check)
-    return float("nan") if known is None else float(np.max(known.worst))
+    worst = None if known is None else float(np.max(known.worst))
+    return worst if worst is not None and np.isfinite(worst) else None
 
 
 def row(name: str, run: jc.Trajectory, wanted: dict[str, np.ndarray], spent: float) -> dict:

@@ -1,9 +1,10 @@
 """What derivatives cost: a run with k slopes over the run alone, by rung, alone and in a batch; the
 gradient in reverse mode; and how much longer the program with slopes compiles. `--json
-benchmarks/results/slopes.json` keeps it.
+benchmarks/results/slopes.json` keeps it: the slider-crank by `FixedStep`, explicit and
+semi-implicit, and by `ImplicitStep`. Other scenes and rungs are measured where they are asked for.
 
 The response is a sum of coordinates at the end: it costs nothing, so the ratio is the loop's.
-`Adaptive` gives no derivatives through contacts: its row is the mechanism with an ideal joint. The
+`Adaptive` gives no derivatives through contacts: it is given the mechanism with an ideal joint. The
 friction of the antenna's joints is three zones for compliant rungs, Coulomb's for the others.
 """
 

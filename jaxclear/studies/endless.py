@@ -5,7 +5,7 @@ every limit, share and quantile. Means and variances of it there are none: whoev
 told so, and what serves instead.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -74,15 +74,13 @@ def finite_beside(values: np.ndarray, *limits: Any) -> np.ndarray:
     return np.where(np.isinf(values), np.where(values > 0, high + aside, low - aside), values)
 
 
-def bounded(problem: AbstractProblem, name: str, values: np.ndarray) -> np.ndarray:
-    """Values for a surface: where they are infinite, what a response is told up to, or beyond all
-    others where that has no end. Raises `ValueError` where nothing but infinite ones is told."""
+def bounded(
+    problem: AbstractProblem, name: str, values: np.ndarray, levels: Sequence[Any]
+) -> np.ndarray:
+    """Values for a surface: where they are infinite, what a response is told up to, or, where that
+    has no end, beyond all others and the `levels` that limits hold them against."""
     most = problem.told_up_to(name)
-    if np.isfinite(most):
-        return np.minimum(values, most)
-    if len(values) and np.isinf(values).all():
-        refuse_endless(problem, name, values, "surface", "ask for a limit that some reach")
-    return finite_beside(values)
+    return np.minimum(values, most) if np.isfinite(most) else finite_beside(values, *levels)
 
 
 def _words(problem: AbstractProblem, name: str, values: Any) -> str:

@@ -12,6 +12,10 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.design.freedom import freedom_of
+from jaxclear.studies.design.question import Question, checked_limits
+from jaxclear.studies.design.runs import Runs
+from jaxclear.studies.design.verification import GROUPS, Verifier, _finite
 from jaxclear.studies.endless import finite_beside
 from jaxclear.studies.function_problem import FunctionProblem
 from jaxclear.studies.statistics.scrambled import ordinary_quantile
@@ -21,6 +25,7 @@ SLOPES = {"hardness": 0.5, "load": -0.3}
 SPREAD = float(np.hypot(*SLOPES.values()))
 FOLLOWED, LIMIT = 1.5e6, 4e5
 SCORE = np.log(LIMIT / 1e6) / SPREAD
+SAME_AS_INNER = ("variables", "names", "response_names", "variable_units", "correlation")
 
 
 class Lasting(AbstractProblem):
@@ -76,8 +81,7 @@ def lasting():
         lambda **x: {"life": 1e6 * jnp.exp(sum(SLOPES[n] * own for n, own in x.items()))},
         {name: jc.Dimension(0.0, unit, unit="1") for name in SLOPES},
     )
-    same = inner.variables, inner.names, inner.response_names, inner.variable_units
-    return Lasting(inner, *same, None)
+    return Lasting(inner, **{name: getattr(inner, name) for name in SAME_AS_INNER})
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +152,59 @@ def test_a_design_for_life_counts_endless_ones_as_good(lasting, at_least):
     exact = (np.log(at_least / 1e6) - SPREAD * stats.norm.ppf(0.05)) / SLOPES["hardness"]
     assert found.holds and found.nominal["hardness"] == pytest.approx(exact, abs=0.1)
     assert '"life" is infinite in' in found.sentence() and found.failed == 0
+
+
+class Unfollowed(Lasting):
+    """Lives that are told to no end."""
+
+    def told_up_to(self, response):
+        return np.inf
+
+
+def question_of(problem, *limits):
+    """A design's question with these limits of a problem."""
+    freedom = freedom_of(problem, {"hardness": (-1.0, 4.0)}, None)
+    return Question(freedom, lambda *_: 1.0, limits, problem.inputs, np.ones(len(limits)))
+
+
+@pytest.mark.parametrize("lives", [(1e4, 2e4, 3e4, np.inf), (np.inf, np.inf)])
+def test_a_surface_sees_endless_lives_on_the_good_side_of_limits_that_none_reached(lasting, lives):
+    problem = Unfollowed(lasting.inner, **{n: getattr(lasting, n) for n in SAME_AS_INNER})
+    question = question_of(problem, jc.limit.Quantile("life", at_least=1e6, share=0.9))
+    runs = Runs(problem, None, False)
+    runs.values, runs.responses = np.zeros((len(lives), 2)), np.array(lives)[:, None]
+    everywhere = lambda values: np.ones(len(values), bool)
+    assert runs.good(everywhere).sum() == len(lives)
+    _, told = runs.within(everywhere, question.levels)
+    finite = np.isfinite(lives)
+    np.testing.assert_array_equal(told[finite, 0], np.array(lives)[finite])
+    assert np.all(np.isfinite(told)) and np.all(told[~finite] > 1e6)
+
+
+def test_a_share_is_told_beside_lives_that_are_smaller_and_no_infinite_error_is_lost(lasting):
+    lives = np.array([-7.0, -6.0, np.inf])
+    share = jc.limit.Probability("life", below=-6.5, at_most=0.1)
+    assert _finite(share, lives)[1] == np.inf
+    lowest = jc.limit.Quantile("life", at_least=-6.5, share=0.9)
+    assert _finite(lowest, lives)[1] == -6.0
+    found = np.ones((2, 1 + GROUPS, 2))
+    found[0, 3, 0] = np.inf
+    verifier = Verifier(question_of(lasting, share, share), None, None, False)
+    assert verifier._told(found, 64, 0).errors.tolist() == [np.inf, 0.0]
+
+
+class Median(jc.limit.Quantile):
+    """A limit as a stranger may write it, who knows of no endless lives."""
+
+    def levels(self):
+        return ()
+
+
+def test_a_limit_that_names_no_level_is_refused_for_endless_lives(lasting):
+    own = Median("life", at_least=LIMIT, share=0.6)
+    with pytest.raises(ValueError, match=r"may be infinite .*limit.Median names no values"):
+        checked_limits(own, lasting)
+    assert checked_limits(own, lasting.inner) == (own,)
 
 
 @pytest.mark.slow

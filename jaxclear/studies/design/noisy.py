@@ -65,7 +65,10 @@ class _Seen:
         names = self.runs.problem.response_names
         known = np.where(good[:, None], responses, 0.0).T
         pairs = zip(names, known, strict=True)
-        told = {name: bounded(self.runs.problem, name, own) for name, own in pairs}
+        told = {
+            name: bounded(self.runs.problem, name, own, question.levels(name))
+            for name, own in pairs
+        }
         scores = scores_of(question, self.runs.problem, place, drawn.normal)
         found, slopes = noisy(
             question,

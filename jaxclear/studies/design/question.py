@@ -73,6 +73,11 @@ class Question(eqx.Module):
             return responses[limit.response]
         return values[:, self.freedom.names.index(limit.response)]
 
+    def levels(self, response: str) -> list[float]:
+        """Values of a response that decide, over all its limits."""
+        own = [limit for limit in self.limits if limit.response == response]
+        return [float(level) for limit in own for level in limit.levels()]
+
     def measured_by(self, sizes: np.ndarray) -> "Question":
         """The same with other sizes."""
         return eqx.tree_at(lambda q: q.sizes, self, sizes)
@@ -155,8 +160,21 @@ def checked_limits(limits: Any, problem: Any) -> tuple[AbstractLimit, ...]:
         known = (*problem.response_names, *problem.names)
         check_known("response", limit.response, known, " in this problem (nor variable)")
         if limit.response in problem.response_names:
-            check_told(problem, limit.response, *limit.levels())
+            _check_levels(problem, limit)
     return tuple(given)
+
+
+def _check_levels(problem: Any, limit: AbstractLimit) -> None:
+    """Raises `ValueError` for a limit that cannot take what its response may answer."""
+    name, levels = limit.response, limit.levels()
+    why = problem.endless(name)
+    if why and not levels and not limit.by_moments():
+        raise ValueError(
+            f'"{name}" may be infinite ({why}), and limit.{type(limit).__name__} names no values '
+            "of it that decide, beyond which an infinite one could stand: give it `levels`, or "
+            "take limit.Quantile or limit.Probability."
+        )
+    check_told(problem, name, *levels)
 
 
 def sizes_of(question: Question, place: np.ndarray, model: AbstractModel, points: Points) -> Any:

@@ -67,13 +67,20 @@ class Runs:
         self.responses = np.concatenate([self.responses, answers])
         return answers
 
-    def within(self, inside: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def good(self, inside: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Whether each sample (samples,) succeeded and lies inside."""
+        return ~np.isnan(self.responses).any(axis=1) & inside(self.values)
+
+    def within(
+        self, inside: Callable[[np.ndarray], np.ndarray], levels: Callable[[str], list[float]]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """(values, responses) of the samples that succeeded and lie inside, for a surface: where
-        responses are infinite, what they are told up to, or beyond all that are not."""
-        good = ~np.isnan(self.responses).any(axis=1) & inside(self.values)
+        responses are infinite, what they are told up to, or beyond all that are not and beyond the
+        levels of a response that limits hold it against."""
+        good = self.good(inside)
         names = self.problem.response_names
         pairs = zip(names, self.responses[good].T, strict=True)
-        columns = [bounded(self.problem, name, own) for name, own in pairs]
+        columns = [bounded(self.problem, name, own, levels(name)) for name, own in pairs]
         return self.values[good], np.stack(columns, axis=1)
 
     def _taken(self, piece: np.ndarray) -> np.ndarray | None:

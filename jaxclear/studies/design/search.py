@@ -120,10 +120,11 @@ class _Seeking:
         variables = len(self.question.freedom.names)
         terms = (variables + 1) * (variables + 2) // 2
         wanted = self.settings.runs or max(RUNS_PER_TERM * terms, 64)
-        missing = wanted - len(self.runs.within(inside)[0])
+        missing = wanted - int(self.runs.good(inside).sum())
         if missing > 0 or number == 0:
             self.runs.ask(self._drawn(low, high, max(missing, 1), number), "surface")
-        self.model, self.quality = surface_through(self.runs.problem, *self.runs.within(inside))
+        known = self.runs.within(inside, self.question.levels)
+        self.model, self.quality = surface_through(self.runs.problem, *known)
 
     def _drawn(self, low: np.ndarray, high: np.ndarray, count: int, number: int) -> np.ndarray:
         """Parts of designs that fill the region, (count, variables)."""

@@ -23,6 +23,8 @@ from jaxclear.studies.statistics.scrambled import student
 GROUPS = 8
 # What limits infinite responses, as lives may be.
 INSTEAD = "take limit.Quantile or limit.Probability"
+# A unit by which to see whether a limit's number has that of its response.
+SAME = "the response's unit"
 
 
 class Check(NamedTuple):
@@ -67,7 +69,7 @@ class Verifier(NamedTuple):
                 kept = np.where(good & (by_group != left_out), weights, 0.0)
                 number, excess = (float(one) for one in _measured(limit, sample(kept)))
                 # A number that stands for infinite ones is none to be told.
-                rows.append([number if number <= largest else np.inf, excess])
+                rows.append([np.inf if number > largest else number, excess])
             found.append(rows)
         return self._told(np.array(found), len(values), int((~good).sum()))
 
@@ -76,6 +78,8 @@ class Verifier(NamedTuple):
         factor = student(GROUPS)
         known = np.where(np.isfinite(found), found, np.nan)
         errors = factor * np.sqrt((GROUPS - 1) * known[:, 1:].var(axis=1))
+        # Nothing bounds a number that is infinite without one of the groups.
+        errors = np.where(np.isinf(found[:, 1:]).any(axis=1), np.inf, errors)
         sizes = self.question.sizes
         return Check(
             found[:, 0, 0],
@@ -125,7 +129,9 @@ def _finite(limit: AbstractLimit, values: np.ndarray) -> tuple[np.ndarray, float
         return values, np.inf
     levels = [float(level) for level in limit.levels()]
     told = [*values[np.isfinite(values)].tolist(), *levels]
-    return finite_beside(values, *levels), max(told, default=-np.inf)
+    # A number in another unit, such as a share, is not one of the values.
+    alike = limit.unit(SAME) == SAME
+    return finite_beside(values, *levels), max(told, default=-np.inf) if alike else np.inf
 
 
 @eqx.filter_jit
