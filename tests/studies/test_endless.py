@@ -1,6 +1,7 @@
 """Infinite answers, such as lives that outlast what is followed, in every study: they count on
 their side of limits and quantiles, against closed forms, and have no mean."""
 
+import dataclasses
 from typing import Any
 
 import jax.numpy as jnp
@@ -37,6 +38,7 @@ class Lasting(AbstractProblem):
     response_names: tuple[str, ...]
     variable_units: tuple[str, ...]
     correlation: Any
+    followed: float = FOLLOWED
 
     def nominal(self):
         return self.inner.nominal()
@@ -46,14 +48,14 @@ class Lasting(AbstractProblem):
 
     def evaluate(self, values, *, discrete_derivatives=False):
         life = self.inner.evaluate(values).responses["life"]
-        told = {"life": jnp.where(life > FOLLOWED, jnp.inf, life)}
+        told = {"life": jnp.where(life > self.followed, jnp.inf, life)}
         return SampleResult(told, jnp.asarray(int(Outcome.REACHED)), jnp.zeros(()))
 
     def endless(self, response):
         return "it is not followed further"
 
     def told_up_to(self, response):
-        return FOLLOWED
+        return self.followed
 
     def sample_memory(self):
         return 1000
@@ -136,6 +138,21 @@ def test_reliability_counts_endless_ones_as_safe(lasting, methods):
     assert found.failed == 0 and found.interval[0] <= 1e-3 <= found.interval[1]
     often = jc.reliability(lasting, jc.limit_state.Above("life", 1.2e6), methods="subset")
     assert often.probability == pytest.approx(stats.norm.sf(np.log(1.2) / SPREAD), rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("methods", [None, "subset"])
+def test_lives_that_hardly_any_is_followed_to_its_end_are_not_counted_twice(lasting, methods):
+    """One in a hundred is followed: nothing parts those that are not."""
+    threshold = 1e6 * np.exp(SPREAD * stats.norm.ppf(1e-3))
+    few = dataclasses.replace(lasting, followed=1e6 * np.exp(SPREAD * stats.norm.ppf(0.01)))
+    found = jc.reliability(few, jc.limit_state.Below("life", threshold), methods=methods)
+    assert found.interval[0] <= 1e-3 <= found.interval[1] or np.isnan(found.probability)
+    assert found.estimates["subset"].unknown == 0
+    if methods is None:
+        assert (
+            "There is no surface" in found.sentence() and '"life" is infinite' in found.sentence()
+        )
 
 
 @pytest.mark.slow

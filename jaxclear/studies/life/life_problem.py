@@ -105,16 +105,22 @@ class LifeProblem(AbstractProblem):
         cycles, most = min(1.0, longest), np.inf
         life = self._lived(values, cycles)
         for tried in range(TRIES):
-            aheads = [own.ahead(life) for own in wanted]
+            aheads = found = [own.ahead(life) for own in wanted]
             if self.cycles is None:
                 # A limit that is never reached keeps no other from being reached.
                 aheads = [own for own in aheads if cycles + own < most]
             ahead = max(aheads, default=0.0)
+            if self.cycles is None and not tried and not all(np.isfinite(own) for own in found):
+                # A first cycle alone does not say that a limit is never reached.
+                ahead = max(ahead, LONGEST)
+            elif ahead > 0:
+                most = min(most, LONGEST * (cycles + ahead))
             if life.ended or ahead == 0 or cycles >= longest:
                 break
-            most = min(most, LONGEST * (cycles + ahead))
-            last = self.cycles is not None and tried == TRIES - 1
-            cycles = longest if last else min(cycles + max(BEYOND * ahead, 1.0), longest)
+            # Rates that put the limit further at every look end at the most.
+            far = most if self.cycles is None else longest
+            last = tried == TRIES - 1 and np.isfinite(far)
+            cycles = far if last else min(cycles + max(BEYOND * ahead, 1.0), longest)
             life = self._lived(values, cycles)
         return life
 
@@ -144,7 +150,7 @@ class LifeProblem(AbstractProblem):
         if not self._decides(response):
             return ""
         if self.cycles is None:
-            return f"its limit is not reached in {LONGEST:g} times what the first cycles say"
+            return f"its limit is forecast beyond {LONGEST:g} times what the first cycles say"
         return f"its limit is not reached within {self.cycles:.6g} cycles"
 
     def told_up_to(self, response):

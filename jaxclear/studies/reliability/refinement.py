@@ -5,6 +5,7 @@ import jax
 import numpy as np
 
 from jaxclear.studies.base import SampleResult
+from jaxclear.studies.endless import endless_sentences
 from jaxclear.studies.reliability.design_point import DesignPoint, design_points
 from jaxclear.studies.reliability.models import RunModel, SurfaceModel
 from jaxclear.studies.surface.drawing import scrambled_normal
@@ -18,21 +19,29 @@ WIDE = 1.5
 RUNS_PER_TERM, FEWEST = 3, 32
 # A surface is right where its design points are off by less [deviations].
 RIGHT = 0.1
+# How a sentence begins that stands in place of one.
+NO_SURFACE = "There is no surface"
 # Times it is mended, runs about a design point for each variable, how far about it [deviations].
 MOST_ROUNDS, RUNS_ABOUT, ABOUT = 3, 3, 0.7
 
 
 def surface_where_it_fails(
     model: RunModel, seed: int
-) -> tuple[ResponseSurface, list[DesignPoint], bool]:
+) -> tuple[ResponseSurface | str, list[DesignPoint], bool]:
     """A surface of the problem for these limits, its design points, and whether runs at these
-    confirm it. Raises `ValueError` where too few runs reach their end."""
+    confirm it; a sentence in place of one where responses are infinite. Raises `ValueError` where
+    too few runs reach their end."""
     variables, cuts = len(model.problem.names), model.limit.cut_sets()
     rng = np.random.default_rng([seed, 6])
     runs = max(RUNS_PER_TERM * len(powers(np.full(variables, 2), 2, 1.0)), FEWEST)
     seen = [_counted(model, WIDE * scrambled_normal(runs, variables, rng))]
     for _ in range(MOST_ROUNDS):
-        surface = fitted(model.problem, *_together(seen))
+        values, found = _together(seen)
+        asked = {own.response: found.responses[own.response] for own in model.limit.limits()}
+        endless = endless_sentences(model.problem, asked)
+        if endless:
+            return f"{NO_SURFACE}: {' '.join(endless)}", [], False
+        surface = fitted(model.problem, values, found)
         if not all(surface.trusted(own.response) for own in model.limit.limits()):
             return surface, [], False
         own = SurfaceModel(surface, model.limit)

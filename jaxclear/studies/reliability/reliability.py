@@ -20,7 +20,7 @@ from jaxclear.studies.reliability.first_order import curvatures, form, sorm
 from jaxclear.studies.reliability.importance import importance
 from jaxclear.studies.reliability.models import AbstractModel, RunModel, SurfaceModel
 from jaxclear.studies.reliability.proposal import Proposal
-from jaxclear.studies.reliability.refinement import surface_where_it_fails
+from jaxclear.studies.reliability.refinement import NO_SURFACE, surface_where_it_fails
 from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.reliability.subset import subset
 from jaxclear.studies.surface.response_surface import ResponseSurface
@@ -112,6 +112,8 @@ def _searched(
         return design_points(model, cuts, variables, seed), None, []
     if surface is None:
         found, points, right = surface_where_it_fails(model, seed)
+        if isinstance(found, str):
+            return [], None, [found]
         if exact and not points:
             return design_points(model, cuts, variables, seed), None, [found.sentence()]
     else:
@@ -127,7 +129,10 @@ def _searched(
 
 def _none(notes: list[str]) -> Probability:
     """What methods answer that have no design point."""
-    return refused("the surface is too rough to search." if notes else "no design point is found.")
+    if not notes:
+        return refused("no design point is found.")
+    rough = not notes[0].startswith(NO_SURFACE)
+    return refused("the surface is too rough to search." if rough else "there is no surface.")
 
 
 def _second_order(

@@ -49,8 +49,12 @@ def subset(model: RunModel, accuracy: float, most_runs: int, seed: int) -> Proba
             values, unknown, cost, level = np.zeros(0), np.zeros(0), 0, 2 * level
     runs, failed = model.runs - before, model.failed - failed
     if mean == 0.0:
-        nothing = f"subset simulation finds nothing that fails in {runs} runs, down to "
-        return refused(f"{nothing}{SHARE**MOST_LEVELS:.0e}.", runs, failed)
+        nothing = f"subset simulation finds nothing that fails in {runs} runs"
+        endless = [model.problem.endless(own.response) for own in model.limit.limits()]
+        if any(endless):
+            why = f"infinite responses say nothing of how near they are ({' '.join(endless)})"
+            return refused(f"{nothing}; {why}.", runs, failed)
+        return refused(f"{nothing}, down to {SHARE**MOST_LEVELS:.0e}.", runs, failed)
     share = float(unknown.mean() / mean)
     return Probability(float(mean), float(error), runs, failed, share, len(values))
 
@@ -92,11 +96,12 @@ def _repetitions(
     for _ in range(MOST_LEVELS):
         order = np.argsort(margins, axis=1, kind="stable")
         level = np.take_along_axis(margins, order[:, kept - 1 : kept + 1], axis=1).mean(axis=1)
-        # -inf where so many runs are lost that they are the level.
-        done = open_ & ~(level > 0)
+        # -inf where so many runs are lost that they are the level. Infinite where so many never
+        # come near a limit: nothing parts them, and those that fail are counted as they are.
+        done = open_ & (~(level > 0) | np.isposinf(level))
         inside = (margins < 0).mean(axis=1)
         found[done] = share[done] * inside[done]
-        unknown[done] = share[done] * np.isinf(margins[done]).mean(axis=1)
+        unknown[done] = share[done] * np.isneginf(margins[done]).mean(axis=1)
         open_ &= ~done
         if not open_.any():
             break
