@@ -58,11 +58,13 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
         if row["warned"]:
             values = study.responses[row["response"]]
             factor, unit = readable(values[np.isfinite(values)], row["unit"])
-            told += [
-                f"{row['response']}: {row['warned']} in doubt; the mean is "
-                f"{factor * row['mean']:.4g} with them, "
+            means = (
+                f"the mean is {factor * row['mean']:.4g} with them, "
                 f"{factor * row['mean without warned']:.4g} without [{unit}]."
-            ]
+            )
+            if row.get("infinite"):
+                means = f"there is no mean, infinite in {row['infinite']} samples."
+            told += [f"{row['response']}: {row['warned']} in doubt; {means}"]
     return told
 
 

@@ -1,6 +1,6 @@
 """A Monte Carlo sample that grows until its means are known as accurately as asked."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import jax
@@ -8,8 +8,9 @@ import numpy as np
 
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.endless import INSTEAD
 from jaxclear.studies.sampling import Drawing
-from jaxclear.studies.statistics.accuracy import Asked, told, unreached
+from jaxclear.studies.statistics.accuracy import Asked, Piece, told, unreached
 
 __all__ = ["FIRST_SAMPLES", "Grown", "first_of", "responses_of", "until_accurate"]
 
@@ -23,16 +24,41 @@ def first_of(samples: int, scramblings: int) -> int:
     return scramblings * 2 ** int(np.log2(samples // scramblings))
 
 
-def until_accurate(first: int, most: int, asked: Asked, grown: Callable) -> str:
+def until_accurate(
+    problem: AbstractProblem, first: int, most: int, asked: Asked, grown: Callable
+) -> str:
     """Doubles a sample, from the first number on, until it is accurate or would be more than the
     most; a sentence where it is not accurate, else "". `grown` is given how many samples there are
-    to be, and gives them in pieces: responses by name (samples,), and scramblings (samples,)."""
+    to be, and gives them in pieces: responses by name (samples,), and scramblings (samples,).
+
+    Of a response that is infinite in some samples there is no mean, whatever their number: none are
+    added for it, and a sentence says so."""
     count = first
     while True:
-        short = told(asked, grown(count))
+        endless: set[str] = set()
+        short = told(asked, _noted(problem, grown(count), endless))
+        short = {name: own for name, own in short.items() if name not in endless}
         if not short or 2 * count > most:
-            return unreached(short)
+            without = [_no_mean(problem, name) for name in asked[0] if name in endless]
+            return " ".join(filter(None, [unreached(short), *without]))
         count *= 2
+
+
+def _noted(problem: AbstractProblem, pieces: Iterable[Piece], endless: set[str]) -> Iterator[Piece]:
+    """The pieces of a sample; the responses that have infinite answers in them are put down."""
+    for responses, group in pieces:
+        infinite = (name for name, own in responses.items() if np.isinf(own).any())
+        endless.update(name for name in infinite if problem.endless(name))
+        yield responses, group
+
+
+def _no_mean(problem: AbstractProblem, name: str) -> str:
+    """Why the accuracy of a mean is not reached that there is not."""
+    return (
+        f'The accuracy asked is not reached: "{name}" is infinite in some samples '
+        f"({problem.endless(name)}), and there is no mean of it; leave accuracy out, and "
+        f"{INSTEAD}."
+    )
 
 
 class Grown:

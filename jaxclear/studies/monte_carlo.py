@@ -289,7 +289,7 @@ def monte_carlo(
             sample.to(count)
             return [(responses_of(problem, sample.found), groups(count, parts))]
 
-        short = until_accurate(first_of(first, parts), samples, asked, grown)
+        short = until_accurate(problem, first_of(first, parts), samples, asked, grown)
     found, values = sample.found, sample.values
     ends = (np.asarray(found.outcome), np.asarray(found.ended))
     responses, group = responses_of(problem, found), groups(len(values), parts)

@@ -2,6 +2,7 @@
 their side of limits and quantiles, against closed forms, and have no mean."""
 
 import dataclasses
+import re
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,8 +12,10 @@ from scipy import stats
 
 import jaxclear as jc
 from jaxclear import plot
+from jaxclear.commands.report.campaign_page import campaign_page
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.campaign.work import failures
 from jaxclear.studies.design.freedom import freedom_of
 from jaxclear.studies.design.question import Question, checked_limits
 from jaxclear.studies.design.runs import Runs
@@ -101,8 +104,39 @@ def test_shares_and_quantiles_are_those_of_the_closed_form(sample):
     assert sample.quantile("life", 0.9).value == np.inf
     lowest = sample.tolerance_interval("life", 0.9, side="lower")
     assert 0 < lowest.low.value < 1e6
-    one = jc.monte_carlo(sample.problem, 64, accuracy=1e-3)
-    assert "accuracy asked is not reached" in one.unreached
+
+
+def test_an_accuracy_of_a_mean_that_there_is_not_is_not_reached(lasting):
+    """More samples would not help, so there are none."""
+    found = jc.monte_carlo(lasting, 512, accuracy=0.1)
+    assert found.count == 256 and found.unreached in found.sentence()
+    assert 'not reached: "life" is infinite' in found.unreached
+    assert "ask for a quantile" in found.unreached
+
+
+def test_a_campaign_tells_what_a_plain_study_tells(lasting, sample, tmp_path):
+    """Also opened without its problem, and in its report."""
+    kept = jc.campaign(lasting, 512, folder=tmp_path / "kept")
+    opened = jc.open_campaign(tmp_path / "kept")
+    for found in (kept, opened):
+        assert found.sentence() == sample.sentence() and not len(found.failed)
+        for share in (0.5, 0.9):
+            assert found.quantile("life", share) == sample.quantile("life", share)
+        with pytest.raises(ValueError) as refused:
+            sample.mean("life")
+        with pytest.raises(ValueError, match=re.escape(str(refused.value))):
+            found.mean("life")
+        with pytest.raises(ValueError, match="it is told up to"):
+            found.share_within({"life": (2 * FOLLOWED, None)})
+    assert failures(lasting, kept._samples.found(slice(0, 512))) == 0
+    shown = campaign_page(tmp_path / "kept").sections[0].shown
+    assert any("there is no variance of it" in str(own) for own in shown)
+
+
+def test_a_derivative_beyond_what_is_followed_is_refused(lasting, sample):
+    for kind in ("above", "below"):
+        with pytest.raises(ValueError, match="it is told up to"):
+            jc.sensitivity(lasting, "hardness", sample=sample, of=(kind, 2 * FOLLOWED))
 
 
 def test_a_histogram_draws_no_mean_of_infinite_answers(sample):

@@ -4,15 +4,19 @@ An ideal slider-crank in long steps: its loop drifts beyond the limit where it t
 torn, which ends the run, where it turns faster still.
 """
 
+from types import SimpleNamespace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import pandas
 import pytest
 
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.reported import report_samples
 from jaxclear.integrators import Check
+from jaxclear.plot.studies import _warned_samples
 from jaxclear.results.response import concerned
 from jaxclear.studies.sensitivity.derivative import Estimate, confirmed
 from jaxclear.studies.warned import concern, counted, in_words
@@ -140,3 +144,12 @@ def test_they_are_told_in_print_and_below_the_histogram(study, capsys):
     assert last == f"and {len(study.warned) - 5} more, in the table."
     caption = " ".join(text.get_text() for text in plot.monte_carlo(study).texts)
     assert study.sentence() in caption and "in doubt; the mean is" in caption
+
+
+def test_a_figure_of_warned_infinite_answers_says_that_there_is_no_mean():
+    row = {"response": "life", "unit": "cycles", "warned": 3, "mean": np.nan, "infinite": 1}
+    table, responses = pandas.DataFrame([row]), {"life": np.array([1.0, np.inf])}
+    told = SimpleNamespace(warned=[0], responses=responses, sentence=str, summary=lambda: table)
+    table["mean without warned"] = np.nan
+    said = _warned_samples(told)[-1]
+    assert said == "life: 3 in doubt; there is no mean, infinite in 1 samples."

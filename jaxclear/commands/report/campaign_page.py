@@ -47,8 +47,23 @@ def _results(found: Any) -> Section:
     if found.finished > len(found.failed):
         shown.append(drawn(plot.monte_carlo(found.sample), "Spread of the responses"))
     if found.finished - len(found.failed) >= LEAST_SAMPLES and len(found.problem.names) > 1:
-        shown.append(drawn(_budget(found), "What each variable contributes to the variance"))
+        shown += _contributions(found)
     return Section("Results", shown)
+
+
+def _contributions(found: Any) -> list[Shown]:
+    """The budget of the responses that have a variance, and a sentence for each of the others."""
+    names = found.problem.response_names
+    endless = [name for name in names if np.isinf(found.sample.good(name)[0]).any()]
+    told = [name for name in names if name not in endless]
+    shown = []
+    if told:
+        title = "What each variable contributes to the variance"
+        shown.append(drawn(_budget(found, told), title))
+    for name in endless:
+        words = f'"{name}" is infinite in some samples: there is no variance of it to share out.'
+        shown.append(Shown("text", words))
+    return shown
 
 
 def _statistics(found: Any) -> pandas.DataFrame:
@@ -65,9 +80,8 @@ def _statistics(found: Any) -> pandas.DataFrame:
     return pandas.DataFrame(columns).rename_axis("statistic").reset_index()
 
 
-def _budget(found: Any) -> Figure:
-    """Contributions to the variance as shares of it, with their errors."""
-    names = found.problem.response_names
+def _budget(found: Any, names: list[str]) -> Figure:
+    """Contributions to the variance as shares of it, with their errors, of these responses."""
     figure, axes = canvas(1, len(names), (4.6 * len(names), 3.2), squeeze=False)
     for axis, response in zip(axes[0], names, strict=True):
         budget = found.error_budget(response)

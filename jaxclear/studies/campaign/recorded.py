@@ -29,6 +29,9 @@ class RecordedProblem(AbstractProblem):
     why: str = eqx.field(static=True)
     variables: dict[str, Any] = eqx.field(default_factory=dict)
     correlation: Any = None
+    # Of each response, where a folder tells: why it is infinite, and up to where it is told.
+    endless_words: tuple[str, ...] = eqx.field(static=True, default=())
+    most_told: tuple[float | None, ...] = eqx.field(static=True, default=())
 
     @classmethod
     def of_json(cls, told: dict[str, Any]) -> "RecordedProblem":
@@ -45,6 +48,13 @@ class RecordedProblem(AbstractProblem):
 
     def evaluate(self, values, *, discrete_derivatives=False):
         _refuse()
+
+    def endless(self, response):
+        return dict(zip(self.response_names, self.endless_words, strict=False)).get(response, "")
+
+    def told_up_to(self, response):
+        most = dict(zip(self.response_names, self.most_told, strict=False)).get(response)
+        return np.inf if most is None else most
 
     def sample_memory(self):
         return 0
@@ -80,6 +90,7 @@ def in_json(problem: AbstractProblem) -> dict[str, Any]:
     parts = sorted({check.concerns for check in Check})
     some = f"{SOME_TIME:.6g}"
     units = problem.units()
+    most = [float(problem.told_up_to(name)) for name in problem.response_names]
     return {
         "names": problem.names,
         "response_names": problem.response_names,
@@ -92,4 +103,6 @@ def in_json(problem: AbstractProblem) -> dict[str, Any]:
             for name in problem.response_names
         ],
         "why": problem.remark(),
+        "endless_words": [problem.endless(name) for name in problem.response_names],
+        "most_told": [own if np.isfinite(own) else None for own in most],
     }

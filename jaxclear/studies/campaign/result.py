@@ -14,6 +14,7 @@ from jaxclear.integrators.figures import Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of
 from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.endless import answered
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
 from jaxclear.studies.statistics.scrambled import Statistic
@@ -172,7 +173,8 @@ class Campaign:
 
     def sentence(self) -> str:
         """How many samples are finished, failed and warned, and of what."""
-        return self._reduced(self.problem.response_names[0]).sentence()
+        first, *others = self.problem.response_names
+        return self._reduced(first, *filter(self.problem.endless, others)).sentence()
 
     def __str__(self) -> str:
         return self.sentence()
@@ -210,15 +212,16 @@ class Campaign:
         if begun is not None:
             yield begun
 
-    def _reduced(self, response: str) -> MonteCarlo:
-        """The study of one response, without values; of every check whether it is beyond its
-        limit."""
-        check_known("response", response, self.problem.response_names, " in this study")
+    def _reduced(self, *names: str) -> MonteCarlo:
+        """The study of one response, or of a few, without values; of every check whether it is
+        beyond its limit."""
+        for name in names:
+            check_known("response", name, self.problem.response_names, " in this study")
         columns, outcomes, beyond = [], [], []
         for at in self._pieces():
             found = self._samples.found(at)
-            finite = np.all([np.isfinite(own) for own in found.responses.values()], axis=0)
-            columns.append(np.where(finite, found.responses[response], np.nan))
+            told = answered(self.problem, found.responses)
+            columns.append({n: np.where(told, found.responses[n], np.nan) for n in names})
             outcomes.append(found.outcome.astype(np.int8))
             beyond.append({c: np.asarray(own) for c, own in found.checks.beyond().items()})
         if not columns:
@@ -226,10 +229,11 @@ class Campaign:
         checks = {
             check: _as_figure(np.concatenate([own[check] for own in beyond])) for check in beyond[0]
         }
-        column: Any = np.concatenate(columns)
+        responses: Any = {n: np.concatenate([own[n] for own in columns]) for n in names}
         outcome: Any = np.concatenate(outcomes)
-        reduced = SampleResult({response: column}, outcome, np.zeros_like(column), Checks(checks))
-        return self._study(np.zeros((len(column), 0)), reduced)
+        ended: Any = np.zeros(len(outcome))
+        reduced = SampleResult(responses, outcome, ended, Checks(checks))
+        return self._study(np.zeros((len(outcome), 0)), reduced)
 
     def _study(self, values: np.ndarray, found: Any) -> MonteCarlo:
         names = [name for name in self.problem.response_names if name in found.responses]

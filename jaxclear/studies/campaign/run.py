@@ -45,7 +45,7 @@ def computed(by: AbstractWork, wanted: Wanted, folder: Any, shown: bool) -> Camp
         run.grow(wanted.most)
     else:
         first = max(wanted.plan.samples, run.kept.plan.samples)
-        short = until_accurate(first, wanted.most, wanted.accuracy, run.grown)
+        short = until_accurate(by.problem, first, wanted.most, wanted.accuracy, run.grown)
     run.kept.settle(by.problem.second_look)
     run.kept.tidy()
     return Campaign(run.kept, by.problem, short)

@@ -17,6 +17,7 @@ from jaxclear.studies.batch import threads_of
 from jaxclear.studies.campaign.devices import devices
 from jaxclear.studies.campaign.plan import Evaluation, Plan, Program, Stopped
 from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.endless import answered
 
 __all__ = ["AbstractWork", "Heard", "Threads", "done", "failures"]
 
@@ -26,24 +27,25 @@ PATIENCE = 0.2
 Heard = Callable[[int, int], None]
 
 
-def failures(found: SampleResult) -> int:
+def failures(problem: AbstractProblem, found: SampleResult) -> int:
     """How many of these samples failed."""
-    finite = np.all([np.isfinite(own) for own in found.responses.values()], axis=0)
-    return int(np.sum((found.outcome != Outcome.REACHED) | ~finite))
+    told = answered(problem, found.responses)
+    return int(np.sum((found.outcome != Outcome.REACHED) | ~told))
 
 
 def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
     """Computes a chunk and keeps it: how many of its samples failed; None where another thread or
     process is at it."""
+    problem = evaluation.program.problem
     with samples.claimed(number) as mine:
         if samples.is_finished(number):
-            return failures(samples.found(slice(*samples.plan.span(number))))
+            return failures(problem, samples.found(slice(*samples.plan.span(number))))
         if not mine:
             return None
         values = evaluation.values(number)
         found = evaluation.chunk(values)
         samples.write(number, values, found)
-        return failures(found)
+        return failures(problem, found)
 
 
 class AbstractWork(ABC):

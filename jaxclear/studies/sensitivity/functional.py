@@ -16,7 +16,8 @@ import scipy
 
 from jaxclear.ground.arguments import check_known, check_number, expect
 from jaxclear.ground.wording import described
-from jaxclear.studies.endless import INSTEAD, finite_beside
+from jaxclear.studies.base import AbstractProblem
+from jaxclear.studies.endless import INSTEAD, check_told, finite_beside
 from jaxclear.studies.statistics.scrambled import ordinary_quantile, smooth_quantile
 
 # The slope of a quantile by the score of its share is taken over +- this many scores: wide enough
@@ -167,9 +168,17 @@ class Functional(NamedTuple):
         return responses > self.number if self.kind == "above" else responses < self.number
 
 
-def functionals(of: Any, responses: tuple[str, ...]) -> list[Functional]:
+def functionals(of: Any, problem: AbstractProblem) -> list[Functional]:
     """What a user asks derivatives of: statistics for all responses, or {response: statistics}.
-    Raises `ValueError` with a sentence."""
+    Raises `ValueError` with a sentence, also for a limit beyond what a response is told up to."""
+    asked = _asked(of, problem.response_names)
+    for one in asked:
+        if one.kind in ("above", "below"):
+            check_told(problem, one.response, one.number)
+    return asked
+
+
+def _asked(of: Any, responses: tuple[str, ...]) -> list[Functional]:
     if isinstance(of, Mapping):
         for name in of:
             check_known("response", name, responses, " in this problem")

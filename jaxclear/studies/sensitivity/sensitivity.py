@@ -81,7 +81,7 @@ def sensitivity(
     expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
     _check(sample, difference_samples, methods, seed)
     wanted = directions(problem, _wanted(problem, variables))
-    asked = functionals(of, problem.response_names)
+    asked = functionals(of, problem)
     if isinstance(sample, GivenSample):
         drawn = given_sample(problem, sample)
     else:
