@@ -22,6 +22,8 @@ from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.design.verification import GROUPS, Verifier, _finite
 from jaxclear.studies.endless import finite_beside
 from jaxclear.studies.function_problem import FunctionProblem
+from jaxclear.studies.reliability.models import RunModel
+from jaxclear.studies.reliability.subset import subset
 from jaxclear.studies.statistics.scrambled import ordinary_quantile
 
 # ln(life / 1e6) is normal about half the hardness; a quarter of the lives are not followed.
@@ -284,6 +286,29 @@ def test_the_worst_life_is_finite_and_the_best_endless(lasting):
     found = jc.worst_case(lasting, samples=64)
     assert found.least["life"].value == pytest.approx(1e6 * np.exp(-3 * 0.8), rel=1e-3)
     assert found.largest["life"].value == np.inf
+
+
+class Followed(RunModel):
+    """Margins of a normal number, of which a share is followed; infinite ones are safe or fail."""
+
+    share, sense = 1.0, 1.0
+
+    def margins(self, normal):
+        self.runs += len(normal)
+        margins = self.sense * (normal - stats.norm.ppf(1e-3 if self.sense > 0 else 0.7))
+        return np.where(normal > stats.norm.ppf(self.share), self.sense * np.inf, margins)
+
+
+@pytest.mark.parametrize(("share", "sense"), [(0.01, 1.0), (0.0, 1.0), (0.8, 1.0), (0.8, -1.0)])
+def test_subset_simulation_takes_no_endless_answer_for_a_lost_run(lasting, share, sense):
+    model = Followed(lasting, jc.limit_state.Below("life", LIMIT))
+    model.share, model.sense = share, sense
+    found = subset(model, 0.2, 20_000, 0)
+    assert found.unknown == 0.0
+    if share > 0.0:
+        assert found.interval[0] <= (1e-3 if sense > 0 else 0.3) <= found.interval[1]
+    else:
+        assert np.isnan(found.value) and "infinite responses say nothing" in found.refusal
 
 
 def test_a_problem_without_endless_answers_has_failed_samples_as_before():

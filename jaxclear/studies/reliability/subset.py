@@ -21,6 +21,8 @@ SHARE, LEVEL, LARGEST, FIRST, MORE = 0.1, 1000, 8000, 8, 4
 ACCEPTED, FIRST_SPREAD = 0.44, 0.6
 # Levels at the most: rarer than one in 1e12 is not looked for.
 MOST_LEVELS = 12
+# Margin of what is infinitely beyond a limit; that of a lost run alone is infinite.
+BROKEN = -1e300
 
 
 def subset(model: RunModel, accuracy: float, most_runs: int, seed: int) -> Probability:
@@ -80,17 +82,12 @@ def _repetitions(
 
     def worst(at):
         flat = model.margins(at.reshape(-1, variables)) / scales
-        lost = np.isnan(flat).any(axis=1)
-        found = np.where(lost, -np.inf, system_margin(np.where(lost[:, None], 0.0, flat), cuts))
-        return found.reshape(at.shape[:-1])
+        return _worst(flat, cuts).reshape(at.shape[:-1])
 
     margins = model.margins(normal.reshape(-1, variables))
     # Limits in one scale, so that a system's worst samples are not those of the largest unit.
-    finite = np.where(np.isfinite(margins), margins, np.nan)
-    scales = np.maximum(np.nanstd(finite, axis=0), np.finfo(float).tiny)
-    lost = np.isnan(margins).any(axis=1)
-    margins = system_margin(np.where(lost[:, None], 0.0, margins / scales), cuts)
-    margins = np.where(lost, -np.inf, margins).reshape(repetitions, count)
+    scales = np.array([_scale(own[np.isfinite(own)]) for own in margins.T])
+    margins = _worst(margins / scales, cuts).reshape(repetitions, count)
     found, unknown, kept = np.zeros(repetitions), np.zeros(repetitions), int(SHARE * count)
     share, open_ = np.ones(repetitions), np.ones(repetitions, bool)
     for _ in range(MOST_LEVELS):
@@ -113,6 +110,19 @@ def _repetitions(
         )
         normal[open_], margins[open_] = _conditioned(worst, *chains, level[open_], rng)
     return found, unknown
+
+
+def _scale(finite: np.ndarray) -> float:
+    """Deviation of the finite margins of a limit; 1 where there are none."""
+    return max(float(finite.std()), np.finfo(float).tiny) if len(finite) else 1.0
+
+
+def _worst(margins: np.ndarray, cuts) -> np.ndarray:
+    """Margins (samples,) of a system from those of its limits (samples, limits), `BROKEN` at the
+    least; -inf for lost runs alone."""
+    lost = np.isnan(margins).any(axis=1)
+    told = system_margin(np.where(lost[:, None], 0.0, margins), cuts)
+    return np.where(lost, -np.inf, np.maximum(told, BROKEN))
 
 
 def _conditioned(worst, seeds, margins, levels, rng) -> tuple[np.ndarray, np.ndarray]:
