@@ -30,10 +30,12 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 rig = jc.scenes.slider_crank(wear=False)
 step = jc.integrator.FixedStep(1e-6)
 
+varied = {"c": jc.Variable(lambda r: r.connections["B"].joint.clearance, tolerance=1e-6)}
+last = lambda r: r.states[-1, 0]
+
+# The same functions, so that the second problem is compiled with the first.
 def problem(duration):
-    varied = {"c": jc.Variable(lambda r: r.connections["B"].joint.clearance, tolerance=1e-6)}
-    return jc.Problem(rig, lambda r: r.states[-1, 0], varied, duration=duration, integrator=step,
-                      save=3)
+    return jc.Problem(rig, last, varied, duration=duration, integrator=step, save=3)
 
 go = {
     "simulate": lambda duration: jc.simulate(rig, duration, save=3, integrator=step),
