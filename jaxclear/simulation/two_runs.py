@@ -10,8 +10,7 @@ from jaxclear.results.histories import contact_impulse
 from jaxclear.results.trajectory import Trajectory
 
 # What friction takes, beside the most of all energies of the balance that come in or go out, below
-# which nobody reads it;
-# and what is rounding in any mechanism [J].
+# which nobody reads it; and what is rounding in any mechanism [J].
 LEAST_LOSS, NO_LOSS = 1e-3, 1e-15
 
 

@@ -41,13 +41,14 @@ def endless_sentences(problem: AbstractProblem, responses: Mapping[str, Any]) ->
 
 
 def refuse_endless(
-    problem: AbstractProblem, name: str, values: Any, what: str, instead: str = INSTEAD
+    problem: AbstractProblem, responses: Mapping[str, Any], what: str, instead: str = INSTEAD
 ) -> None:
-    """Raises `ValueError` where a response has infinite values (samples,), of which there is no
-    `what`."""
-    words = _words(problem, name, values)
-    if words:
-        raise ValueError(f'"{name}" {words}: there is no {what} of it; {instead}.')
+    """Raises `ValueError` where one of the responses has infinite values (samples,), of which there
+    is no `what`."""
+    for name, values in responses.items():
+        words = _words(problem, name, values)
+        if words:
+            raise ValueError(f'"{name}" {words}: there is no {what} of it; {instead}.')
 
 
 def check_told(problem: AbstractProblem, name: str, *limits: Any) -> None:

@@ -167,7 +167,7 @@ class MonteCarlo(eqx.Module):
         """Any smooth function of a sample (samples,), such as `scipy.stats.skew`, with its error.
         Raises `ValueError` where the response has infinite values, as lives may."""
         values, group = self.good(response)
-        refuse_endless(self.problem, response, values, "mean or deviation")
+        refuse_endless(self.problem, {response: values}, "mean or deviation")
         return jackknifed(function, values, group)
 
     def mean(self, response: str) -> Statistic:
@@ -221,14 +221,14 @@ class MonteCarlo(eqx.Module):
         check_flags("tolerance_interval", normal=normal)
         kind, (values, group) = normal_interval if normal else free_interval, self.good(response)
         if normal:
-            refuse_endless(self.problem, response, values, "normal distribution")
+            refuse_endless(self.problem, {response: values}, "normal distribution")
         return kind(values, group, content, confidence, side)
 
     def error_budget(self, response: str) -> dict[str, Statistic]:
         """What each variable contributes to the variance of a response [its unit squared], and what
         no plane through the sample explains; the parts sum to the variance."""
         responses, group = self.good(response)
-        refuse_endless(self.problem, response, responses, "variance")
+        refuse_endless(self.problem, {response: responses}, "variance")
         values = np.delete(self.values, self.failed, axis=0)
         return error_budget(values, responses, group, self.problem.names)
 

@@ -38,11 +38,15 @@ def plain():
     return jc.monte_carlo(problem(), 10_000, seed=3)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    place = tmp_path_factory.mktemp("campaign") / "kept"
+def kept_at(place):
+    """The folder with a whole campaign in it."""
     jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096)
     return place
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return kept_at(tmp_path_factory.mktemp("campaign") / "kept")
 
 
 def assert_same_study(one, other):

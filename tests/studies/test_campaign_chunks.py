@@ -7,18 +7,15 @@ import numpy as np
 import pytest
 import zarr
 
-import jaxclear as jc
 from jaxclear.studies.campaign.chunk_files import ChunkFiles
 from jaxclear.studies.campaign.layout import SAMPLES
 from jaxclear.studies.campaign.workers import WORTH, Blocks
-from tests.studies.test_campaign import contents, problem
+from tests.studies.test_campaign import contents, kept_at
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    place = tmp_path_factory.mktemp("campaign") / "kept"
-    jc.campaign(problem(), 10_000, folder=place, seed=3, chunk=4096)
-    return place
+    return kept_at(tmp_path_factory.mktemp("campaign") / "kept")
 
 
 def test_whole_chunks_are_written_as_zarr_writes_them(folder, tmp_path):

@@ -103,7 +103,8 @@ class Verifier(NamedTuple):
             return lambda weights: Sample(jnp.zeros(1), jnp.ones(1), ends), largest
         own = np.asarray(question.of(limit, values, dict(zip(names, responses.T, strict=True))))
         if limit.by_moments():
-            refuse_endless(self.runs.problem, limit.response, own, "mean or deviation", INSTEAD)
+            told = {limit.response: own}
+            refuse_endless(self.runs.problem, told, "mean or deviation", INSTEAD)
         own, largest = _finite(limit, np.where(np.isnan(own), 0.0, own))
         parts, before = [own], []
         corrected = self.corrected and limit.response in names

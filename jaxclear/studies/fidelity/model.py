@@ -115,8 +115,7 @@ def told_by(model: Model, names: tuple[str, ...], found: Any) -> Told:
     """What samples of a model tell of the responses of these names."""
     reached = np.asarray(found.outcome) == Outcome.REACHED
     nothing = np.full(len(reached), np.nan)
-    for name in model.problem.response_names:
-        refuse_endless(model.problem, name, found.responses[name], "mean or deviation")
+    refuse_endless(model.problem, found.responses, "mean or deviation")
     columns = [np.asarray(found.responses.get(name, nothing), float) for name in names]
     own = [i for i, name in enumerate(names) if name in model.problem.response_names]
     responses = np.where(reached[:, None], np.stack(columns, axis=1), np.nan)

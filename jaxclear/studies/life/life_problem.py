@@ -44,10 +44,11 @@ class LifeProblem(AbstractProblem):
     `jaxclear.wear_life` returns, or several by name. `cycles`: how long lives are followed, for
     what is asked of their end and for functions; a `LifeUntil` goes without, and a life is then as
     long as it takes to reach the limits. One whose limit is not reached within `cycles`, or without
-    them in 100 times what its first cycles say, is infinite: longer than told. That counts as such
-    in shares, quantiles and limits; a mean of it is refused. `tolerance` [1] and `most` as in
-    `wear_life`. Variables are the problem's. A sample whose life ends by a failed cycle before it
-    tells what is asked has failed. Raises `ValueError` with a sentence for what cannot be asked.
+    them by a forecast from its last rate not in 100 times what its first cycles say, is infinite:
+    longer than told. That counts as such in shares, quantiles and limits; a mean of it is refused.
+    `tolerance` [1] and `most` as in `wear_life`. Variables are the problem's. A sample whose life
+    ends by a failed cycle before it tells what is asked has failed. Raises `ValueError` with a
+    sentence for what cannot be asked.
     """
 
     problem: Problem

@@ -104,8 +104,7 @@ def shapley_effects(
         found = evaluate_all(problem, values, progress_bar=progress_bar, label="Shapley effects")
         reached = np.asarray(found.outcome) == Outcome.REACHED
         responses = found.responses
-        for name in problem.response_names:
-            refuse_endless(problem, name, responses[name], "variance")
+        refuse_endless(problem, responses, "variance")
     else:
         responses = _on_surface(surface.bare(), values)
         reached = np.ones(len(values), bool)

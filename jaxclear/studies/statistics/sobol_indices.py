@@ -95,10 +95,10 @@ def sobol_indices(
     values = problem.inputs.values(jnp.asarray(np.concatenate(columns)))
     found = evaluate_all(problem, values, progress_bar=progress_bar, label="Sobol' indices")
     reached = (found.outcome == Outcome.REACHED).reshape(len(columns), -1)
+    refuse_endless(problem, found.responses, "variance")
     first, total = {}, {}
     good = np.all(reached, axis=0)
     for name in problem.response_names:
-        refuse_endless(problem, name, found.responses[name], "variance")
         rows = np.asarray(found.responses[name]).reshape(len(columns), -1)[:, good].T
         for i, variable in enumerate(problem.names):
             three = rows[:, [0, 1, 2 + i]]

@@ -122,8 +122,7 @@ def corrected(
     values = jnp.asarray(all_values(problem, np.concatenate(normal)))
     found = evaluate_all(problem, values, chunk=chunk, progress_bar=progress_bar, label="corrected")
     own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
-    for name, responses in own.items():
-        refuse_endless(problem, name, responses, "mean or deviation", "jaxclear.monte_carlo serves")
+    refuse_endless(problem, own, "mean or deviation", "jaxclear.monte_carlo serves")
     finite = np.all([np.isfinite(own[name]) for name in own], axis=0)
     good = (np.asarray(found.outcome) == Outcome.REACHED) & finite
     many = _blocks(SURFACE_SCRAMBLINGS, SURFACE_POINTS, len(problem.names), [seed, 1])

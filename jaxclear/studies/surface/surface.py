@@ -28,6 +28,7 @@ from jaxclear.studies.surface.response_surface import ResponseSurface
 
 # Runs for each term of a quadratic surface, and in all, where no number is asked for.
 RUNS_PER_TERM, FEWEST = 3, 32
+INSTEAD = "limits of jaxclear.design and jaxclear.reliability take it"  # what has no surface
 
 
 @answering
@@ -76,18 +77,11 @@ def surface(
         values = drawn(problem, runs, over, seed)
         found, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
         lacking = ""
-    _check_finite(problem, found)
+    refuse_endless(problem, found.responses, "surface", INSTEAD)
     through = fitted(
         problem, values, found, degree=degree, truncation=truncation, gradients=gradients
     )
     return dataclasses.replace(through, unreached=lacking)
-
-
-def _check_finite(problem: AbstractProblem, found: SampleResult) -> None:
-    """Raises `ValueError` for responses that are infinite, which no polynomial is."""
-    instead = "limits of jaxclear.design and jaxclear.reliability take it"
-    for name in problem.response_names:
-        refuse_endless(problem, name, found.responses[name], "surface", instead)
 
 
 def _there(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, str]:
