@@ -1,13 +1,15 @@
 """Random mechanisms, laws, rungs, speeds and loads: is any number wrong without a sentence?
 
-    python -m benchmarks.attack [--quick] [--json FILE] [--only K ...] [--case N]
+    python -m benchmarks.attack [--quick] [--json FILE] [--only K ...] [--draws N] [--kept FILE]
+        [--case N]
 
 Every case is a mechanism with numbers of its own. It is run by references, one ten times tighter
 than the other and one whose numbers are off in the fifth digit, and then as users run it. Every
 response is right within the accuracy that the book states for the rung; or the run said that it may
 not be (it was refused, ended early, or carries a warning that concerns the response); or the
 references disagree, which the run should have said too (chaotic motion); or it is silently wrong.
-`--case N` prints all about case N.
+`--case N` prints all about case N. What `--kept` finds in its file is not run again, and what is
+run is added to it.
 """
 
 import argparse
@@ -22,6 +24,7 @@ import jax
 from benchmarks.attacks import rungs, verdicts
 from benchmarks.attacks.answers import RESPONSES
 from benchmarks.attacks.attempts import Asked, Finding, attempt, find, judges
+from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.numbers import Draw
 from benchmarks.attacks.structures import DRAWS, NUMBERS, Structure, structures
 from benchmarks.attacks.verdicts import Verdict
@@ -51,16 +54,32 @@ class Row(NamedTuple):
         return self.found.verdict
 
 
+def attacked(structure: Structure, draws: int, kept: Path | None) -> list[Row]:
+    """All runs of the first so many cases of a structure, those that are kept taken from there."""
+    found, rows = known(kept, Row), []
+    for draw in range(draws):
+        key = str(_number(structure, draw))
+        if key not in found:
+            found[key] = attack(structure, draw)
+            keep(kept, key, found[key])
+        rows += found[key]
+    return rows
+
+
+def _number(structure: Structure, draw: int) -> int:
+    return structure.number * DRAWS + draw
+
+
 def attack(structure: Structure, draw: int) -> list[Row]:
     """All runs of one case."""
-    number = structure.number * DRAWS + draw
+    number = _number(structure, draw)
     try:
         case = structure.case(draw)
     except ValueError as error:
         print(f"case {number} was refused: {error}", flush=True)
         return []
     asked = Asked(SAVES, structure.balance)
-    known: dict[Any, tuple] = {}
+    references: dict[Any, tuple] = {}
     rows = []
     for place, name in enumerate(structure.rungs):
         rung = rungs.RUNGS[name]
@@ -70,9 +89,9 @@ def attack(structure: Structure, draw: int) -> list[Row]:
         begun = time.process_time()
         run = attempt(case, integrator, asked)
         spent = time.process_time() - begun
-        if rung.model not in known:
-            known[rung.model] = judges(case, rung.model, step, asked)
-        found = find(run, known[rung.model], rung.kind)
+        if rung.model not in references:
+            references[rung.model] = judges(case, rung.model, step, asked)
+        found = find(run, references[rung.model], rung.kind)
         words = "default" if integrator is None else describe(integrator)
         rows.append(Row(number, structure.name, name, words, found, spent))
     return rows
@@ -155,6 +174,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--case", type=int, metavar="N", help="print all about one case")
     parser.add_argument("--only", type=int, nargs="*", metavar="K", help="these structures")
     parser.add_argument("--draws", type=int, metavar="N", help="draws of each structure")
+    parser.add_argument("--kept", type=Path, metavar="FILE", help="runs that are done, as lines")
     return parser.parse_args()
 
 
@@ -168,7 +188,7 @@ def main() -> None:
     draws = options.draws or (QUICK_DRAWS if options.quick else DRAWS)
     for structure in chosen(options):
         begun = time.process_time()
-        own = [row for draw in range(draws) for row in attack(structure, draw)]
+        own = attacked(structure, draws, options.kept)
         rows += own
         counts = Counter(str(row.verdict) for row in own)
         spent = time.process_time() - begun

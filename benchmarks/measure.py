@@ -9,6 +9,7 @@ import datetime
 import json
 import os
 import platform
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -17,6 +18,9 @@ from typing import Any
 
 import equinox as eqx
 import jax
+
+# Options that say where figures are written, not what is measured.
+FILES = ("--json", "--kept")
 
 
 def arguments(description: str, **more: dict[str, Any]) -> argparse.Namespace:
@@ -78,19 +82,30 @@ def report(title: str, rows: list[dict[str, Any]], options: argparse.Namespace) 
 
 
 def about(module: str, path: Path | None) -> dict[str, str]:
-    """Which command measured, where and when; the machine as the file at `path` names it, if it
-    does."""
+    """Which command measured, where, when and on which commit; the machine as the file at `path`
+    names it, if it does."""
     known = json.loads(path.read_text()) if path is not None and path.exists() else {}
     here = f"{os.cpu_count()} cores ({platform.machine()})"
     asked = list(sys.argv[1:])
-    if "--json" in asked:
-        at = asked.index("--json")
-        del asked[at : at + 2]
+    for name in FILES:
+        if name in asked:
+            at = asked.index(name)
+            del asked[at : at + 2]
     return {
         "command": " ".join(["python -m", module, *asked]),
         "machine": known.get("about", {}).get("machine", here),
-        "date": datetime.date.today().isoformat(),
+        "date": date(),
     }
+
+
+def date() -> str:
+    """Today, and the commit that is measured, where git tells it."""
+    asked = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short", "HEAD"]
+    try:
+        commit = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return datetime.date.today().isoformat()
+    return f"{datetime.date.today().isoformat()}, commit {commit}"
 
 
 def _text(value: Any) -> str:

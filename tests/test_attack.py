@@ -9,7 +9,8 @@ import jaxclear as jc
 from benchmarks import attack
 from benchmarks.attacks import laws, verdicts
 from benchmarks.attacks.answers import RESPONSES
-from benchmarks.attacks.attempts import attempt
+from benchmarks.attacks.attempts import Finding, attempt
+from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.structures import structures
 from benchmarks.attacks.verdicts import ACCURACY, Verdict
 from benchmarks.claims import extremes
@@ -78,6 +79,25 @@ def test_a_case_is_the_same_whenever_it_is_drawn():
     np.testing.assert_array_equal(
         one.mechanism.parameters()["value"], other.mechanism.parameters()["value"]
     )
+
+
+def test_what_is_kept_is_what_was_found(tmp_path):
+    """So that an attack that is stopped and goes on is one attack; a case that was refused is not
+    drawn again."""
+    found = Finding(
+        Verdict.SAID,
+        {"place": Verdict.RIGHT, "mean force": Verdict.SAID},
+        {"place": 1e-3, "mean force": 0.5},
+        {"place": 0.0, "mean force": np.inf},
+        ("a sentence",),
+        frozenset({"mean force"}),
+    )
+    row = attack.Row(17, "pendulum, Hertz", "default", "Adaptive()", found, 0.25)
+    file = tmp_path / "kept"
+    assert known(file, attack.Row) == {}
+    keep(file, "17", [row])
+    keep(file, "18", [])
+    assert known(file, attack.Row) == {"17": [row], "18": []}
 
 
 @pytest.mark.slow

@@ -2,12 +2,14 @@
 mechanism is, and a few at once.
 
     python -m benchmarks.claims.extremes [--quick] [--json FILE] [--joint NAME ...] [--rung ...]
+        [--kept FILE]
 
 A body of 1 kg is pressed into its joint with 100 N, turns (in a guide: slides), and carries a
 lighter or heavier arm on a hinge. Each run is judged as in `benchmarks.attack`: right within the
 accuracy of its rung, said so (a warning that concerns what is off), refused (a sentence before the
 run, or an early end), undecidable (the references, tight, tighter, and off in the fifth digit,
-disagree), or silently wrong.
+disagree), or silently wrong. What `--kept` finds in its file is not run again, and what is run is
+added to it.
 """
 
 import argparse
@@ -25,6 +27,7 @@ import jax.numpy as jnp
 import jaxclear as jc
 from benchmarks.attacks.attempts import Asked, Finding, attempt, find, judges
 from benchmarks.attacks.bearings import Case
+from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.verdicts import Verdict
 from benchmarks.measure import about, report
 
@@ -217,26 +220,37 @@ def asked_of(joint: str, p: dict) -> Asked:
     return Asked(SAVES, True, p["worn depth"] * p["clearance"] if wears else None)
 
 
-def cells(joint: str, names: list[str], quick: bool) -> list[Cell]:
-    """All runs of one joint. References are made once for every mechanism and model."""
+def cells(joint: str, options: argparse.Namespace) -> list[Cell]:
+    """All runs of one joint, those that are kept taken from there."""
+    found, made = known(options.kept, Cell), []
+    for varied in variations(joint, options.quick):
+        key = " | ".join((joint, in_words(varied), *options.rung))
+        if key not in found:
+            found[key] = cells_of(joint, varied, options.rung)
+            keep(options.kept, key, found[key])
+        made += found[key]
+    return made
+
+
+def cells_of(joint: str, varied: dict[str, float], names: list[str]) -> list[Cell]:
+    """All runs of a joint with its numbers. References are made once for every model."""
     made = []
-    for varied in variations(joint, quick):
-        known: dict[str, tuple] = {}
-        for name in names:
-            rung = rungs()[name]
-            p = USUAL | varied
-            if rung.model == "permanent":
-                p |= {"wears": False} | PERMANENT.get(joint, {})
-            lacks = "step" in varied and name == "Adaptive"
-            if lacks or (varied.get("worn depth") and not p["wears"]):
-                continue
-            case, asked = JOINTS[joint][0](p), asked_of(joint, p)
-            integrator = with_step(rung.integrator, p["step"])
-            if rung.model not in known:
-                length = None if rung.model == "compliant" else float(integrator.step)
-                known[rung.model] = judges(case, rung.model, length, asked)
-            run = attempt(case, integrator, asked)
-            made.append(Cell(joint, name, varied, find(run, known[rung.model], rung.kind)))
+    references: dict[str, tuple] = {}
+    for name in names:
+        rung = rungs()[name]
+        p = USUAL | varied
+        if rung.model == "permanent":
+            p |= {"wears": False} | PERMANENT.get(joint, {})
+        lacks = "step" in varied and name == "Adaptive"
+        if lacks or (varied.get("worn depth") and not p["wears"]):
+            continue
+        case, asked = JOINTS[joint][0](p), asked_of(joint, p)
+        integrator = with_step(rung.integrator, p["step"])
+        if rung.model not in references:
+            length = None if rung.model == "compliant" else float(integrator.step)
+            references[rung.model] = judges(case, rung.model, length, asked)
+        run = attempt(case, integrator, asked)
+        made.append(Cell(joint, name, varied, find(run, references[rung.model], rung.kind)))
     return made
 
 
@@ -318,6 +332,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     parser.add_argument("--joint", nargs="*", choices=JOINTS, default=list(JOINTS))
     parser.add_argument("--rung", nargs="*", choices=rungs(), default=list(rungs()))
+    parser.add_argument("--kept", type=Path, metavar="FILE", help="runs that are done, as lines")
     return parser.parse_args()
 
 
@@ -327,7 +342,7 @@ def main() -> None:
     told = {"about": about("benchmarks.claims.extremes", options.json)}
     for joint in options.joint:
         begun = time.process_time()
-        own = cells(joint, options.rung, options.quick)
+        own = cells(joint, options)
         found += own
         counts = Counter(str(cell.found.verdict) for cell in own)
         print(f"{joint}: {dict(counts)} ({time.process_time() - begun:.0f} s CPU)", flush=True)

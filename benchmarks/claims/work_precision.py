@@ -7,8 +7,8 @@ and pictures of speed traded for accuracy.
 Errors are judged by `Adaptive` at two tight tolerances (`benchmarks.trade.curves`). Rungs of
 another formulation (rigid contact, joints that always touch) come no nearer than their model: where
 their points stop falling is what the model is off. With `--json` the scenes that are measured
-replace their rows in the file, the summary is made anew from all of it, and the pictures are drawn
-from the file.
+replace their rows in the file, which tells of each scene when it was measured; the summary is made
+anew from all of it, and the pictures are drawn from the file.
 """
 
 import argparse
@@ -25,6 +25,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from benchmarks.measure import about, date
 from benchmarks.trade.curves import Curves, curves
 from benchmarks.trade.questions import SCENES
 
@@ -38,6 +39,9 @@ SUMMARY = {
     ALONE: "CPU time alone [ms for a simulated second] to 1 %",
     BATCH: "CPU time of a sample in a batch [ms for a simulated second] to 1 %",
 }
+# Scenes are measured in several calls.
+COMMAND = {"command": "python -m benchmarks.claims.work_precision --scene NAME ..."}
+WHEN = "when each scene was measured"
 DOUBT = "references apart"
 ERROR = "error in "
 Rows = list[dict[str, Any]]
@@ -148,17 +152,21 @@ def main() -> None:
     parser.add_argument("--figures", type=Path, default=FIGURES, metavar="DIR")
     options = parser.parse_args()
     known = json.loads(options.json.read_text()) if options.json and options.json.exists() else {}
-    about = known.pop("about", None)
+    before = known.get("about", {}).get("date", "")
+    dates = {row["scene"]: row["measured"] for row in known.get(WHEN, [])}
     for scene in options.scene or (QUICK if options.quick else SCENES):
         begun = time.process_time()
         known[POINTS.format(scene=scene)] = rows_of(curves(SCENES[scene]()))
+        dates[scene] = date()
         print(f"{scene}: {time.process_time() - begun:.0f} s CPU", flush=True)
         jax.clear_caches()
-        document = {title: summary(known, cost) for cost, title in SUMMARY.items()}
-        document |= {POINTS.format(scene=s): rows for s, rows in scenes_in(known)}
+        told = {"about": about("benchmarks.claims.work_precision", options.json) | COMMAND}
+        document = told | {title: summary(known, cost) for cost, title in SUMMARY.items()}
+        measured = dict(scenes_in(known))
+        document[WHEN] = [{"scene": s, "measured": dates.get(s, before)} for s in measured]
+        document |= {POINTS.format(scene=s): rows for s, rows in measured.items()}
         if options.json:
-            told = {} if about is None else {"about": about}
-            options.json.write_text(json.dumps(told | document, indent=1) + "\n")
+            options.json.write_text(json.dumps(document, indent=1) + "\n")
             draw(scene, known[POINTS.format(scene=scene)], options.figures)
     for cost, title in SUMMARY.items():
         print(f"\n{title}")

@@ -22,7 +22,7 @@ from jaxclear.studies.advice.pilot import PilotSettings, describe, pilot_of
 from jaxclear.studies.batch import evaluate_all
 
 COPIES, BATCH = 3, 16
-STEPS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
+STEPS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)
 RTOLS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 REFERENCES = (1e-9, 1e-10)
 # A curve ends where every error is below this, or where one run takes longer than this [s CPU].
@@ -63,7 +63,7 @@ def ladders(question: Question) -> dict[str, list[Any]]:
     """Settings of every rung that a question can be run on, coarse to fine."""
     gaps = bool(question.problem.mechanism.topology.clearances)
     interval = float(np.max(np.diff(question.problem.shares)) * question.problem.duration)
-    steps = [step for step in STEPS if step < 1.01 * interval]
+    steps = [step for step in STEPS if question.shortest <= step < 1.01 * interval]
     steps = [interval, *(step for step in steps if step < 0.5 * interval)]
     found = {
         "Adaptive": [_adaptive(rtol) for rtol in RTOLS],

@@ -15,6 +15,7 @@ import jaxclear as jc
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.results.response import AbstractResponse
 from jaxclear.scenes.antenna import BASE, TIP
+from jaxclear.scenes.parallel_3rsr import QUIET, RATTLING
 
 SAVES = 201
 # Tolerances of the number that varies, as a share of it.
@@ -67,10 +68,11 @@ def _size(force: Any) -> Any:
 
 
 class Question(NamedTuple):
-    """A problem, and the rungs that its scene cannot be run on."""
+    """A problem, the rungs that its scene cannot be run on, and the shortest step [s] tried."""
 
     problem: jc.Problem
     without: tuple[str, ...] = ()
+    shortest: float = 1e-6
 
 
 def _forces(joint: str) -> dict[str, Callable]:
@@ -81,10 +83,10 @@ def _forces(joint: str) -> dict[str, Callable]:
     }
 
 
-def _worn(joint: str) -> dict[str, Callable]:
+def _worn(joint: str, surface: str = "bearing") -> dict[str, Callable]:
     return {
-        "worn volume": jc.response.WornVolume(joint),
-        "worn depth": jc.response.PeakWornDepth(joint),
+        "worn volume": jc.response.WornVolume(joint, surface),
+        "worn depth": jc.response.PeakWornDepth(joint, surface),
     }
 
 
@@ -188,6 +190,45 @@ def ideal_antenna(duration: float = 1.0) -> Question:
     return Question(jc.Problem(rig, asked, _mass("link1"), duration=duration, save=SAVES))
 
 
+def flap(clearance: float = 0.1e-3, share: float = 1.0) -> Question:
+    """The scene until all four journals have met their bearings. Its dampers are stiff: explicit
+    steps follow them at 1e-7 s. `AdamsImpact` tells rigid contact no restitution."""
+    duration = share * 0.03
+    rig, ideal = jc.scenes.flap(clearance=clearance), jc.scenes.flap("ideal")
+    asked = _forces("J1") | _away("rod 2", ideal, duration)
+    problem = jc.Problem(
+        rig, asked, _clearance("J1", "J2", "J3", "J4"), duration=duration, save=SAVES
+    )
+    return Question(problem, ("MoreauJean",), 1e-7)
+
+
+def ideal_flap(share: float = 1.0) -> Question:
+    """The scene without clearance, a stroke there and back."""
+    asked = _reactions("J1") | {"place": jc.response.FinalCoordinate("O2")}
+    problem = jc.Problem(
+        jc.scenes.flap("ideal"), asked, _mass("rod 1"), duration=share * 0.25, save=SAVES
+    )
+    return Question(problem)
+
+
+def parallel_3rsr(period: float, duration: float, clearance: float = 0.5e-3) -> Question:
+    """The scene with wear, part of a cycle: the ball falls through its play and bounces."""
+    rig = jc.scenes.parallel_3rsr("one", clearance, period=period)
+    ideal = jc.scenes.parallel_3rsr("ideal", period=period)
+    asked = _forces("S1") | _worn("S1", "socket") | _away("platform", ideal, duration)
+    return Question(
+        jc.Problem(rig, asked, _clearance("S1"), duration=duration, save=SAVES), ("NonColliding",)
+    )
+
+
+def ideal_parallel_3rsr(share: float = 1.0) -> Question:
+    """The scene without clearance, a cycle."""
+    rig = jc.scenes.parallel_3rsr("ideal", period=QUIET)
+    asked = _reactions("S1") | {"place": jc.response.FinalCoordinate("B1")}
+    problem = jc.Problem(rig, asked, _mass("rod 1"), duration=share * QUIET, save=SAVES)
+    return Question(problem)
+
+
 SCENES: dict[str, Callable[[], Question]] = {
     "slider-crank": slider_crank,
     "slider-crank, ideal": ideal_slider_crank,
@@ -198,4 +239,9 @@ SCENES: dict[str, Callable[[], Question]] = {
     "guide, ideal": ideal_guide,
     "antenna": antenna,
     "antenna, ideal": ideal_antenna,
+    "flap": flap,
+    "flap, ideal": ideal_flap,
+    "3RSR, quiet": lambda: parallel_3rsr(QUIET, 0.25 * QUIET),
+    "3RSR, rattling": lambda: parallel_3rsr(RATTLING, RATTLING / 3),
+    "3RSR, ideal": ideal_parallel_3rsr,
 }
