@@ -7,12 +7,13 @@ machine that is shared.
 import argparse
 import datetime
 import json
+import math
 import os
 import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,24 +79,56 @@ def report(title: str, rows: list[dict[str, Any]], options: argparse.Namespace) 
         )
     if options.json is not None:
         known = json.loads(options.json.read_text()) if options.json.exists() else {}
-        options.json.write_text(json.dumps(known | {title: rows}, indent=1) + "\n")
+        options.json.write_text(in_json(known | {title: rows}))
 
 
-def about(module: str, path: Path | None) -> dict[str, str]:
+def in_json(document: Any) -> str:
+    """Results as the text of a file. JSON has no word for infinite and for what is no number: these
+    are null."""
+    return json.dumps(_told(document), indent=1, allow_nan=False) + "\n"
+
+
+def _told(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _told(own) for name, own in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_told(own) for own in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def about(module: str, path: Path | None, parts: Sequence[str] = ()) -> dict[str, Any]:
     """Which command measured, where, when and on which commit; the machine as the file at `path`
-    names it, if it does."""
+    names it, if it does. `parts`: the titles (or how they begin) that this call measured, where
+    others of the file come from calls of their own; each keeps its own command and date, that of a
+    call for everything stands for all of them."""
     known = json.loads(path.read_text()) if path is not None and path.exists() else {}
+    before = known.get("about", {})
     here = f"{os.cpu_count()} cores ({platform.machine()})"
     asked = list(sys.argv[1:])
     for name in FILES:
         if name in asked:
             at = asked.index(name)
             del asked[at : at + 2]
-    return {
-        "command": " ".join(["python -m", module, *asked]),
-        "machine": known.get("about", {}).get("machine", here),
-        "date": date(),
+    command = " ".join(["python -m", module, *asked])
+    today = date()
+    told: dict[str, Any] = {
+        "command": f"python -m {module}" if parts else command,
+        "machine": before.get("machine", here),
+        "date": today,
     }
+    if parts and asked:
+        own = {part: {"command": command, "date": today} for part in parts}
+        whole = {key: before.get(key) for key in ("command", "date")}
+        first = {"": whole} if whole["command"] == told["command"] else {}
+        told["parts"] = before.get("parts", first) | own
+    return told
+
+
+def sign(module: str, path: Path | None, parts: Sequence[str] = ()) -> None:
+    """Says in a file of results, first of all, where they come from (see `about`)."""
+    if path is not None:
+        told = {"about": about(module, path, parts)}
+        path.write_text(in_json(told | json.loads(path.read_text()) | told))
 
 
 def date() -> str:

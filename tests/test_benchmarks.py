@@ -2,6 +2,7 @@
 what is absent, agreement.
 """
 
+import importlib.util
 import json
 import re
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 pytest.importorskip("numba")
 
+from benchmarks import measure
 from benchmarks.attacks import verdicts
 from benchmarks.by_hand import evaluation
 from benchmarks.claims import design, equations, flap, work_precision, worn_depth
@@ -84,15 +86,60 @@ def shown() -> list[tuple[str, str, str]]:
 @pytest.mark.parametrize(("page", "name", "title"), shown())
 def test_tables_of_the_book_are_in_the_files_of_results(page, name, title):
     document = json.loads((RESULTS / f"{name}.json").read_text())
-    assert set(document.pop("about")) == {"command", "machine", "date"}
+    assert set(document.pop("about")) - {"parts"} == {"command", "machine", "date"}
     assert [rows for found, rows in document.items() if found.startswith(title)], page
 
 
-def test_what_a_run_does_not_check_is_null_in_the_results_of_the_flap():
-    def refused(word):
-        raise AssertionError(f"{word} is no JSON")
+def refused(word):
+    raise AssertionError(f"{word} is no JSON")
 
-    json.loads((RESULTS / "flap.json").read_text(), parse_constant=refused)
+
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
+def test_results_are_json(path):
+    """Which has no word for infinite and for what is no number."""
+    json.loads(path.read_text(), parse_constant=refused)
+
+
+def test_what_is_not_finite_is_null_in_results_and_each_part_has_its_own_call(
+    tmp_path, monkeypatch
+):
+    path = tmp_path / "results.json"
+    for part, value in (("first", np.nan), ("second", np.float64(2.0)), ("second", -np.inf)):
+        monkeypatch.setattr("sys.argv", ["it", "--only", part, "--json", str(path)])
+        measure.report(part, [{"value": value}], SimpleNamespace(json=path))
+        measure.sign("it", path, [part])
+    found = json.loads(path.read_text(), parse_constant=refused)
+    assert found["first"] == found["second"] == [{"value": None}]
+    about = found["about"]
+    assert about["command"] == "python -m it" and next(iter(found)) == "about"
+    calls = {part: own["command"] for part, own in about["parts"].items()}
+    assert calls == {part: f"python -m it --only {part}" for part in ("first", "second")}
+    monkeypatch.setattr("sys.argv", ["it", "--json", str(path)])
+    measure.sign("it", path, ["first", "second"])
+    assert "parts" not in json.loads(path.read_text())["about"]
+    monkeypatch.setattr("sys.argv", ["it", "--only", "second", "--json", str(path)])
+    measure.sign("it", path, ["second"])
+    about = json.loads(path.read_text())["about"]
+    assert [own["command"] for own in about["parts"].values()] == [
+        "python -m it",
+        "python -m it --only second",
+    ]
+
+
+def test_a_table_of_the_book_says_which_call_measured_it():
+    pytest.importorskip("sphinx")
+    where = importlib.util.spec_from_file_location("measured", BOOK / "_extensions/measured.py")
+    measured = importlib.util.module_from_spec(where)
+    where.loader.exec_module(measured)
+    about = {"command": "it", "machine": "a machine", "date": "today"}
+    assert measured.origin(about, "first") == "`it`, today, a machine."
+    parts = {"": about, "second, one": {"command": "it --only one", "date": "later"}}
+    about |= {"parts": parts}
+    assert measured.origin(about, "first") == "`it`, today, a machine."
+    assert measured.origin(about, "second") == "`it`, today; `it --only one`, later, a machine."
+
+
+def test_what_a_run_does_not_check_is_null_in_the_results_of_the_flap():
     run = SimpleNamespace(checks=SimpleNamespace(figures={}))
     assert flap.figure(run, Check.CREEP_STEP) is None
 

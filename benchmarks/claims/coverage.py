@@ -26,7 +26,7 @@ import numpy as np
 from scipy import stats
 
 import jaxclear as jc
-from benchmarks.measure import about, report
+from benchmarks.measure import report, sign
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.statistics.scrambled import standard_error
 
@@ -229,11 +229,9 @@ def main() -> None:
         methods = ("regression", "differences") + ("pathwise",) * options.pathwise
         file = options.kept and options.kept / f"{name.replace('/', ' ')}.jsonl"
         studies = repeated(CASES[name](name), options.repetitions, methods, file)
-        report(f"Intervals: {name}", rows_of(studies, truth), options)
-    if options.json is not None:
-        known = json.loads(options.json.read_text())
-        known["about"] = about("benchmarks.claims.coverage", options.json)
-        options.json.write_text(json.dumps(known, indent=1) + "\n")
+        title = f"Intervals: {name}"
+        report(title, rows_of(studies, truth), options)
+        sign("benchmarks.claims.coverage", options.json, [title])
 
 
 if __name__ == "__main__":

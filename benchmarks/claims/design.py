@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, differential_evolution, minimize
 
 import jaxclear as jc
-from benchmarks.measure import about, report
+from benchmarks.measure import report, sign
 from jaxclear.commands.design import QUESTIONS, Asked
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.design.freedom import TOLERANCE
@@ -251,6 +251,7 @@ def main() -> None:
     report("Linear stacks", [stack_row(count) for count in stacks], options)
     cranks = positioned_four_bar.CRANKS[: 1 if options.quick else None]
     report("A four-bar at a position", [position_row(own) for own in cranks], options)
+    parts = ["Linear stacks", "A four-bar at a position"]
     title, rows = "Scenes against a global search", []
     if options.json is not None and options.json.exists():
         known = json.loads(options.json.read_text()).get(title, [])
@@ -258,10 +259,8 @@ def main() -> None:
     for name in options.scenes:
         rows.append(scene_row(name, QUESTIONS[name](), options))
         report(title, rows, options)
-    if options.json is not None:
-        known = json.loads(options.json.read_text())
-        told = {"about": about("benchmarks.claims.design", options.json)}
-        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
+        parts += [f"{title}, {name}", f"Design of the {name}"]
+    sign("benchmarks.claims.design", options.json, parts)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ together the energy that friction takes, integrated with the motion (`balance`).
 right at any of these steps. What friction takes is not: the warning at 5e-6 s is true.
 """
 
-import json
 import time
 from typing import Any
 
@@ -14,7 +13,7 @@ import equinox as eqx
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import about, arguments, report, side_by_side
+from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.integrators.checks import Check
 from jaxclear.multibody.state import ENERGIES
 from jaxclear.results.histories import contact_impulse
@@ -94,10 +93,7 @@ def main() -> None:
         spent = side_by_side(evaluate, 2)[""][1]
         rows.append(row(f"ImplicitStep({step:g})", simulated(own), wanted, spent))
     report(f"{duration:g} s of the flap", rows, options)
-    if options.json is not None:
-        told = {"about": about("benchmarks.claims.flap", options.json)}
-        known = json.loads(options.json.read_text())
-        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
+    sign("benchmarks.claims.flap", options.json)
 
 
 def _evaluating(problem: jc.Problem) -> Any:

@@ -13,13 +13,12 @@ sampling: the gain that the study states over quasi-random sampling of the accur
 "No gain" is an answer.
 """
 
-import json
 import time
 
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import about, arguments, report
+from benchmarks.measure import arguments, report, sign
 from jaxclear.studies.statistics.scrambled import student
 
 CASES = ((0.8, 1 / 16), (0.95, 1 / 64), (0.99, 1 / 16), (0.5, 1 / 4))
@@ -122,10 +121,7 @@ def main() -> None:
     for name in list(cheaper)[: 1 if options.quick else 3]:
         rows += mechanism(name, problem, cheaper[name], 512 if options.quick else 1024)
         report("Mechanisms", rows, options)
-    if options.json is not None:
-        kept = json.loads(options.json.read_text())
-        told = {"about": about("benchmarks.claims.multi_fidelity", options.json)}
-        options.json.write_text(json.dumps(told | kept | told, indent=1) + "\n")
+    sign("benchmarks.claims.multi_fidelity", options.json)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 Python; accelerations of public robots from URDF beside MuJoCo's; and what becomes of mutated files.
 """
 
-import json
 import tempfile
 import time
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import equinox as eqx
 
 import jaxclear as jc
-from benchmarks.measure import about, arguments, report, side_by_side
+from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.files.scene_file import scene_text
 from tests.files.test_malformed_files import run_mutations
 from tests.files.test_model_import import PUBLIC
@@ -79,10 +78,7 @@ def main() -> None:
     report("Scene files: mutated files", [row], options)
     models = dict(list(PUBLIC.items())[:1]) if options.quick else PUBLIC
     report("Scene files: accelerations beside MuJoCo's", differences(models), options)
-    if options.json is not None:
-        known = json.loads(options.json.read_text())
-        told = {"about": about("benchmarks.claims.scene_files", options.json)}
-        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
+    sign("benchmarks.claims.scene_files", options.json)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ JSON.
 
 import datetime
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -99,7 +100,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (bool, np.bool_)):
         return int(value)
     if isinstance(value, (str, int, float)):
-        return value
+        # Zarr keeps attributes as JSON, which has no word for what is not finite.
+        return value if isinstance(value, str) or math.isfinite(value) else str(value)
     if isinstance(value, Iterable):
         return " ".join(str(one) for one in value)
     return str(value)

@@ -4,7 +4,8 @@
     ```
 
 reads `benchmarks/results/peers.json`: {title: [rows]} as `--json` writes it, beside "about" with
-the command, the machine and the date. No number of a table is typed in the book.
+the command, the machine and the date, or these of its parts where they come from calls of their
+own. No number of a table is typed in the book.
 """
 
 import json
@@ -32,6 +33,14 @@ def table(rows: list[dict]) -> list[str]:
     return lines
 
 
+def origin(about: dict, title: str) -> str:
+    """Where the numbers of a title come from."""
+    known = about.get("parts", {}).items()
+    own = [told for part, told in known if part.startswith(title) or title.startswith(part)]
+    calls = dict.fromkeys(f"`{told['command']}`, {told['date']}" for told in own or [about])
+    return f"{'; '.join(calls)}, {about['machine']}."
+
+
 class Measured(SphinxDirective):
     """`{measured} NAME [TITLE]`: where the numbers come from, then the tables, or the one that
     TITLE begins the title of.
@@ -46,12 +55,14 @@ class Measured(SphinxDirective):
         self.env.note_dependency(str(path))
         document = json.loads(path.read_text())
         about = document.pop("about", {})
-        lines = [f"`{about['command']}`, {about['machine']}, {about['date']}.", ""] if about else []
+        lines, said = [], ""
         wanted = self.arguments[1] if len(self.arguments) > 1 else ""
         chosen = {title: rows for title, rows in document.items() if title.startswith(wanted)}
         if not chosen:
             raise self.error(f"no table of {path.name} begins with {wanted!r}")
         for title, rows in chosen.items():
+            before, said = said, origin(about, title) if about else ""
+            lines += [said, ""] if said != before else []
             lines += [f"*{title}*", "", *table(rows), ""]
         found = nodes.container(classes=["measured"])
         self.state.nested_parse(StringList(lines, str(path)), self.content_offset, found)

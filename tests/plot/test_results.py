@@ -12,6 +12,7 @@ import xarray
 
 import jaxclear as jc
 from jaxclear import plot
+from jaxclear.ground.datasets import Column, dataset
 from jaxclear.plot.overview import FIGURES
 
 # Where a run begins is no result that could be drawn.
@@ -133,6 +134,20 @@ def test_a_result_is_drawn(results, kind):
 @pytest.mark.parametrize("kind", EACH)
 def test_a_result_is_kept_by_files(results, kind, tmp_path):
     check_kept(results(kind), tmp_path)
+
+
+def test_what_zarr_keeps_is_json_where_numbers_are_not_finite(tmp_path):
+    def refused(word):
+        raise AssertionError(f"{word} is no JSON")
+
+    column = Column(("row",), np.array([1.0, np.nan, np.inf]), "m")
+    told = dataset({"x": column}, what="a test", cost=np.inf, share=np.float64(np.nan), runs=3)
+    told.to_zarr(tmp_path / "kept.zarr", consolidated=False)
+    texts = [path.read_text() for path in (tmp_path / "kept.zarr").rglob("*.json")]
+    assert texts and all(json.loads(text, parse_constant=refused) for text in texts)
+    kept = xarray.open_zarr(tmp_path / "kept.zarr", consolidated=False).load()
+    np.testing.assert_array_equal(kept["x"], column.values)
+    assert (kept.attrs["cost"], kept.attrs["share"], kept.attrs["runs"]) == ("inf", "nan", 3)
 
 
 def test_a_dataset_holds_the_numbers_with_their_units(results):

@@ -214,6 +214,10 @@ class Unfollowed(Lasting):
         return np.inf
 
 
+def unfollowed(lasting):
+    return Unfollowed(lasting.inner, **{name: getattr(lasting, name) for name in SAME_AS_INNER})
+
+
 def question_of(problem, *limits):
     """A design's question with these limits of a problem."""
     freedom = freedom_of(problem, {"hardness": (-1.0, 4.0)}, None)
@@ -222,7 +226,7 @@ def question_of(problem, *limits):
 
 @pytest.mark.parametrize("lives", [(1e4, 2e4, 3e4, np.inf), (np.inf, np.inf)])
 def test_a_surface_sees_endless_lives_on_the_good_side_of_limits_that_none_reached(lasting, lives):
-    problem = Unfollowed(lasting.inner, **{n: getattr(lasting, n) for n in SAME_AS_INNER})
+    problem = unfollowed(lasting)
     question = question_of(problem, jc.limit.Quantile("life", at_least=1e6, share=0.9))
     runs = Runs(problem, None, False)
     runs.values, runs.responses = np.zeros((len(lives), 2)), np.array(lives)[:, None]
@@ -258,6 +262,71 @@ def test_a_limit_that_names_no_level_is_refused_for_endless_lives(lasting):
     with pytest.raises(ValueError, match=r"may be infinite .*limit.Median names no values"):
         checked_limits(own, lasting)
     assert checked_limits(own, lasting.inner) == (own,)
+
+
+class TooShort(jc.limit.AbstractOneSidedLimit):
+    """The share of lives that are too short, whose own bound is no life."""
+
+    response: str = "life"
+    at_most: float | None = 0.01
+    at_least: float | None = None
+    shortest: float = LIMIT
+
+    def number(self, sample):
+        return jnp.sum(jnp.where(sample.values < self.shortest, sample.weights, 0.0))
+
+    def rarest(self):
+        return float(self.at_most)
+
+    def words(self):
+        return "share that is too short"
+
+    def unit(self, of_response):
+        return "1"
+
+
+class OfLives(TooShort):
+    """The same, which says what decides."""
+
+    def levels(self):
+        return (self.shortest,)
+
+
+class MeanLife(jc.limit.Quantile):
+    """A mean that does not say that it is one."""
+
+    def number(self, sample):
+        return jnp.sum(sample.weights * sample.values)
+
+
+@pytest.mark.parametrize("followed", [FOLLOWED, np.inf])
+def test_a_limit_that_hangs_on_how_long_endless_lives_are_is_refused(lasting, followed):
+    """By what it does, whatever it says of itself: else a life that stands for an endless one just
+    beyond the levels that it names would be too short, and no candidate kept the limit."""
+    problem = lasting if np.isfinite(followed) else unfollowed(lasting)
+    for own in (TooShort(), MeanLife("life", at_least=LIMIT, share=0.6)):
+        with pytest.raises(ValueError, match=r"hangs on how far beyond its `levels`"):
+            checked_limits(own, problem)
+        assert checked_limits(own, lasting.inner) == (own,)
+    assert checked_limits(OfLives(), problem)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.501, 0.75, 0.935, 0.9375, 0.94, 0.999999])
+def test_limits_of_this_package_take_endless_lives(lasting, share):
+    """Also where a quantile lies between those that end and those that do not."""
+    for side in ("at_least", "at_most"):
+        for level in (LIMIT, FOLLOWED):
+            assert checked_limits(
+                [
+                    jc.limit.Quantile("life", share=share, **{side: level}),
+                    jc.limit.WorstCase("life", **{side: level}),
+                    jc.limit.MeanAndDeviation("life", **{side: level}),
+                    jc.limit.Probability("life", below=level, at_most=1.0 - share),
+                    jc.limit.Probability("life", above=level, below=0.5 * level, at_most=0.1),
+                ],
+                lasting,
+            )
 
 
 @pytest.mark.slow

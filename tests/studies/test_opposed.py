@@ -70,7 +70,7 @@ def rattling(x, y):
 
 
 def test_what_rattles_is_confirmed_by_whole_distributions_and_not_by_ever_more_small_steps():
-    """Small steps are vague whatever the sample; pairs confirm with 128 runs more, and the answer
+    """Small steps are vague whatever the sample; pairs confirm with 32 runs more, and the answer
     is more certain than that of either method by itself."""
     plain = jc.distribution.Normal(1.0)
     problem = jc.FunctionProblem(
@@ -85,8 +85,10 @@ def test_what_rattles_is_confirmed_by_whole_distributions_and_not_by_ever_more_s
         held.append(abs(found.value - 0.5) <= found.error)
     scatter = {name: np.sqrt(np.mean([own[name] ** 2 for own in off])) for name in off[0]}
     # Fewer than 14 of 16 intervals of 95 % hold once in 23 times; of 400 seeds 94 % do.
-    assert np.mean(runs) < 300 and np.mean(sure) >= 0.9 and np.sum(held) >= 14
-    assert scatter["differences"] < 1.5 * scatter["regression"]
+    assert np.mean(runs) < 150 and np.mean(sure) >= 0.9 and np.sum(held) >= 14
+    # Of 400 seeds the variance times runs is 1.9 that of the regression, in which the 64 runs of
+    # the first look count.
+    assert np.mean(runs) * scatter["differences"] ** 2 < 2.5 * 256 * scatter["regression"] ** 2
     assert scatter[""] < scatter["regression"]
 
 
@@ -140,7 +142,7 @@ def test_pairs_are_decided_where_all_that_gains_lies_beyond_a_limit_and_all_that
         (found,) = jc.sensitivity(problem, "x", of=[("above", 0.9)], seed=seed).derivatives.values()
         own = found.estimates["differences"]
         assert found.trustworthy and abs(found.value - wanted) <= found.error
-        assert not own.refusal and abs(own.value - wanted) <= own.error < 0.07
+        assert not own.refusal and abs(own.value - wanted) <= own.error < 0.14
 
 
 def test_what_pairs_do_not_tell_small_steps_over_the_whole_sample_do():

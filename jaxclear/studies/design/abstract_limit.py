@@ -79,7 +79,8 @@ class AbstractLimit(AbstractQuantified):
         return getattr(self, "at_most", None) is not None
 
     def levels(self) -> tuple[Any, ...]:
-        """Values of the response that decide, in its unit."""
+        """Values of the response that decide, in its unit: all that the limit asks of a part is on
+        which side of them it lies. None where it asks more."""
         return ()
 
     def by_moments(self) -> bool:

@@ -15,10 +15,10 @@ from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.wording import described
 from jaxclear.studies.design.abstract_limit import AbstractLimit, Sample
 from jaxclear.studies.design.cost import AbstractCost
+from jaxclear.studies.design.endless_limits import check_levels
 from jaxclear.studies.design.freedom import NOMINAL, TOLERANCE, Freedom
 from jaxclear.studies.design.model import AbstractModel
 from jaxclear.studies.design.population import Points
-from jaxclear.studies.endless import check_told
 
 Cost = dict[str, AbstractCost] | Callable[[dict, dict], Any]
 
@@ -160,21 +160,8 @@ def checked_limits(limits: Any, problem: Any) -> tuple[AbstractLimit, ...]:
         known = (*problem.response_names, *problem.names)
         check_known("response", limit.response, known, " in this problem (nor variable)")
         if limit.response in problem.response_names:
-            _check_levels(problem, limit)
+            check_levels(problem, limit)
     return tuple(given)
-
-
-def _check_levels(problem: Any, limit: AbstractLimit) -> None:
-    """Raises `ValueError` for a limit that cannot take what its response may answer."""
-    name, levels = limit.response, limit.levels()
-    why = problem.endless(name)
-    if why and not levels and not limit.by_moments():
-        raise ValueError(
-            f'"{name}" may be infinite ({why}), and limit.{type(limit).__name__} names no values '
-            "of it that decide, beyond which an infinite one could stand: give it `levels`, or "
-            "take limit.Quantile or limit.Probability."
-        )
-    check_told(problem, name, *levels)
 
 
 def sizes_of(question: Question, place: np.ndarray, model: AbstractModel, points: Points) -> Any:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.studies.design.abstract_limit import AbstractLimit, Sample
+from jaxclear.studies.design.endless_limits import SAME
 from jaxclear.studies.design.model import AbstractModel
 from jaxclear.studies.design.population import Points, points
 from jaxclear.studies.design.question import Question
@@ -23,8 +24,6 @@ from jaxclear.studies.statistics.scrambled import student
 GROUPS = 8
 # What limits infinite responses, as lives may be.
 INSTEAD = "take limit.Quantile or limit.Probability"
-# A unit by which to see whether a limit's number has that of its response.
-SAME = "the response's unit"
 
 
 class Check(NamedTuple):

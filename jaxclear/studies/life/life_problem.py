@@ -46,6 +46,7 @@ class LifeProblem(AbstractProblem):
     long as it takes to reach the limits. One whose limit is not reached within `cycles`, or without
     them by a forecast from its last rate not in 100 times what its first cycles say, is infinite:
     longer than told. That counts as such in shares, quantiles and limits; a mean of it is refused.
+    Without `cycles` it counts as longer than any limit: give them where one is to be that long.
     `tolerance` [1] and `most` as in `wear_life`. Variables are the problem's. A sample whose life
     ends by a failed cycle before it tells what is asked has failed. Raises `ValueError` with a
     sentence for what cannot be asked.

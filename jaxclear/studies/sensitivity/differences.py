@@ -58,10 +58,11 @@ def looks(group: np.ndarray) -> list[np.ndarray]:
 
 
 def doubling(group: np.ndarray) -> list[np.ndarray]:
-    """The samples (samples,) in parts, as masks: the last quarter of the points of every
-    scrambling, the quarter before, and the first half, so that each part doubles what is there."""
+    """The samples (samples,) in parts, as masks: the last eighth of the points of every scrambling,
+    the eighth and the quarter before, and the first half, so that each part doubles what is
+    there."""
     place, each = _places(group), len(group) // len(np.unique(group))
-    edges = [each, each - each // 4, each // 2, 0]
+    edges = [each, each - each // 8, each - each // 4, each // 2, 0]
     parts = [(place >= low) & (place < high) for high, low in itertools.pairwise(edges)]
     # Scramblings may differ by a point.
     parts[0] |= place >= each

@@ -161,7 +161,7 @@ def _by_pairs(
     before: tuple[list[Functional], dict[str, dict[str, Estimate]]],
     **bar: bool,
 ) -> tuple[dict[str, Estimate], int]:
-    """By pairs on a quarter of a sample, and on twice as much while that confirms too little: the
+    """By pairs on an eighth of a sample, and on twice as much while that confirms too little: the
     answers that they tell, and how many runs they took; `before` as above."""
     (values, group), (asked, others) = sample, before
     pairs, answers, spent = None, {}, 0
