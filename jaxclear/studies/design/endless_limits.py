@@ -6,6 +6,7 @@ of its levels parts lie. Others are refused before anything is run: those that n
 those to which it makes a difference how far beyond them a part lies.
 """
 
+import math
 from typing import Any
 
 import jax.numpy as jnp
@@ -53,7 +54,7 @@ def _hangs_on_how_far(limit: AbstractLimit, levels: list[float], most: float) ->
     them, or than those at the `most` that is told, which stand for infinite ones."""
     low, beside = min(levels), float(finite_beside(np.array([np.inf]), *levels)[0])
     far = beside + FAR * (beside - low)
-    below = low - 10.0 * (beside - low)
+    below = low - 0.5 * (beside - low)
     # The most that is told is on no side of a level that lies just there.
     for near in (beside, most) if max(levels) < most < np.inf else (beside,):
         if _broken(limit, near) != _broken(limit, far):
@@ -72,11 +73,11 @@ def _broken(limit: AbstractLimit, value: float) -> bool:
 def _moved(limit: AbstractLimit, samples: list[Sample]) -> bool:
     """Whether the number of a limit is another one for the second of two samples; one that lies
     beyond all levels in both is told as infinite."""
-    numbers = [float(limit.number(sample)) for sample in samples]
-    if np.allclose(*numbers, rtol=ROUNDING, atol=0.0):
+    near, far = (float(limit.number(sample)) for sample in samples)
+    if math.isclose(near, far, rel_tol=ROUNDING):
         return False
     alike = limit.unit(SAME) == SAME
-    return not (alike and min(numbers) >= max(float(level) for level in limit.levels()))
+    return not (alike and min(near, far) >= max(float(level) for level in limit.levels()))
 
 
 def _mixed(most: float, others: float, few: int) -> Sample:
