@@ -216,9 +216,7 @@ def parallel_3rsr(period: float, duration: float, clearance: float = 0.5e-3) -> 
     rig = jc.scenes.parallel_3rsr("one", clearance, period=period)
     ideal = jc.scenes.parallel_3rsr("ideal", period=period)
     asked = _forces("S1") | _worn("S1", "socket") | _away("platform", ideal, duration)
-    return Question(
-        jc.Problem(rig, asked, _clearance("S1"), duration=duration, save=SAVES), ("NonColliding",)
-    )
+    return Question(jc.Problem(rig, asked, _clearance("S1"), duration=duration, save=SAVES))
 
 
 def ideal_parallel_3rsr(share: float = 1.0) -> Question:
