@@ -10,6 +10,7 @@ import json
 import math
 import os
 import platform
+import statistics
 import subprocess
 import sys
 import time
@@ -48,6 +49,30 @@ def side_by_side(
             spent = time.perf_counter() - wall, time.process_time() - cpu
             best[name] = tuple(map(min, best[name], spent))
     return best
+
+
+def by_turns(
+    cases: dict[str, Callable[[], Any]], beside: str, seconds: float, most: int = 25
+) -> tuple[float, dict[str, float], int]:
+    """(median CPU seconds of the case `beside`, the median over turns of every other case's CPU
+    time over it in the same turn, how many turns): for machines that others load. Each runs once
+    before; at least 5 turns, and then no more than fill so many `seconds` of CPU time."""
+    for case in cases.values():
+        jax.block_until_ready(case())
+    spent: dict[str, list[float]] = {name: [] for name in cases}
+    begun, turns = time.process_time(), 0
+    while turns < 5 or (turns < most and time.process_time() - begun < seconds):
+        for name, case in cases.items():
+            start = time.process_time()
+            jax.block_until_ready(case())
+            spent[name].append(time.process_time() - start)
+        turns += 1
+    ratios = {
+        name: statistics.median(a / b for a, b in zip(own, spent[beside], strict=True))
+        for name, own in spent.items()
+        if name != beside
+    }
+    return statistics.median(spent[beside]), ratios, turns
 
 
 def alone(problem: Any, repeats: int) -> tuple[float, float]:

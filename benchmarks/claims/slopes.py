@@ -1,11 +1,13 @@
 """What derivatives cost: a run with k slopes over the run alone, by rung, alone and in a batch; the
-gradient in reverse mode; and how much longer the program with slopes compiles. `--json
-benchmarks/results/slopes.json` keeps it: the slider-crank by `FixedStep`, explicit and
-semi-implicit, and by `ImplicitStep`. Other scenes and rungs are measured where they are asked for.
+gradient in reverse mode; and how much longer the program with slopes compiles. `--memory STEPS`:
+what a gradient in reverse mode keeps.
 
-The response is a sum of coordinates at the end: it costs nothing, so the ratio is the loop's.
-`Adaptive` gives no derivatives through contacts: it is given the mechanism with an ideal joint. The
-friction of the antenna's joints is three zones for compliant rungs, Coulomb's for the others.
+Ratios are medians over turns of one process, in which the programs follow each other: others load
+the machine. `--json benchmarks/results/slopes.json` keeps rows of earlier calls beside those
+measured now. The response is a sum of coordinates at the end: it costs nothing, so the ratio is the
+loop's. Rungs whose derivatives through contacts are refused are measured as well: what they cost is
+that of their loops. The friction of the antenna's joints is three zones for compliant rungs,
+Coulomb's for the others.
 """
 
 import json
@@ -18,7 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import about, arguments, report, seconds_to_compile, side_by_side
+from benchmarks.measure import about, arguments, by_turns, report, seconds_to_compile
+from jaxclear.multibody.state import lay_out
+from jaxclear.multibody.system import prepare
+from jaxclear.simulation.derivatives import backwards
 
 STEP, SAVES, DURATION = 2e-5, 21, 0.1
 RUNGS = {
@@ -38,15 +43,15 @@ SCENES = {
 # Rungs whose contacts are rigid.
 RIGID = (jc.integrator.NonColliding, jc.integrator.MoreauJean)
 SLOPES = (1, 2, 4, 16)
-BATCH = 64
 REVERSE = "reverse"
 
 
-def problem(scene: str, integrator: jc.integrator.AbstractIntegrator, duration: float) -> Any:
+def problem(
+    scene: str, integrator: jc.integrator.AbstractIntegrator, duration: float, saves: int = SAVES
+) -> Any:
     """A scene, the clearance of its joint and the masses of its links varied."""
-    follows = integrator.usual_step == 0.0
-    rig = SCENES[scene]("ideal") if follows else SCENES[scene]()
-    if scene == "antenna" and not (follows or isinstance(integrator, RIGID)):
+    rig = SCENES[scene]()
+    if scene == "antenna" and not isinstance(integrator, RIGID):
         rig = jc.scenes.antenna(friction="regularised")
     variables = {
         joint: jc.Variable(lambda m, n=joint: m.connections[n].joint.clearance, tolerance=1e-5)
@@ -55,7 +60,7 @@ def problem(scene: str, integrator: jc.integrator.AbstractIntegrator, duration: 
     for name in rig.bodies:
         variables[name] = jc.Variable(lambda m, n=name: m.bodies[n].mass, tolerance=1e-3)
     end = lambda run: jnp.sum(run.history.states[-1][:4])
-    return jc.Problem(rig, end, variables, duration=duration, integrator=integrator, save=SAVES)
+    return jc.Problem(rig, end, variables, duration=duration, integrator=integrator, save=saves)
 
 
 def with_slopes(asked: jc.Problem, count: int | str) -> Callable[..., Any]:
@@ -65,9 +70,12 @@ def with_slopes(asked: jc.Problem, count: int | str) -> Callable[..., Any]:
     numbers, rest = eqx.partition(asked, eqx.is_array)
 
     def function(numbers, values):
-        answer = lambda v: (
-            eqx.combine(numbers, rest).evaluate(v, discrete_derivatives=True).responses["response"]
-        )
+        whole = eqx.combine(numbers, rest)
+
+        def answer(v):
+            _, _, run = backwards(jc.Problem.started, whole.integrator, whole, v)
+            return whole.response["response"](run)
+
         if count == 0:
             return answer(values)
         if count == REVERSE:
@@ -79,35 +87,70 @@ def with_slopes(asked: jc.Problem, count: int | str) -> Callable[..., Any]:
     return lambda values: (function, numbers, values)
 
 
+def compiled(asked: jc.Problem, count: int | str, batch: int) -> tuple[Any, float, tuple]:
+    """(compiled program of the run with slopes, CPU seconds to compile it, what it is given)."""
+    value = asked.nominal()
+    spread = 1 + 1e-3 * np.random.default_rng(1).normal(size=(max(batch, 1), len(value)))
+    values = value * jnp.asarray(spread) if batch else value
+    function, numbers, given = with_slopes(asked, count)(values)
+    each = jax.vmap(function, (None, 0)) if batch else function
+    return *seconds_to_compile(each, numbers, given), (numbers, given)
+
+
 def measured(
-    scene: str, name: str, asked: jc.Problem, counts: tuple[Any, ...], batch: int
+    scene: str, name: str, asked: jc.Problem, counts: tuple[Any, ...], batch: int, seconds: float
 ) -> dict[str, Any]:
     """One row: ratios of run and compilation, alone (`batch` 0) or in a batch."""
-    value = asked.nominal()
-    spread = 1 + 1e-3 * np.random.default_rng(1).normal(size=(batch, len(value)))
-    values = value if batch == 0 else value * jnp.asarray(spread)
-    programs, compiled = {}, {}
+    cases, compiling = {}, {}
     for count in (0, *counts):
-        function, numbers, given = with_slopes(asked, count)(values)
-        each = jax.vmap(function, (None, 0)) if batch else function
-        try:
-            programs[count], compiled[count] = seconds_to_compile(each, numbers, given)
-        except ValueError as refused:
-            # No gradient in reverse mode goes through surfaces that wear.
-            assert count == REVERSE, refused
-    cases = {
-        str(count): (lambda p=program: p(numbers, values)) for count, program in programs.items()
-    }
-    cpu = {name: spent[1] for name, spent in side_by_side(cases).items()}
+        program, compiling[count], given = compiled(asked, count, batch)
+        cases[str(count)] = lambda p=program, g=given: p(*g)
+    cpu, ratios, turns = by_turns(cases, "0", seconds)
     row: dict[str, Any] = {"scene": scene, "rung": name, "samples": max(batch, 1)}
-    row["value [ms]"] = 1e3 * cpu["0"]
+    row["value [ms]"] = 1e3 * cpu
     for count in (*SLOPES, REVERSE):
-        label = count if count == REVERSE else f"+{count}"
-        row[label] = cpu[str(count)] / cpu["0"] if str(count) in cpu else None
-    row["variables of reverse"] = len(value)
-    row["compile, value [s]"] = compiled[0]
-    row["compile, +1 over it"] = compiled[1] / compiled[0] if 1 in compiled else None
+        row[count if count == REVERSE else f"+{count}"] = ratios.get(str(count))
+    row["variables of reverse"] = len(asked.variables)
+    row["compile, value [s]"] = compiling[0]
+    for count in (1, REVERSE):
+        label = f"compile, {count if count == REVERSE else f'+{count}'} over it"
+        row[label] = compiling[count] / compiling[0] if count in compiling else None
+    row["turns"] = turns
     return row
+
+
+def joined(known: list[dict[str, Any]], found: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of an earlier call with those of this one: cells measured now count, others stay."""
+    size = lambda row: row.get("samples", row.get("steps"))
+    rows = {size(row): row for row in known}
+    for row in found:
+        old = rows.get(size(row), {})
+        kept = {name: old.get(name) for name, cell in row.items() if cell is None}
+        rows[size(row)] = row | kept
+    return [rows[own] for own in sorted(rows)]
+
+
+def memory(name: str, scene: str, steps: int) -> dict[str, Any]:
+    """What a gradient in reverse mode keeps beside what it is given, by so many steps and twice as
+    many, as XLA plans it; nothing runs."""
+    saves, every = SAVES - 1, steps // (SAVES - 1)
+
+    def kept(times: int) -> tuple[int, Any]:
+        integrator, end = RUNGS[name], times * steps * STEP
+        if integrator.steps_between_saves is not None:
+            # As many steps between saving times, more saving times.
+            integrator = type(integrator)(steps_per_save=every)
+        asked = problem(scene, integrator, end, times * saves + 1)
+        program, _, _ = compiled(asked, REVERSE, 0)
+        return program.memory_analysis().temp_size_in_bytes, asked
+
+    few, asked = kept(1)
+    many, _ = kept(2)
+    size = lay_out(prepare(asked.seen(asked.nominal()))).size
+    each = (many - few) / steps
+    row = {"scene": scene, "rung": name, "steps": steps, "state [bytes]": 8 * size}
+    row |= {"kept in all [MB]": many / 2**20, "a step more [bytes]": each}
+    return row | {"a step more, in states": each / (8 * size)}
 
 
 def main() -> None:
@@ -115,21 +158,41 @@ def main() -> None:
         __doc__,
         scene={"choices": list(SCENES), "default": "slider-crank", "help": "which mechanism"},
         rung={"choices": list(RUNGS), "nargs": "*", "default": list(RUNGS), "help": "which ones"},
+        slopes={"type": int, "nargs": "*", "default": list(SLOPES), "help": "how many at once"},
+        batch={"type": int, "nargs": "*", "default": [0, 64], "help": "0: a run alone"},
+        seconds={"type": float, "default": 20.0, "help": "CPU time of the turns of a row"},
+        memory={"type": int, "metavar": "STEPS", "help": "what reverse mode keeps, instead"},
     )
     duration = DURATION / 4 if options.quick else DURATION
     for name in options.rung[:1] if options.quick else options.rung:
+        if options.memory:
+            row = memory(name, options.scene, options.memory)
+            told(f"what reverse mode keeps: {options.scene}, {name}", [row], options)
+            continue
         integrator = RUNGS[name]
         counted = integrator.steps_between_saves is not None
         asked = problem(options.scene, integrator, duration)
-        alone = (REVERSE,) if counted else SLOPES[:1] if options.quick else (*SLOPES, REVERSE)
-        rows = [measured(options.scene, name, asked, alone, 0)]
-        if not (options.quick or counted):
-            rows.append(measured(options.scene, name, asked, SLOPES[:3], BATCH))
-        report(f"slopes over the value, CPU time: {options.scene}, {name}", rows, options)
-        if options.json is not None:
-            known = json.loads(options.json.read_text())
-            told = {"about": about("benchmarks.claims.slopes", options.json)}
-            options.json.write_text(json.dumps(known | told, indent=1) + "\n")
+        title = f"slopes over the value, CPU time: {options.scene}, {name}"
+        for batch in options.batch:
+            slopes = () if counted else tuple(options.slopes[:1] if options.quick else options.slopes)
+            counts = slopes if batch else (*slopes, REVERSE)
+            if counts:
+                row = measured(options.scene, name, asked, counts, batch, options.seconds)
+                told(title, [row], options)
+
+
+def told(title: str, rows: list[dict[str, Any]], options: Any) -> None:
+    """Print the rows and keep them, beside those of earlier calls and the commands of all."""
+    if options.json is None or not options.json.exists():
+        report(title, rows, options)
+        return
+    known = json.loads(options.json.read_text())
+    before = known.get("about", {}).get("command", "").split("; ")
+    report(title, joined(known.get(title, []), rows), options)
+    own = about("benchmarks.claims.slopes", options.json)
+    own["command"] = "; ".join(dict.fromkeys([*filter(None, before), own["command"]]))
+    known = json.loads(options.json.read_text())
+    options.json.write_text(json.dumps({"about": own} | known | {"about": own}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is eight functions, four that tell of the program, and three for Ctrl-C:
+The boundary is nine functions, four that tell of the program, and three for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `scan(turn, first, rows)` in the place of `jax.lax.scan(turn, first, rows)`: loops within its
@@ -15,6 +15,7 @@ The boundary is eight functions, four that tell of the program, and three for Ct
   rows are few and arrays are long, `one_row(function, *numbers)` in the place of the function
   itself, and `once`, which makes a kernel of a short one too;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
+- `by_columns(function, *arguments)`: backwards as many derivatives forwards as numbers move;
 - `forwards_only(sentence, numbers)`: what is not differentiated backwards, and why;
 - `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence;
 - `has_kernels()`: whether loops become kernels here at all;
@@ -59,6 +60,7 @@ To add a rule: write the function in the file of its subject, decorate it with `
 give it a case in tests/native/test_rules.py.
 """
 
+from jaxclear.native.columns import by_columns
 from jaxclear.native.differentiation import forwards_only
 from jaxclear.native.loop import has_kernels
 from jaxclear.native.rows import one_row, over_rows, through_rows
@@ -68,6 +70,7 @@ from jaxclear.native.while_loops import Kept, once, scan, while_loop, with_fast_
 
 __all__ = [
     "Kept",
+    "by_columns",
     "calls_lapack",
     "explain",
     "forwards_only",

@@ -5,10 +5,12 @@ derivative of one finished run scatters about that of the motion: by a share aft
 multiple after a few (-3.0 for 0.24 after three lossless ones in steps of 20 us), and nothing tells
 by how much. So it is refused while it is being traced, unless the derivative of the discrete run is
 what was asked for. Where nothing opens (ideal joints, permanent contact) the derivative of the
-discrete run converges to that of the motion, and passes.
+discrete run converges to that of the motion, and passes: forwards through the steps, backwards as
+so many of these as numbers move.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -18,10 +20,19 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import public_name
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.native import by_columns
 from jaxclear.results.trajectory import Trajectory
 
 # What a run has computed; its mechanism and its saving times were given.
 COMPUTED = lambda run: (run.history.states, run.history.read, run.worn, run.ended)
+
+
+def backwards(function: Callable, integrator: AbstractIntegrator, *arguments: Any) -> Any:
+    """As `function(*arguments)`, runs by an integrator. Backwards a run is as many runs forwards as
+    numbers move where these arguments are handed over, side by side; counted steps are gone through
+    themselves."""
+    counted = integrator.steps_between_saves is not None
+    return function(*arguments) if counted else by_columns(function, *arguments)
 
 
 def refusal(mechanism: Mechanism, integrator: AbstractIntegrator) -> str:

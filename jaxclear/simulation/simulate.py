@@ -26,7 +26,7 @@ from jaxclear.simulation import progress
 from jaxclear.simulation.beginning import beginning
 from jaxclear.simulation.bristles import told_of_bristles
 from jaxclear.simulation.dead_point import diagnosed
-from jaxclear.simulation.derivatives import guarded
+from jaxclear.simulation.derivatives import backwards, guarded
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.saving import checked_saving
 from jaxclear.simulation.second_look import looked_at_again
@@ -51,8 +51,16 @@ class SimulationError(RuntimeError):
 # times as long where that is not optimised, on 144 no more than a tenth longer. A mechanism with
 # more coordinates than these may be too long for a kernel.
 FEW_CELLS, FEW_COORDINATES = 200, 32
-_run = compiled_quickly(run, AROUND_A_KERNEL)
-_run_soon = compiled_quickly(run, ONCE)
+
+
+def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past):
+    """A run that can be differentiated forwards and backwards."""
+    whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4])
+    return backwards(whole, integrator, mechanism, coordinates, speeds, times, past)
+
+
+_run = compiled_quickly(_both_ways, AROUND_A_KERNEL)
+_run_soon = compiled_quickly(_both_ways, ONCE)
 
 
 def saving_times(duration: Any, save: Any) -> Array:

@@ -35,7 +35,7 @@ from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
 from jaxclear.simulation.dead_point import diagnosed, diagnosed_outcome
-from jaxclear.simulation.derivatives import guarded, refusal
+from jaxclear.simulation.derivatives import backwards, guarded, refusal
 from jaxclear.simulation.loop import Extras
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
 from jaxclear.simulation.second_look import found_in_one, many_in_doubt
@@ -192,7 +192,8 @@ class Problem(AbstractProblem):
         on, as the derivative of the discrete run.
         """
         check_double_precision()
-        mechanism, start, trajectory = self.started(values)
+        begun = backwards(Problem.started, self.integrator, self, values)
+        mechanism, start, trajectory = begun
         trajectory = guarded(trajectory, self.integrator, discrete_derivatives)
         responses = {
             name: one_number(name, response(trajectory)) for name, response in self.response.items()
