@@ -174,8 +174,8 @@ def main() -> None:
         asked = problem(options.scene, integrator, duration)
         title = f"slopes over the value, CPU time: {options.scene}, {name}"
         for batch in options.batch:
-            slopes = () if counted else tuple(options.slopes[:1] if options.quick else options.slopes)
-            counts = slopes if batch else (*slopes, REVERSE)
+            slopes = options.slopes[:1] if options.quick else options.slopes
+            counts = (*(() if counted else slopes), *(() if batch else (REVERSE,)))
             if counts:
                 row = measured(options.scene, name, asked, counts, batch, options.seconds)
                 told(title, [row], options)

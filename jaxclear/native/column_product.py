@@ -1,5 +1,5 @@
-"""The product of a derivative's columns with tangents: linear in these, forwards and backwards, where
-a column that is not asked for may have overflowed."""
+"""The product of a derivative's columns with tangents: linear in these, forwards and backwards. A
+column that is not asked for may have overflowed."""
 
 import functools
 import math
