@@ -57,7 +57,7 @@ class FixedStep(AbstractIntegrator):
     that many; free flight keeps the long step, so bounces are resolved at a fraction of the cost.
     `steps_per_save` fixes the number of steps between saving times instead: reverse-mode
     derivatives (`jax.grad`) then go backwards through the steps, which pays off for hundreds of
-    numbers, and passes where surfaces wear, but not with friction in ideal joints. Impact speeds
+    numbers, but not through friction in ideal joints. Impact speeds
     are those at the touch within a step, to the third power of the step; a force that begins as the
     3/2th power of the indentation limits the order of a run through impacts to 5/2. Derivatives are
     those of the discrete run: where contacts open and close, not those of the motion

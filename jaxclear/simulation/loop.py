@@ -45,8 +45,8 @@ NOT_BACKWARDS = (
 # What it is told where sweeps find the friction of ideal joints outside a kernel.
 NOT_THROUGH_SWEEPS = (
     "a derivative in reverse mode (jax.grad, jax.vjp, jax.jacrev, jax.hessian) does not go through "
-    "friction in ideal joints on ImplicitStep, or with steps_per_save: take forward mode (jax.jvp, "
-    "jax.jacfwd), or FixedStep without steps_per_save."
+    "friction in ideal joints with steps_per_save: take forward mode (jax.jvp, jax.jacfwd), or "
+    "leave steps_per_save out."
 )
 
 
