@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import about, arguments, by_turns, report, seconds_to_compile
+from benchmarks.measure import arguments, by_turns, report, seconds_to_compile, sign
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare
 from jaxclear.simulation.derivatives import backwards
@@ -182,17 +182,11 @@ def main() -> None:
 
 
 def told(title: str, rows: list[dict[str, Any]], options: Any) -> None:
-    """Print the rows and keep them, beside those of earlier calls and the commands of all."""
-    if options.json is None or not options.json.exists():
-        report(title, rows, options)
-        return
-    known = json.loads(options.json.read_text())
-    before = known.get("about", {}).get("command", "").split("; ")
+    """Print the rows and keep them, beside those of earlier calls."""
+    path = options.json
+    known = json.loads(path.read_text()) if path is not None and path.exists() else {}
     report(title, joined(known.get(title, []), rows), options)
-    own = about("benchmarks.claims.slopes", options.json)
-    own["command"] = "; ".join(dict.fromkeys([*filter(None, before), own["command"]]))
-    known = json.loads(options.json.read_text())
-    options.json.write_text(json.dumps({"about": own} | known | {"about": own}, indent=1) + "\n")
+    sign("benchmarks.claims.slopes", path, [title])
 
 
 if __name__ == "__main__":

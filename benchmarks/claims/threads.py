@@ -3,7 +3,6 @@ two by turns in one process. Asks for a machine that nobody else loads: with oth
 ratio says nothing. `--json benchmarks/results/threads.json` keeps it.
 """
 
-import json
 import os
 import statistics
 import time
@@ -12,7 +11,7 @@ import jax
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import about, arguments, report
+from benchmarks.measure import arguments, report, sign
 from jaxclear.studies import batch
 
 # Chunks for each of two threads, and samples in each.
@@ -63,10 +62,7 @@ def main() -> None:
     names = list(RUNGS)[:1] if options.quick else list(RUNGS)
     rows = [measured(name, 3 if options.quick else TURNS) for name in names]
     report("A Monte Carlo on two threads beside one", rows, options)
-    if options.json is not None:
-        known = json.loads(options.json.read_text())
-        told = {"about": about("benchmarks.claims.threads", options.json)}
-        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
+    sign("benchmarks.claims.threads", options.json)
 
 
 if __name__ == "__main__":
