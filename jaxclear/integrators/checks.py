@@ -235,12 +235,12 @@ class Check(enum.IntEnum):
         "damper step",
         "1",
         0.75,
-        "peak forces",
+        "swinging forces",
         CONTACTS,
         'the damping of the contact in joint "{place}" is as fast as {figure:.2g} of what these '
         "steps follow in a lone contact (limit {limit:g}), so its forces at an instant and their "
-        "peaks may swing about what they should be, though mean forces may be right: take shorter "
-        "steps, contact_steps, or integrator.ImplicitStep",
+        "peaks may swing about what they should be, and friction loss and wear be off, though mean "
+        "forces may be right: take shorter steps, contact_steps, or integrator.ImplicitStep",
     )
     # Angle by which a contact vibrates in a step, or share of slip that friction stops in it if
     # that is less: a mean by the power of friction. Steps that damp count as longer ones.

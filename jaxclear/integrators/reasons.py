@@ -63,7 +63,8 @@ REASONS: dict[Check, str] = {
     Check.INDENTATION: ("contact laws are made for indentations that are small beside the radius"),
     Check.DAMPER_STEP: (
         "beyond 1 what a damper takes swings from step to step; contacts that share a body get "
-        "there together before each does alone (in a slider-crank of two at 0.85)"
+        "there together before each does alone (in a slider-crank of two at 0.85); where it swings "
+        "friction loss may be right within 1e-4, or off by 80 % (in the flap's joints)"
     ),
     Check.FRICTION_STEP: (
         "of journals that creep, of thrown ones and of mechanisms drawn at random every run whose "

@@ -45,6 +45,7 @@ REACHES = {
     "motion": ("motion", "forces", "peak forces", "wear", "worn depth", "places in gaps"),
     "forces": ("forces", "peak forces", "wear", "worn depth"),
     "peak forces": ("peak forces",),
+    "swinging forces": ("peak forces", "wear", "worn depth"),
     "wear": ("wear", "worn depth"),
     "worn depth": ("worn depth",),
     "places in gaps": ("places in gaps", "wear", "worn depth"),

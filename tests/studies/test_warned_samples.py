@@ -17,7 +17,7 @@ from jaxclear import plot
 from jaxclear.commands.reported import report_samples
 from jaxclear.integrators import Check
 from jaxclear.plot.studies import _warned_samples
-from jaxclear.results.response import concerned
+from jaxclear.results.response import REACHES, concerned
 from jaxclear.studies.sensitivity.derivative import Estimate, confirmed
 from jaxclear.studies.warned import concern, counted, in_words
 
@@ -81,14 +81,14 @@ def test_a_response_is_in_doubt_where_a_warning_concerns_it():
         "motion": (True, True, True, True, True, True),
         "forces": (False, True, True, True, True, True),
         "peak forces": (False, True, False, False, False, True),
+        "swinging forces": (False, True, True, True, False, True),
         "wear": (False, False, True, True, False, True),
         "worn depth": (False, False, False, True, False, True),
         "places in gaps": (False, False, True, True, False, True),
     }.items():
         found = tuple(concerned(r, concerns) for r in (position, peak, wear, depth, mean, plain))
         assert found == wanted, concerns
-    known = {"motion", "forces", "peak forces", "wear", "worn depth", "places in gaps"}
-    assert {check.concerns for check in Check} <= known
+    assert {check.concerns for check in Check} <= set(REACHES)
 
 
 def test_a_failed_sample_is_not_counted_twice(study):
