@@ -127,7 +127,10 @@ def worst(verdicts: Any) -> Verdict:
 
 
 def concerned(run: Any) -> frozenset[str]:
-    """The responses that a run's warnings concern; those `OF_THE_MODEL` judge no rung."""
+    """The responses that a run's warnings concern; those `OF_THE_MODEL` judge no rung. Where there
+    are no contacts the mean force is that of reactions at the saved instants."""
     beyond = {check for check, flag in run.checks.beyond().items() if np.any(flag)} - OF_THE_MODEL
     reached = {part for check in beyond for part in REACHES[check.concerns]}
-    return frozenset(name for name, part in DRAWN_FROM.items() if part in reached)
+    touches = bool(run.formulation.contact_joints(run.mechanism))
+    drawn = DRAWN_FROM if touches else DRAWN_FROM | {"mean force": "peak forces"}
+    return frozenset(name for name, part in drawn.items() if part in reached)

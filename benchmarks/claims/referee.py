@@ -63,7 +63,7 @@ def unchecked() -> Iterator[None]:
         (
             referee,
             "_of_saved_states",
-            lambda *_: referee.Seen({}, {}, None, None, jnp.zeros((0, 0))),
+            lambda *_: referee.Seen({}, {}, None, None, (jnp.zeros((0, 0)), jnp.zeros(()))),
         ),
         (turns, "followed", lambda tally, *_: tally),
         (fixed_step, "_nothing_met", lambda *_: None),

@@ -71,6 +71,10 @@ class SphereMap(AbstractWearMap):
     def directions_of(self, features):
         return features[..., :3]
 
+    def covered(self, features):
+        square = safe_divide(1.0, features[..., 8])
+        return safe_sqrt(square), 0.25 * square
+
     def deposit(self, depth, volume, features):
         lost = jax.vmap(self._lost, (None, 0, 0))(depth, volume, features)
         return depth + jnp.sum(lost, axis=0)

@@ -89,6 +89,12 @@ class AbstractWearMap(AbstractQuantified):
         always unless overridden."""
         return jnp.ones((*features.shape[:-1], 1))
 
+    def covered(self, features):
+        """(half the width [rad], share of the surface) that the contact of each event (...)
+        covers: all of it unless overridden."""
+        whole = jnp.ones(features.shape[:-1])
+        return whole, whole
+
 
 def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "... 3"]]:
     """Index of the nearest cell and the weights of it and its neighbours, for a position in units
@@ -160,6 +166,10 @@ class CylinderMap(AbstractWearMap):
 
     def directions_of(self, features):
         return features[..., :2]
+
+    def covered(self, features):
+        half_width = safe_divide(1.0, features[..., 3])
+        return half_width, half_width / math.pi
 
     @property
     def _cell(self) -> float:

@@ -68,7 +68,7 @@ class AbstractFormulation(eqx.Module):
     @abstractmethod
     def normal_impulses(self, system: System, name: str) -> tuple[int, ...]:
         """Which of a joint's components of `impulses` are those of its normal forces; their sum is
-        that of all its contacts. () where the state holds none of this joint."""
+        that of all its contacts."""
 
     @abstractmethod
     def contact_joints(self, mechanism: Mechanism) -> tuple[str, ...]:

@@ -14,6 +14,8 @@ from jaxclear.integrators.outcome import Outcome
 
 # What a figure is told for.
 LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
+# Joints of whose contact forces the state keeps the impulse.
+JOINTS = "joints"
 NEVER = (np.inf, Outcome.REACHED)
 
 
@@ -76,16 +78,27 @@ class Check(enum.IntEnum):
         "with steps of half the length or less bodies would be elsewhere by {figure:.2g} of their "
         "way (limit {limit:g}), so the motion is off: take shorter steps",
     )
+    HALVED_CONTACT_FORCES = (
+        18,
+        "halved steps: mean contact force",
+        "1",
+        0.1,
+        "forces",
+        JOINTS,
+        'with steps of half the length the mean contact force in joint "{place}" changes by '
+        "{figure:.2g} of itself (limit {limit:g}), so forces are off, though the motion may be "
+        "right: take shorter steps",
+    )
     HALVED_FORCES = (
         4,
         "halved steps: force",
         "1",
         0.1,
-        "forces",
+        "swinging forces",
         SPEEDS,
         'with steps of half the length the forces at an instant that move joint "{place}" change '
-        "by {figure:.2g} of themselves (limit {limit:g}), so forces are off, though the motion may "
-        "be right: take shorter steps",
+        "by {figure:.2g} of themselves (limit {limit:g}), so forces at an instant and their peaks "
+        "are off, though mean forces and the motion may be right: take shorter steps",
     )
     HALVED_WEAR = (
         5,

@@ -34,6 +34,10 @@ REASONS: dict[Check, str] = {
     Check.FRICTION_LOSS: (
         "nearly all that is wrong, as of mean forces, with the same accuracy in mind"
     ),
+    Check.HALVED_CONTACT_FORCES: (
+        "at least half of what is wrong, as of the mean forces that move joints; of contacts that "
+        "press against each other it tells what moves nothing"
+    ),
     Check.HALVED_FORCES: (
         "forces at an instant swing about their mean; a tenth is what reading them off a figure "
         "takes"
@@ -42,7 +46,8 @@ REASONS: dict[Check, str] = {
     Check.WEAR_BY_SAVES: (
         "told from what fewer saving times change, for errors that fall with their distance: of a "
         "journal that always touches it was 1.5 to 17 times the error beside many saving "
-        "times, of one that rattles a third to seven times"
+        "times, of one that rattles a third to seven times; and from single losses over wide arcs, "
+        "which in the four-bar was the error within a quarter where first impacts were put wrong"
     ),
     Check.CONTACT_STEP: (
         "a contact that is open before a step and nearly at its deepest after it is seen once on "

@@ -147,10 +147,6 @@ def contact_impulse(history: StateHistory, name: str) -> Float[Array, " time"]:
     check_contact_joint(history, name)
     model = history.model()
     own = history.formulation.normal_impulses(model.system, name)
-    if not own:
-        force = jnp.sum(_contact(history, name).normal_force, axis=-1)
-        gained = 0.5 * (force[1:] + force[:-1]) * jnp.diff(history.time)
-        return jnp.concatenate([jnp.zeros(1), jnp.cumsum(gained)])
     start = model.layout.impulse_start + model.layout.impulses_of(name).start
     return sum((history.states[:, start + k] for k in own), jnp.zeros_like(history.time))
 

@@ -56,8 +56,8 @@ class Trajectory(eqx.Module):
     cost, `checks` what it found out about its own numbers; `noted`: touches and releases, where
     they were asked for; what a second look compares, at up to 50 saving times: `places`, where in
     its gap each contact is beside the gap's width (None: there are none), and `ways`, how far the
-    centres of mass have gone beside the longest way (of mechanisms without clearance: the
-    coordinates).
+    centres of mass have gone [m] (of mechanisms without clearance: the coordinates, angles times
+    the longest arm), with the `way` [m] beside which that counts, the longest.
     """
 
     history: StateHistory
@@ -69,6 +69,7 @@ class Trajectory(eqx.Module):
     noted: Events | None = None
     places: Float[Array, "looks places"] | None = None
     ways: Float[Array, "looks places"] | None = None
+    way: Float[Array, ""] | None = None
 
     @property
     def mechanism(self) -> Mechanism:
@@ -186,8 +187,7 @@ class Trajectory(eqx.Module):
     def contact_impulse(self, name: str) -> Float[Array, " time"]:
         """Impulse of a joint's normal forces since the start, summed over its contacts [N s]: the
         run's steps add up the forces with which they were made, so it misses no impact between the
-        saving times. (Of an ideal joint of integrator.ImplicitStep, whose reaction it does not
-        know while it steps, the trapezoidal rule over the saving times.)"""
+        saving times."""
         return histories.contact_impulse(self.history, name)
 
     def modes(self, name: str) -> Any:

@@ -18,19 +18,18 @@ from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.pose import REST
-from jaxclear.integrators.checks import CONTACTS, LOOPS, SPEEDS, SURFACES, WHOLE, Check
+from jaxclear.integrators.checks import CONTACTS, JOINTS, LOOPS, SPEEDS, SURFACES, WHOLE, Check
 from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import contact_point, energy, kinematics, loops
-from jaxclear.multibody.reach import rooms
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.damper_steps import damper_step, damping
 from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubbing, taken
 from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.rebound import rebound_steps
-from jaxclear.simulation.spot_checks import GAPS, beside_way
 from jaxclear.simulation.tally import Figures, Tally
+from jaxclear.simulation.ways import of_centres, of_coordinates
 
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
@@ -54,9 +53,9 @@ def refereed(
     looks, ends = look(history, model, figures), jnp.asarray(history.time)[1:]
     seen, rubbed, verdict, inside, ways = _of_saved_states(looks)
     if ways is None:
-        ways = beside_way(model, looks.history.states[looks.rows], tally, looks.history.time)
-    inside, ways = jax.lax.stop_gradient((inside, ways))
-    trajectory = dataclasses.replace(trajectory, places=inside, ways=ways)
+        ways = of_coordinates(model, looks.history.states[looks.rows], tally, looks.history.time)
+    inside, (ways, measure) = jax.lax.stop_gradient((inside, ways))
+    trajectory = dataclasses.replace(trajectory, places=inside, ways=ways, way=measure)
     of_run = windows | rubbed
     met, when = dict(tally.worst), dict(tally.when)
     rebound = met.pop(Check.REBOUND_STEP, None)
@@ -148,6 +147,7 @@ def _places(model: Model) -> dict[str, tuple[str, ...]]:
         LOOPS: topology.loops,
         SPEEDS: tuple(b.name for b in topology.branches for _ in range(b.speed_count)),
         CONTACTS: contacts,
+        JOINTS: tuple(name for name, count in model.layout.impulses for _ in range(count)),
         SURFACES: tuple(slot.bearing for slot in model.layout.wear),
         WHOLE: ("",),
     }
@@ -155,14 +155,14 @@ def _places(model: Model) -> dict[str, tuple[str, ...]]:
 
 class Seen(NamedTuple):
     """What the looks tell: figures by look, figures of the run as a whole, the `Outcome` that each
-    look calls for (None: none ever ends a run), where parts were in their gaps, and bodies on their
-    ways (None: there are no gaps)."""
+    look calls for (None: none ever ends a run), where parts were in their gaps, and how far bodies
+    have gone and by which way that is measured (None: there are no gaps)."""
 
     figures: dict[Check, Float[Array, "looks places"]]
     of_run: dict[Check, Float[Array, " contacts"]]
     verdict: Int[Array, " looks"] | None
     inside: Float[Array, "looks places"] | None
-    ways: Float[Array, "looks places"] | None
+    ways: tuple[Float[Array, "looks places"], Float[Array, ""]] | None
 
 
 def _of_saved_states(looks: Looks) -> Seen:
@@ -181,7 +181,7 @@ def _of_saved_states(looks: Looks) -> Seen:
     of_run = {check: friction_steps(model, told[check]) for check in KINDS if check in told}
     if Check.DAMPER_STEP in told:
         of_run[Check.DAMPER_STEP] = jnp.max(told[Check.DAMPER_STEP], axis=0, initial=0.0)
-    ways = None if inside is None else _ways(system, said["centres"], inside)
+    ways = None if inside is None else of_centres(system, said["centres"], inside)
     return Seen(figures, of_run, verdict, inside, ways)
 
 
@@ -220,17 +220,6 @@ def _centres(now: Instant) -> Float[Array, " components"]:
         inner = sp.scale(safe_divide(1.0, link.mass), link.first_moment)
         places += motion.pose.point(inner)
     return sp.stack(places)
-
-
-def _ways(
-    system: System, centres: Float[Array, "looks centres"], places: Float[Array, "looks places"]
-) -> Float[Array, "looks centres"]:
-    """How far the centres of mass [m] have gone, beside the longest way, or `GAPS` times as far as
-    a part comes from the middle of its gap, where it has such `places`, if that is more."""
-    gone = centres - centres[0]
-    off_middle = safe_sqrt(jnp.sum(places.reshape(len(places), -1, 3) ** 2, axis=-1))
-    furthest = jnp.max(off_middle * rooms(system), initial=0.0)
-    return safe_divide(gone, jnp.maximum(jnp.max(abs(gone), initial=0.0), GAPS * furthest))
 
 
 def _in_gaps(now: Instant) -> Float[Array, " components"]:

@@ -54,7 +54,7 @@ OF_CONTACT_STEPS = (Check.CONTACT_STEP, Check.CREEP_STEP, Check.REBOUND_STEP)
 RESOLVED_CREEP = 0.3
 # What short windows say of forces, and is dropped where forces, wear and friction of the whole run
 # are the same, as long as the shorter steps are within its limit.
-OF_WINDOWS = (Check.HALVED_MEAN_FORCES, Check.HALVED_FORCES)
+OF_WINDOWS = (Check.HALVED_MEAN_FORCES, Check.HALVED_CONTACT_FORCES, Check.HALVED_FORCES)
 # Not where bodies may drift, of which nothing else tells.
 DRIFTING = {Check.HALVED_MOTION: 0.005}
 # By how much, beside themselves, mean forces, what friction takes and what is worn may change there

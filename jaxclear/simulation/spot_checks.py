@@ -24,10 +24,11 @@ from jaxclear.ground.quantity import Scalar
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.given import speed_scales
-from jaxclear.multibody.reach import driven_ways, narrowest_gap, reaches, turning
-from jaxclear.multibody.system import longest_arm
+from jaxclear.multibody.reach import driven_ways, reaches
+from jaxclear.multibody.system import longest_arm, wear_maps
 from jaxclear.native import has_kernels, once
 from jaxclear.simulation.tally import Tally
+from jaxclear.simulation.ways import STILL, Led, longest_way
 
 # Share of a run's steps that windows take; in a window steps are taken 1 + 2 times.
 SHARE, PASSES = 0.03, 3.0
@@ -45,10 +46,9 @@ COARSE, COARSE_ON, FINE, FINE_ON = "coarse", "coarse, on", "fine", "fine, on"
 APART, WHOLE = (COARSE, COARSE_ON, FINE, FINE_ON), (FINE, FINE_ON, COARSE_ON)
 # Size, beside the largest, below which a coordinate's changes do not matter.
 LEAST = 0.1
-# A turn moves bodies by no more than so many arms; less than so many clearances is no way.
-ACROSS, GAPS = 2.0, 100.0
-# How far drives lead, as `driven_ways` has it.
-Led = list[tuple[Scalar, bool]]
+# Worn depth, beside the root of its surface's area, below which nothing wears: a thousand million
+# such runs take less than an atom off a bearing.
+NO_WEAR = 1e-17
 
 
 class Turns(NamedTuple):
@@ -178,8 +178,9 @@ def figures(
 ) -> dict[Check, Float[Array, " places"]]:
     """What the windows tell, from the states at the saving times and at the ends of their turns
     (None: no windows), and from what the run has followed of itself: by how much changes of the
-    speeds (so mean forces), accelerations at their ends (so forces, but where these are `means`)
-    and worn volumes differ between the two passes, beside their sizes."""
+    speeds (so mean forces), impulses of contacts and accelerations at their ends (so forces at an
+    instant; not where forces are `means`) and worn volumes differ between the two passes, beside
+    their sizes."""
     if ends is None:
         return {}
     led = driven_ways(model.system, plan.times)
@@ -206,8 +207,12 @@ def _figures(
     # How fast each entry changes over the run: a window that is quiet beside that tells nothing.
     usual = safe_divide(tally.way, plan.duration)
     met = usual * jnp.sum(_durations(plan, FINE))
+    # What is slower than this [m/s] stands still.
+    slow = STILL * arm / plan.duration
     found = {
-        Check.HALVED_MEAN_FORCES: _difference(coarse - begin, fine - begin, met, speeds, scales),
+        Check.HALVED_MEAN_FORCES: _difference(
+            coarse - begin, fine - begin, met, speeds, scales, slow
+        ),
         Check.HALVED_MOTION: _motion(model, plan, tally, coarse - fine, scales, led)[None],
     }
     if not means:
@@ -217,13 +222,28 @@ def _figures(
             usual * len(plan.windows),
             speeds,
             scales,
+            slow / plan.duration,
         )
+        pressed = slice(layout.impulse_start, layout.energy_start)
+        if layout.impulses:
+            found[Check.HALVED_CONTACT_FORCES] = _difference(
+                coarse - begin, fine - begin, met, pressed, 1.0
+            )
     if layout.wear:
         volumes = np.array([slot.start for slot in layout.wear])
+        share = safe_divide(jnp.sum(_durations(plan, FINE)), plan.duration)
+        least = share * jnp.stack(least_volumes(model))
         found[Check.HALVED_WEAR] = _difference(
-            coarse - begin, fine - begin, met, volumes, jnp.ones(len(volumes))
+            coarse - begin, fine - begin, met, volumes, 1.0, least
         )
     return found
+
+
+def least_volumes(model: Model) -> list[Float[Array, ""]]:
+    """Volume [m3] below which the surface of each contact that wears has not worn."""
+    maps = wear_maps(model.system)
+    areas = [jnp.sum(maps[slot.bearing][slot.surface][0].areas()) for slot in model.layout.wear]
+    return [NO_WEAR * area * safe_sqrt(area) for area in areas]
 
 
 def _motion(
@@ -232,43 +252,22 @@ def _motion(
     """By how much bodies would be elsewhere at the end of the run, beside their way, if all of it
     were `off` by what the windows end with (windows, states).
 
-    Beside the longest way of a coordinate, no more than that of a turn there and back, or `GAPS`
-    clearances; speeds beside the usual ones, where no contact vibrates.
+    Beside the longest way of a coordinate (`ways`); speeds beside the usual ones, where no contact
+    vibrates.
     """
     layout = model.layout
     count = layout.coordinates
     share = safe_divide(plan.duration, jnp.sum(_durations(plan, FINE)))
     total = share * jnp.sum(abs(off), axis=0)
-    places = jnp.max(total[:count] * _shares_of_way(model, tally, led), initial=0.0)
+    gone = total[:count] * reaches(model.system, longest_arm(model.system))
+    places = safe_divide(jnp.max(gone, initial=0.0), longest_way(model, tally, led))
     if tally.squares is None:
         return places
     speeds = slice(count, layout.memory_start)
     usual = jnp.max(safe_sqrt(tally.squares / (plan.intervals + 1)) * scales, initial=0.0)
-    faster = safe_divide(jnp.max(total[speeds] * scales, initial=0.0), usual)
+    usual = jnp.maximum(usual, STILL * longest_arm(model.system) / plan.duration)
+    faster = jnp.max(total[speeds] * scales, initial=0.0) / usual
     return jnp.maximum(places, faster)
-
-
-def _shares_of_way(model: Model, tally: Tally, led: Led) -> Float[Array, " coordinates"]:
-    """What a unit of each coordinate is beside the longest way of one, or a tenth of that on which
-    drives lead: a joint that a spring holds still while its arm is swung goes nowhere by itself."""
-    system, way = model.system, tally.reach
-    reach = reaches(system, longest_arm(system))
-    turned = jnp.where(turning(system), jnp.minimum(way, ACROSS), way)
-    longest = jnp.max(turned * reach, initial=0.0)
-    if system.bearings:
-        longest = jnp.maximum(longest, GAPS * narrowest_gap(system))
-    for way_led, turns in led:
-        across = jnp.minimum(way_led, ACROSS) * longest_arm(system) if turns else way_led
-        longest = jnp.maximum(longest, LEAST * across)
-    return safe_divide(reach, longest)
-
-
-def beside_way(
-    model: Model, states: Float[Array, "looks n"], tally: Tally, times: Float[Array, " time"]
-) -> Float[Array, "looks coordinates"]:
-    """The coordinates beside the longest way of one."""
-    led = driven_ways(model.system, times)
-    return states[:, : model.layout.coordinates] * _shares_of_way(model, tally, led)
 
 
 def _durations(plan: Plan, turn: str) -> Float[Array, "windows 1"]:
@@ -283,12 +282,13 @@ def _rows(array: Array, places: np.ndarray) -> Array:
 
 
 def _difference(
-    coarse: Array, fine: Array, usual: Array, entries: Any, scales: Array
+    coarse: Array, fine: Array, usual: Array, entries: Any, scales: Any, least: Any = 0.0
 ) -> Float[Array, " entries"]:
     """Difference of some entries beside their size, both summed over the windows, or beside the
     size that is `usual` in the run if that is more; entries that are small beside the largest
-    count as a tenth of it."""
+    count as a tenth of it, and none as less than what is the `least` that counts."""
     met = jnp.sum(jnp.maximum(abs(coarse), abs(fine)), axis=0)
     size = jnp.maximum(met, usual)[entries] * scales
     off = jnp.sum(abs(fine - coarse)[:, entries], axis=0) * scales
-    return safe_divide(off, jnp.maximum(size, LEAST * jnp.max(size, initial=0.0)))
+    counted = jnp.maximum(LEAST * jnp.max(size, initial=0.0), least)
+    return safe_divide(off, jnp.maximum(size, counted))

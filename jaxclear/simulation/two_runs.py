@@ -6,8 +6,10 @@ import numpy as np
 
 from jaxclear.integrators.checks import Check
 from jaxclear.multibody.state import ENERGIES
+from jaxclear.multibody.system import wear_maps
 from jaxclear.results.histories import contact_impulse
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.spot_checks import NO_WEAR
 
 # What friction takes, beside the most of all energies of the balance that come in or go out, below
 # which nobody reads it; and what is rounding in any mechanism [J].
@@ -55,6 +57,13 @@ def impulses(run: Trajectory, joints: tuple[str, ...]) -> np.ndarray:
     return np.array([float(contact_impulse(run.history, name)[-1]) for name in joints])
 
 
+def _elsewhere(run: Trajectory, other: Trajectory) -> float:
+    """How far bodies are apart, beside the longest way of both."""
+    apart = np.abs(np.asarray(run.ways) - np.asarray(other.ways)).max(initial=0.0)
+    way = max(float(np.asarray(one.way)) for one in (run, other))
+    return float(apart / way) if way > 0 else 0.0
+
+
 def apart_by_check(
     run: Trajectory, other: Trajectory, gaps: bool, doubts: bool
 ) -> dict[Check, tuple[np.ndarray, tuple[str, ...]]]:
@@ -63,8 +72,7 @@ def apart_by_check(
     found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
     sunk = run.checks.figures.get(Check.INDENTATION)
     if opens(run) or doubts:
-        elsewhere = np.abs(np.asarray(run.ways) - np.asarray(other.ways)).max(initial=0.0)
-        found[Check.HALVED_MOTION] = (elsewhere[None], ("",))
+        found[Check.HALVED_MOTION] = (np.array([_elsewhere(run, other)]), ("",))
     if opens(run) and gaps and sunk is not None:
         off = np.abs(np.asarray(run.places) - np.asarray(other.places)).max(axis=0)
         found[Check.PLACE_IN_GAP] = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)
@@ -80,18 +88,41 @@ def apart_by_check(
     if run.history.balanced and any(friction_loss(each) != 0 for each in (run, other)):
         found[Check.FRICTION_LOSS] = (np.array([_friction_loss_apart(run, other)]), ("",))
     if run.worn:
-        wears = [_worn_apart(run.worn[joint], other.worn[joint]) for joint in run.worn]
-        found[Check.HALVED_WEAR] = (np.array(wears), tuple(run.worn))
+        wears = _worn_apart(run, other)
+        found[Check.HALVED_WEAR] = (np.array(list(wears.values())), tuple(wears))
     return found
 
 
-def _worn_apart(maps: dict[str, Any], others: dict[str, Any]) -> float:
-    """Largest difference of what surfaces have lost and of their largest depths, beside these."""
-    shares = [0.0]
-    for surface in maps:
-        for one, other in (
-            (np.sum(maps[surface]), np.sum(others[surface])),
-            (np.max(maps[surface]), np.max(others[surface])),
-        ):
-            shares.append(share_of_largest(one, other))
-    return float(max(shares))
+def _worn_apart(run: Trajectory, other: Trajectory) -> dict[str, float]:
+    """By joint the largest difference of what surfaces have lost and of their largest depths,
+    beside these; of a surface that loses next to nothing beside `LEAST_LOSS` of what the one that
+    loses most does, or what is no wear."""
+    surfaces = [(joint, surface) for joint, maps in run.worn.items() for surface in maps]
+    maps = wear_maps(run.history.model().system)
+    areas = [float(np.sum(maps[joint][surface][0].areas())) for joint, surface in surfaces]
+    lost, deep = (
+        np.array([[float(of(each, *place)) for place in surfaces] for each in (run, other)])
+        for of in (_lost, _deepest)
+    )
+    volumes = _beside(lost, NO_WEAR * np.power(areas, 1.5))
+    depths = _beside(deep, NO_WEAR * np.sqrt(areas))
+    shares = np.maximum(volumes, depths)
+    return {
+        joint: max(x for x, (name, _) in zip(shares, surfaces, strict=True) if name == joint)
+        for joint in run.worn
+    }
+
+
+def _lost(run: Trajectory, joint: str, surface: str) -> Any:
+    return run.worn_volume(joint, surface)[-1]
+
+
+def _deepest(run: Trajectory, joint: str, surface: str) -> Any:
+    return np.max(run.worn[joint][surface])
+
+
+def _beside(found: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Differences of numbers of two runs beside the larger one, or beside the least that counts."""
+    larger = np.max(found, axis=0)
+    least = np.maximum(least, LEAST_LOSS * np.max(larger, initial=0.0))
+    return np.abs(found[0] - found[1]) / np.maximum(larger, least)

@@ -4,6 +4,10 @@ more, as if it had been saved less often, and what both end with is compared.
 Surfaces are updated at saving times; what is lost in between is spread over the arc that the
 contact went through. Where force or place change fast, that is not how it was lost.
 
+Where fewer saving times change little, single impacts may still be put wrong: of a loss that is
+unlike those of the intervals beside it, over an arc that is wide beside its contact, nobody knows
+where on this arc it was lost.
+
 Intervals in which a contact goes round more than once look alike, however many there are. Their
 mean direction tells: it is short, and zero only of a loss that is even around, as of a shaft that
 makes whole turns under a steady load (or lies on opposite places alike, which is not told).
@@ -17,6 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.components.contact_patch import arc
 from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.integrators.checks import Check
@@ -31,6 +36,8 @@ NEGLIGIBLE = 0.01
 # Length of the mean direction of a loss below which it may have been anywhere around: an even sweep
 # over two thirds of a turn has one of 0.4, over half a turn 0.64.
 AROUND = 0.5
+# (joint, surface) of what wears.
+Place = tuple[str, str]
 
 
 def figures(
@@ -53,25 +60,52 @@ def figures(
     if every < 2:
         return {Check.WEAR_BY_SAVES: around}
     fewer = worn_by_some(model.system, model.layout, begun, states, every)
-    apart, sizes = {}, {}
+    by_saves, in_bursts, bursts = {}, {}, _bursts(model, states)
     for joint, surfaces in wear_maps(model.system).items():
         for surface, (wear_map, _) in surfaces.items():
+            place, areas = (joint, surface), wear_map.areas()
             own, other = (each[joint][surface] for each in (ended, fewer))
-            areas = wear_map.areas()
-            lost = own - begun[joint][surface]
-            sizes[joint, surface] = _mean(lost, areas), jnp.max(lost)
-            deepest = abs(jnp.max(own) - jnp.max(other))
-            apart[joint, surface] = _mean(own - other, areas), deepest
-    largest = [NEGLIGIBLE * jnp.max(jnp.stack(each)) for each in zip(*sizes.values(), strict=True)]
-    shares = {
-        place: [
-            safe_divide(off, jnp.maximum(size, least))
-            for off, size, least in zip(apart[place], sizes[place], largest, strict=True)
-        ]
-        for place in sizes
+            lost, deepest = own - begun[joint][surface], abs(jnp.max(own) - jnp.max(other))
+            apart, size = _mean(own - other, areas), _mean(lost, areas)
+            by_saves[place] = (apart, deepest), (size, jnp.max(lost))
+            in_bursts[place] = (safe_divide(bursts[place], safe_sqrt(jnp.sum(areas))),), (size,)
+    shares = _shares(by_saves), _shares(in_bursts)
+    places = [(slot.bearing, slot.surface) for slot in model.layout.wear]
+    steadily, suddenly = (jnp.stack([each[place] for place in places]) for each in shares)
+    told = jnp.maximum(steadily / (every - 1), suddenly)
+    return {Check.WEAR_BY_SAVES: jnp.maximum(told, around)}
+
+
+def _shares(found: dict[Place, tuple]) -> dict[Place, Array]:
+    """How far each surface's numbers are apart beside their sizes, the worst of them, from both; of
+    one that wears little beside the sizes of the one that wears most."""
+    sizes = [jnp.stack(size) for _, size in found.values()]
+    least = NEGLIGIBLE * jnp.max(jnp.stack(sizes), axis=0)
+    return {
+        place: jnp.max(safe_divide(jnp.stack(apart), jnp.maximum(jnp.stack(size), least)))
+        for place, (apart, size) in found.items()
     }
-    worst: list[Any] = [jnp.maximum(*shares[s.bearing, s.surface]) for s in model.layout.wear]
-    return {Check.WEAR_BY_SAVES: jnp.maximum(jnp.stack(worst) / (every - 1), around)}
+
+
+def _bursts(model: Model, states: Float[Array, "time n"]) -> dict[Place, Array]:
+    """By surface the root of the integral of the square of depths [m2] that losses unlike those of
+    the intervals beside them may put wrong on their arcs: independent of each other."""
+    squares: dict[Place, Any] = {}
+    for slot in model.layout.wear:
+        place = slot.bearing, slot.surface
+        wear_map = wear_maps(model.system)[slot.bearing][slot.surface][0]
+        volumes, features = jax.vmap(functools.partial(lost_at, slot))(states[:-1], states[1:])
+        around = jnp.concatenate([volumes[1:2], volumes, volumes[-2:-1]])
+        sudden = abs(volumes - 0.5 * (around[:-2] + around[2:]))
+        means = wear_map.directions_of(features)
+        swept = arc(safe_sqrt(jnp.sum(means**2, axis=-1))) ** 2
+        width, share = wear_map.covered(features)
+        # What is put wrong falls with the square of the arc where that is narrow.
+        wrong = sudden * safe_divide(swept, swept + width**2)
+        area = share * jnp.sum(wear_map.areas())
+        depths = jnp.where(volumes > 0, safe_divide(wrong * wrong, area), 0.0)
+        squares[place] = squares.get(place, 0.0) + jnp.sum(depths)
+    return {place: safe_sqrt(each) for place, each in squares.items()}
 
 
 def _around(model: Model, states: Float[Array, "time n"]) -> Float[Array, " places"]:

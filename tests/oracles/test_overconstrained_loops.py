@@ -122,6 +122,16 @@ def test_reactions_are_the_least_that_hold_the_motion(swung):
     )
 
 
+@pytest.mark.parametrize(
+    "integrator", [jc.integrator.MoreauJean(1e-4), jc.integrator.NonColliding(1e-4)]
+)
+def test_friction_of_a_reaction_that_is_not_unique_is_refused(integrator):
+    """By its joint; ImplicitStep and FixedStep take the least reactions."""
+    rubs = jc.joint.PlainBearing(jc.friction.Coulomb(mu_kinetic=0.1), radius=8e-3)
+    with pytest.raises(ValueError, match='friction in joint "foot 0" follows its reaction'):
+        jc.simulate(cranks(crank=rubs), 0.01, save=3, integrator=integrator)
+
+
 def test_run_and_mechanism_say_what_is_redundant(swung):
     sentence = 'overconstrained: of the rows that close loops x of joint "top 2" follows'
     assert sentence in str(swung)

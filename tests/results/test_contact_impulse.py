@@ -101,8 +101,15 @@ GAP = jc.clearance.PlanarJournalBearing(jc.contact.Rigid(restitution=0.0), clear
         (PLAIN, jc.integrator.FixedStep(1e-3)),
         long(PLAIN, jc.integrator.NonColliding(1e-3)),
         long(PLAIN, jc.integrator.Adaptive()),
+        long(PLAIN, jc.integrator.ImplicitStep(1e-3)),
     ],
-    ids=["clearance", "plain", "plain that always touches", "plain and adaptive"],
+    ids=[
+        "clearance",
+        "plain",
+        "plain that always touches",
+        "plain and adaptive",
+        "plain and implicit",
+    ],
 )
 def test_a_force_that_turns_counts_by_its_size(joint, integrator):
     """m r omega^2, however often it is saved; the mean over a whole turn is nought."""

@@ -77,6 +77,26 @@ def test_phases_that_drift_over_many_turns_are_said():
     assert worst < 0.01 and said == set()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "integrator", [jc.integrator.MoreauJean(1e-3), jc.integrator.NonColliding()]
+)
+def test_rounding_of_what_stands_still_is_no_motion_and_no_wear(integrator):
+    """An arm that friction holds: slip, wear and losses are of the order of 1e-30."""
+    sticks = jc.friction.Coulomb(mu_kinetic=0.1)
+    hinge = jc.joint.PlainBearing(
+        sticks, radius=8e-3, length=20e-3, wear=jc.Wearing(jc.wear.Archard())
+    )
+    held = jc.Mechanism(
+        {"arm": jc.Body(1.0, 1e-3, com=(1e-4, 0.0))},
+        {"B": jc.Connection(hinge, "ground", "arm")},
+        {"gravity": jc.load.Gravity()},
+    )
+    run = jc.simulate(held, 0.2, save=51, integrator=integrator, balance=True)
+    assert 0 < run.worn_volume("B", "bearing")[-1] < 1e-30
+    assert run.warnings == ()
+
+
 def test_windows_of_long_adaptive_steps_have_a_finer_pass():
     """Neither tolerance asks for shorter steps than the window: the second pass was the first one,
     and the run saw nothing."""

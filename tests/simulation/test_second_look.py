@@ -11,7 +11,7 @@ from benchmarks.attacks.structures import structures
 from jaxclear.integrators import Check, Checks
 from jaxclear.integrators.figures import Figure
 from jaxclear.results.response import concerned
-from jaxclear.simulation import second_look
+from jaxclear.simulation import second_look, two_runs
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +44,28 @@ def test_a_body_that_is_elsewhere_in_its_gap_is_said_and_mean_forces_stand(pushe
     assert np.abs(offset(right) - exact).max() < 0.02
     assert {check for check, flag in found.checks.beyond().items() if flag} == {Check.PLACE_IN_GAP}
     assert "elsewhere in their gap" in found.result and right.warnings == ()
+    # The windows look at what presses in the joint itself.
+    pressed = right.checks.figures[Check.HALVED_CONTACT_FORCES]
+    assert pressed.places == ("G",) and pressed.worst[0] < 0.01
     concerns = Check.PLACE_IN_GAP.concerns
     assert not concerned(jc.response.MeanContactForce("G"), concerns)
     assert concerned(jc.response.PeakWornDepth("G"), concerns)
+
+
+def test_forces_at_an_instant_are_no_matter_of_a_mean_force():
+    """Of which the windows tell by the impulses of contacts."""
+    mean, peak = jc.response.MeanContactForce("G"), jc.response.PeakContactForce("G")
+    instant, impulses = Check.HALVED_FORCES.concerns, Check.HALVED_CONTACT_FORCES.concerns
+    assert concerned(peak, instant) and not concerned(mean, instant)
+    assert concerned(peak, impulses) and concerned(mean, impulses)
+
+
+def test_what_hardly_wears_is_not_compared():
+    """Less than an atom in a thousand million runs, or a millionth of what wears elsewhere."""
+    of = lambda one, other, least: two_runs._beside(np.array([one, other]), np.array(least))
+    np.testing.assert_allclose(of([1e-36], [2e-36], [1e-21]), 0.0, atol=1e-14)
+    np.testing.assert_allclose(of([1e-12, 1e-18], [1e-12, 2e-18], [1e-21] * 2), 0.0, atol=2e-3)
+    np.testing.assert_allclose(of([1e-12, 1e-14], [1e-12, 2e-14], [1e-21] * 2), [0.0, 0.5])
 
 
 def test_a_second_look_leaves_the_numbers_and_comes_only_in_doubt(pushed, monkeypatch):
@@ -138,11 +157,13 @@ def test_steps_in_contact_are_accused_unless_steps_that_resolve_it_change_nothin
     silent = dataclasses.replace(run.history, balanced=False)
     run = dataclasses.replace(run, history=silent)
     assert Check.CONTACT_STEP in looked(rising(run, finer, factor)).checks.figures
-    # Nor does the wear of another joint tell of it.
-    elsewhere = {"another": {"bearing": np.ones((3, 1))}}
-    run = dataclasses.replace(run, worn=elsewhere)
-    finer_run = dataclasses.replace(rising(run, finer, factor), worn=elsewhere)
-    assert Check.CONTACT_STEP in looked(finer_run).checks.figures
+    # Nor does the wear of another joint tell of it, only its own.
+    known = {Check.MEAN_FORCE: 0.0, Check.HALVED_WEAR: 0.0}
+    for joint, right in (("another", set()), ("G", {"G"} if factor == 1.0 else set())):
+        worn = {joint: {"bearing": np.ones((3, 1))}}
+        one, other = (dataclasses.replace(each, worn=worn) for each in (run, run))
+        other = rising(other, finer, factor)
+        assert second_look._right_joints(one, other, known) == right
 
 
 def test_a_joint_is_cleared_of_its_own_steps_alone():
@@ -169,19 +190,21 @@ def test_bodies_that_are_elsewhere_are_said(pushed):
     gone = [np.asarray(run.body(name).com) for name in run.mechanism.bodies]
     gone = np.concatenate(gone, axis=1)[[0, *rows]]
     gone = gone - gone[0]
-    ways = np.asarray(run.ways)
-    share = np.abs(gone).max() / np.abs(ways).max()
-    np.testing.assert_allclose(share * ways, gone, atol=1e-12)
+    np.testing.assert_allclose(run.ways, gone, atol=1e-12)
     (name,) = run.mechanism.topology.clearances
     clearance = float(run.mechanism.connections[name].joint.clearance)
-    assert share >= max(np.abs(gone).max(), 100 * clearance) * (1 - 1e-9)
+    assert run.way >= max(np.abs(gone).max(), 100 * clearance) * (1 - 1e-9)
 
-    def looked(off):
-        other = dataclasses.replace(run, ways=run.ways + off)
-        found = looked_at(run, other)
+    def looked(off, longer=1.0):
+        ways, way = longer * run.ways + off * run.way, longer * run.way
+        found = looked_at(run, dataclasses.replace(run, ways=ways, way=way))
         return {check for check, flag in found.checks.beyond().items() if flag}
 
     assert looked(0.03) - looked(0.01) == {Check.HALVED_MOTION}
+    # All of it longer by a twentieth: both are measured by the same way. One that is a hundred
+    # clearances long is not longer for what goes on in it.
+    run = dataclasses.replace(run, ways=run.ways * float(run.way) / np.abs(run.ways).max())
+    assert looked(0.0, 1.05) - looked(0.0, 1.01) == {Check.HALVED_MOTION}
 
 
 def looked_at(run, other):
