@@ -168,8 +168,11 @@ class CylinderMap(AbstractWearMap):
         return features[..., :2]
 
     def covered(self, features):
-        half_width = safe_divide(1.0, features[..., 3])
-        return half_width, half_width / math.pi
+        fall, narrowness, end = (features[..., i] for i in (2, 3, 4))
+        half_width = safe_divide(1.0, narrowness)
+        overlap = depth_of(half_width**2, self._cell, self.clearance)
+        along = safe_divide(overlap, 2.5 * jnp.abs(fall * end) + overlap)
+        return half_width, half_width / math.pi * along
 
     @property
     def _cell(self) -> float:
