@@ -98,7 +98,8 @@ class Check(enum.IntEnum):
         SPEEDS,
         'with steps of half the length the forces at an instant that move joint "{place}" change '
         "by {figure:.2g} of themselves (limit {limit:g}), so forces at an instant and their peaks "
-        "are off, though mean forces and the motion may be right: take shorter steps",
+        "are off, and maybe friction loss and wear, though mean forces and the motion may be "
+        "right: take shorter steps",
     )
     HALVED_WEAR = (
         5,
