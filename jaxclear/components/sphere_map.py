@@ -21,7 +21,8 @@ from jaxclear.components.contact_patch import (
     point_sunk,
     square_width,
 )
-from jaxclear.components.wear_map import AbstractWearMap, direction_angle, stencil
+from jaxclear.components.stencil import stencil
+from jaxclear.components.wear_map import AbstractWearMap, direction_angle
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.wear_map import stencil
+from jaxclear.components.stencil import stencil
 from jaxclear.mesh.block_mesh import BlockMesh, joined
 from jaxclear.mesh.deformation import BlockDeformation, deformation
 

@@ -51,11 +51,11 @@ def refereed(
     """
     history = trajectory.history
     looks, ends = look(history, model, figures), jnp.asarray(history.time)[1:]
-    seen, rubbed, verdict, inside, ways = _of_saved_states(looks)
-    if ways is None:
-        ways = of_coordinates(model, looks.history.states[looks.rows], tally, looks.history.time)
-    inside, (ways, measure) = jax.lax.stop_gradient((inside, ways))
-    trajectory = dataclasses.replace(trajectory, places=inside, ways=ways, way=measure)
+    seen, rubbed, verdict, inside, gone = _of_saved_states(looks)
+    if gone is None:
+        gone = of_coordinates(model, looks.history.states[looks.rows], tally, looks.history.time)
+    inside, (ways, way) = jax.lax.stop_gradient((inside, gone))
+    trajectory = dataclasses.replace(trajectory, places=inside, ways=ways, way=way)
     of_run = windows | rubbed
     met, when = dict(tally.worst), dict(tally.when)
     rebound = met.pop(Check.REBOUND_STEP, None)
