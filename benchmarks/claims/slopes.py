@@ -127,7 +127,8 @@ def joined(known: list[dict[str, Any]], found: list[dict[str, Any]]) -> list[dic
         old = rows.get(size(row), {})
         kept = {name: old.get(name) for name, cell in row.items() if cell is None}
         rows[size(row)] = row | kept
-    return [rows[own] for own in sorted(rows)]
+    names = dict.fromkeys(name for row in [*found, *known] for name in row)
+    return [{name: rows[own].get(name) for name in names} for own in sorted(rows)]
 
 
 def memory(name: str, scene: str, steps: int) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.state_group import state_group
-from jaxclear.integrators.stepping import SLIVER, arrived, contacts_met, divide
+from jaxclear.integrators.stepping import SLIVER, arrived, contacts_met, counted, divide
 from jaxclear.native import while_loop
 
 # Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes,
@@ -144,9 +144,8 @@ class FixedStep(AbstractIntegrator):
         if self.steps_per_save is None:
             _, end, last, met, watch = while_loop(lambda carry: carry[0] < steps, turn, first)
         else:
-            turns = jnp.arange(self.steps_per_save)
-            scanned = lambda carry, index: (turn((index, *carry))[1:], None)
-            end, last, met, watch = jax.lax.scan(scanned, first[1:], turns)[0]
+            scanned = lambda index, carry: turn((index, *carry))[1:]
+            end, last, met, watch = counted(scanned, self.steps_per_save, first[1:])
         return arrived(end, steps, last, met, self._judged(h), Check.IMPACT_STEP, watch)
 
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):

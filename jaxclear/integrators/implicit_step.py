@@ -15,7 +15,7 @@ from jaxclear.ground.quantity import Scalar, concrete, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import watch_from, watched
-from jaxclear.integrators.stepping import arrived, contacts_met, divide, march
+from jaxclear.integrators.stepping import arrived, contacts_met, counted, divide, march
 
 # A journal that creeps is moved by the vibration of its contact too, which bias damps at every
 # turn: as steps longer by so many times the bias. With what `CREEP_STEP` allows, no loss of
@@ -146,11 +146,9 @@ class ImplicitStep(AbstractIntegrator):
         if self.steps_per_save is None:
             end, (warm_start, met, watch) = march(one, steps, state, carried)
         else:
-            turns = jnp.arange(self.steps_per_save)
-            # Reverse mode then keeps the states alone and goes through each step again: a third of
-            # the time to compile.
-            turn = jax.checkpoint(lambda carry, index: (one(index, *carry), None))
-            end, (warm_start, met, watch) = jax.lax.scan(turn, (state, carried), turns)[0]
+            turn = lambda index, carry: one(index, *carry)
+            first = state, carried
+            end, (warm_start, met, watch) = counted(turn, self.steps_per_save, first)
         judged = {Check.CREEP_STEP: h * (1 + DAMPED * bias)}
         if contacts:
             judged[Check.REBOUND_STEP] = jnp.stack([h, jnp.asarray(self.rebound, float)])

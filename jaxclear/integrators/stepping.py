@@ -5,6 +5,7 @@ and the answer at its end.
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.closing import closed
@@ -40,6 +41,15 @@ def march(
         lambda carry: carry[0] < steps, turn, (jnp.zeros((), int), state, warm_start)
     )
     return state, warm_start
+
+
+def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
+    """What is handed on after so many turns of (index, what is handed on) -> what is handed on, in
+    a loop that reverse mode goes through backwards: it keeps what a turn is handed within one
+    interval at a time, and of the others what these begin with, and goes through all once more."""
+    turn = jax.checkpoint(lambda carry, index: (one(index, carry), None), prevent_cse=False)
+    through = lambda first: jax.lax.scan(turn, first, jnp.arange(steps))[0]
+    return jax.checkpoint(through, prevent_cse=False)(first)
 
 
 def contacts_met(met: tuple, before: Any, after: Any) -> tuple:
