@@ -55,6 +55,21 @@ def test_indices_are_those_of_scipy_and_of_openturns(indices):
     )
 
 
+@pytest.mark.slow
+def test_indices_are_those_of_salib(indices):
+    """First order and total, each within both intervals."""
+    sampling = pytest.importorskip("SALib.sample.sobol")
+    analysis = pytest.importorskip("SALib.analyze.sobol")
+    problem = {"num_vars": 3, "names": list("xyz"), "bounds": [[-np.pi, np.pi]] * 3}
+    x, y, z = sampling.sample(problem, 4096, calc_second_order=False, seed=1).T
+    values = np.sin(x) + A * np.sin(y) ** 2 + B * z**4 * np.sin(x)
+    theirs = analysis.analyze(problem, values, calc_second_order=False, seed=1)
+    for found, name in ((indices.first, "S1"), (indices.total, "ST")):
+        for i, variable in enumerate("xyz"):
+            own = found["response", variable]
+            assert abs(own.value - theirs[name][i]) < own.error + theirs[f"{name}_conf"][i]
+
+
 def test_intervals_of_indices_hold():
     """Three linear parts in a ratio of 1, 4, 9: of 40 studies fewer than 32 by chance never."""
     stack = jc.FunctionProblem(
