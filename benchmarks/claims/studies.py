@@ -11,6 +11,7 @@ second of the clock has two of these. Designs are in `design`, campaigns in `cam
 """
 
 import argparse
+import contextlib
 import os
 import time
 from collections.abc import Callable
@@ -63,7 +64,9 @@ def on_cores(count: int) -> None:
     """All threads of this process run on so many cores."""
     chosen = sorted(ALL)[:count]
     for thread in map(int, os.listdir("/proc/self/task")):
-        os.sched_setaffinity(thread, chosen)
+        # One may end meanwhile.
+        with contextlib.suppress(ProcessLookupError):
+            os.sched_setaffinity(thread, chosen)
 
 
 ALL = os.sched_getaffinity(0)
