@@ -74,10 +74,11 @@ ALL = os.sched_getaffinity(0)
 
 def rows_of(scene: str, samples: int) -> list[dict[str, Any]]:
     problem = SCENES[scene]()
-    rows = [{"scene": scene, "study": name} for name in studies(problem, samples)]
+    asked = studies(problem, samples)
+    rows = [{"scene": scene, "study": name} for name in asked]
     for cores in (1, 2):
         on_cores(cores)
-        for row, study in zip(rows, studies(problem, samples).values(), strict=True):
+        for row, study in zip(rows, asked.values(), strict=True):
             study()
             begun = time.process_time()
             runs = study()
