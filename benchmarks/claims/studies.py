@@ -75,7 +75,7 @@ ALL = os.sched_getaffinity(0)
 def rows_of(scene: str, samples: int) -> list[dict[str, Any]]:
     problem = SCENES[scene]()
     asked = studies(problem, samples)
-    rows = [{"scene": scene, "study": name} for name in asked]
+    rows: list[dict[str, Any]] = [{"scene": scene, "study": name} for name in asked]
     for cores in (1, 2):
         on_cores(cores)
         for row, study in zip(rows, asked.values(), strict=True):
