@@ -151,13 +151,16 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     parser.add_argument("--figures", type=Path, default=FIGURES, metavar="DIR")
     options = parser.parse_args()
-    known = json.loads(options.json.read_text()) if options.json and options.json.exists() else {}
-    before = known.get("about", {}).get("date", "")
-    dates = {row["scene"]: row["measured"] for row in known.get(WHEN, [])}
+    known: dict[str, Any] = {}
     for scene in options.scene or (QUICK if options.quick else SCENES):
         begun = time.process_time()
-        known[POINTS.format(scene=scene)] = rows_of(curves(SCENES[scene]()))
-        dates[scene] = date()
+        rows = rows_of(curves(SCENES[scene]()))
+        # Read only now: another process may have measured another scene.
+        if options.json and options.json.exists():
+            known = json.loads(options.json.read_text())
+        known[POINTS.format(scene=scene)] = rows
+        before = known.get("about", {}).get("date", "")
+        dates = {row["scene"]: row["measured"] for row in known.get(WHEN, [])} | {scene: date()}
         print(f"{scene}: {time.process_time() - begun:.0f} s CPU", flush=True)
         jax.clear_caches()
         told = {"about": about("benchmarks.claims.work_precision", options.json) | COMMAND}

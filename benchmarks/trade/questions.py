@@ -198,7 +198,7 @@ def flap(clearance: float = 0.1e-3, share: float = 1.0) -> Question:
     rig, ideal = jc.scenes.flap(clearance=clearance), jc.scenes.flap("ideal")
     asked = _forces("J1") | _away("rod 2", ideal, duration)
     del asked["friction loss"]
-    asked["place"] = jc.response.FinalCoordinate("O2")
+    asked["mean force, J4"] = jc.response.MeanContactForce("J4")
     problem = jc.Problem(
         rig, asked, _clearance("J1", "J2", "J3", "J4"), duration=duration, save=SAVES
     )
