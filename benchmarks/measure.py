@@ -10,6 +10,7 @@ import json
 import math
 import os
 import platform
+import shlex
 import statistics
 import subprocess
 import sys
@@ -134,7 +135,7 @@ def about(module: str, path: Path | None, parts: Sequence[str] = ()) -> dict[str
         if name in asked:
             at = asked.index(name)
             del asked[at : at + 2]
-    command = " ".join(["python -m", module, *asked])
+    command = " ".join(["python -m", module, *map(shlex.quote, asked)])
     today = date()
     told: dict[str, Any] = {
         "command": f"python -m {module}" if parts else command,
