@@ -14,10 +14,11 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, side_by_side
-from jaxclear.ground.compiling import AROUND_A_KERNEL
+from jaxclear.ground.compiling import AROUND_A_KERNEL, ONCE
 from jaxclear.native import explain
 from jaxclear.simulation.beginning import beginning
 from jaxclear.simulation.loop import run
+from jaxclear.simulation.simulate import is_all_kernel
 from jaxclear.results.saved_state import State
 
 RUNGS = {
@@ -51,7 +52,7 @@ def program(integrator: Any, saves: int, batch: int) -> Any:
     if batch:
         speeds = speeds * (1 + 1e-3 * np.random.default_rng(0).normal(size=(batch, 1)))
         function = jax.vmap(function, (None, 0))
-    options = AROUND_A_KERNEL
+    options = ONCE if is_all_kernel(rig, integrator) else AROUND_A_KERNEL
     compiled = jax.jit(function).lower(arrays, speeds).compile(compiler_options=options)
     return lambda: compiled(arrays, speeds)
 

@@ -18,10 +18,11 @@ is that of a contact as wide as these.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.ground.numerics import positive_part, power, safe_divide, safe_sqrt
+from jaxclear.ground.numerics import arc_sine, positive_part, power, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 
 # Steps of Newton's method for the level of the part; what is left changes shapes, not volumes.
@@ -120,18 +121,24 @@ def _mean_root(way: Way, level: Scalar) -> Float[Array, "around along"]:
     overlap = way.nearest.at(level)[0]
     # An overlap e - room that falls as e cos does vanishes where 1 - cos is this.
     fallen = overlap / (overlap + way.room)
-    half_width = 2.0 * jnp.arctan2(safe_sqrt(fallen), jnp.sqrt(2.0 - fallen))
+    half_width = 2.0 * arc_sine(safe_sqrt(0.5 * fallen))
     ends = way.along + way.half, way.along - way.half, way.along + way.half - 2.0 * jnp.pi
     first, last, around = (_segment(safe_divide(end, half_width)) for end in ends)
     swept = first - last + around + 0.25 * jnp.pi
     return safe_sqrt(overlap) * half_width * swept / (2.0 * way.half)
 
 
+@jax.custom_jvp
 def _segment(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """Integral of sqrt(1 - t^2) from 0 to x, which lies within -1 and 1 or is taken so."""
     x = jnp.clip(x, -1.0, 1.0)
-    height = safe_sqrt(1.0 - x * x)
-    return 0.5 * (x * height + jnp.arctan2(x, height))
+    return 0.5 * (x * safe_sqrt(1.0 - x * x) + arc_sine(x))
+
+
+@_segment.defjvp
+def _segment_jvp(primals, tangents):
+    (x,), (x_dot,) = primals, tangents
+    return _segment(x), safe_sqrt(1.0 - x * x) * x_dot
 
 
 def line_contact(

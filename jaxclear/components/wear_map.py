@@ -14,6 +14,7 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.contact_patch import (
@@ -128,6 +129,11 @@ class CylinderMap(AbstractWearMap):
         """Direction of the centre of each cell [rad]."""
         return (jnp.arange(self.cells[0]) + 0.5) * (2 * jnp.pi / self.cells[0])
 
+    def _ways(self) -> Float[np.ndarray, "around 2"]:
+        """Direction (x, y) of the centre of each cell."""
+        angles = (np.arange(self.cells[0]) + 0.5) * (2 * np.pi / self.cells[0])
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
     def heights(self) -> Float[Array, " along"]:
         """z of the centre of each cell [m]."""
         return self.length * ((jnp.arange(self.cells[1]) + 0.5) / self.cells[1] - 0.5)
@@ -162,9 +168,12 @@ class CylinderMap(AbstractWearMap):
         around = self.cells[0]
         reach = math.ceil(REACH * around / (2 * math.pi))
 
+        # A table: XLA would work them out anew for every cell of a column.
+        columns = self._ways()
+
         def wide():
             whole = jax.vmap(self._lost, (None, None, 0, 0))
-            return depth + jnp.sum(whole(jnp.arange(around), depth, volume, features)[0], axis=0)
+            return depth + jnp.sum(whole(columns, depth, volume, features)[0], axis=0)
 
         if 2 * reach + 1 >= around:
             return wide()
@@ -172,9 +181,11 @@ class CylinderMap(AbstractWearMap):
         first = (jnp.floor(towards).astype(int) - reach) % around
         width = 2 * reach + 1
         twice = jnp.concatenate([depth, depth[:width]])
-        near = jax.vmap(lambda start: jax.lax.dynamic_slice_in_dim(twice, start, width))(first)
-        columns = first[:, None] + jnp.arange(width)
-        lost, fits = jax.vmap(self._lost)(columns, near, volume, features)
+        near = lambda these, start: jax.lax.dynamic_slice_in_dim(these, start, width)
+        ways = jnp.concatenate([columns, columns[:width]])
+        lost, fits = jax.vmap(
+            lambda start, *event: self._lost(near(ways, start), near(twice, start), *event)
+        )(first, volume, features)
 
         def narrow():
             # Slices: to scatter costs XLA several times as much as the losses themselves.
@@ -191,8 +202,8 @@ class CylinderMap(AbstractWearMap):
         return jax.lax.cond(eqxi.unvmap_all(fit), narrow, rare)
 
     def _lost(self, columns, depth, volume, features):
-        """(what each cell of these columns loses in an event [m], whether no other column is
-        reached)."""
+        """(what each cell of these columns, directions (x, y), loses in an event [m], whether no
+        other column is reached)."""
         x, y, fall, narrowness, end = features
         around, along = self.cells
         clearance, ends = self.clearance, jnp.abs(end)
@@ -240,9 +251,8 @@ class CylinderMap(AbstractWearMap):
     def _from_arc(self, columns, x, y, half_arc):
         """(angle [rad] between the direction of each column and (x, y); cosine and size of the sine
         of that between it and the arc about (x, y)); without a direction all are in it."""
-        angles = (columns + 0.5) * (2 * jnp.pi / self.cells[0])
-        cosine = jnp.cos(angles) * x + jnp.sin(angles) * y
-        sine = jnp.abs(jnp.cos(angles) * y - jnp.sin(angles) * x)
+        cosine = columns[:, 0] * x + columns[:, 1] * y
+        sine = jnp.abs(columns[:, 0] * y - columns[:, 1] * x)
         c, s = jnp.cos(half_arc), jnp.sin(half_arc)
         inside = cosine >= c
         return (

@@ -14,6 +14,7 @@ The boundary is nine functions, four that tell of the program, and three for Ctr
 - `over_rows(function, *rows)` in the place of `jax.vmap(function)(*rows)`, `through_rows` where
   rows are few and arrays are long, `one_row(function, *numbers)` in the place of the function
   itself, and `once`, which makes a kernel of a short one too;
+- `one_by_one(function)`: a function through whose batches XLA goes sample by sample;
 - `with_fast_loops(function)`: a function whose outermost loops a library has written;
 - `by_columns(function, *arguments)`: backwards as many derivatives forwards as numbers move;
 - `forwards_only(sentence, numbers)`: what is not differentiated backwards, and why;
@@ -28,7 +29,7 @@ On its way a loop passes through these files:
 - `while_loops`: loops as they are written; `loop`: the primitive of JAX that they become, how it
   batches and is lowered; `differentiation`, `tangent`: its derivative, a loop again; backwards as
   many such loops as numbers enter it that move.
-- `rows`: functions as loops of one turn.
+- `rows`: functions as loops of one turn. `one_by_one`: what is no loop, and is left to XLA.
 - `calls`, `control`, `arithmetic`, `elementary`, `shapes`, `indexing`, `reductions`: one rule for
   each of JAX's primitives, in the registry of `rules`: what it becomes as LLVM code.
 - `turning`: loops as text; `tables`: what a kernel writes.
@@ -63,6 +64,7 @@ give it a case in tests/native/test_rules.py.
 from jaxclear.native.columns import by_columns
 from jaxclear.native.differentiation import forwards_only
 from jaxclear.native.loop import has_kernels
+from jaxclear.native.one_by_one import one_by_one
 from jaxclear.native.rows import one_row, over_rows, through_rows
 from jaxclear.native.stopping import stop, stoppable, stops
 from jaxclear.native.verdicts import calls_lapack, explain, verdict
@@ -76,6 +78,7 @@ __all__ = [
     "forwards_only",
     "has_kernels",
     "once",
+    "one_by_one",
     "one_row",
     "over_rows",
     "scan",

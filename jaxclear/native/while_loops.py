@@ -57,9 +57,7 @@ def scan(
     places = [_in_memory(each.places) for each in kept] or [_in_memory(np.arange(length))]
     begins = [jax.tree.map(jnp.asarray, jax.tree.leaves(each.begins)) for each in kept]
     for each in kept:
-        taken = {*np.ravel(each.places), *([] if each.begins is None else [0])}
-        if not taken >= set(range(each.height)):
-            raise ValueError("a table of a scan has rows that no turn leaves.")
+        _check_kept(each, length)
     first = jax.tree.map(jnp.asarray, (0, first))
     form: list[Any] = []
 
@@ -87,6 +85,21 @@ def scan(
     out = loop_p.bind(*fixed, *leaves, program=program, rank=0)
     _, last = jax.tree.unflatten(structure, out[: len(leaves)])
     return last, jax.tree.unflatten(shape, out[len(leaves) :])
+
+
+def _check_kept(kept: Kept, length: int) -> None:
+    """Raises `ValueError` for a table that is none, or that is not filled; a kernel would write a
+    place below 0 into another array's memory."""
+    places = np.asarray(kept.places)
+    if kept.height < 1:
+        raise ValueError(f"a table of a scan has {kept.height} rows; it needs one at least.")
+    if places.shape != (length,) or not np.issubdtype(places.dtype, np.integer):
+        raise ValueError(f"a table of a scan of {length} turns needs a whole number for each.")
+    if np.any(places < 0):
+        raise ValueError("a table of a scan has places below 0.")
+    taken = {*places, *([] if kept.begins is None else [0])}
+    if not taken >= set(range(kept.height)):
+        raise ValueError("a table of a scan has rows that no turn leaves.")
 
 
 def _in_memory(table: Any) -> Any:

@@ -3,7 +3,8 @@
 Worn surfaces enter the gap as they were at the last saving time, and are updated at every saving
 time: wear is slow, the motion is fast, and a map that is constant within an interval costs the
 equations of motion nothing but its reading. Where nothing wears, the whole loop is one kernel,
-which writes what is saved itself.
+which writes what is saved itself; where surfaces do, each of its turns is one, and XLA wears them
+in between.
 """
 
 import dataclasses
@@ -22,7 +23,7 @@ from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.system import rubbing_joints
+from jaxclear.multibody.system import readings, rubbing_joints
 from jaxclear.native import Kept, forwards_only, one_row, scan, verdict
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats, Trajectory
@@ -32,7 +33,7 @@ from jaxclear.simulation.looks import looked_at
 from jaxclear.simulation.referee import refereed
 from jaxclear.simulation.spot_checks import Plan
 from jaxclear.simulation.tally import nothing_yet
-from jaxclear.simulation.turns import Carry, Left, model_of_worn, turns_of
+from jaxclear.simulation.turns import Carry, Left, turns_of
 from jaxclear.simulation.wear import unworn
 
 # What a derivative in reverse mode is told where the run is not one kernel.
@@ -81,14 +82,15 @@ def run(
         state = state.at[layout.remembered].set(past.remembered)
     worn = unworn(model.system) if past.worn is None else past.worn
     plan = spot_checks.plan(times, integrator.usual_step)
-    warm_start = _first_warm_start(model_of_worn(model, worn), integrator, times[0], state)
+    read = readings(model.system, worn)
+    seen = dataclasses.replace(model, worn=read)
+    warm_start = _first_warm_start(seen, integrator, times[0], state)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
-    begun = state, worn, warm_start
-    turn, shapes, unpack = turns_of(model, integrator, extras.report, begun)
+    turn, shapes, unpack = turns_of(model, integrator, extras.report, (state, read, warm_start))
     tally = nothing_yet(shapes, model, state, len(plan.windows))
-    first = Carry(*begun, reached, times[0], (none, none), tally)
-    # Worn surfaces are more numbers than a kernel carries, the host hears nothing of it on its way,
-    # and counted steps are gone through backwards.
+    first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), tally)
+    # Worn surfaces are more numbers than a kernel carries from turn to turn, the host hears nothing
+    # of it on its way, and counted steps are gone through backwards.
     whole = not (worn or extras.report) and integrator.steps_between_saves is None
     through = _in_one_kernel if whole else _from_save_to_save
     done = through(plan, turn, first)
@@ -144,7 +146,7 @@ def _in_one_kernel(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Lef
     numbers = np.searchsorted(looks, order)
     seen = own & (looks[numbers.clip(max=len(looks) - 1)] == order)
     kept = [
-        Kept(np.where(own, order + 1, count + 1), count + 1, (first.state, first.worn)),
+        Kept(np.where(own, order + 1, count + 1), count + 1, (first.state, first.read)),
         Kept(np.where(own, order, count), count),
         Kept(np.where(seen, numbers, len(looks)), len(looks)),
     ]

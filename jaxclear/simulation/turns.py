@@ -24,19 +24,20 @@ from jaxclear.integrators.events import Events
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.state import Layout
-from jaxclear.multibody.system import readings
+from jaxclear.native import scan
 from jaxclear.simulation import progress
 from jaxclear.simulation.spot_checks import Turns
 from jaxclear.simulation.tally import Tally, figures_of_a_look, followed
-from jaxclear.simulation.wear import Worn, deposit
+from jaxclear.simulation.wear import Losses, Worn, losses, worn_at_once, worn_where_lost
 
 
 class Carry(NamedTuple):
-    """What a run hands from turn to turn; `ended` [s] is the last saving time that it reached,
-    `steps` those accepted and rejected so far."""
+    """What a run hands from turn to turn; `read` are its worn surfaces as gaps read them, `ended`
+    [s] is the last saving time that it reached, `steps` those accepted and rejected so far."""
 
     state: State
     worn: Worn
+    read: Worn
     warm_start: Any
     outcome: Int[Array, ""]
     ended: Float[Array, ""]
@@ -63,18 +64,29 @@ def turns_of(
     unpack: list[Callable] = []
 
     @jax.jit
-    def advance(arrays, worn, ahead, state, warm_start):
+    def advance(arrays, read, ahead, state, warm_start):
         model, integrator = eqx.combine(arrays, rest)
-        return integrator.advance(model_of_worn(model, worn), ahead, state, warm_start)
+        return integrator.advance(dataclasses.replace(model, worn=read), ahead, state, warm_start)
 
     @jax.jit
     def one(arrays, start, now, turn):
-        going = functools.partial(advance, arrays)
-        now, saved, found = _turn(eqx.combine(arrays, rest)[0], going, start, now, turn)
-        # A loop of XLA pays for every array that its turns leave.
-        packed, unpacked = zip(*map(_packed, found), strict=True)
-        unpack.append(unpacked)
-        return now, Left(saved, *packed)
+        model = eqx.combine(arrays, rest)[0]
+
+        def motion(now, read):
+            going = functools.partial(advance, arrays, read)
+            now, lost, found = _motion(model, going, start, now, turn)
+            # A loop of XLA pays for every array that its turns leave.
+            packed, unpacked = zip(*map(_packed, found), strict=True)
+            unpack.append(unpacked)
+            return now, (lost, *packed)
+
+        worn, read = now.worn, now.read
+        counted = integrator.steps_between_saves is not None
+        through = _as_a_kernel if worn and not counted else _as_it_is
+        now, (lost, *packed) = through(motion, now._replace(worn={}, read={}), read)
+        wear = worn_at_once if counted else worn_where_lost
+        worn, after = wear(model.system, worn, read, lost)
+        return now._replace(worn=worn, read=after), Left((now.state, read), *packed)
 
     def turn(now, span):
         if report:
@@ -87,8 +99,8 @@ def turns_of(
 
     number, running = jnp.zeros(()), jnp.ones((), bool)
     ahead = Interval(number, number, _error_weights(model.layout), running, number)
-    state, worn, warm_start = begun
-    done = jax.eval_shape(advance, arrays, worn, ahead, state, warm_start)
+    state, read, warm_start = begun
+    done = jax.eval_shape(advance, arrays, read, ahead, state, warm_start)
     return turn, done.figures or {}, apart
 
 
@@ -97,22 +109,33 @@ def _packed(found: Any) -> tuple[Array, Callable]:
     return ravel_pytree(found) if some else (jnp.zeros(0), lambda _: found)
 
 
-def _turn(
+def _as_it_is(motion: Callable, now: Carry, read: Any) -> tuple:
+    return motion(now, read)
+
+
+def _as_a_kernel(motion: Callable, now: Carry, read: Any) -> tuple:
+    """A turn's motion as a kernel of its own, between whose calls surfaces wear: XLA would start
+    each of its operations on a few numbers by itself."""
+    now, left = scan(lambda now, _: motion(now, read), now, np.zeros(1))
+    return now, jax.tree.map(lambda each: each[0], left)
+
+
+def _motion(
     model: Model, advance: Callable, start: State, now: Carry, turn: Turns
-) -> tuple[Carry, tuple[State, Worn], tuple[Events | None, dict[Check, Array]]]:
-    """One turn of the loop of a run that began with the state `start`: what it hands on, and what
-    it leaves."""
+) -> tuple[Carry, Losses, tuple[Events | None, dict[Check, Array]]]:
+    """One turn of the loop of a run that began with the state `start`, but for its worn surfaces:
+    what it hands on, what these lose, and what it leaves."""
     running = (now.outcome == Outcome.REACHED).astype(bool)
     ahead = Interval(turn.start, turn.stop, _error_weights(model.layout), running, turn.share)
-    result = advance(now.worn, ahead, now.state, now.warm_start)
+    result = advance(ahead, now.state, now.warm_start)
     sound = jnp.all(jnp.isfinite(result.state))
     reached = closure_coordinates.anchored(model.system, model.layout, turn.stop, result.state)
     state = jnp.where(running & sound, reached, now.state)
-    worn = deposit(model.system, model.layout, now.worn, now.state, state)
+    lost = losses(model.layout, now.state, state)
     # What is not held to a tolerance (worn volumes, energies) can be lost while the steps still
     # succeed.
-    lost = ~sound & (result.outcome == Outcome.REACHED)
-    found = jnp.where(lost, Outcome.NOT_FINITE, result.outcome)
+    failed = ~sound & (result.outcome == Outcome.REACHED)
+    found = jnp.where(failed, Outcome.NOT_FINITE, result.outcome)
     outcome = jnp.where(running, found, now.outcome)
     ended = jnp.where(running & (outcome == Outcome.REACHED), turn.stop, now.ended)
     taken = jax.tree.map(
@@ -122,14 +145,8 @@ def _turn(
     )
     figures, path = result.figures or {}, (start, now.state, state)
     tally = followed(now.tally, model.layout, figures, running, turn.stop, path)
-    after = Carry(state, worn, result.warm_start, outcome, ended, taken, tally)
-    read = model_of_worn(model, now.worn).worn
-    return after, (state, read), (result.events, figures_of_a_look(figures, running))
-
-
-def model_of_worn(model: Model, worn: Worn) -> Model:
-    """The model with its gaps reading surfaces of these depths."""
-    return dataclasses.replace(model, worn=readings(model.system, worn))
+    after = Carry(state, now.worn, now.read, result.warm_start, outcome, ended, taken, tally)
+    return after, lost, (result.events, figures_of_a_look(figures, running))
 
 
 def _error_weights(layout: Layout) -> Float[Array, " n"]:

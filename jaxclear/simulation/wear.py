@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,13 +11,16 @@ from jaxtyping import Array, Float
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout, WearSlot
-from jaxclear.multibody.system import System, wear_maps
+from jaxclear.multibody.system import System, readings, wear_maps
 from jaxclear.multibody.topology import rubbing_in
+from jaxclear.native import one_by_one
 
 Worn = dict[str, dict[str, Array]]
+# Volumes [m3] and location features of the events of each surface, by joint and surface.
+Losses = dict[tuple[str, str], tuple[Array, ...]]
 
 
 def unworn(system: System) -> Worn:
@@ -71,14 +75,18 @@ def worn_by_some(
     system: System, layout: Layout, worn: Worn, states: Float[Array, "time n"], every: int
 ) -> Worn:
     """Depth maps at the end of a run that began with `worn` and had these states at its saving
-    times, if surfaces had been updated at some of these times alone: one of so many."""
+    times, if surfaces had been updated at some of these times alone: one of so many. No
+    derivatives."""
     count = len(states)
     some = states[np.unique([*range(0, count, every), count - 1])]
+    numbers, rest = eqx.partition(constant(system), eqx.is_array)
 
-    def one(worn, ends):
-        return deposit(system, layout, worn, *ends), None
+    def through(numbers, worn, some):
+        system = eqx.combine(numbers, rest)
+        one = lambda worn, ends: (deposited(system, worn, losses(layout, *ends)), None)
+        return jax.lax.scan(one, worn, (some[:-1], some[1:]))[0]
 
-    return jax.lax.scan(one, worn, (some[:-1], some[1:]))[0]
+    return one_by_one(through)(numbers, *constant((worn, some)))
 
 
 def lost_at(slot: WearSlot, before: Array, after: Array) -> tuple[Array, Array]:
@@ -94,17 +102,48 @@ def lost_at(slot: WearSlot, before: Array, after: Array) -> tuple[Array, Array]:
     return change[0], sp.stack(features)
 
 
-def deposit(system: System, layout: Layout, worn: Worn, before: Array, after: Array) -> Worn:
-    """Depth maps after what was lost between two states."""
+def losses(layout: Layout, before: Array, after: Array) -> Losses:
+    """What each surface lost between two states."""
     lost: dict[tuple[str, str], list] = {}
     for slot in layout.wear:
-        volume, features = lost_at(slot, before, after)
-        of_surface = lost.setdefault((slot.bearing, slot.surface), [])
-        of_surface.append((volume, features))
+        lost.setdefault((slot.bearing, slot.surface), []).append(lost_at(slot, before, after))
+    return {
+        surface: tuple(jnp.stack(parts) for parts in zip(*events, strict=True))
+        for surface, events in lost.items()
+    }
+
+
+def deposited(system: System, worn: Worn, lost: Losses) -> Worn:
+    """Depth maps after these losses."""
     worn, maps = {name: dict(surfaces) for name, surfaces in worn.items()}, wear_maps(system)
-    for (bearing, surface), events in lost.items():
+    for (bearing, surface), (volumes, places) in lost.items():
         wear_map = maps[bearing][surface][0]
-        volumes, places = (jnp.stack(parts) for parts in zip(*events, strict=True))
         # All events of a surface see it as it was: none comes before the others.
         worn[bearing][surface] = wear_map.deposit(worn[bearing][surface], volumes, places)
     return worn
+
+
+def worn_at_once(system: System, worn: Worn, _: Worn, lost: Losses) -> tuple[Worn, Worn]:
+    """Depth maps after these losses, and as gaps read them."""
+    worn = deposited(system, worn, lost)
+    return worn, readings(system, worn)
+
+
+def worn_where_lost(system: System, worn: Worn, read: Worn, lost: Losses) -> tuple[Worn, Worn]:
+    """As `worn_at_once`, and surfaces that lost nothing stay as they are. Of a batch one sample
+    after the other, so that each enters only what its own losses ask for. Not for derivatives in
+    reverse mode."""
+    if not lost:
+        return worn, read
+    numbers, rest = eqx.partition(system, eqx.is_array)
+
+    def one(numbers, worn, read, lost):
+        # A loop of one turn or none: XLA makes one function of a loop that stands by itself. In a
+        # turn of a longer loop it starts operation by operation, some in another thread.
+        some = [jnp.any(volumes != 0) for volumes, _ in lost.values()]
+        system = eqx.combine(numbers, rest)
+        turn = lambda now: (jnp.zeros((), bool), *worn_at_once(system, now[1], now[2], lost))
+        begin = jnp.any(jnp.stack(some)), worn, read
+        return jax.lax.while_loop(lambda now: now[0], turn, begin)[1:]
+
+    return one_by_one(one)(numbers, worn, read, lost)

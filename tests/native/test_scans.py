@@ -208,7 +208,17 @@ def test_parts_go_to_their_places(way, monkeypatch):
     same(jax.jit(WAYS[way](lambda p: through(by_parts, while_loop, p)))(PLACE), wanted)
 
 
-def test_a_table_with_rows_of_nobody_is_refused():
-    kept = [Kept(np.array([0, 2]), 3)]
-    with pytest.raises(ValueError, match="rows that no turn leaves"):
+@pytest.mark.parametrize(
+    "places, height, sentence",
+    [
+        ([0, 2], 3, "rows that no turn leaves"),
+        ([-1, 0], 1, "places below 0"),
+        ([0, 0], 0, "has 0 rows"),
+        ([0, 1, 2], 3, "a whole number for each"),
+        ([0.0, 1.0], 2, "a whole number for each"),
+    ],
+)
+def test_a_table_that_is_none_is_refused(places, height, sentence):
+    kept = [Kept(np.array(places), height)]
+    with pytest.raises(ValueError, match=sentence):
         scan(lambda state, row: (state, (row,)), jnp.zeros(()), jnp.zeros(2), kept)

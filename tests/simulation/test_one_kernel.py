@@ -13,6 +13,7 @@ from jaxclear.integrators.checks import Check
 from jaxclear.multibody.assembly import assemble_arrays
 from jaxclear.native import kernel, loop
 from jaxclear.simulation import loop as simulation
+from jaxclear.simulation import turns, wear
 from jaxclear.simulation.simulate import saving_times
 
 RUNGS = {
@@ -112,3 +113,43 @@ def test_slopes_through_the_one_kernel_are_those_by_saving_interval(rung, monkey
     wanted = slopes()
     assert np.all(np.isfinite(found)) and np.max(np.abs(found)) > 0
     np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9 * np.max(np.abs(wanted)))
+
+
+def worn(rung, mass):
+    """States and worn depths of a run of seven saving times, for a rod of some mass."""
+    integrator = RUNGS[rung]
+    rig = jc.scenes.slider_crank(wear=True)
+    other = integrator.formulation.seen(eqx.tree_at(lambda m: m.bodies["rod"].mass, rig, mass))
+    start = assemble_arrays(other)
+    times = saving_times(0.01, 7)
+    run = simulation.run(other, start.coordinates, start.speeds, times, integrator)
+    return run.states, run.worn
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rung", ["fixed", "implicit", "Moreau-Jean"])
+def test_where_surfaces_wear_a_turn_is_one_kernel(rung, monkeypatch):
+    """Its numbers, their slopes, and both of a batch are those of a run that XLA goes through, with
+    every surface worn at every saving time."""
+    built, build = [], kernel.build
+    monkeypatch.setattr(
+        loop.kernels, "build", lambda program, lanes: built.append(program) or build(program, lanes)
+    )
+
+    def told():
+        masses = jnp.array([0.2, 0.21, 0.19])
+        alone = lambda mass: worn(rung, mass)
+        slopes = jax.jit(jax.vmap(jax.jacfwd(lambda m: alone(m[0] + m[1]))))
+        pairs = jnp.stack([masses, jnp.zeros(3)], axis=1)
+        return jax.jit(alone)(masses[0]), jax.jit(jax.vmap(alone))(masses), slopes(pairs)
+
+    found = told()
+    own = [program.length for program in built if not program.once and program.length != 7]
+    assert own and set(own) == {1}
+    monkeypatch.setattr(turns, "_as_a_kernel", turns._as_it_is)
+    monkeypatch.setattr(turns, "worn_where_lost", wear.worn_at_once)
+    wanted = told()
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        assert one.shape == other.shape and np.all(np.isfinite(one))
+        allowed = 1e-7 * np.max(np.abs(other), initial=0.0)
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=allowed)
