@@ -18,10 +18,6 @@ from jaxclear.integrators import Outcome
 from jaxclear.simulation.simulate import run
 from jaxclear.studies.batch import evaluate_all
 
-# jaxclear saves this often within a saving interval of the others, and looks this often between two
-# of its own: forces are wanted every 2 us or so, and what lies between two saved states follows
-# from their speeds.
-FINER_SAVES, LOOKS = 4, 6
 # Samples a chunk of adaptive runs, which wait for the slowest of their chunk.
 FEW = 16
 
@@ -57,39 +53,21 @@ JAXCLEAR = {
 }
 
 
-def peak_force(trajectory: jc.Trajectory) -> jax.Array:
-    """Largest contact force, between the saved states too: coordinates by Hermite's cubic, their
-    speeds by its derivative.
-    """
-    t, states = trajectory.time, trajectory.states
-    n = trajectory.mechanism.topology.coordinate_count
-    h = (t[1:] - t[:-1])[:, None, None]
-    before, after = states[:-1, None], states[1:, None]
-    s = jnp.linspace(0.0, 1.0, LOOKS, endpoint=False)[None, :, None]
-    q0, q1, v0, v1 = before[..., :n], after[..., :n], before[..., n : 2 * n], after[..., n : 2 * n]
-    slope = (q1 - q0) / h
-    bend, twist = 3 * slope - 2 * v0 - v1, v0 + v1 - 2 * slope
-    q = q0 + h * s * (v0 + s * (bend + s * twist))
-    v = v0 + s * (2 * bend + 3 * s * twist)
-    rest = jnp.broadcast_to(after[..., 2 * n :], (*q.shape[:2], states.shape[1] - 2 * n))
-    fine = jnp.concatenate([q, v, rest], axis=-1).reshape(-1, states.shape[1])
-    times = (t[:-1, None] + (t[1:] - t[:-1])[:, None] * s[0, :, 0]).reshape(-1)
-    closer = eqx.tree_at(lambda r: (r.time, r.states), trajectory, (times, fine))
-    return jnp.max(closer.contact("B").normal_force)
+PEAK = jc.response.PeakContactForce("B")
 
 
 @eqx.filter_jit
 def _run(mechanism, coordinates, speeds, times, integrator):
     found = run(mechanism, coordinates, speeds, times, integrator)
-    places = found.coordinate("G")[FINER_SAVES::FINER_SAVES, 0]
-    return places, peak_force(found), found.accepted_steps + found.rejected_steps
+    places = found.coordinate("G")[1:, 0]
+    return places, PEAK(found), found.accepted_steps + found.rejected_steps
 
 
 def program(name: str, entry: Entry, question: rig.Question) -> Program:
     """jaxclear as a program among others."""
     mechanism = rig.mechanism()
     start = jc.assemble(mechanism)
-    times = jnp.linspace(0.0, question.duration, question.saves * FINER_SAVES + 1)
+    times = jnp.linspace(0.0, question.duration, question.saves + 1)
 
     def alone(setting):
         found = _run(mechanism, start.coordinates, start.speeds, times, entry.integrator(setting))
@@ -100,7 +78,7 @@ def program(name: str, entry: Entry, question: rig.Question) -> Program:
     def problem(setting):
         return jc.Problem(
             mechanism,
-            {"peak": peak_force, "place": jc.response.FinalCoordinate("G", unit="m")},
+            {"peak": PEAK, "place": jc.response.FinalCoordinate("G", unit="m")},
             {
                 "clearance": jc.Variable(
                     lambda m: m.connections["B"].joint.clearance, tolerance=0.1e-3
@@ -108,7 +86,7 @@ def program(name: str, entry: Entry, question: rig.Question) -> Program:
             },
             duration=question.duration,
             integrator=entry.integrator(setting),
-            save=question.saves * FINER_SAVES + 1,
+            save=question.saves + 1,
         )
 
     def batch(setting, clearances):

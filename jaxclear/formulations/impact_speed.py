@@ -8,8 +8,9 @@ end of the step in which it falls the law takes the rate of the moment for the i
 first they are the same.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -89,21 +90,31 @@ class Passage(NamedTuple):
     after: ContactMotion
 
 
-def passage(path: tuple, level: Scalar, last: Array) -> Array:
+def passage(path: tuple, level: Scalar, last: Array, wanted: Any = None) -> Array:
     """The share of the step at which the cubic passes a level between its start and the share
     `last`, on whose other side it is there. Newton's method, halving where he leaves the
-    bracket: in flight it is all but straight."""
+    bracket: in flight it is all but straight. Where it is not `wanted` nothing is searched for;
+    None stands for always, and has derivatives in reverse mode too."""
     low, high = jnp.zeros_like(last), last
     first, there = path[0] - level, cubic(path, last)[0] - level
     share = jnp.clip(last * safe_divide(first, first - there), 0.0, last)
-    for _ in range(STEPS):
+
+    def one(low, high, share):
         value, slope = cubic(path, share)
         early = (value >= level) == (first >= 0)
         low, high = jnp.where(early, share, low), jnp.where(early, high, share)
         newton = share - safe_divide(value - level, slope)
         inside = (newton >= low) & (newton <= high)
-        share = jnp.where(inside, newton, 0.5 * (low + high))
-    return share
+        return low, high, jnp.where(inside, newton, 0.5 * (low + high))
+
+    found = low, high, share
+    if wanted is None:
+        for _ in range(STEPS):
+            found = one(*found)
+        return found[2]
+    turns = jnp.where(wanted, STEPS, 0)
+    turn = lambda carry: (carry[0] + 1, *one(*carry[1:]))
+    return jax.lax.while_loop(lambda carry: carry[0] < turns, turn, (jnp.zeros((), int), *found))[3]
 
 
 def end_at_passage(
@@ -138,7 +149,7 @@ def end_at_passage(
     )
     path = tuple(jnp.where(soon, a, b) for a, b in zip(early, late, strict=True))
     last = jnp.where(soon, summit_early, summit_late)
-    within = passage(path, 0.5 * beyond, last)
+    within = passage(path, 0.5 * beyond, last, jnp.any(soon | then))
     shares = 0.5 * (within + jnp.where(soon, 0.0, 1.0))
     told = (soon | then) & (jnp.minimum(shares, 1 - shares) * length > least)
     return jnp.min(jnp.where(told, shares, 1.0), initial=1.0)

@@ -17,13 +17,14 @@ from jaxclear.integrators.base import (
     Advance,
 )
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.error_control import Solved, solve, stepped_by_hand
 from jaxclear.integrators.impacts import EndingAtTouches, TakingImpactSpeeds
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.state_group import state_group
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.system import longest_arm
-from jaxclear.native import with_fast_loops
+from jaxclear.native import size_of, with_fast_loops
 
 # Share of the time at which a step is given up: a few roundings, below which time stands still.
 SMALLEST_STEP = 1e-14
@@ -111,7 +112,9 @@ class Adaptive(AbstractIntegrator):
         def solve(*numbers):
             return self._solve(rest, *numbers)
 
-        return with_fast_loops(solve)(arrays, interval, state, warm_start)
+        if stepped_by_hand(self.solver) is None:
+            solve = with_fast_loops(solve)
+        return solve(arrays, interval, state, warm_start)
 
     def _controller(self, model, interval, usual):
         """The error control of an interval in which a step has a `usual` length [s], which ends
@@ -150,12 +153,13 @@ class Adaptive(AbstractIntegrator):
         group, field_of = state_group(model), term.vector_field
         return GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
 
-    def _solver(self, rest):
+    def _solver(self, rest, equations):
         """The solver, which looks at contacts where there are any: laws may ask for impact speeds,
-        and without them it would step over touches."""
+        and without them it would step over touches. `equations`: so many are in a rate."""
         formulation = self.formulation
+        solver = stepped_by_hand(self.solver, equations) or self.solver
         if not rest.system.bearings:
-            return self.solver
+            return solver
 
         def contacts(time, y, arrays):
             return formulation.contacts(eqx.combine(arrays, rest), time, y)
@@ -163,7 +167,7 @@ class Adaptive(AbstractIntegrator):
         def remember(y, before, after, length, arrays):
             return formulation.remember(eqx.combine(arrays, rest), y, before, after, length)
 
-        return TakingImpactSpeeds(self.solver, contacts, remember, rest.events)
+        return TakingImpactSpeeds(solver, contacts, remember, rest.events)
 
     def _solve(self, rest, arrays, interval, state, step) -> Advance:
         formulation, (start, stop) = self.formulation, interval[:2]
@@ -176,38 +180,55 @@ class Adaptive(AbstractIntegrator):
             return formulation.rate(eqx.combine(arrays, rest), time, y)[0]
 
         model = eqx.combine(arrays, rest)
-        solution = diffrax.diffeqsolve(
+        first = jnp.where(step > 0, interval.share * usual, 1e-2 * length)
+        found, failed = self._solved(
             self._term(model, rates),
-            self._solver(rest),
+            self._solver(rest, size_of(jax.make_jaxpr(rates)(arrays, start, state))),
+            self._controller(model, interval, usual),
+            (start, stop, first),
+            state,
+            arrays,
+        )
+        # A remainder of rounding before `stop` is shorter than the smallest step, but it has been
+        # taken.
+        reached = (failed == Outcome.REACHED) | (found.time >= stop)
+        typical = (jnp.where(reached, stop, found.time) - start) / jnp.maximum(found.accepted, 1)
+        outcome = jnp.where(reached, Outcome.REACHED, failed)
+        figures, events = {}, None
+        if rest.system.bearings:
+            _, _, figures[Check.INDENTATION], events = found.kept
+        return Advance(
+            found.state, found.accepted, found.rejected, typical, outcome, figures, events
+        )
+
+    def _solved(self, term, solver, controller, span, state, args):
+        """Where a solver ends, and why where that is before the end."""
+        if stepped_by_hand(self.solver) is not None:
+            found = solve(term, solver, controller, span, state, args, self.most_steps)
+            short = jnp.where(found.time < span[1], Outcome.TOO_MANY_STEPS, Outcome.REACHED)
+            return found, jnp.where(found.too_small, Outcome.STEP_TOO_SMALL, short)
+        start, stop, first = span
+        solution = diffrax.diffeqsolve(
+            term,
+            solver,
             start,
             stop,
-            jnp.where(step > 0, interval.share * usual, 1e-2 * length),
+            first,
             state,
-            args=arrays,
-            stepsize_controller=self._controller(model, interval, usual),
-            saveat=diffrax.SaveAt(t1=True, solver_state=bool(rest.system.bearings)),
+            args=args,
+            stepsize_controller=controller,
+            saveat=diffrax.SaveAt(t1=True, solver_state=isinstance(solver, TakingImpactSpeeds)),
             max_steps=self.most_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,
         )
-        results, time = diffrax.RESULTS, solution.ts[-1]
-        failed = jnp.where(
-            solution.result == results.max_steps_reached,
-            Outcome.TOO_MANY_STEPS,
-            Outcome.STEP_TOO_SMALL,
-        )
-        # A remainder of rounding before `stop` is shorter than the smallest step, but it has been
-        # taken.
-        reached = (solution.result == results.successful) | (time >= stop)
-        accepted, rejected = (
-            solution.stats[f"num_{kind}_steps"] for kind in ("accepted", "rejected")
-        )
-        typical = (jnp.where(reached, stop, time) - start) / jnp.maximum(accepted, 1)
-        outcome = jnp.where(reached, Outcome.REACHED, failed)
-        figures, events = {}, None
-        if rest.system.bearings:
-            _, _, figures[Check.INDENTATION], events = solution.solver_state
-        return Advance(solution.ys[-1], accepted, rejected, typical, outcome, figures, events)
+        results, counts = diffrax.RESULTS, solution.stats
+        steps = counts["num_accepted_steps"], counts["num_rejected_steps"]
+        too_many = solution.result == results.max_steps_reached
+        fine = solution.result == results.successful
+        failed = jnp.where(too_many, Outcome.TOO_MANY_STEPS, Outcome.STEP_TOO_SMALL)
+        found = Solved(solution.ts[-1], solution.ys[-1], solution.solver_state, *steps, ~fine)
+        return found, jnp.where(fine, Outcome.REACHED, failed)
 
 
 def _largest(weights, error):

@@ -65,6 +65,7 @@ from jaxclear.native.columns import by_columns
 from jaxclear.native.differentiation import forwards_only
 from jaxclear.native.loop import has_kernels
 from jaxclear.native.one_by_one import one_by_one
+from jaxclear.native.program import size_of
 from jaxclear.native.rows import one_row, over_rows, through_rows
 from jaxclear.native.stopping import stop, stoppable, stops
 from jaxclear.native.verdicts import calls_lapack, explain, verdict
@@ -82,6 +83,7 @@ __all__ = [
     "one_row",
     "over_rows",
     "scan",
+    "size_of",
     "stop",
     "stoppable",
     "stops",

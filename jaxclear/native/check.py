@@ -26,8 +26,8 @@ AGREEMENT, NUDGE, MARGIN, VAGUE = 1e-9, 4e-16, 1e3, 1e-3
 # What the state of each sample of a draw is multiplied by; the last two by signs as well, which are
 # the same in every draw, and opposite in the two.
 SIZES = (1.0, 1e-3, -10.0)
-# Draws that are asked where the first one disagrees.
-SECOND_LOOKS = (1, 2)
+# Draws that are asked where the first one disagrees, until two of them tell.
+SECOND_LOOKS = (1, 2, 3, 4)
 # Draws that are asked where none of these tells, their numbers of either sign: a product of several
 # matrices of positive numbers is nearly singular (as of many frames one upon the other), and what
 # is solved with it is rounding. Two of them must tell.
@@ -41,15 +41,20 @@ def check(program: Program, address: int) -> None:
 
     Where a difference of like numbers is exactly zero in one order of operations and rounding in
     the other, a choice or a quotient that hangs on it differs wholly. That does not recur: two
-    more draws that agree outweigh it, and a fault shows there too. States of either sign may be
-    none that the loop was written for: there one draw that agrees outweighs the others.
+    more draws that tell, and no other that disagrees, outweigh it, and a fault shows there too.
+    States of either sign may be none that the loop was written for: there one draw that agrees
+    outweighs the others.
     """
     turn = evaluator(program.body)
     first, anywhere = _agrees(program, address, turn, 0)
     if all(first) and anywhere:
         return
-    looks = [_agrees(program, address, turn, draw) for draw in SECOND_LOOKS]
-    usual = all(first) or all(all(look[0]) for look in looks)
+    looks: list = []
+    for draw in SECOND_LOOKS:
+        if sum(tells for (_, tells), _ in looks) < 2:
+            looks.append(_agrees(program, address, turn, draw))
+    agree = all(close for (close, _), _ in looks)
+    usual = all(first) or (agree and sum(tells for (_, tells), _ in looks) >= 2)
     if not usual and all(close for (close, _), _ in [(first, anywhere), *looks]):
         found = [_agrees(program, address, turn, draw)[0] for draw in SIGNED]
         close, tell = zip(*found, strict=True)

@@ -1,12 +1,9 @@
 """Rules for choices and loops. Every sample takes its own number of turns."""
 
-from typing import Any
-
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from jaxclear.native.arithmetic import compare
-from jaxclear.native.program import scan_counts
+from jaxclear.native.program import scan_counts, size_of
 from jaxclear.native.rules import array_of, each, refuse_memory, rule, write_closed
 from jaxclear.native.turning import loop, phi, phi_of_turns
 from jaxclear.native.writer import TRUTH, WHOLE, Unsupported, kind_of
@@ -63,15 +60,6 @@ def _scan(writer, equation, *arguments):
     if p["reverse"]:
         collected.reverse()
     return carry + [np.stack(parts) for parts in zip(*collected, strict=True)]
-
-
-def size_of(program: Any) -> int:
-    """Equations of a program, those of programs within it included."""
-    total = 0
-    for equation in getattr(program, "jaxpr", program).eqns:
-        inner = [v for v in equation.params.values() if isinstance(v, (Jaxpr, ClosedJaxpr))]
-        total += sum(map(size_of, inner)) if inner else 1
-    return total
 
 
 def _counted_loop(writer, body, fixed, carry, rows, length, kinds):

@@ -122,3 +122,12 @@ def loops_marked(program: Any, within: bool) -> Any:
         for equation in program.eqns
     ]
     return program.replace(eqns=equations)
+
+
+def size_of(program: Any) -> int:
+    """Equations of a program, those of programs within it included."""
+    total = 0
+    for equation in getattr(program, "jaxpr", program).eqns:
+        inner = [v for v in equation.params.values() if isinstance(v, (Jaxpr, ClosedJaxpr))]
+        total += sum(map(size_of, inner)) if inner else 1
+    return total

@@ -1,0 +1,203 @@
+"""Steps under error control in a loop of our own: the method is the user's diffrax solver's, the
+lengths are his controller's, both stepped by hand.
+
+`diffrax.diffeqsolve` does more than our runs need in every step (saved rows, dense output,
+checkpoints of its stages), and a stage of an explicit method costs it as much as the equations of a
+small mechanism. What this loop does not cover is its business still: implicit solvers, and those
+that step in a way of their own.
+"""
+
+import functools
+import operator
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.ground.quantity import Scalar
+from jaxclear.native import while_loop
+from jaxclear.native.writer import LONGEST_IN_REGISTERS
+
+# Up to so many equations of a rate all stages are written out: a loop over them costs more.
+FEW_EQUATIONS = 500
+# A step that would leave less than so many roundings to the end of an interval ends there.
+ROUNDINGS = 100 * float(np.finfo(float).eps)
+
+
+class Stages(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
+    """`solver`, an explicit Runge-Kutta method, by its tableau. Its stages are a loop, so that the
+    equations stand in the program once; or `written_out`, where weights that are 0 cost nothing.
+
+    Its state between steps: the slope at which the next one begins, where the last stage was that;
+    of the loop the number of the stage that it begins with, and the last slope.
+    """
+
+    solver: diffrax.AbstractERK  # type: ignore[misc]
+    written_out: bool = eqx.field(static=True)
+
+    @property
+    def term_structure(self):
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self):
+        return self.solver.interpolation_cls
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+    def init(self, terms, t0, t1, y0, args):
+        if not self.written_out:
+            return jnp.zeros((), int), jnp.zeros_like(y0)
+        return terms.vf(t0, y0, args) if self.solver.tableau.fsal else None
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        table, h = self.solver.tableau, t1 - t0
+        rate = lambda node, y: terms.vf(t0 + node * h, y, args)
+        go = _written_out if self.written_out else _in_turn
+        slopes, kept = go(table, rate, h, y0, solver_state)
+        y1 = y0 + h * _weighed(table.b_sol, slopes)
+        error = h * _weighed(table.b_error, slopes)
+        dense = {"y0": y0, "y1": y1, "k": h * slopes}
+        return y1, error, dense, kept, diffrax.RESULTS.successful
+
+
+def _in_turn(table, rate, h, y0, before):
+    """Slopes of all stages of a step h [s], and the state between steps."""
+    count, (begin, slope) = table.num_stages, before
+    nodes, matrix = (jnp.asarray(each) for each in _rows(table))
+
+    # The last of the slopes is the newest.
+    def stage(carry):
+        i, slopes = carry
+        slope = rate(nodes[i], y0 + h * jnp.sum(matrix[i][:, None] * slopes, 0))
+        return i + 1, jnp.concatenate([slopes[1:], slope[None]])
+
+    slopes = jnp.concatenate([jnp.zeros((count - 1, len(slope))), slope[None]])
+    _, slopes = jax.lax.while_loop(lambda carry: carry[0] < count, stage, (begin, slopes))
+    return slopes, (jnp.full((), int(table.fsal)), slopes[-1])
+
+
+def _written_out(table, rate, h, y0, first):
+    """The same."""
+    slopes = [rate(0.0, y0) if first is None else first]
+    for node, row in zip(table.c, table.a_lower, strict=True):
+        slopes.append(rate(node, y0 + h * _weighed(row, slopes)))
+    return jnp.stack(slopes), slopes[-1] if table.fsal else None
+
+
+def _weighed(weights, slopes):
+    """Sum of the slopes by their weights."""
+    parts = [float(w) * slope for w, slope in zip(weights, slopes, strict=True) if w != 0]
+    return functools.reduce(operator.add, parts)
+
+
+def _rows(table: diffrax.ButcherTableau) -> tuple[np.ndarray, np.ndarray]:
+    """The node of every stage, and its weights of the slopes before it, behind zeros for those that
+    are not there yet; more rows than stages, so that a kernel reads them from memory instead of
+    choosing among them."""
+    count = table.num_stages
+    weights = np.zeros((max(count, 1 + LONGEST_IN_REGISTERS // count), count))
+    for i, row in enumerate(table.a_lower, 1):
+        weights[i, count - len(row) :] = row
+    nodes = np.zeros(LONGEST_IN_REGISTERS + 1)
+    nodes[1:count] = table.c
+    return nodes, weights
+
+
+def stepped_by_hand(solver: Any, equations: int = 0) -> diffrax.AbstractSolver | None:
+    """What `solve` steps by in the place of a solver, where a rate takes so many equations of a
+    program; None where that is not for it."""
+    if not isinstance(solver, diffrax.AbstractERK):
+        return None
+    own = type(solver).step is not diffrax.AbstractERK.step
+    if own or not isinstance(solver.tableau, diffrax.ButcherTableau):
+        return None
+    return Stages(solver, equations <= FEW_EQUATIONS)
+
+
+class Solved(NamedTuple):
+    """Where `solve` ended: time [s], state, what its solver keeps between steps, steps accepted
+    and rejected, and whether a step would have been too small."""
+
+    time: Scalar
+    state: Any
+    kept: Any
+    accepted: Any
+    rejected: Any
+    too_small: Any
+
+
+class _Turn(NamedTuple):
+    """`start` and `stop` [s] of the step to try."""
+
+    start: Any
+    stop: Any
+    state: Any
+    kept: Any
+    control: Any
+    accepted: Any
+    rejected: Any
+    fine: Any
+
+
+def solve(
+    term: diffrax.AbstractTerm,
+    solver: Any,
+    controller: Any,
+    span: tuple[Scalar, Scalar, Scalar],
+    state: Any,
+    args: Any,
+    most: int,
+) -> Solved:
+    """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
+    the same steps to rounding."""
+    begin, end, first = span
+    order = solver.error_order(term)
+    until, control = controller.init(term, begin, end, state, first, args, solver.func, order)
+    until = _clipped(begin, until, end, True)
+    kept = solver.init(term, begin, until, state, args)
+
+    def turn(now):
+        y, error, _, after, _ = solver.step(
+            term, now.start, now.stop, now.state, args, now.kept, False
+        )
+        error = jax.tree.map(lambda each: jnp.where(jnp.isnan(each), jnp.inf, each), error)
+        keep, start, stop, _, control, result = controller.adapt_step_size(
+            now.start, now.stop, now.state, y, args, error, order, now.control
+        )
+        start = jnp.minimum(start, end)
+        choose = lambda new, old: jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
+        return _Turn(
+            start,
+            _clipped(start, stop, end, keep),
+            choose(y, now.state),
+            choose(after, now.kept),
+            control,
+            now.accepted + keep,
+            now.rejected + ~keep,
+            result == diffrax.RESULTS.successful,
+        )
+
+    def more(now):
+        return (now.start < end) & now.fine & (now.accepted + now.rejected < most)
+
+    none = jnp.zeros((), int)
+    last = while_loop(more, turn, _Turn(begin, until, state, kept, control, none, none, True))
+    return Solved(last.start, last.state, last.kept, last.accepted, last.rejected, ~last.fine)
+
+
+def _clipped(start, stop, end, keep):
+    """The end of the next step, not beyond that of the interval: there after a step that was kept,
+    halfway after one that was not."""
+    beyond = stop > end - ROUNDINGS * jnp.abs(end)
+    return jnp.where(beyond, jnp.where(keep, end, start + 0.5 * (end - start)), stop)
