@@ -14,7 +14,7 @@ import equinox as eqx
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import alone, arguments, report
+from benchmarks.measure import alone, arguments, report, sign
 from jaxclear.integrators import Outcome
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.batch import evaluate_all
@@ -144,6 +144,7 @@ def main() -> None:
             rows,
             options,
         )
+    sign("benchmarks.claims.four_bar", options.json)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.by_hand import slider_crank as in_numba
 from benchmarks.by_hand import slider_crank_in_c as in_c
-from benchmarks.measure import arguments, report, side_by_side
+from benchmarks.measure import arguments, report, side_by_side, sign
 from benchmarks.peers import programs as others
 from benchmarks.peers import rig, with_jaxclear, with_mujoco
 from benchmarks.peers.rig import Answer, Batch, Program
@@ -330,6 +330,7 @@ def main() -> None:
         options,
     )
     report("targets", target_rows(alone, batch, found), options)
+    sign("benchmarks.peers.slider_crank", options.json)
 
 
 if __name__ == "__main__":

@@ -51,7 +51,8 @@ class Adaptive(AbstractIntegrator):
     coordinate, speed and deflection of bristles; worn volumes and energies follow the motion. Where
     joints have clearance both tolerances count as at rtol 3e-7 at the loosest (4e-4 of the
     narrowest gap beside the longest arm, where that is less): impacts make errors grow, and looser
-    runs save next to no time. A step in which a contact closes or parts is repeated to end there.
+    runs save next to no time. A step in which a contact closes or parts is repeated to end there;
+    steps end at saving times too, so saving more often than steps are long costs as many more.
     In a batch all samples wait for the slowest. A derivative through contacts is not to be trusted
     (off by 52 % in a measurement) and is refused; see `jaxclear.sensitivity`. Stiff scenes (large
     friction over tiny transition speeds) may prefer an implicit solver, best with a full Newton
@@ -100,7 +101,7 @@ class Adaptive(AbstractIntegrator):
         return CompliantContact()
 
     def first_warm_start(self, model, start, state):
-        """A typical step [s]; 0: not known."""
+        """How long a step may be [s]; 0: not known."""
         return jnp.zeros(())
 
     def advance(self, model, interval, state, warm_start):
@@ -192,13 +193,12 @@ class Adaptive(AbstractIntegrator):
         # A remainder of rounding before `stop` is shorter than the smallest step, but it has been
         # taken.
         reached = (failed == Outcome.REACHED) | (found.time >= stop)
-        typical = (jnp.where(reached, stop, found.time) - start) / jnp.maximum(found.accepted, 1)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
         figures, events = {}, None
         if rest.system.bearings:
             _, _, figures[Check.INDENTATION], events = found.kept
         return Advance(
-            found.state, found.accepted, found.rejected, typical, outcome, figures, events
+            found.state, found.accepted, found.rejected, found.wish, outcome, figures, events
         )
 
     def _solved(self, term, solver, controller, span, state, args):
@@ -227,7 +227,9 @@ class Adaptive(AbstractIntegrator):
         too_many = solution.result == results.max_steps_reached
         fine = solution.result == results.successful
         failed = jnp.where(too_many, Outcome.TOO_MANY_STEPS, Outcome.STEP_TOO_SMALL)
-        found = Solved(solution.ts[-1], solution.ys[-1], solution.solver_state, *steps, ~fine)
+        typical = (solution.ts[-1] - start) / jnp.maximum(steps[0], 1)
+        ended = solution.ts[-1], solution.ys[-1], solution.solver_state
+        found = Solved(*ended, *steps, ~fine, typical)
         return found, jnp.where(fine, Outcome.REACHED, failed)
 
 

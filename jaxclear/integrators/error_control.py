@@ -127,7 +127,8 @@ def stepped_by_hand(solver: Any, equations: int = 0) -> diffrax.AbstractSolver |
 
 class Solved(NamedTuple):
     """Where `solve` ended: time [s], state, what its solver keeps between steps, steps accepted
-    and rejected, and whether a step would have been too small."""
+    and rejected, whether a step would have been too small, and how long the next step may be
+    [s]."""
 
     time: Scalar
     state: Any
@@ -135,10 +136,12 @@ class Solved(NamedTuple):
     accepted: Any
     rejected: Any
     too_small: Any
+    wish: Scalar
 
 
 class _Turn(NamedTuple):
-    """`start` and `stop` [s] of the step to try."""
+    """`start` and `stop` [s] of the step to try, and the length [s] it would have if the interval
+    did not end."""
 
     start: Any
     stop: Any
@@ -148,6 +151,7 @@ class _Turn(NamedTuple):
     accepted: Any
     rejected: Any
     fine: Any
+    wish: Any
 
 
 def solve(
@@ -164,36 +168,46 @@ def solve(
     begin, end, first = span
     order = solver.error_order(term)
     until, control = controller.init(term, begin, end, state, first, args, solver.func, order)
+    wish = until - begin
     until = _clipped(begin, until, end, True)
     kept = solver.init(term, begin, until, state, args)
-
-    def turn(now):
-        y, error, _, after, _ = solver.step(
-            term, now.start, now.stop, now.state, args, now.kept, False
-        )
-        error = jax.tree.map(lambda each: jnp.where(jnp.isnan(each), jnp.inf, each), error)
-        keep, start, stop, _, control, result = controller.adapt_step_size(
-            now.start, now.stop, now.state, y, args, error, order, now.control
-        )
-        start = jnp.minimum(start, end)
-        choose = lambda new, old: jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
-        return _Turn(
-            start,
-            _clipped(start, stop, end, keep),
-            choose(y, now.state),
-            choose(after, now.kept),
-            control,
-            now.accepted + keep,
-            now.rejected + ~keep,
-            result == diffrax.RESULTS.successful,
-        )
 
     def more(now):
         return (now.start < end) & now.fine & (now.accepted + now.rejected < most)
 
+    def turn(now):
+        at = now.start, now.stop, now.state
+        y, error, _, after, _ = solver.step(term, *at, args, now.kept, False)
+        error = jax.tree.map(lambda each: jnp.where(jnp.isnan(each), jnp.inf, each), error)
+        adapted = controller.adapt_step_size(*at, y, args, error, order, now.control)
+        return _after(now, y, after, adapted, end)
+
     none = jnp.zeros((), int)
-    last = while_loop(more, turn, _Turn(begin, until, state, kept, control, none, none, True))
-    return Solved(last.start, last.state, last.kept, last.accepted, last.rejected, ~last.fine)
+    first_turn = _Turn(begin, until, state, kept, control, none, none, True, wish)
+    last = while_loop(more, turn, first_turn)
+    steps = last.accepted, last.rejected
+    return Solved(last.start, last.state, last.kept, *steps, ~last.fine, last.wish)
+
+
+def _after(now, y, after, adapted, end):
+    """What follows a step that was tried: as it ended, if the controller keeps it."""
+    keep, start, stop, _, control, result = adapted
+    # A step that the end of the interval has cut says nothing against a longer one.
+    cut = keep & (now.stop - now.start < now.wish)
+    wish = jnp.where(cut, jnp.maximum(stop - start, now.wish), stop - start)
+    start = jnp.minimum(start, end)
+    choose = lambda new, old: jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
+    return _Turn(
+        start,
+        _clipped(start, stop, end, keep),
+        choose(y, now.state),
+        choose(after, now.kept),
+        control,
+        now.accepted + keep,
+        now.rejected + ~keep,
+        result == diffrax.RESULTS.successful,
+        wish,
+    )
 
 
 def _clipped(start, stop, end, keep):
