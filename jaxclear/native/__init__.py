@@ -5,7 +5,7 @@ costs more to start than to compute. A time step of a mechanism is some hundred 
 Written as one function of scalars in registers it runs at the speed of C, and several samples of a
 batch run side by side in the lanes of a vector register.
 
-The boundary is nine functions, four that tell of the program, and three for Ctrl-C:
+The boundary is nine functions, five that tell of the program, and three for Ctrl-C:
 
 - `while_loop(condition, body, first)` in the place of `jax.lax.while_loop`;
 - `scan(turn, first, rows)` in the place of `jax.lax.scan(turn, first, rows)`: loops within its
@@ -20,6 +20,8 @@ The boundary is nine functions, four that tell of the program, and three for Ctr
 - `forwards_only(sentence, numbers)`: what is not differentiated backwards, and why;
 - `verdict(after)`: a number in the compiled program, `explain(number)`: its sentence;
 - `has_kernels()`: whether loops become kernels here at all;
+- `only_kernels()`: within it a program is compiled only if its time loops are kernels, otherwise
+  it raises `NoKernel`;
 - `calls_lapack(after)`: whether the compiled program does, and cannot run beside another one;
 - `stoppable()`: what runs within it ends at once on Ctrl-C, or by `stop()` (see `stopping`);
   `stops()`: how often that happened.
@@ -68,11 +70,12 @@ from jaxclear.native.one_by_one import one_by_one
 from jaxclear.native.program import size_of
 from jaxclear.native.rows import one_row, over_rows, through_rows
 from jaxclear.native.stopping import stop, stoppable, stops
-from jaxclear.native.verdicts import calls_lapack, explain, verdict
+from jaxclear.native.verdicts import NoKernel, calls_lapack, explain, only_kernels, verdict
 from jaxclear.native.while_loops import Kept, once, scan, while_loop, with_fast_loops
 
 __all__ = [
     "Kept",
+    "NoKernel",
     "by_columns",
     "calls_lapack",
     "explain",
@@ -81,6 +84,7 @@ __all__ = [
     "once",
     "one_by_one",
     "one_row",
+    "only_kernels",
     "over_rows",
     "scan",
     "size_of",

@@ -31,7 +31,7 @@ from jaxclear.native.program import (
     row_of,
 )
 from jaxclear.native.tangent import bundled, by_portions, side_by_side
-from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, tell
+from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, left_to_xla, tell
 from jaxclear.native.writer import Unsupported
 
 LOG = logging.getLogger(__name__)
@@ -240,6 +240,7 @@ def _lower_on_cpu(ctx, *values, program, rank):
         # The fast path must not cost a run: say so, and let XLA compile the loop.
         reason = f"the kernel could not be written: {failure!r}"
     if not program.once and not program.length:
+        left_to_xla(reason)
         _warn_once(reason)
     return _lower_elsewhere(ctx, *values, program=program, rank=rank, reason=reason)
 

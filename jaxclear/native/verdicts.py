@@ -6,7 +6,10 @@ module: a number that stands for a sentence. So it travels with the compiled pro
 and threads, and a second run says what the first one said.
 """
 
+import threading
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -51,6 +54,32 @@ def calls_lapack(*after: Any) -> Any:
 def explain(number: int) -> str:
     """The sentence that a verdict stands for."""
     return SENTENCES.get(int(number), "The time loops were compiled by another process.")
+
+
+class NoKernel(Exception):
+    """A time loop of the program under way is left to XLA; the reason."""
+
+
+_ONLY = threading.local()
+
+
+@contextmanager
+def only_kernels() -> Iterator[None]:
+    """Within it no program is compiled one of whose time loops is left to XLA: `NoKernel` ends
+    that before XLA has begun."""
+    before = getattr(_ONLY, "kernels", False)
+    _ONLY.kernels = True
+    try:
+        yield
+    finally:
+        _ONLY.kernels = before
+
+
+def left_to_xla(reason: str) -> None:
+    """A time loop of the module under way has no kernel. Raises `NoKernel` within
+    `only_kernels`."""
+    if getattr(_ONLY, "kernels", False):
+        raise NoKernel(reason)
 
 
 def tell(context: Any, reason: str | None) -> None:

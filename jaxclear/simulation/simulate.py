@@ -12,7 +12,11 @@ from jaxtyping import Array
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
-from jaxclear.ground.compiling import AROUND_A_KERNEL, ONCE, compiled_quickly
+from jaxclear.ground.compiling import (
+    AROUND_A_KERNEL,
+    compiled_for_kernels,
+    compiled_quickly,
+)
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
@@ -60,7 +64,7 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past):
 
 
 _run = compiled_quickly(_both_ways, AROUND_A_KERNEL)
-_run_soon = compiled_quickly(_both_ways, ONCE)
+_run_soon = compiled_for_kernels(_both_ways)
 
 
 def saving_times(duration: Any, save: Any) -> Array:
@@ -122,8 +126,8 @@ def _check_compiling() -> None:
 
 
 def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
-    """Whether next to all work of a run is that of its kernels: then XLA need not optimise the
-    rest."""
+    """Whether next to all work of a run is that of its kernels, if it has any: then XLA need not
+    optimise the rest."""
     topology = mechanism.topology
     joints = [mechanism.connections[name].joint for name in topology.clearances]
     joints += rubbing_in(mechanism.connections).values()
