@@ -14,13 +14,24 @@ from jax.flatten_util import ravel_pytree
 
 from jaxclear.integrators import Checks
 from jaxclear.simulation.wear import Worn
-from jaxclear.studies.life.cycle import Cycle, asked_of, cycle, first_state, kind_of_cycle
+from jaxclear.studies.life.cycle import (
+    Cycle,
+    asked_of,
+    cycle,
+    cycles,
+    first_state,
+    kind_of_cycle,
+)
 from jaxclear.studies.life.nodes import Cells, Rate
 from jaxclear.studies.life.prediction import Place, predicted, units_of_coordinates
-from jaxclear.studies.life.settling import Patience, Settling, settle
+from jaxclear.studies.life.settling import Patience, Settling, settle, settle_side_by_side
 from jaxclear.studies.life.steps import CycleFailed
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store import Store
+
+# So many cycles of a motion that does not settle are simulated side by side where patience lasts
+# for so many times as many: then a life has enough of them to be worth a second program.
+LANES, WORTH = 8, 4
 
 
 class Living:
@@ -38,6 +49,8 @@ class Living:
         seen = problem.integrator.formulation.seen(problem.mechanism)
         self.units = units_of_coordinates(seen)
         self.places: list[Place] = []
+        # Where lanes go on from, of a motion that does not settle.
+        self.begins: list[Any] = []
         self.settlings: list[Settling] = []
         self.simulated = 0
         self.last_run: Any = None
@@ -49,9 +62,14 @@ class Living:
         """What a cycle wears on surfaces of these depths; not the one in which the machine is
         `set_down`. Raises `CycleFailed`."""
         depth = row[: self.count]
-        begin = predicted(self.places, depth, self.units) if self.places else self.motion
-        least = 2 if set_down else 1
-        found = settle(self._cycle, begin, self.unflat(depth), self.patience, least=least)
+        if self.begins:
+            found = settle_side_by_side(
+                self._cycles, self.begins, self.unflat(depth), self.patience, self._is_known
+            )
+        else:
+            begin = predicted(self.places, depth, self.units) if self.places else self.motion
+            least = 2 if set_down else 1
+            found = settle(self._cycle, begin, self.unflat(depth), self.patience, least=least)
         if found.last.fault:
             raise CycleFailed(found.last.fault)
         if not found.periodic:
@@ -59,8 +77,23 @@ class Living:
             self.places.clear()
         self.places.append(Place(depth, found.last.end))
         self.settlings.append(found)
+        self.begins = self._begins_after(found)
         wear = self._row(found.wear, found.lost)
         return Rate(wear, self._row(found.noise, found.noise_of_lost), len(found.cycles), found)
+
+    def _begins_after(self, found: Settling) -> list[Any]:
+        """Where lanes go on from after such cycles; none where they have settled."""
+        if found.periodic or self.patience.most < WORTH * LANES:
+            return []
+        ends = found.ends if found.lanes > 1 else found.cycles[-LANES:]
+        settled = all(one.distance <= self.patience.within for one in ends)
+        return [] if settled or len(ends) < LANES else [one.end for one in ends]
+
+    def _is_known(self, found: Settling) -> bool:
+        """Whether all that steps carry on is known as well as is asked for."""
+        noise = self._row(found.noise, found.noise_of_lost)
+        shares = self.cells.shares(noise, self._row(found.wear, found.lost))
+        return bool(shares.max(initial=0.0) <= self.patience.noise)
 
     def _row(self, depths: Worn, volumes: Worn) -> np.ndarray:
         """Depths of all cells, and behind them those of each surface as its volume has it."""
@@ -77,14 +110,34 @@ class Living:
 
     def _cycle(self, motion: Any, worn: Worn) -> Cycle:
         """A cycle, from the store where it is there."""
-        begun = flattened((motion, worn))[0]
-        known = None if self.store is None else self.store.taken(begun, self.kind)
+        known = self._taken(motion, worn)
         if known is None:
             known, self.last_run = cycle(self.asked, motion, worn)
-            if self.store is not None:
-                self.store.add(begun, known)
+            self._keep(motion, worn, known)
         self.simulated += 1
         return known
+
+    def _cycles(self, motions: Any, worn: Worn) -> list[Cycle]:
+        """A cycle of each lane, from the store where all are there."""
+        self.simulated += len(motions)
+        known = [self._taken(motion, worn) for motion in motions]
+        if all(one is not None for one in known):
+            return known
+        found = cycles(self.asked, motions, worn)
+        for motion, before, one in zip(motions, known, found, strict=True):
+            if before is None:
+                self._keep(motion, worn, one)
+        return found
+
+    def _taken(self, motion: Any, worn: Worn) -> Any:
+        """A cycle from the store; None where it is not there."""
+        if self.store is None:
+            return None
+        return self.store.taken(flattened((motion, worn))[0], self.kind)
+
+    def _keep(self, motion: Any, worn: Worn, one: Cycle) -> None:
+        if self.store is not None:
+            self.store.add(flattened((motion, worn))[0], one)
 
 
 def _worse(one: Checks, other: Checks) -> Checks:

@@ -224,7 +224,8 @@ class WearLife(eqx.Module):
                 "means over cycles, and their noise is part of that error."
             )
         if self.error > self.tolerance:
-            text += f" That is more than the {100 * self.tolerance:.2g} % asked for."
+            text += f" That is more than the {100 * self.tolerance:.2g} % asked for"
+            text += "; with a larger `most` noise is less." if restless else "."
         by_saves = float(self.by_saves.max())
         if by_saves > self.tolerance:
             text += (

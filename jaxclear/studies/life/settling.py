@@ -1,11 +1,12 @@
 """Cycles, one after the other on the same surfaces, until one ends as it began; and means over
-cycles where none does.
+cycles where none does. Where a motion is known not to settle, several lanes of cycles go on side by
+side, each by itself; then their means tell how far the mean of all is known.
 
 Surfaces are put back after every cycle: what wears in one is far below what moves a journal, and so
 the motion has a state to settle in.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +23,11 @@ MOST_CORRELATED = 0.9
 # Of a volume [m3] that is none.
 TINY = np.finfo(float).tiny
 
+# Errors are told as those of normal variables, of which 95 % lie within this many.
+NORMAL = 1.96
+
 Runner = Callable[[SavedMotion, Worn], Cycle]
+Runners = Callable[[Sequence[SavedMotion], Worn], list[Cycle]]
 
 
 class Patience(NamedTuple):
@@ -36,11 +41,13 @@ class Patience(NamedTuple):
 
 class Settling(NamedTuple):
     """The cycles of one settling, whether the last is periodic, and how many of the last ones are
-    to be taken as the motion."""
+    to be taken as the motion: those of one lane after those of the other, where there are
+    several."""
 
     cycles: tuple[Cycle, ...]
     periodic: bool
     measured: int
+    lanes: int = 1
 
     @property
     def taken(self) -> tuple[Cycle, ...]:
@@ -78,10 +85,22 @@ class Settling(NamedTuple):
         """Standard error of `lost` [m3]."""
         return self._errors([c.lost for c in self.taken])
 
+    @property
+    def ends(self) -> tuple[Cycle, ...]:
+        """The last cycle of each lane."""
+        return self.taken[:: -(self.measured // self.lanes)][::-1]
+
     def _errors(self, of_cycles: list[Worn]) -> Worn:
-        """Standard errors of means over the cycles taken, which are alike as their volumes are."""
+        """Standard errors of means over the cycles taken: those of one lane are alike as their
+        volumes are, lanes are independent."""
+        if self.lanes > 1:
+            return jax.tree.map(lambda *all: self._between_lanes(np.stack(all)), *of_cycles)
         factor = correlation_factor([total(c) for c in self.taken])
         return jax.tree.map(lambda *all: factor * standard_error(np.stack(all)), *of_cycles)
+
+    def _between_lanes(self, values: np.ndarray) -> np.ndarray:
+        """Standard error of a mean over the cycles taken, from the means of the lanes."""
+        return standard_error(values.reshape(self.lanes, -1, *values.shape[1:]).mean(axis=1))
 
     @property
     def relative_noise(self) -> float:
@@ -94,9 +113,20 @@ class Settling(NamedTuple):
         found = {}
         for name in self.last.responses:
             own = np.array([c.responses[name] for c in self.taken])
-            error = correlation_factor(own) * float(standard_error(own))
+            if self.lanes > 1:
+                error = _by_student(self.lanes) * float(self._between_lanes(own))
+            else:
+                error = correlation_factor(own) * float(standard_error(own))
             found[name] = float(own.mean()), error
         return found
+
+
+def _by_student(count: int) -> float:
+    """By how much an error is larger because so few numbers tell it. Of depths those of all stages
+    and cells add up, and are many."""
+    import scipy.stats
+
+    return float(scipy.stats.t.ppf(0.975, count - 1)) / NORMAL
 
 
 def _means(of_cycles: list[Worn]) -> Worn:
@@ -156,3 +186,28 @@ def settle(
             return found
     wanted = len(cycles) - 1 if patience.noise < 1 else len(cycles) // 2
     return Settling(tuple(cycles), False, max(1, wanted))
+
+
+def settle_side_by_side(
+    run: Runners,
+    begins: Sequence[SavedMotion],
+    worn: Worn,
+    patience: Patience,
+    known: Callable[[Settling], bool],
+) -> Settling:
+    """Lanes of cycles from several states of a motion that does not settle, until their means are
+    `known` well enough or patience ends, at least two cycles each. The first of each lane falls
+    into its place and is not taken. A cycle that fails is the last."""
+    rounds: list[list[Cycle]] = []
+    while True:
+        rounds.append(run(begins, worn))
+        fault = next((one for one in rounds[-1] if one.fault), None)
+        if fault is not None:
+            return Settling((fault,), False, 1)
+        begins = [one.end for one in rounds[-1]]
+        if len(rounds) < 2:
+            continue
+        by_lane = [one for lane in zip(*rounds[1:], strict=True) for one in lane]
+        found = Settling((*rounds[0], *by_lane), False, len(by_lane), len(begins))
+        if known(found) or (len(rounds) + 1) * len(begins) > patience.most:
+            return found
