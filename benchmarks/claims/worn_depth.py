@@ -6,6 +6,7 @@ deepest cell, volume, and CPU time beside the same run without wear, and what ha
 times. The order is that between three numbers of cells.
 """
 
+import json
 import math
 from typing import Any
 
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, side_by_side
+from benchmarks.measure import about, arguments, report, side_by_side
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wear_map import AbstractWearMap, CylinderMap
 from jaxclear.scenes.four_bar import four_bar
@@ -128,6 +129,10 @@ def main() -> None:
         report(f"worn depth: the four-bar, {name}", runs(grids, integrator), options)
     counts = COUNTS[:3] if options.quick else COUNTS
     report("worn depth: the four-bar, by saving times", by_saves(counts), options)
+    if options.json is not None:
+        told = {"about": about("benchmarks.claims.worn_depth", options.json)}
+        known = json.loads(options.json.read_text())
+        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
 
 
 if __name__ == "__main__":

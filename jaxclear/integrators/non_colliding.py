@@ -30,6 +30,7 @@ class NonColliding(AbstractIntegrator):
 
     `most_sweeps` over the joints at most, until friction changes by less than `tolerance` of its
     bound; where they end far from that (a guide about to lock itself), the run ends and says so.
+    Steps in which joints that share a closed loop come to rest together may take thousands.
     `relaxation` rounds Coulomb's law over this share of the bound: a joint then creeps, and the
     error is of its order (None: exact). `regularised` takes a friction law as the function of the
     sliding speed that it is, for comparison: the joint creeps, and steps must be short beside the
@@ -42,7 +43,7 @@ class NonColliding(AbstractIntegrator):
     projects: ClassVar = True
     step: Scalar = quantity(1e-3, "s", "largest step", above=0)
     most_sweeps: Scalar = quantity(
-        1000.0, "1", "most sweeps over the joints in a step", at_least=1, kw_only=True
+        20_000.0, "1", "most sweeps over the joints in a step", at_least=1, kw_only=True
     )
     tolerance: Scalar = quantity(
         1e-13,

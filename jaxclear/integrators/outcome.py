@@ -26,7 +26,8 @@ class Outcome(AbstractOutcome):
     LAWS_NOT_MET = (
         5,
         "The laws of contact or friction were not met: the sweeps over the joints were used up far "
-        "from their solution.",
+        "from their solution. Allow more of them (most_sweeps); joints that lock themselves "
+        "may have no solution there.",
     )
     UNASSEMBLED = 6, "The mechanism cannot be assembled."
     OUT_OF_RANGE = (

@@ -116,6 +116,21 @@ def crank(kind, at_slider=None, guess=None, **numbers):
 
 
 @pytest.mark.slow
+def test_joints_of_a_loop_that_come_to_rest_together_do_so_in_short_steps():
+    """Where the crank turns round, three joints of one freedom rest at once, and share what holds
+    it by more sweeps than elsewhere."""
+    jam = crank(jc.joint.PlainBearing, friction=jc.friction.Coulomb(mu_kinetic=0.5), radius=20e-3)
+    ends = {}
+    for step, sweeps in ((1e-5, 20_000.0), (1e-4, 20_000.0), (1e-5, 1000.0)):
+        steps = jc.integrator.NonColliding(step, most_sweeps=sweeps)
+        ends[step, sweeps] = jc.simulate(jam, 0.06, integrator=steps, save=121, throw=False)
+    short, longer, few = ends.values()
+    assert short.succeeded and jc.integrator.NonColliding().most_sweeps >= 20_000
+    np.testing.assert_allclose(short.speed("A")[-1], longer.speed("A")[-1], rtol=2e-2)
+    assert not few.succeeded and "Allow more of them (most_sweeps)" in few.result
+
+
+@pytest.mark.slow
 def test_a_plain_bearing_is_a_journal_bearing_whose_play_vanishes():
     """Where joints always touch the play does not enter the motion: the same friction in a loop,
     in its tree and where it closes."""
