@@ -205,14 +205,21 @@ def _chaotic_row(most: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    options = arguments(__doc__)
-    rows = closed_form_rows({"exponential": LAWS["exponential"]} if options.quick else LAWS)
-    report("A load that falls with wear: error and cost", rows, options)
-    report("Cycles for an error", cost_rows(rows), options)
-    if not options.quick:
-        report("A million cycles of the planar four-bar", million_rows(), options)
-        report("A million cycles of the 3RSR", parallel_rows(), options)
-        report("Lives of a slider-crank that rattles", chaotic_rows(), options)
+    more = {"only": {"default": "", "help": "only tables whose title holds this"}}
+    options = arguments(__doc__, **more)
+    laws = {"exponential": LAWS["exponential"]} if options.quick else LAWS
+    if not options.only:
+        rows = closed_form_rows(laws)
+        report("A load that falls with wear: error and cost", rows, options)
+        report("Cycles for an error", cost_rows(rows), options)
+    lives = {
+        "A million cycles of the planar four-bar": million_rows,
+        "A million cycles of the 3RSR": parallel_rows,
+        "Lives of a slider-crank that rattles": chaotic_rows,
+    }
+    for title, rows_of in lives.items():
+        if options.only in title and not options.quick:
+            report(title, rows_of(), options)
     if options.json is not None:
         told = {"about": about("benchmarks.claims.wear_life", options.json)}
         known = json.loads(options.json.read_text())

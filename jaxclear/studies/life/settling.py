@@ -99,8 +99,12 @@ class Settling(NamedTuple):
         return jax.tree.map(lambda *all: factor * standard_error(np.stack(all)), *of_cycles)
 
     def _between_lanes(self, values: np.ndarray) -> np.ndarray:
-        """Standard error of a mean over the cycles taken, from the means of the lanes."""
-        return standard_error(values.reshape(self.lanes, -1, *values.shape[1:]).mean(axis=1))
+        """Standard error of a mean over the cycles taken, from the means of the lanes; larger by
+        Student's factor, as lanes are few."""
+        import scipy.stats
+
+        means = values.reshape(self.lanes, -1, *values.shape[1:]).mean(axis=1)
+        return float(scipy.stats.t.ppf(0.975, self.lanes - 1)) / NORMAL * standard_error(means)
 
     @property
     def relative_noise(self) -> float:
@@ -114,19 +118,11 @@ class Settling(NamedTuple):
         for name in self.last.responses:
             own = np.array([c.responses[name] for c in self.taken])
             if self.lanes > 1:
-                error = _by_student(self.lanes) * float(self._between_lanes(own))
+                error = float(self._between_lanes(own))
             else:
                 error = correlation_factor(own) * float(standard_error(own))
             found[name] = float(own.mean()), error
         return found
-
-
-def _by_student(count: int) -> float:
-    """By how much an error is larger because so few numbers tell it. Of depths those of all stages
-    and cells add up, and are many."""
-    import scipy.stats
-
-    return float(scipy.stats.t.ppf(0.975, count - 1)) / NORMAL
 
 
 def _means(of_cycles: list[Worn]) -> Worn:
