@@ -12,11 +12,7 @@ from jaxtyping import Array
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
-from jaxclear.ground.compiling import (
-    AROUND_A_KERNEL,
-    compiled_for_kernels,
-    compiled_quickly,
-)
+from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
@@ -29,6 +25,7 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.beginning import beginning
 from jaxclear.simulation.bristles import told_of_bristles
+from jaxclear.simulation.by_kernels import compiled_for_kernels
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import backwards, guarded
 from jaxclear.simulation.loop import Extras, run
