@@ -25,7 +25,8 @@ def restless(rng, fault_at=None):
             end = ALIKE * begin + math.sqrt(1 - ALIKE**2) * rng.normal()
             own = {"B": {"bearing": np.array([1 + 0.1 * end])}}
             fault = "broken" if count[0] == fault_at else ""
-            found.append(SimpleNamespace(end=end, wore=own, lost=own, fault=fault, distance=1.0))
+            lost = {"B": {"bearing": 1 + 0.1 * end}}
+            found.append(SimpleNamespace(end=end, wore=own, lost=lost, fault=fault, distance=1.0))
         return found
 
     return run
@@ -58,6 +59,27 @@ def test_first_cycles_of_lanes_are_not_taken_and_patience_is_kept():
     assert len(soon.cycles) == 24 and soon.noise["B"]["bearing"][0] > 0
     failed = settled(np.random.default_rng(0), fault_at=2)
     assert failed.last.fault == "broken" and failed.measured == 1
+
+
+def beating(begins, worn):
+    """Cycles of a motion that beats: each lane's next one is that of a lane a cycle ahead."""
+    found = []
+    for begin in begins:
+        lost = 1 + 0.1 * math.sin(0.7 * begin)
+        wore, volume = {"B": {"bearing": np.array([lost])}}, {"B": {"bearing": lost}}
+        found.append(SimpleNamespace(end=begin + 1, wore=wore, lost=volume, fault="", distance=1.0))
+    return found
+
+
+def test_lanes_that_go_in_file_tell_nothing():
+    patience, never = Patience(1e-3, 0.02, 40), lambda found: False
+    assert settle_side_by_side(beating, range(LANES), {}, patience, never) is None
+    # One that leaves the path of the others after two cycles.
+    parted = lambda begins, worn: beating([b + 50 * i * (b >= 3) for i, b in enumerate(begins)], 0)
+    found = settle_side_by_side(parted, range(LANES), {}, patience, never)
+    assert found.lanes == LANES and found.measured < 32
+    far = settle_side_by_side(beating, [100 * i * i for i in range(LANES)], {}, patience, never)
+    assert far.lanes == LANES
 
 
 @pytest.fixture(scope="module")

@@ -51,6 +51,8 @@ class Living:
         self.places: list[Place] = []
         # Where lanes go on from, of a motion that does not settle.
         self.begins: list[Any] = []
+        # False from when lanes have gone in file to the end.
+        self.by_lanes = True
         self.settlings: list[Settling] = []
         self.simulated = 0
         self.last_run: Any = None
@@ -61,12 +63,13 @@ class Living:
     def evaluate(self, row: np.ndarray, set_down: bool = False) -> Rate:
         """What a cycle wears on surfaces of these depths; not the one in which the machine is
         `set_down`. Raises `CycleFailed`."""
-        depth = row[: self.count]
+        depth, found = row[: self.count], None
         if self.begins:
             found = settle_side_by_side(
                 self._cycles, self.begins, self.unflat(depth), self.patience, self._is_known
             )
-        else:
+            self.by_lanes = found is not None
+        if found is None:
             begin = predicted(self.places, depth, self.units) if self.places else self.motion
             least = 2 if set_down else 1
             found = settle(self._cycle, begin, self.unflat(depth), self.patience, least=least)
@@ -82,8 +85,9 @@ class Living:
         return Rate(wear, self._row(found.noise, found.noise_of_lost), len(found.cycles), found)
 
     def _begins_after(self, found: Settling) -> list[Any]:
-        """Where lanes go on from after such cycles; none where they have settled."""
-        if found.periodic or self.patience.most < WORTH * LANES:
+        """Where lanes go on from after such cycles; none where they have settled, or would go in
+        file."""
+        if found.periodic or not self.by_lanes or self.patience.most < WORTH * LANES:
             return []
         ends = found.ends if found.lanes > 1 else found.cycles[-LANES:]
         settled = all(one.distance <= self.patience.within for one in ends)

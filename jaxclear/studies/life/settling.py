@@ -20,6 +20,9 @@ from jaxclear.studies.life.cycle import Cycle
 FEWEST = 4
 # A correlation of neighbours above this is told from a trend by no few cycles.
 MOST_CORRELATED = 0.9
+# Lanes go in file where their cycles differ by less than this share of what independent ones would:
+# of seven pairs of those, two in a thousand.
+IN_FILE = 0.35
 # Of a volume [m3] that is none.
 TINY = np.finfo(float).tiny
 
@@ -32,7 +35,8 @@ Runners = Callable[[Sequence[SavedMotion], Worn], list[Cycle]]
 
 class Patience(NamedTuple):
     """When settling ends: ends of a cycle `within` of each other [1] (`periodicity`), the mean of
-    the volume lost known to `noise` (1: as large as itself), or after `most` cycles."""
+    the volume lost known to `noise` (1: as large as itself; of lanes: what is worn everywhere), or
+    after `most` cycles."""
 
     within: float
     noise: float
@@ -190,20 +194,35 @@ def settle_side_by_side(
     worn: Worn,
     patience: Patience,
     known: Callable[[Settling], bool],
-) -> Settling:
+) -> Settling | None:
     """Lanes of cycles from several states of a motion that does not settle, until their means are
-    `known` well enough or patience ends, at least two cycles each. The first of each lane falls
-    into its place and is not taken. A cycle that fails is the last."""
+    `known` well enough or patience ends. The first of each lane falls into its place and is not
+    taken, nor are those with which lanes go in file: they do not tell how far a mean is known. A
+    cycle that fails is the last. None where lanes go in file until patience ends."""
     rounds: list[list[Cycle]] = []
+    first = 1
     while True:
         rounds.append(run(begins, worn))
         fault = next((one for one in rounds[-1] if one.fault), None)
         if fault is not None:
             return Settling((fault,), False, 1)
         begins = [one.end for one in rounds[-1]]
-        if len(rounds) < 2:
-            continue
-        by_lane = [one for lane in zip(*rounds[1:], strict=True) for one in lane]
-        found = Settling((*rounds[0], *by_lane), False, len(by_lane), len(begins))
-        if known(found) or (len(rounds) + 1) * len(begins) > patience.most:
-            return found
+        if len(rounds) > 1 and _in_file(*rounds[-2:]):
+            first = len(rounds)
+        ends = (len(rounds) + 1) * len(begins) > patience.most
+        if first < len(rounds):
+            by_lane = [one for lane in zip(*rounds[first:], strict=True) for one in lane]
+            before = [one for lanes in rounds[:first] for one in lanes]
+            found = Settling((*before, *by_lane), False, len(by_lane), len(begins))
+            if ends or known(found):
+                return found
+        elif ends and len(rounds) > 1:
+            return None
+
+
+def _in_file(before: list[Cycle], now: list[Cycle]) -> bool:
+    """Whether each lane goes the way of the next one a cycle later: as they do that have begun one
+    after the other on one path, until neighbouring paths have parted."""
+    lost = np.array([[total(one) for one in lanes] for lanes in (before, now)])
+    apart = lost[1, :-1] - lost[0, 1:]
+    return bool(np.mean(apart * apart) < 2 * IN_FILE**2 * np.var(lost))
