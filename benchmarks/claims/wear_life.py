@@ -7,7 +7,6 @@ Cycles are all that were simulated, those in which the machine settles included.
 warm program; "first time": with compiling.
 """
 
-import json
 import math
 import time
 from typing import Any
@@ -18,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import about, arguments, report
+from benchmarks.measure import arguments, report, sign
 from tests.rigs.wearing_ring import ClosedForm, problem, wearing_ring
 
 # Depth [m] at which the force has fallen to about a half, by law.
@@ -212,6 +211,9 @@ def main() -> None:
         rows = closed_form_rows(laws)
         report("A load that falls with wear: error and cost", rows, options)
         report("Cycles for an error", cost_rows(rows), options)
+        measured = ["A load that falls with wear: error and cost", "Cycles for an error"]
+    else:
+        measured = []
     lives = {
         "A million cycles of the planar four-bar": million_rows,
         "A million cycles of the 3RSR": parallel_rows,
@@ -220,10 +222,8 @@ def main() -> None:
     for title, rows_of in lives.items():
         if options.only in title and not options.quick:
             report(title, rows_of(), options)
-    if options.json is not None:
-        told = {"about": about("benchmarks.claims.wear_life", options.json)}
-        known = json.loads(options.json.read_text())
-        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
+            measured.append(title)
+    sign("benchmarks.claims.wear_life", options.json, measured)
 
 
 if __name__ == "__main__":

@@ -53,11 +53,13 @@ class Adaptive(AbstractIntegrator):
     narrowest gap beside the longest arm, where that is less): impacts make errors grow, and looser
     runs save next to no time. A step in which a contact closes or parts is repeated to end there;
     steps end at saving times too, so saving more often than steps are long costs as many more.
-    In a batch all samples wait for the slowest. A derivative through contacts is not to be trusted
-    (off by 52 % in a measurement) and is refused; see `jaxclear.sensitivity`. Stiff scenes (large
-    friction over tiny transition speeds) may prefer an implicit solver, best with a full Newton
-    iteration: diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)). `MuntheKaas`
-    keeps rotations on their group.
+    `MuntheKaas`, implicit solvers and those with steps of their own run in diffrax's loop, and hand
+    on the mean of their steps. In a batch all samples wait for the slowest. A derivative through
+    contacts is not to be trusted (off by 52 % in a measurement) and is refused; see
+    `jaxclear.sensitivity`. Stiff scenes (large friction over tiny transition speeds) may prefer an
+    implicit solver, best with a full Newton iteration:
+    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)). `MuntheKaas` keeps
+    rotations on their group.
     """
 
     pathwise: ClassVar = False
@@ -117,11 +119,11 @@ class Adaptive(AbstractIntegrator):
             solve = with_fast_loops(solve)
         return solve(arrays, interval, state, warm_start)
 
-    def _controller(self, model, interval, usual):
-        """The error control of an interval in which a step has a `usual` length [s], which ends
-        steps where contacts close and part."""
+    def _controller(self, model, interval):
+        """The error control of an interval, which ends steps where contacts close and part."""
         # Finer steps are shorter too, also where errors ask for no more than one.
-        longest = jnp.where(interval.share < 1, interval.share * usual, jnp.inf)
+        length = interval.stop - interval.start
+        longest = jnp.where(interval.share < 1, interval.share * length, jnp.inf)
         if self.largest_step is not None:
             longest = jnp.minimum(longest, self.largest_step)
         finer = interval.share**FINER_TOLERANCE
@@ -185,7 +187,7 @@ class Adaptive(AbstractIntegrator):
         found, failed = self._solved(
             self._term(model, rates),
             self._solver(rest, size_of(jax.make_jaxpr(rates)(arrays, start, state))),
-            self._controller(model, interval, usual),
+            self._controller(model, interval),
             (start, stop, first),
             state,
             arrays,

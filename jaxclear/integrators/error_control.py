@@ -23,6 +23,8 @@ from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 # Up to so many equations of a rate all stages are written out: a loop over them costs more.
 FEW_EQUATIONS = 500
+# What a solver must leave as diffrax has it, to be stepped by its tableau alone.
+OURS = ("step", "init", "func")
 # A step that would leave less than so many roundings to the end of an interval ends there.
 ROUNDINGS = 100 * float(np.finfo(float).eps)
 
@@ -98,7 +100,7 @@ def _written_out(table, rate, h, y0, first):
 def _weighed(weights, slopes):
     """Sum of the slopes by their weights."""
     parts = [float(w) * slope for w, slope in zip(weights, slopes, strict=True) if w != 0]
-    return functools.reduce(operator.add, parts)
+    return functools.reduce(operator.add, parts, jnp.zeros_like(slopes[0]))
 
 
 def _rows(table: diffrax.ButcherTableau) -> tuple[np.ndarray, np.ndarray]:
@@ -119,7 +121,9 @@ def stepped_by_hand(solver: Any, equations: int = 0) -> diffrax.AbstractSolver |
     program; None where that is not for it."""
     if not isinstance(solver, diffrax.AbstractERK):
         return None
-    own = type(solver).step is not diffrax.AbstractERK.step
+    own = any(
+        getattr(type(solver), name) is not getattr(diffrax.AbstractERK, name) for name in OURS
+    )
     if own or not isinstance(solver.tableau, diffrax.ButcherTableau):
         return None
     return Stages(solver, equations <= FEW_EQUATIONS)
@@ -128,7 +132,7 @@ def stepped_by_hand(solver: Any, equations: int = 0) -> diffrax.AbstractSolver |
 class Solved(NamedTuple):
     """Where `solve` ended: time [s], state, what its solver keeps between steps, steps accepted
     and rejected, whether a step would have been too small, and how long the next step may be
-    [s]."""
+    [s] (of diffrax's loop: as long as the mean)."""
 
     time: Scalar
     state: Any

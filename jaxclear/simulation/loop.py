@@ -36,12 +36,11 @@ from jaxclear.simulation.tally import nothing_yet
 from jaxclear.simulation.turns import Carry, Left, turns_of
 from jaxclear.simulation.wear import unworn
 
-# What a derivative in reverse mode is told where the run is not one kernel.
+# What a derivative in reverse mode is told where the run is neither pushed forwards nor one kernel.
 NOT_BACKWARDS = (
     "a derivative in reverse mode (jax.grad, jax.vjp, jax.jacrev, jax.hessian) does not go through "
-    "a run that checks its steps and whose surfaces wear, or that shows its progress: take forward "
-    "mode (jax.jvp, jax.jacfwd; jax.jacfwd of it for second derivatives), or FixedStep or "
-    "ImplicitStep with steps_per_save."
+    "a run that shows its progress: leave progress_bar out, or take forward mode (jax.jvp, "
+    "jax.jacfwd; jax.jacfwd of it for second derivatives)."
 )
 # What it is told where sweeps find the friction of ideal joints outside a kernel.
 NOT_THROUGH_SWEEPS = (

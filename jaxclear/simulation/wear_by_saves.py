@@ -96,7 +96,8 @@ def _bursts(model: Model, states: Float[Array, "time n"]) -> dict[Place, Array]:
         wear_map = wear_maps(model.system)[slot.bearing][slot.surface][0]
         volumes, features = jax.vmap(functools.partial(lost_at, slot))(states[:-1], states[1:])
         around = jnp.concatenate([volumes[1:2], volumes, volumes[-2:-1]])
-        sudden = abs(volumes - 0.5 * (around[:-2] + around[2:]))
+        # What an interval did not lose is wrong nowhere, however much its neighbours lost.
+        sudden = jnp.minimum(abs(volumes - 0.5 * (around[:-2] + around[2:])), volumes)
         means = wear_map.directions_of(features)
         swept = arc(safe_sqrt(jnp.sum(means**2, axis=-1))) ** 2
         width, share = wear_map.covered(features)
