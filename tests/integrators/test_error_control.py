@@ -96,5 +96,13 @@ def test_own_loop_says_where_it_ended_early():
     assert pole.too_small and pole.time < 0.51
 
 
-def test_implicit_solvers_are_for_diffrax():
-    assert stepped_by_hand(diffrax.Kvaerno5()) is None
+class Begun(diffrax.Tsit5):
+    """What it keeps between steps is its own."""
+
+    def init(self, *arguments):
+        return super().init(*arguments)
+
+
+@pytest.mark.parametrize("solver", [diffrax.Kvaerno5(), diffrax.KenCarp4(), Begun()])
+def test_solvers_that_a_tableau_does_not_tell_are_for_diffrax(solver):
+    assert stepped_by_hand(solver) is None
