@@ -156,6 +156,23 @@ def test_summary_of_work_and_precision_is_that_of_its_points():
         assert document[title] == work_precision.summary(document, cost)
 
 
+def test_a_scene_that_is_measured_leaves_the_others_as_they_are(tmp_path):
+    """And says when it was, so that scenes can be measured one by one, or side by side."""
+    file = tmp_path / "work_precision.json"
+    cost = {work_precision.ALONE: 1.0, work_precision.BATCH: None}
+    rows = [{"rung": "Adaptive", "setting": "", **cost, "error in place": 0.0, "said": ""}] * 3
+    work_precision.written("guide", rows, file)
+    old = json.loads(file.read_text())
+    old[work_precision.WHEN][0]["measured"] = "long ago"
+    file.write_text(json.dumps(old))
+    work_precision.written("slider-crank", rows, file)
+    new = json.loads(file.read_text())
+    assert [scene for scene, _ in work_precision.scenes_in(new)] == ["slider-crank", "guide"]
+    dates = {row["scene"]: row["measured"] for row in new[work_precision.WHEN]}
+    assert dates["guide"] == "long ago" and dates["slider-crank"][:2] == "20"
+    assert len(new[work_precision.SUMMARY[work_precision.ALONE]]) == 2
+
+
 def test_every_scene_that_is_measured_is_drawn():
     document = json.loads((RESULTS / "work_precision.json").read_text())
     scenes = dict(work_precision.scenes_in(document))

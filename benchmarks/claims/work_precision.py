@@ -12,6 +12,7 @@ anew from all of it, and the pictures are drawn from the file.
 """
 
 import argparse
+import fcntl
 import json
 import math
 import time
@@ -144,6 +145,37 @@ def slug(scene: str) -> str:
     return scene.replace(", ", "_").replace("-", "_")
 
 
+def written(scene: str, rows: Rows, path: Path | None) -> dict[str, Any]:
+    """The document with a scene's new rows, written where there is a path. Other processes may
+    measure other scenes meanwhile: the file is read and written by one at a time."""
+    if path is None:
+        return _with(scene, rows, {})
+    path.touch()
+    with path.open("r+") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        document = _with(scene, rows, json.loads(file.read() or "{}"))
+        file.seek(0)
+        file.truncate()
+        file.write(json.dumps(document, indent=1) + "\n")
+    return document
+
+
+def _with(scene: str, rows: Rows, known: dict[str, Any]) -> dict[str, Any]:
+    before = known.get("about", {}).get("date", "")
+    dates = {row["scene"]: row["measured"] for row in known.get(WHEN, [])} | {scene: date()}
+    measured = dict(scenes_in(known | {POINTS.format(scene=scene): rows}))
+    points = {POINTS.format(scene=name): own for name, own in measured.items()}
+    machine = known.get("about", {}).get("machine")
+    told = about("benchmarks.claims.work_precision", None) | COMMAND
+    told |= {} if machine is None else {"machine": machine}
+    return (
+        {"about": told}
+        | {title: summary(points, cost) for cost, title in SUMMARY.items()}
+        | {WHEN: [{"scene": name, "measured": dates.get(name, before)} for name in measured]}
+        | points
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one scene without clearance")
@@ -151,29 +183,18 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     parser.add_argument("--figures", type=Path, default=FIGURES, metavar="DIR")
     options = parser.parse_args()
-    known: dict[str, Any] = {}
+    document: dict[str, Any] = {}
     for scene in options.scene or (QUICK if options.quick else SCENES):
         begun = time.process_time()
         rows = rows_of(curves(SCENES[scene]()))
-        # Read only now: another process may have measured another scene.
-        if options.json and options.json.exists():
-            known = json.loads(options.json.read_text())
-        known[POINTS.format(scene=scene)] = rows
-        before = known.get("about", {}).get("date", "")
-        dates = {row["scene"]: row["measured"] for row in known.get(WHEN, [])} | {scene: date()}
         print(f"{scene}: {time.process_time() - begun:.0f} s CPU", flush=True)
         jax.clear_caches()
-        told = {"about": about("benchmarks.claims.work_precision", options.json) | COMMAND}
-        document = told | {title: summary(known, cost) for cost, title in SUMMARY.items()}
-        measured = dict(scenes_in(known))
-        document[WHEN] = [{"scene": s, "measured": dates.get(s, before)} for s in measured]
-        document |= {POINTS.format(scene=s): rows for s, rows in measured.items()}
+        document = written(scene, rows, options.json)
         if options.json:
-            options.json.write_text(json.dumps(document, indent=1) + "\n")
-            draw(scene, known[POINTS.format(scene=scene)], options.figures)
+            draw(scene, rows, options.figures)
     for cost, title in SUMMARY.items():
         print(f"\n{title}")
-        for row in summary(known, cost):
+        for row in summary(document, cost):
             print("  ".join("-" if value is None else str(value) for value in row.values()))
 
 
