@@ -206,10 +206,10 @@ def flap(clearance: float = 0.1e-3, share: float = 1.0) -> Question:
 
 
 def ideal_flap(share: float = 1.0) -> Question:
-    """The scene without clearance, a stroke there and back."""
+    """The scene without clearance, a stroke and most of the way back."""
     asked = _reactions("J1") | {"place": jc.response.FinalCoordinate("O2")}
     problem = jc.Problem(
-        jc.scenes.flap("ideal"), asked, _mass("rod 1"), duration=share * 0.25, save=SAVES
+        jc.scenes.flap("ideal"), asked, _mass("rod 1"), duration=share * 0.2, save=SAVES
     )
     return Question(problem)
 
