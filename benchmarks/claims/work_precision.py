@@ -128,6 +128,9 @@ def draw(scene: str, rows: Rows, folder: Path) -> Path:
                         *zip(*points, strict=True), style, color=f"C{number}", mfc=fill, ms=4, lw=1,
                         label=label,
                     )  # fmt: skip
+        if not axis.has_data():
+            axis.set(xscale="log", yscale="log", ylim=(0.01 * ACCURACY, 10 * ACCURACY))
+            axis.text(0.5, 0.7, "no setting errs", ha="center", transform=axis.transAxes)
         axis.axhline(ACCURACY, color="k", lw=0.6)
         axis.set(title=name, xlabel="CPU time [ms for a simulated s]", ylabel="error [1]")
         axis.grid(alpha=0.3)
