@@ -103,7 +103,7 @@ class Adaptive(AbstractIntegrator):
         return CompliantContact()
 
     def first_warm_start(self, model, start, state):
-        """How long a step may be [s]; 0: not known."""
+        """How long a step may be [s]; 0: not known. Where contacts may close, the mean of steps."""
         return jnp.zeros(())
 
     def advance(self, model, interval, state, warm_start):
@@ -196,12 +196,13 @@ class Adaptive(AbstractIntegrator):
         # taken.
         reached = (failed == Outcome.REACHED) | (found.time >= stop)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
-        figures, events = {}, None
+        figures, events, usual = {}, None, found.wish
         if rest.system.bearings:
             _, _, figures[Check.INDENTATION], events = found.kept
-        return Advance(
-            found.state, found.accepted, found.rejected, found.wish, outcome, figures, events
-        )
+            # A step as long as a flight may go through a wall: rounding then decides what follows.
+            usual = (found.time - start) / jnp.maximum(found.accepted, 1)
+        steps = found.accepted, found.rejected
+        return Advance(found.state, *steps, usual, outcome, figures, events)
 
     def _solved(self, term, solver, controller, span, state, args):
         """Where a solver ends, and why where that is before the end."""

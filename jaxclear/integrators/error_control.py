@@ -23,6 +23,8 @@ from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 # Up to so many equations of a rate all stages are written out: a loop over them costs more.
 FEW_EQUATIONS = 500
+# A step has been cut that has less than this share of its length: no rounding decides it.
+CUT = 0.999
 # What a solver must leave as diffrax has it, to be stepped by its tableau alone.
 OURS = ("step", "init", "func")
 # A step that would leave less than so many roundings to the end of an interval ends there.
@@ -197,7 +199,7 @@ def _after(now, y, after, adapted, end):
     """What follows a step that was tried: as it ended, if the controller keeps it."""
     keep, start, stop, _, control, result = adapted
     # A step that the end of the interval has cut says nothing against a longer one.
-    cut = keep & (now.stop - now.start < now.wish)
+    cut = keep & (now.stop - now.start < CUT * now.wish)
     wish = jnp.where(cut, jnp.maximum(stop - start, now.wish), stop - start)
     start = jnp.minimum(start, end)
     choose = lambda new, old: jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
