@@ -3,12 +3,14 @@ the integrator that `simulate` takes by default, or on MoreauJean where the scen
 set-valued; of the four-bar on every rung; and on MoreauJean with wear. Without the persistent cache
 of compiled programs, and with it.
 
-CPU seconds. A first run is all from the scene's function to the first trajectory, so what the run
+CPU seconds, with Python's compiled modules kept as an installation has them, and the import beside
+that of JAX. A first run is all from the scene's function to the first trajectory, so what the run
 itself takes is part of it: the same run once more tells how much that is.
 """
 
 import json
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -52,19 +54,39 @@ RUNGS = (
 WEARING = ("slider_crank(wear=True)", "four_bar()", "parallel_3rsr()")
 # CPU seconds that are asked for.
 LIMIT, OF_MOREAU_JEAN = 10.0, 16.0
+IMPORT = "import time; begun = time.process_time(); import {}; print(time.process_time() - begun)"
+# Imports of each, turn by turn.
+TURNS = 9
 
 
 def measured(scene: str, span: float, integrator: str, cache: str | None) -> list[float]:
     """CPU seconds to import, to build and assemble, of the first run, and of the second one, in a
     new process."""
-    environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
+    return told(PROGRAM.format(scene=scene, span=span, integrator=integrator), cache)
+
+
+def told(program: str, cache: str | None = None) -> list[float]:
+    """The numbers that a program prints in a new process."""
+    without = ("JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
+    environment = {k: v for k, v in os.environ.items() if k not in without}
     environment |= {"JAX_COMPILATION_CACHE_DIR": cache} if cache else {}
     environment["PYTHONPATH"] = str(Path(__file__).parents[2])
-    program = PROGRAM.format(scene=scene, span=span, integrator=integrator)
     done = subprocess.run(
         [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
     )
     return [float(word) for word in done.stdout.split()]
+
+
+def imports() -> dict[str, Any]:
+    """What the import takes beside JAX's own [CPU s]."""
+    spent = [[told(IMPORT.format(name))[0] for name in ("jax", "jaxclear")] for _ in range(TURNS)]
+    of_jax, own = (statistics.median(each) for each in zip(*spent[1:], strict=True))
+    return {
+        "import jax [s]": of_jax,
+        "import jaxclear [s]": own,
+        "times": own / of_jax,
+        "asked for": 3.0,
+    }
 
 
 def row_of(scene: str, span: float, integrator: str, limit: float) -> dict[str, Any]:
@@ -89,6 +111,7 @@ def row_of(scene: str, span: float, integrator: str, limit: float) -> dict[str, 
 
 def main() -> None:
     options = arguments(__doc__)
+    report("Import in a new process, CPU time", [imports()], options)
     every = 3 if options.quick else 1
     scenes = list(SCENES.items())[::every]
     usual = {scene: "MoreauJean()" if scene in SET_VALUED else "Adaptive()" for scene in SCENES}
