@@ -80,14 +80,15 @@ def jackknifed(
 
 def skewed_half(parts: np.ndarray) -> float:
     """How far the farther end of the 95 % interval of the mean of contributions (scramblings,) is
-    away, to the first order of their skewness."""
+    away, to the first order of their skewness: of that beyond what few normal ones would show."""
     count, spread = len(parts), float(parts.std(ddof=1))
     times = student(count)
     half = times * spread / np.sqrt(count)
     # What differs by rounding only has no shape.
     if spread <= ROUNDING * abs(float(parts.mean())) or count < 3:
         return half
-    skewness = abs(float(scipy.stats.skew(parts, bias=False)))
+    chance = 6 * count * (count - 1) / ((count - 2) * (count + 1) * (count + 3))
+    skewness = np.sqrt(max(float(scipy.stats.skew(parts, bias=False)) ** 2 - chance, 0.0))
     return half + skewness * spread * (2 * times**2 + 1) / (6 * count)
 
 
