@@ -291,7 +291,11 @@ def three_states(dimension):
 
 @pytest.mark.parametrize(
     "solver, dimension",
-    [(SWEEPS, 3), (SWEEPS, 2), (InteriorPoint(1e-3), 2)],
+    [
+        (SWEEPS, 3),
+        pytest.param(SWEEPS, 2, marks=pytest.mark.slow),
+        (InteriorPoint(1e-3), 2),
+    ],
     ids=["cones", "planar cones", "relaxed"],
 )
 def test_derivatives_forward_in_reverse_and_by_differences(solver, dimension):

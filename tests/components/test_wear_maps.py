@@ -83,7 +83,10 @@ def test_areas_add_up():
 
 @pytest.mark.parametrize(
     "wear_map, events",
-    [(CYLINDER, cylinder_events()), (SPHERE, sphere_places(sphere_events()))],
+    [
+        pytest.param(CYLINDER, cylinder_events(), marks=pytest.mark.slow),
+        (SPHERE, sphere_places(sphere_events())),
+    ],
     ids=["cylinder", "sphere"],
 )
 def test_deposit_has_finite_derivatives(wear_map, events):

@@ -118,7 +118,14 @@ def assert_finite(tree, words):
 
 # Second derivatives take long to compile: joints whose parts others have as well go with the long
 # tests.
-LONG = {"journal", "journal_that_wears", "journal_with_collars", "ball", "ball_with_bristles"}
+LONG = {
+    "guide",
+    "journal",
+    "journal_that_wears",
+    "journal_with_collars",
+    "ball",
+    "ball_with_bristles",
+}
 
 
 @pytest.mark.parametrize(

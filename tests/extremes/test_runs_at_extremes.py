@@ -36,8 +36,8 @@ INTEGRATORS = {
     "adaptive": jc.integrator.Adaptive(most_steps=300),
     "fixed": jc.integrator.FixedStep(step=1e-6),
 }
-# Joints that another one is with more: bristles, collars.
-WITH_MORE = {"ball", "journal"}
+# Joints like others, or others with more: their runs go with the long tests.
+LONG = {"ball", "journal", "journal_that_wears", "journal_with_collars", "planar"}
 
 
 def compiled(kind, integrator):
@@ -55,7 +55,7 @@ def compiled(kind, integrator):
     ("kind", "integrator"),
     [
         *(
-            pytest.param(kind, "adaptive", marks=pytest.mark.slow if kind in WITH_MORE else ())
+            pytest.param(kind, "adaptive", marks=pytest.mark.slow if kind in LONG else ())
             for kind in JOINTS
         ),
         pytest.param("planar", "fixed", marks=pytest.mark.slow),

@@ -68,6 +68,7 @@ def test_the_quiet_compliant_bearing_wears_as_much(planar):
     np.testing.assert_allclose(lost, wanted[-1] - wanted[20], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_journal_that_turns_under_a_constant_load_wears_evenly():
     rig = turning(jc.clearance.JournalBearing, journal_wear=True, bearing_wear=True)
     found = run(rig, jc.integrator.NonColliding(1e-3))

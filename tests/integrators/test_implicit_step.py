@@ -124,7 +124,7 @@ def abrupt(stiffness):
     [
         pytest.param(planar, rough, marks=pytest.mark.slow),
         (planar, elastic),
-        (journal, abrupt),
+        pytest.param(journal, abrupt, marks=pytest.mark.slow),
     ],
 )
 def test_energy_never_grows(kind, laws):

@@ -33,7 +33,7 @@ def reference():
         ),
         jc.integrator.FixedStep(2e-6),
         pytest.param(jc.integrator.FixedStep(2e-7, "heun"), marks=pytest.mark.slow),
-        jc.integrator.FixedStep(steps_per_save=1000),
+        pytest.param(jc.integrator.FixedStep(steps_per_save=1000), marks=pytest.mark.slow),
     ],
     ids=["Tsit5", "Kvaerno5", "rk4", "heun", "steps per save"],
 )

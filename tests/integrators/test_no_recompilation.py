@@ -86,6 +86,7 @@ def test_simulate_itself_compiles_once():
     assert compilations(lambda: go(10.0, 2e-5, 1e-3)) == 0
 
 
+@pytest.mark.slow
 def test_a_slot_that_vanishes_does_compile():
     """The counter counts: leaving friction out is another program."""
     go, mechanism = counted(SETTINGS), full_loop()

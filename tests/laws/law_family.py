@@ -73,15 +73,15 @@ def contact_laws():
 
 
 def contact_products():
-    """Every elastic force times every dissipation factor, as pytest's parameters: a third of them,
-    with each force and each factor three times or more, runs always, the rest as slow tests."""
+    """Every elastic force times every dissipation factor, as pytest's parameters: a fifth of
+    them, with each force and each factor, runs always, the rest as slow tests."""
     forces = family(contact.AbstractElasticForce)
     factors = family(contact.AbstractDissipation)
     return [
         pytest.param(
             contact.ContactForce(force, factor),
             id=f"{force_name}-x-{factor_name}",
-            marks=[] if (i + j) % 3 == 0 else [pytest.mark.slow],
+            marks=[] if (i + j) % 5 == 0 else [pytest.mark.slow],
         )
         for i, (force_name, force) in enumerate(forces)
         for j, (factor_name, factor) in enumerate(factors)

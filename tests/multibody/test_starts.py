@@ -34,7 +34,7 @@ def rod_length(rig):
     ("kind", "length"),
     [
         ("planar", ROD),
-        ("ideal", 0.13),
+        pytest.param("ideal", 0.13, marks=pytest.mark.slow),
         pytest.param("planar", 0.13, marks=pytest.mark.slow),
         pytest.param("ideal", ROD, marks=pytest.mark.slow),
     ],

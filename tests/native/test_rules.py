@@ -325,7 +325,7 @@ def found(how):
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
-@pytest.mark.parametrize("how", ["alone", "batch", "known"])
+@pytest.mark.parametrize("how", ["alone", "batch", pytest.param("known", marks=pytest.mark.slow)])
 def test_rule_gives_what_jax_gives(name, how):
     for turn, values in enumerate(found(how)):
         for mine, theirs in zip(values[name], wanted(turn)[name], strict=True):

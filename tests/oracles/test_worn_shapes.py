@@ -160,7 +160,7 @@ def moved(saves, swing, turns, fine=20_000):
     return jnp.asarray(1e-13 * volumes / lost.sum()), jnp.asarray(means)[:, None]
 
 
-@pytest.mark.parametrize("swing, turns", [(1.5, 0), (1.0, 1)])
+@pytest.mark.parametrize("swing, turns", [pytest.param(1.5, 0, marks=pytest.mark.slow), (1.0, 1)])
 def test_depth_is_the_same_at_any_number_of_saves(swing, turns):
     """What is lost over an arc is its convolution with the contact's width, so arcs add up; those
     widened by the contact were off by 6 and 12 %."""

@@ -193,7 +193,7 @@ def test_contact_situations_switch(stepped):
     assert len(stepped.switchings("J2")) >= 2
 
 
-@pytest.mark.parametrize("drive", ["periodic", "step"])
+@pytest.mark.parametrize("drive", ["periodic", pytest.param("step", marks=pytest.mark.slow)])
 def test_adjoint_model_agrees_to_second_order_in_the_clearance(drive, periodic, stepped):
     """(d) and (e)."""
     wide = periodic["spatial"] if drive == "periodic" else stepped

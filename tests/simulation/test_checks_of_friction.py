@@ -28,7 +28,7 @@ def off(rig, run):
     return abs(losses(run)[0] / losses(run_of(rig, TIGHT, balance=True))[0] - 1)
 
 
-@pytest.mark.parametrize("load", [20.0, 100.0, 500.0])
+@pytest.mark.parametrize("load", [pytest.param(20.0, marks=pytest.mark.slow), 100.0, 500.0])
 @pytest.mark.parametrize(
     ("integrator", "kind"),
     [
