@@ -64,6 +64,8 @@ def _pose_in_gap(
     """(offset [m] of the journal's centre in the gap, its axes on which the gap depends)."""
     share = 1 / len(ends)
     offset = sp.scale(share, sp.plus(sp.ZERO, *(end.offset for end in ends)))
+    if held.joint.gap_axes == (0, 1, 2):
+        return offset, _ball_axes(system, motions, q, held)
     lean: sp.Vec = sp.ZERO
     if held.joint.gap_axes and len(ends) == 2:
         between = sp.minus(ends[1].offset, ends[0].offset)
@@ -82,3 +84,13 @@ def _journal_x(system: System, motions: tuple, q: tuple, held: PermanentJoint) -
         return sp.transpose(pose.rotation)[0]
     (turned,) = q[held.link]
     return (jnp.cos(turned), jnp.sin(turned), 0)
+
+
+def _ball_axes(system: System, motions: tuple, q: tuple, held: PermanentJoint) -> tuple:
+    """The axes of the ball's marker in the socket's axes."""
+    if held.loop is not None:
+        pose = kinematics.relative_motion(system.closures[held.loop], motions)[1]
+        return sp.transpose(pose.rotation)
+    rotation = held.joint.motion(q[held.link]).rotation
+    turned_round = system.topology.branches[held.link].reversed
+    return rotation if turned_round else sp.transpose(rotation)

@@ -57,7 +57,7 @@ def _sphere(wear_map: Any) -> Wall:
 
 
 # The shape of a wall, by the surface's name.
-SHAPES = {"socket": _sphere}
+SHAPES = {"socket": _sphere, "ball": _sphere}
 
 
 def _wear(run: Trajectory, joint: str, surface: str) -> tuple[Any, Wall, np.ndarray]:

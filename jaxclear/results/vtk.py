@@ -78,7 +78,7 @@ def _bodies(run: Any, meshes: Any) -> list[_Solid]:
 
 
 def _walls(run: Any) -> list[_Solid]:
-    """Every worn wall: a bearing's or socket's on the parent, a journal's on the child."""
+    """Every worn wall: of a bearing or socket on the parent, of a journal or ball on the child."""
     found = []
     for name, surfaces in run.worn.items():
         connection = run.mechanism.connections[name]
@@ -87,7 +87,8 @@ def _walls(run: Any) -> list[_Solid]:
             own = wall(maps[surface][0], surface, np.asarray(depth)) if surface in maps else None
             if own is None:
                 continue
-            marker = connection.child if surface == "journal" else connection.parent
+            inner = surface in ("journal", "ball")
+            marker = connection.child if inner else connection.parent
             rotation, place = marker_frame(marker)
             points = own.points @ rotation.T + place
             found.append(_Solid(marker.body, points, "quad", own.corners, own.depth))

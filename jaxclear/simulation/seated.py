@@ -163,7 +163,8 @@ def _carried(bearing: Any, seat: tuple, share: Any, worn: dict) -> Any:
     joint: AbstractClearance = bearing.joint
     offset, slope = (share * jnp.asarray(x) for x in seat)
     axis = (slope[0], slope[1], 1.0)
-    axes = {2: tuple(x / sp.norm(axis) for x in axis), 0: (1.0, 0.0, -slope[0])}
+    across = {0: (1.0, 0.0, -slope[0]), 1: (0.0, 1.0, -slope[1])}
+    axes = across | {2: tuple(x / sp.norm(axis) for x in axis)}
     place = tuple(offset), tuple(axes[k] for k in joint.axes)
     depths = joint.indentations(*place, worn)
     contact_laws = laws_now(joint, bearing.contact_laws, *place, worn)

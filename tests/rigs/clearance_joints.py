@@ -51,6 +51,7 @@ def planar(p):
         clearance=p["clearance"],
         length=LENGTH,
         bearing_wear=_wearing(),
+        journal_wear=_wearing(),
     )
 
 
@@ -120,7 +121,12 @@ def ball(p):
         decay=1 / p["transition_speed"],
     )
     return jc.clearance.BallSocket(
-        law, friction, socket_radius=RADIUS, clearance=p["clearance"], socket_wear=_wearing()
+        law,
+        friction,
+        socket_radius=RADIUS,
+        clearance=p["clearance"],
+        socket_wear=_wearing(),
+        ball_wear=_wearing(),
     )
 
 

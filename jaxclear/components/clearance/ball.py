@@ -34,22 +34,29 @@ class BallSocket(AbstractClearance):
         0.1e-3, "m", "radial clearance, socket radius - ball radius", above=0, kw_only=True
     )
     socket_wear: Wearing | None = eqx.field(default=None, kw_only=True)
+    ball_wear: Wearing | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
         check_clearance(self, "socket_radius")
 
     @property
     def axes(self) -> tuple[int, ...]:
-        return ()
+        return () if self.ball_wear is None else (0, 1, 2)
+
+    @property
+    def ball_radius(self) -> Scalar:
+        return self.socket_radius - self.clearance
 
     def contact_laws(self):
-        shape = Shape(self.socket_radius - self.clearance, self.socket_radius, None)
+        shape = Shape(self.ball_radius, self.socket_radius, None)
         return (ContactLaws(self.contact, self.friction, shape, True),)
 
     def indentations(self, offset, axes, worn):
         overlap = sp.norm(offset) - self.clearance
-        if "socket" in worn:
-            overlap = overlap - self.maps()["socket"][0].depth_towards(worn["socket"], *offset)
+        for surface in worn:
+            towards = offset if surface == "socket" else sp.apply(axes, offset)
+            depth = self.maps()[surface][0].depth_towards(worn[surface], *towards)
+            overlap = overlap - depth
         return (overlap,)
 
     def contact_candidates(self, offset, axes, indentations):
@@ -58,13 +65,22 @@ class BallSocket(AbstractClearance):
         return (ContactCandidate(place, normal, sp.IDENTITY),)
 
     def maps(self):
-        if self.socket_wear is None:
-            return {}
-        sphere = SphereMap(self.socket_wear.cells, self.socket_radius, self.clearance)
-        return {"socket": (sphere, self.socket_wear)}
+        surfaces = {
+            "socket": (self.socket_wear, self.socket_radius),
+            "ball": (self.ball_wear, self.ball_radius),
+        }
+        return {
+            name: (SphereMap(own.cells, radius, self.clearance), own)
+            for name, (own, radius) in surfaces.items()
+            if own is not None
+        }
+
+    def inner_surfaces(self):
+        return ("ball",)
 
     def features(self, surface, offset, axes, indentations, index):
-        x, y, z = direction(offset, 3)
+        towards = direction(offset, 3)
+        x, y, z = towards if surface == "socket" else sp.apply(axes, towards)
         pairs = ((x, x), (x, y), (x, z), (y, y), (y, z))
         return (
             x,
@@ -76,14 +92,14 @@ class BallSocket(AbstractClearance):
 
     def grown(self, outer, inner):
         socket = outer * self.socket_radius
-        gap = socket - inner * (self.socket_radius - self.clearance)
+        gap = socket - inner * self.ball_radius
         return eqx.tree_at(lambda own: (own.socket_radius, own.clearance), self, (socket, gap))
 
     def seat(self, force, torque):
         return sp.scale(-self.clearance, direction(force, 3)), (0, 0)
 
     def permanent_form(self):
-        if self.friction is None and self.socket_wear is None:
+        if self.friction is None and not self.maps():
             return Spherical()
         return PermanentSpherical(self)
 
@@ -114,7 +130,7 @@ class PermanentSpherical(AbstractRubbingBall):
 
     @property
     def gap_axes(self):
-        return ()
+        return self.gap.axes
 
     def maps(self):
         return self.gap.maps()

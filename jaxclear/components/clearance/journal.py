@@ -46,6 +46,7 @@ class PlanarJournalBearing(AbstractJournalBearing):
     )
     length: Scalar = quantity(20e-3, "m", "length of the bearing", above=0, kw_only=True)
     bearing_wear: Wearing | None = eqx.field(default=None, kw_only=True)
+    journal_wear: Wearing | None = eqx.field(default=None, kw_only=True)
     roundness: tuple[Lobes, ...] | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
@@ -54,19 +55,20 @@ class PlanarJournalBearing(AbstractJournalBearing):
 
     @property
     def axes(self) -> tuple[int, ...]:
-        return ()
+        return () if self.journal_wear is None else (0,)
 
     def contact_laws(self):
         shape = Shape(self.bearing_radius - self.clearance, self.bearing_radius, self.length)
         return (ContactLaws(self.contact, self.friction, shape, True),)
 
     def indentations(self, offset, axes, worn):
-        depth = 0
         x, y, overlap = self.touch(offset)
-        if "bearing" in worn:
-            place = offset[:2] if self.roundness is None else (x, y)
-            depth = self.maps()["bearing"][0].depth_at_end(worn["bearing"], *place, -1)
-        return (sp.sub(overlap, depth),)
+        toward = offset[:2] if self.roundness is None else (x, y)
+        for surface in worn:
+            place = toward if surface == "bearing" else _seen_by(axes[0], *toward)
+            depth = self.maps()[surface][0].depth_at_end(worn[surface], *place, -1)
+            overlap = sp.sub(overlap, depth)
+        return (overlap,)
 
     def contact_candidates(self, offset, axes, indentations):
         x, y, _ = self.touch(offset)
@@ -74,16 +76,24 @@ class PlanarJournalBearing(AbstractJournalBearing):
         return (ContactCandidate((reach * x, reach * y, 0), (x, y, 0), ((-y, x, 0),)),)
 
     def maps(self):
-        if self.bearing_wear is None:
-            return {}
+        surfaces = {
+            "bearing": (self.bearing_wear, self.bearing_radius),
+            "journal": (self.journal_wear, self.bearing_radius - self.clearance),
+        }
         # The whole length carries alike: one row of cells, whatever the number along.
-        cells = (self.bearing_wear.cells[0], 1)
-        cylinder = CylinderMap(cells, self.bearing_radius, self.length, self.clearance)
-        return {"bearing": (cylinder, self.bearing_wear)}
+        return {
+            name: (CylinderMap((own.cells[0], 1), radius, self.length, self.clearance), own)
+            for name, (own, radius) in surfaces.items()
+            if own is not None
+        }
+
+    def inner_surfaces(self):
+        return ("journal",)
 
     def features(self, surface, offset, axes, indentations, index):
-        narrowness = self.maps()[surface][0].narrowness(indentations[0])
-        return (*self.touch(offset)[:2], 0.0, narrowness, 0.0)
+        x, y, _ = self.touch(offset)
+        place = (x, y) if surface == "bearing" else _seen_by(axes[0], x, y)
+        return (*place, 0.0, self.maps()[surface][0].narrowness(indentations[0]), 0.0)
 
     def end_forces(self, force, torque):
         return (((force[0], force[1], 0), 0),)

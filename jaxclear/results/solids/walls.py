@@ -9,7 +9,7 @@ __all__ = ["Wall", "wall"]
 
 
 class Wall(NamedTuple):
-    """`points` (n, 3) [m] of the worn wall, in the frame of its bearing, journal or socket;
+    """`points` (n, 3) [m] of the worn wall, in the frame of its bearing, journal, socket or ball;
     `corners` (cells, 4) of each cell, and its `depth` (cells,) [m]."""
 
     points: np.ndarray
@@ -40,6 +40,7 @@ SHAPES: dict[str, tuple[Callable, int]] = {
     "bearing": (_cylinder, 1),
     "journal": (_cylinder, -1),
     "socket": (_sphere, 1),
+    "ball": (_sphere, -1),
 }
 
 
