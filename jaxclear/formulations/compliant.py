@@ -5,6 +5,7 @@ Explicit integrators ask for the rate and see the contacts; the implicit one ask
 state.
 """
 
+import itertools
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -79,10 +80,14 @@ class CompliantContact(AbstractFormulation):
         reports = contact_reports(model.system, instant.motions, memories, model.worn)
         return instant.forces(reports)
 
-    def rate(self, model: Model, time: Any, state: State) -> tuple[State, ContactMotion]:
-        """Rate of the state, and the motion of every possible contact, from one evaluation."""
+    def rate(
+        self, model: Model, time: Any, state: State, shares: Any = None
+    ) -> tuple[State, ContactMotion]:
+        """Rate of the state, and the motion of every possible contact, from one evaluation.
+        `shares`: of every possible contact that which acts, 1 where it counts as closed, 0 where as
+        apart (None: as its indentation has it)."""
         system, layout, entries = model.system, model.layout, model.entries(state)
-        forces, q, v, speeds = _acting(model, time, entries)
+        forces, q, v, speeds = _acting(model, time, entries, shares)
         forces, solution, rubbing = joint_friction.solved(model, forces, q, speeds)
         reports = forces.reports
         normal = ([point.normal_force for point in own.points] for own in reports.values())
@@ -197,15 +202,28 @@ class CompliantContact(AbstractFormulation):
         return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths, *met])
 
 
-def _acting(model: Model, time: Any, entries: list) -> tuple[Forces, tuple, tuple, list]:
+def _acting(
+    model: Model, time: Any, entries: list, shares: Any = None
+) -> tuple[Forces, tuple, tuple, list]:
     """(what acts but friction in ideal joints, coordinates and speeds by link, flat speeds)."""
     system, layout = model.system, model.layout
     q, v = unpack_motion(system, entries)
     motions = kinematics.link_motions(system, q, v, time)
-    reports = contact_reports(system, motions, unpack_memories(layout, entries), model.worn)
+    memories = _with_shares(unpack_memories(layout, entries), shares)
+    reports = contact_reports(system, motions, memories, model.worn)
     angles = unpack_angles(layout, entries)
     forces = applied_forces(system, motions, reports, q, v, time, angles)
     return forces, q, v, entries[layout.coordinates : layout.memory_start]
+
+
+def _with_shares(memories: dict, shares: Any) -> dict:
+    """Memories of all contacts with the shares of them that act."""
+    if shares is None:
+        return memories
+    count, found = itertools.count(), {}
+    for name, points in memories.items():
+        found[name] = tuple(point._replace(share=shares[next(count)]) for point in points)
+    return found
 
 
 def _stacked(points: list) -> ContactMotion:

@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.ground.quantity import Scalar, count, quantity
+from jaxclear.ground.quantity import Scalar, constant, count, quantity
+from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import (
     AbstractIntegrator,
     Advance,
@@ -21,6 +22,7 @@ from jaxclear.integrators.error_control import Solved, solve, stepped_by_hand
 from jaxclear.integrators.impacts import EndingAtTouches, TakingImpactSpeeds
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.saltation import equations
 from jaxclear.integrators.state_group import state_group
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.system import longest_arm
@@ -42,6 +44,12 @@ LOOSEST_IN_GAP = 4e-4
 # tolerance; not below what rounding leaves, beside the longest arm.
 LANDING, LANDING_IN_GAP = 0.1, 1e-4
 ROUNDING = 1e-12
+
+# What a second derivative through contacts is told.
+NO_SECOND = (
+    "a second derivative through contacts that open and close is not known: take differences of "
+    "first derivatives (jax.jvp, jax.jacfwd, jax.grad)."
+)
 
 
 class Adaptive(AbstractIntegrator):
@@ -99,6 +107,10 @@ class Adaptive(AbstractIntegrator):
         return True
 
     @property
+    def through_contacts(self):
+        return stepped_by_hand(self.solver) is not None
+
+    @property
     def formulation(self):
         return CompliantContact()
 
@@ -150,27 +162,29 @@ class Adaptive(AbstractIntegrator):
 
     def _term(self, model, rates):
         """The equations as diffrax asks for them."""
-        term = diffrax.ODETerm(lambda time, y, args: rates(args, jnp.asarray(time, float), y))
+        term = diffrax.ODETerm(lambda time, y, args: rates(*args, jnp.asarray(time, float), y))
         if not isinstance(self.solver, MuntheKaas):
             return term
         group, field_of = state_group(model), term.vector_field
         return GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
 
-    def _solver(self, rest, equations):
+    def _solver(self, rest, size, own):
         """The solver, which looks at contacts where there are any: laws may ask for impact speeds,
-        and without them it would step over touches. `equations`: so many are in a rate."""
-        formulation = self.formulation
-        solver = stepped_by_hand(self.solver, equations) or self.solver
+        and without them it would step over touches. `size`: so many equations of a program are in a
+        rate."""
+        formulation, through = self.formulation, self.through_contacts
+        solver = stepped_by_hand(self.solver, size)
         if not rest.system.bearings:
-            return solver
+            return solver or self.solver
 
-        def contacts(time, y, arrays):
-            return formulation.contacts(eqx.combine(arrays, rest), time, y)
+        def contacts(time, y, args):
+            return formulation.contacts(eqx.combine(args[0], rest), time, y)
 
-        def remember(y, before, after, length, arrays):
-            return formulation.remember(eqx.combine(arrays, rest), y, before, after, length)
+        def remember(y, before, after, length, args):
+            return formulation.remember(eqx.combine(args[0], rest), y, before, after, length)
 
-        return TakingImpactSpeeds(solver, contacts, remember, rest.events)
+        derived = own if through else None
+        return TakingImpactSpeeds(solver or self.solver, contacts, remember, derived, rest.events)
 
     def _solve(self, rest, arrays, interval, state, step) -> Advance:
         formulation, (start, stop) = self.formulation, interval[:2]
@@ -179,18 +193,24 @@ class Adaptive(AbstractIntegrator):
 
         # Traced once, however often diffrax asks.
         @jax.jit
-        def rates(arrays, time, y):
+        def plain(arrays, time, y):
             return formulation.rate(eqx.combine(arrays, rest), time, y)[0]
 
-        model = eqx.combine(arrays, rest)
+        model, size = (
+            eqx.combine(arrays, rest),
+            size_of(jax.make_jaxpr(plain)(arrays, start, state)),
+        )
+        own = equations(formulation, rest, plain)
+        through = rest.system.bearings and self.through_contacts
+        rates = own.rates if through else lambda arrays, _, *now: plain(arrays, *now)
         first = jnp.where(step > 0, interval.share * usual, 1e-2 * length)
         found, failed = self._solved(
             self._term(model, rates),
-            self._solver(rest, size_of(jax.make_jaxpr(rates)(arrays, start, state))),
+            self._solver(rest, size, own),
             self._controller(model, interval),
             (start, stop, first),
             state,
-            arrays,
+            (arrays, None),
         )
         # A remainder of rounding before `stop` is shorter than the smallest step, but it has been
         # taken.
@@ -201,8 +221,10 @@ class Adaptive(AbstractIntegrator):
             _, _, figures[Check.INDENTATION], events = found.kept
             # A step as long as a flight may go through a wall: rounding then decides what follows.
             usual = (found.time - start) / jnp.maximum(found.accepted, 1)
+        usual = constant(usual)
         steps = found.accepted, found.rejected
-        return Advance(found.state, *steps, usual, outcome, figures, events)
+        state = derived_once(NO_SECOND, found.state) if rest.system.bearings else found.state
+        return Advance(state, *steps, usual, outcome, figures, events)
 
     def _solved(self, term, solver, controller, span, state, args):
         """Where a solver ends, and why where that is before the end."""

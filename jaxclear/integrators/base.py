@@ -84,6 +84,12 @@ class AbstractIntegrator(AbstractQuantified):
         return self.asked_step()
 
     @property
+    def through_contacts(self) -> bool:
+        """Whether forward-mode derivatives through its steps are those of the motion where contacts
+        open and close too."""
+        return False
+
+    @property
     def notes_events(self) -> bool:
         """Whether it notes touches and releases of contacts."""
         return False

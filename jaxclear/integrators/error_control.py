@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.quantity import Scalar
+from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.native import while_loop
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
@@ -170,11 +170,14 @@ def solve(
     most: int,
 ) -> Solved:
     """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
-    the same steps to rounding."""
+    the same steps to rounding. How long steps are is no part of derivatives: of the motion these
+    are the same, whatever its steps."""
     begin, end, first = span
     order = solver.error_order(term)
-    until, control = controller.init(term, begin, end, state, first, args, solver.func, order)
-    wish = until - begin
+    controller = constant(controller)
+    begun = constant((begin, end, state, first, args))
+    until, control = controller.init(term, *begun, solver.func, order)
+    wish = until - constant(begin)
     until = _clipped(begin, until, end, True)
     kept = solver.init(term, begin, until, state, args)
 
@@ -185,7 +188,8 @@ def solve(
         at = now.start, now.stop, now.state
         y, error, _, after, _ = solver.step(term, *at, args, now.kept, False)
         error = jax.tree.map(lambda each: jnp.where(jnp.isnan(each), jnp.inf, each), error)
-        adapted = controller.adapt_step_size(*at, y, args, error, order, now.control)
+        tried = constant((*at, y, args, error))
+        adapted = controller.adapt_step_size(*tried, order, now.control)
         return _after(now, y, after, adapted, end)
 
     none = jnp.zeros((), int)
@@ -201,7 +205,8 @@ def _after(now, y, after, adapted, end):
     # A step that the end of the interval has cut says nothing against a longer one.
     cut = keep & (now.stop - now.start < CUT * now.wish)
     wish = jnp.where(cut, jnp.maximum(stop - start, now.wish), stop - start)
-    start = jnp.minimum(start, end)
+    # Saving times may move, and with them what a step begins with.
+    start = jnp.minimum(jnp.where(keep, now.stop, now.start), end)
     choose = lambda new, old: jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
     return _Turn(
         start,

@@ -15,9 +15,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxclear.formulations.impact_speed import Passage, end_at_passage
+from jaxclear.formulations.impact_speed import ContactMotion, Passage, end_at_passage
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.integrators.events import noted, nothing
+from jaxclear.integrators.saltation import Equations, Step
 
 
 class Judged(NamedTuple):
@@ -82,15 +83,17 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
     parted. Its controller is `EndingAtTouches`.
 
     `contacts(time, state, args)`: their motion. `remember(state, before, after, length, args)`: the
-    state with its impact speeds set. Its state between steps ends with the largest indentation of
-    every contact so far [m]: the motion of the contacts is known at both ends of a step, so that
-    peaks of a run cost it nothing; and with `events`, so many, of a saving interval
-    (`integrators.events`).
+    state with its impact speeds set. Args are (arrays of the model, None), those of `solver` may
+    tell which contacts count as closed. `derived`: how derivatives go through touches (None: they
+    do not). Its state between steps ends with the largest indentation of every contact so far [m]:
+    the motion of the contacts is known at both ends of a step, so that peaks of a run cost it
+    nothing; and with `events`, so many, of a saving interval (`integrators.events`).
     """
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
     contacts: Callable
     remember: Callable
+    derived: Equations | None = None
     events: int = eqx.field(static=True, default=0)
 
     @property
@@ -128,13 +131,16 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, before, deepest, events = solver_state
-        y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
-        after: Any = self.contacts(t1, y1, args)
+        step = Step(args[0], ContactMotion(*constant(before)), constant(t1 - t0))
+        times, y, own, shift, given = self._begun(step, (t0, t1), y0, own, args)
+        y1, error, dense, own, result = self.solver.step(terms, *times, y, given, own, made_jump)
+        after: Any = constant(self.contacts(t1, y1, args))
         length, half = t1 - t0, 0.5 * (t0 + t1)
         path = self.interpolation_cls(t0=t0, t1=t1, **constant(dense))
         middle = self.contacts(half, path.evaluate(half), args)
         passed = Passage(*constant((before, middle, after)))
-        y1 = self.remember(y1, before, after, length, args)
+        remembering = self.remember(y1, before, after, length, args)
+        y1, own = self._ended(step, (t1, y1), own, shift, remembering)
         if events is not None:
             events = noted(events, t0, length, *jax.lax.stop_gradient((before, after)))
         return (
@@ -144,6 +150,23 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
             (own, after, _deeper(after, deepest), events),
             result,
         )
+
+    def _begun(self, step, times, y, own, args):
+        """(times, state, state of the solver, shift, args) of its step, as derivatives want it."""
+        if self.derived is None:
+            return times, y, own, None, args
+        slopes, others = eqx.partition(own, eqx.is_inexact_array)
+        y, slopes, shift = self.derived.shifted(step, (times[0], y), slopes)
+        times = tuple(time + shift for time in times)
+        return times, y, eqx.combine(slopes, others), shift, (args[0], step.shares)
+
+    def _ended(self, step, end, own, shift, remembering):
+        """(state, state of the solver) with derivatives behind touches and releases."""
+        if self.derived is None:
+            return remembering, own
+        slopes, others = eqx.partition(own, eqx.is_inexact_array)
+        y, slopes = self.derived.jumped(step, end, slopes, shift, remembering)
+        return y, eqx.combine(slopes, others)
 
 
 def _deeper(contacts: Any, deepest: Any) -> Any:

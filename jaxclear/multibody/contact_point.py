@@ -15,6 +15,7 @@ from jaxclear.components.clearance import AbstractClearance, ContactCandidate, C
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import rounded_norm, safe_sqrt
 from jaxclear.ground.pose import Pose
+from jaxclear.multibody.counted_laws import laws_as_counted
 from jaxclear.multibody.loops import Relative
 from jaxclear.multibody.worn_laws import laws_now
 
@@ -25,11 +26,13 @@ SLIP_ROUNDING = 1e-14
 
 class PointState(NamedTuple):
     """What one possible contact remembers: speed of first touch [m/s], 0 while apart, and bristle
-    deflections [m], where its laws do.
+    deflections [m], where its laws do. `share`: whether it counts as closed (`counted_laws`; None:
+    as its indentation has it).
     """
 
     impact_speed: Any
     bristles: tuple
+    share: Any = None
 
 
 class PointReport(NamedTuple):
@@ -101,7 +104,8 @@ def evaluate(
     """Forces of a clearance joint; `worn` are the depth maps that feed back into the gap."""
     pose, velocity, spin = relative
     gap_functions = gap_function(joint, pose, worn)
-    contact_laws = laws_at(joint, contact_laws, pose, worn)
+    shares = tuple(state.share for state in memory)
+    contact_laws = laws_as_counted(laws_at(joint, contact_laws, pose, worn), shares)
     speeds, responses = [], []
     for laws, contact, state in zip(contact_laws, gap_functions, memory, strict=True):
         rate, slip = contact_speeds(joint, pose, contact, velocity, spin)

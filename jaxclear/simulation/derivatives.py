@@ -1,12 +1,13 @@
 """Which derivatives through a run are refused.
 
-Where contacts open and close, no step knows how the instant of a touch moves with a number, and the
-derivative of one finished run scatters about that of the motion: by a share after one bounce, by a
-multiple after a few (-3.0 for 0.24 after three lossless ones in steps of 20 us), and nothing tells
-by how much. So it is refused while it is being traced, unless the derivative of the discrete run is
-what was asked for. Where nothing opens (ideal joints, permanent contact) the derivative of the
-discrete run converges to that of the motion, and passes: forwards through the steps, backwards as
-so many of these as numbers move.
+Where contacts open and close, steps of a given length do not know how the instant of a touch moves
+with a number, and the derivative of one finished run scatters about that of the motion: by a share
+after one bounce, by a multiple after a few (-3.0 for 0.24 after three lossless ones in steps of 20
+us), and nothing tells by how much. So it is refused while it is being traced, unless the derivative
+of the discrete run is what was asked for. Steps that end at touches know it (`saltation`). Where
+nothing opens (ideal joints, permanent contact) the derivative of the discrete run converges to that
+of the motion, and passes: forwards through the steps, backwards as so many of these as numbers
+move.
 """
 
 import functools
@@ -40,7 +41,7 @@ def refusal(mechanism: Mechanism, integrator: AbstractIntegrator) -> str:
     `mechanism`: as its formulation sees it.
     """
     joints = mechanism.topology.clearances
-    if not joints:
+    if not joints or integrator.through_contacts:
         return ""
     name = public_name(type(integrator))
     named = " and ".join(f'"{joint}"' for joint in joints[:2])
@@ -59,7 +60,10 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
     why = refusal(run.mechanism, integrator) if is_traced(COMPUTED(run)) else ""
     if not why or (discrete and integrator.pathwise):
         return run
-    ways = "take jaxclear.sensitivity, which compares methods and gives an error"
+    ways = (
+        "take jaxclear.integrator.Adaptive() with an explicit solver, which ends steps at touches, "
+        "or jaxclear.sensitivity, which compares methods and gives an error"
+    )
     if integrator.pathwise:
         ways += (
             ", or jaxclear.Problem.evaluate(values, discrete_derivatives=True) for the derivative "

@@ -1,0 +1,206 @@
+r"""Derivatives of steps through touches and releases.
+
+Where a contact closes or parts the equations change, and the instant :math:`t^*` at which they do
+moves with whatever a derivative is by. With the derivative :math:`dy^-` of the state at the end of
+a step that ends there (at a fixed time), indentation :math:`\delta`, rates :math:`f^-` before and
+:math:`f^+` after,
+
+.. math:: dt^* = -\frac{d\delta}{\dot\delta}, \qquad dy^+ = dy^- + (f^- - f^+)\,dt^*,
+
+and an impact speed that is taken there moves by :math:`d\dot\delta + \ddot\delta^-\,dt^*`: a
+"saltation matrix". Steps end at touches only to within a tolerance. Beyond the touch a stage would
+feel contact stiffness that the flow before it has not got, so that derivatives, within a step, are
+those of equations whose contacts count as they were at its start.
+
+Near touches and releases the stiffness of a contact changes as the square root of time, and faster
+where a damper sets in. Stages do not resolve that, and need not for the motion itself. A difference
+without indentation hardly feels it: so there derivatives are taken at times that move with the
+contact. A step carries on what goes along with the motion, :math:`f\,dt`, as it is.
+
+None of this is in a program of which no derivative is asked.
+
+Source: Müller 1995, Calculation of Lyapunov exponents for dynamic systems with discontinuities,
+Chaos, Solitons & Fractals 5, 1671, doi:10.1016/0960-0779(94)00170-U, eq. 19.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxclear.formulations.compliant import CompliantContact
+from jaxclear.formulations.impact_speed import ContactMotion
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.quantity import Scalar
+from jaxclear.ground.tangents import moved, pushed
+from jaxclear.multibody.state import Layout, impact_speed_places
+
+# A contact is near its touch or release in a step if its indentation is less than what so many of
+# such steps would change it by, as they begin.
+NEAR = 200.0
+
+
+class Step(NamedTuple):
+    """A step of a model with these arrays: how its contacts were at the start, and its length [s],
+    both without derivatives."""
+
+    arrays: Any
+    contacts: ContactMotion
+    length: Scalar
+
+    @property
+    def shares(self) -> Any:
+        """1 for a contact that counts as closed, 0 for one that does as apart."""
+        return _closed(self.contacts)
+
+    @property
+    def left(self) -> Any:
+        """How many such steps a closed contact is away from its touch or release; inf where it is
+        not near."""
+        reach = abs(self.contacts.rates) * self.length
+        near = (self.contacts.depths >= 0) & (self.contacts.depths < NEAR * reach)
+        return jnp.where(near, safe_divide(self.contacts.depths, reach), jnp.inf)
+
+
+class Equations(NamedTuple):
+    """Of a model, by its arrays, with derivatives: `rates(arrays, shares, time, state)`, and what
+    goes around a step, where `slopes` holds the slope with which the next one begins, if any.
+
+    `shifted(step, (time, state), slopes)`: state and slopes at its start, at times that move by the
+    derivative of a third number, which is 0; `jumped(step, (time, state), slopes, shift,
+    remembering)`: the state with its impact speeds, and the slopes, at the end, at a fixed time
+    behind touches and releases there.
+    """
+
+    rates: Callable
+    shifted: Callable
+    jumped: Callable
+
+
+class _Model(NamedTuple):
+    """Rates as a function of (arrays, shares, time, state), the motion of contacts as one of
+    (arrays, time, state)."""
+
+    rates: Callable
+    contacts: Callable
+    layout: Layout
+
+
+def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
+    """Of a model, of which this is the `rest` beside its arrays; `plain`: its rates as a function
+    of (arrays, time, state)."""
+
+    @jax.jit
+    def counted(arrays, shares, time, y):
+        return formulation.rate(eqx.combine(arrays, rest), time, y, shares)[0]
+
+    @jax.jit
+    def contacts(arrays, time, y):
+        return formulation.contacts(eqx.combine(arrays, rest), time, y)
+
+    def as_counted(numbers, tangents):
+        return pushed(counted, numbers, tangents)[1]
+
+    model = _Model(counted, contacts, rest.layout)
+    return Equations(
+        _derived(lambda arrays, _, *now: plain(arrays, *now), as_counted),
+        _derived(
+            lambda step, now, slopes: (now[1], slopes, jnp.zeros(())),
+            functools.partial(_at_moving_time, model),
+        ),
+        _derived(
+            lambda step, now, slopes, shift, remembering: (remembering, slopes),
+            functools.partial(_behind, model),
+        ),
+    )
+
+
+def _derived(function: Callable, tangent: Callable) -> Callable:
+    """A function with another's derivative: `tangent(numbers, tangents)`."""
+    known = jax.custom_jvp(function)
+    known.defjvp(
+        lambda numbers, tangents: (function(*numbers), tangent(numbers, tangents)),
+        symbolic_zeros=True,
+    )
+    return known
+
+
+def _closed(contacts: ContactMotion) -> Any:
+    return jnp.where(contacts.depths >= 0, 1.0, 0.0)
+
+
+def _at_moving_time(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
+    """The derivatives of (state, slopes, shift) at the start of a step."""
+    step, (time, y), _ = numbers
+    (way, *_), (time_way, state), slopes = tangents
+    left, rates = step.left, step.contacts.rates
+    nearest = (left == jnp.min(left)) & (left < jnp.inf)
+
+    def moving(known):
+        state, slopes, _ = known
+        here, ways = (step.arrays, time, y), (way, time_way, state)
+        ahead = pushed(model.contacts, here, ways)[1]
+        # A contact that opens is to do so without a difference at the end.
+        depths = ahead.depths + jnp.where(rates < 0, step.length * ahead.rates, 0.0)
+        each = jnp.where(nearest, -safe_divide(depths, rates), 0.0)
+        shift = jnp.sum(each) / jnp.sum(jnp.where(nearest, 1.0, 0.0))
+        state = state + shift * model.rates(step.arrays, step.shares, time, y)
+        ways = way, moved(time_way) + shift, state
+        return state, _slopes(model, step.shares, here, ways, slopes), shift
+
+    known = *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
+    return _where(jnp.any(nearest), moving, known)
+
+
+def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
+    """The derivatives of (state, slopes) at the end of a step."""
+    step, (time, y), *_ = numbers
+    (way, *_), (time_way, _), slopes, shift, state = tangents
+    arrays, before = step.arrays, step.shares
+    here = arrays, time, y
+    now = model.contacts(*here)
+    after = _closed(now)
+
+    def behind(known):
+        state, slopes = known
+        flow = model.rates(arrays, before, time, y)
+        state = state - moved(shift) * flow
+        ahead = pushed(model.contacts, here, (way, time_way, state))[1]
+        late = jnp.where(before != after, -safe_divide(ahead.depths, now.rates), 0.0)
+        rate = lambda shares: model.rates(arrays, shares, time, y)
+        state = state + jax.jvp(rate, (before,), ((before - after) * late,))[1]
+        along = lambda time, y: model.contacts(arrays, time, y).rates
+        gain = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
+        state = _with_impact_speeds(model.layout, state, after > before, ahead.rates + gain * late)
+        return state, _slopes(model, after, here, (way, time_way, state), slopes)
+
+    near = jnp.any(step.left < jnp.inf)
+    return _where(near | jnp.any(before != after), behind, jax.tree.map(moved, (state, slopes)))
+
+
+def _slopes(model: _Model, shares: Any, here: tuple, ways: tuple, slopes: Any) -> Any:
+    """The derivatives of slopes at (arrays, time, state) with these derivatives."""
+    rate = lambda arrays, time, y: model.rates(arrays, shares, time, y)
+    found = pushed(rate, here, ways)[1]
+    return jax.tree.map(lambda _: found, slopes)
+
+
+def _with_impact_speeds(layout: Layout, state: Any, taken: Any, speeds: Any) -> Any:
+    """The state with these in the places of impact speeds that have been taken."""
+    entries = [state[i] for i in range(layout.size)]
+    for i, place in enumerate(impact_speed_places(layout)):
+        if place is not None:
+            entries[place] = jnp.where(taken[i], speeds[i], entries[place])
+    return sp.stack(entries)
+
+
+def _where(wanted: Any, function: Callable, known: Any) -> Any:
+    """`function(known)` where it is wanted, otherwise what is known. A kernel goes through a loop
+    of no turns for nothing, but through both sides of a choice."""
+    turn = lambda carry: (carry[0] + 1, function(carry[1]))
+    first = jnp.zeros((), int), known
+    return jax.lax.while_loop(lambda carry: carry[0] < wanted.astype(int), turn, first)[1]
