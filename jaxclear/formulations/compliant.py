@@ -112,6 +112,21 @@ class CompliantContact(AbstractFormulation):
         found = map_alike(contact_point.indentation_rates, calls)
         return _stacked([point for joint in found for point in joint])
 
+    def slips(self, model: Model, time: Any, state: State) -> Float[Array, "contacts 3"]:
+        """Sliding velocity [m/s] of every possible contact along its sliding directions, from the
+        geometry alone; 0 where nothing rubs."""
+        motion = unpack_motion(model.system, model.entries(state))
+        motions = kinematics.link_motions(model.system, *motion, time)
+        found = []
+        for name, bearing in model.system.bearings.items():
+            pose, *speeds = kinematics.relative_motion(bearing.closure, motions)[2]
+            contacts = contact_point.gap_function(bearing.joint, pose, model.worn.get(name, {}))
+            for laws, contact in zip(bearing.contact_laws, contacts, strict=True):
+                slip = contact_point.contact_speeds(bearing.joint, pose, contact, *speeds)[1]
+                rubbing = () if laws.friction is None else slip
+                found.append(sp.stack([*rubbing, *sp.ZERO][:3]))
+        return jnp.stack(found)
+
     def coordinate_rates(self, model: Model, state: State) -> Float[Array, " q"]:
         """Rates of the coordinates alone: they follow from coordinates and speeds."""
         motion = unpack_motion(model.system, model.entries(state))

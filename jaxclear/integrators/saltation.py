@@ -12,10 +12,11 @@ and an impact speed that is taken there moves by :math:`d\dot\delta + \ddot\delt
 feel contact stiffness that the flow before it has not got, so that derivatives, within a step, are
 those of equations whose contacts count as they were at its start.
 
-Near touches and releases the stiffness of a contact changes as the square root of time, and faster
-where a damper sets in. Stages do not resolve that, and need not for the motion itself. A difference
-without indentation hardly feels it: so there derivatives are taken at times that move with the
-contact. A step carries on what goes along with the motion, :math:`f\,dt`, as it is.
+In contact, stages that resolve forces need not resolve their derivatives: near a touch the stiffness
+changes as the square root of time, faster where a damper sets in, and where slip changes its sign
+friction is a stiff damper for a moment. Differences without indentation (without slip) hardly feel
+that: so derivatives are taken at times that move with what a contact is nearest to. What goes along
+with the motion, :math:`f\,dt`, a step carries on as it is.
 
 None of this is in a program of which no derivative is asked.
 
@@ -34,13 +35,13 @@ import jax.numpy as jnp
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import ContactMotion
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import moved, pushed
 from jaxclear.multibody.state import Layout, impact_speed_places
 
-# A contact is near its touch or release in a step if its indentation is less than what so many of
-# such steps would change it by, as they begin.
+# A contact is near to its touch or release, or to the end of its slip, if so many steps as long as
+# this one would take it there at its rate.
 NEAR = 200.0
 
 
@@ -56,14 +57,6 @@ class Step(NamedTuple):
     def shares(self) -> Any:
         """1 for a contact that counts as closed, 0 for one that does as apart."""
         return _closed(self.contacts)
-
-    @property
-    def left(self) -> Any:
-        """How many such steps a closed contact is away from its touch or release; inf where it is
-        not near."""
-        reach = abs(self.contacts.rates) * self.length
-        near = (self.contacts.depths >= 0) & (self.contacts.depths < NEAR * reach)
-        return jnp.where(near, safe_divide(self.contacts.depths, reach), jnp.inf)
 
 
 class Equations(NamedTuple):
@@ -87,6 +80,7 @@ class _Model(NamedTuple):
 
     rates: Callable
     contacts: Callable
+    slips: Callable
     layout: Layout
 
 
@@ -105,7 +99,11 @@ def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equa
     def as_counted(numbers, tangents):
         return pushed(counted, numbers, tangents)[1]
 
-    model = _Model(counted, contacts, rest.layout)
+    @jax.jit
+    def slips(arrays, time, y):
+        return formulation.slips(eqx.combine(arrays, rest), time, y)
+
+    model = _Model(counted, contacts, slips, rest.layout)
     return Equations(
         _derived(lambda arrays, _, *now: plain(arrays, *now), as_counted),
         _derived(
@@ -137,23 +135,40 @@ def _at_moving_time(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
     """The derivatives of (state, slopes, shift) at the start of a step."""
     step, (time, y), _ = numbers
     (way, *_), (time_way, state), slopes = tangents
-    left, rates = step.left, step.contacts.rates
-    nearest = (left == jnp.min(left)) & (left < jnp.inf)
 
     def moving(known):
         state, slopes, _ = known
         here, ways = (step.arrays, time, y), (way, time_way, state)
-        ahead = pushed(model.contacts, here, ways)[1]
-        # A contact that opens is to do so without a difference at the end.
-        depths = ahead.depths + jnp.where(rates < 0, step.length * ahead.rates, 0.0)
-        each = jnp.where(nearest, -safe_divide(depths, rates), 0.0)
-        shift = jnp.sum(each) / jnp.sum(jnp.where(nearest, 1.0, 0.0))
-        state = state + shift * model.rates(step.arrays, step.shares, time, y)
+        flow = model.rates(step.arrays, step.shares, time, y)
+        shift = _shift(model, step, here, ways, flow)
+        state = state + shift * flow
         ways = way, moved(time_way) + shift, state
         return state, _slopes(model, step.shares, here, ways, slopes), shift
 
     known = *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
-    return _where(jnp.any(nearest), moving, known)
+    return _where(jnp.any(step.shares > 0), moving, known)
+
+
+def _shift(model: _Model, step: Step, here: tuple, ways: tuple, flow: Any) -> Any:
+    """By how much later (its derivative) a contact does in a step what it is nearest to: to close
+    or open, or to slide the other way."""
+    (depths, rates), (arrays, time, y) = step.contacts, here
+    ahead = pushed(model.contacts, here, ways)[1]
+    # A contact that opens is to do so without a difference at the end.
+    deeper = ahead.depths + jnp.where(rates < 0, step.length * ahead.rates, 0.0)
+    slips, aside = pushed(model.slips, here, ways)
+    along = lambda time, y: model.slips(arrays, time, y)
+    turning = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
+    inner = lambda one, other: jnp.sum(one * other, -1)
+    speeds = safe_sqrt(inner(slips, slips)), safe_sqrt(inner(turning, turning))
+    way = jnp.stack([abs(depths), speeds[0]])
+    reach = step.length * jnp.stack([abs(rates), speeds[1]])
+    near = (step.shares > 0) & (way < NEAR * reach)
+    left = jnp.where(near, safe_divide(way, reach), jnp.inf)
+    late = [safe_divide(deeper, rates), safe_divide(inner(aside, turning), inner(turning, turning))]
+    nearest = near & (left == jnp.min(left))
+    count = jnp.sum(jnp.where(nearest, 1.0, 0.0))
+    return -safe_divide(jnp.sum(jnp.where(nearest, jnp.stack(late), 0.0)), count)
 
 
 def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
@@ -178,8 +193,8 @@ def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
         state = _with_impact_speeds(model.layout, state, after > before, ahead.rates + gain * late)
         return state, _slopes(model, after, here, (way, time_way, state), slopes)
 
-    near = jnp.any(step.left < jnp.inf)
-    return _where(near | jnp.any(before != after), behind, jax.tree.map(moved, (state, slopes)))
+    wanted = jnp.any((before > 0) | (before != after))
+    return _where(wanted, behind, jax.tree.map(moved, (state, slopes)))
 
 
 def _slopes(model: _Model, shares: Any, here: tuple, ways: tuple, slopes: Any) -> Any:
