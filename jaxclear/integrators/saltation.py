@@ -12,11 +12,11 @@ and an impact speed that is taken there moves by :math:`d\dot\delta + \ddot\delt
 feel contact stiffness that the flow before it has not got, so that derivatives, within a step, are
 those of equations whose contacts count as they were at its start.
 
-In contact, stages that resolve forces need not resolve their derivatives: near a touch the stiffness
-changes as the square root of time, faster where a damper sets in, and where slip changes its sign
-friction is a stiff damper for a moment. Differences without indentation (without slip) hardly feel
-that: so derivatives are taken at times that move with what a contact is nearest to. What goes along
-with the motion, :math:`f\,dt`, a step carries on as it is.
+In contact, stages that resolve forces need not resolve their derivatives: near a touch the
+stiffness changes as the square root of time, faster where a damper sets in, and where slip changes
+its sign friction is a stiff damper for a moment. Differences without indentation (without slip)
+hardly feel that: so derivatives are taken at times that move with what a contact is nearest to.
+What goes along with the motion, :math:`f\,dt`, a step carries on as it is.
 
 None of this is in a program of which no derivative is asked.
 
@@ -140,7 +140,7 @@ def _at_moving_time(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
         state, slopes, _ = known
         here, ways = (step.arrays, time, y), (way, time_way, state)
         flow = model.rates(step.arrays, step.shares, time, y)
-        shift = _shift(model, step, here, ways, flow)
+        shift = _shift(model, step, here, ways, (flow, slopes))
         state = state + shift * flow
         ways = way, moved(time_way) + shift, state
         return state, _slopes(model, step.shares, here, ways, slopes), shift
@@ -149,16 +149,21 @@ def _at_moving_time(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
     return _where(jnp.any(step.shares > 0), moving, known)
 
 
-def _shift(model: _Model, step: Step, here: tuple, ways: tuple, flow: Any) -> Any:
+def _shift(model: _Model, step: Step, here: tuple, ways: tuple, slopes: tuple) -> Any:
     """By how much later (its derivative) a contact does in a step what it is nearest to: to close
-    or open, or to slide the other way."""
-    (depths, rates), (arrays, time, y) = step.contacts, here
+    or open, or to slide the other way. `slopes`: the rates of the state, and their derivatives."""
+    (depths, rates), (arrays, time, y), (flow, gains) = step.contacts, here, slopes
     ahead = pushed(model.contacts, here, ways)[1]
+    both = lambda time, y: (model.contacts(arrays, time, y).rates, model.slips(arrays, time, y))
+    gain, turning = jax.jvp(both, (time, y), (jnp.ones_like(time), flow))[1]
     # A contact that opens is to do so without a difference at the end.
-    deeper = ahead.depths + jnp.where(rates < 0, step.length * ahead.rates, 0.0)
+    opening, length = rates < 0, step.length
+    deeper = ahead.depths + jnp.where(opening, length * ahead.rates, 0.0)
+    for each in jax.tree.leaves(gains):
+        more = jax.jvp(lambda y: both(time, y)[0], (y,), (each,))[1]
+        deeper = deeper + jnp.where(opening, 0.5 * length * length * more, 0.0)
+    rates = jnp.where(opening & (gain < 0), rates + length * gain, rates)
     slips, aside = pushed(model.slips, here, ways)
-    along = lambda time, y: model.slips(arrays, time, y)
-    turning = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
     inner = lambda one, other: jnp.sum(one * other, -1)
     speeds = safe_sqrt(inner(slips, slips)), safe_sqrt(inner(turning, turning))
     way = jnp.stack([abs(depths), speeds[0]])

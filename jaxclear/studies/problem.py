@@ -254,8 +254,8 @@ class Problem(AbstractProblem):
     def pathwise_limits(self):
         if not self.integrator.pathwise:
             return (
-                "derivatives of a finished adaptive run are wrong near contact; use a fixed-step "
-                "integrator."
+                "derivatives of single adaptive runs are not averaged over tolerances; use a "
+                "fixed-step integrator."
             ), ""
         seen = self.integrator.formulation.seen(self.mechanism)
         return "", refusal(seen, self.integrator)

@@ -23,6 +23,7 @@ CASES = {
     "permanent contact": (True, False, 1e-3, 0.1),
     "permanent contact, worn": (True, True, 1e-3, 0.1),
     "opening and closing": (True, False, 2e-5, 4e-3),
+    "opening, closing and worn": (True, True, 2e-5, 4e-3),
     "the same": (True, False, 2e-5, 4e-3),
     "the same and worn": (True, True, 2e-5, 4e-3),
 }
@@ -116,7 +117,10 @@ def assert_cell(joints, text, name, word, entry):
     x = asked.nominal()
     answer = answer_of(asked, entry, DISCRETE in joints)
     if word == "says why":
-        ways = r"jaxclear.sensitivity|take forward mode \(jax.jvp, jax.jacfwd"
+        ways = (
+            r"jaxclear.sensitivity|take forward mode \(jax.jvp, jax.jacfwd|"
+            "take differences of first derivatives"
+        )
         with pytest.raises(ValueError, match=ways):
             jax.jit(lambda v: TRANSFORMATIONS[name](answer, v))(x)
         return
