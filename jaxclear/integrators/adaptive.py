@@ -62,12 +62,12 @@ class Adaptive(AbstractIntegrator):
     runs save next to no time. A step in which a contact closes or parts is repeated to end there;
     steps end at saving times too, so saving more often than steps are long costs as many more.
     `MuntheKaas`, implicit solvers and those with steps of their own run in diffrax's loop, and hand
-    on the mean of their steps. In a batch all samples wait for the slowest. First derivatives through
-    contacts are those of the motion (within 0.5 % at the usual tolerance, measured through up to
-    seven impacts): steps end at touches and releases, and know how these move (`saltation`). Their
-    error is not controlled: tighten `rtol` to see it. Not with implicit solvers and `MuntheKaas`,
-    where `jaxclear.sensitivity` is the way. Stiff scenes (large friction over tiny transition
-    speeds) may prefer an implicit solver, best with a full Newton iteration:
+    on the mean of their steps. In a batch all samples wait for the slowest. First derivatives
+    through contacts are those of the motion (within 0.5 % at the usual tolerance, measured through
+    up to seven impacts): steps end at touches and releases, and know how these move (`saltation`).
+    Their error is not controlled: tighten `rtol` to see it. Not with implicit solvers and
+    `MuntheKaas`, where `jaxclear.sensitivity` is the way. Stiff scenes (large friction over tiny
+    transition speeds) may prefer an implicit solver, best with a full Newton iteration:
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)). `MuntheKaas` keeps
     rotations on their group.
     """
