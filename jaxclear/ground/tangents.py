@@ -12,7 +12,7 @@ from jax.custom_derivatives import SymbolicZero
 def pushed(function: Callable, numbers: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, Any]:
     """As `jax.jvp(function, numbers, tangents)`, where some of the tangents are `SymbolicZero`."""
     leaves, structure = jax.tree.flatten(tuple(numbers))
-    ways = structure.flatten_up_to(tuple(tangents))
+    ways = jax.tree.leaves(tuple(tangents))
     moving = [i for i, way in enumerate(ways) if not isinstance(way, SymbolicZero)]
 
     def of_moving(*some):
