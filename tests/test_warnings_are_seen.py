@@ -24,7 +24,7 @@ def clean():
 def warning(run):
     """The run, its worn volume found to change with its steps."""
     found = Figure(jnp.array([7.3]), jnp.array([1e-4]), ("B",))
-    return dataclasses.replace(run, checks=Checks({Check.HALVED_WEAR: found}))
+    return dataclasses.replace(run, checks=Checks.of({Check.HALVED_WEAR: found}))
 
 
 def test_every_check_has_a_reason_for_its_limit():

@@ -1,8 +1,9 @@
 """What a run pays for judging itself: CPU time with its checks beside the same run without any, one
 run alone and a sample in a batch; and what a run in doubt pays for its second look.
 
-A run without checks is not offered to users; here its windows, its looks at saved states and the
-watch on its contacts are taken out by hand, and so is the second look.
+A run without checks is not offered to users; here its windows, its looks at saved states, the
+watch on its contacts and what fewer saving times would wear are taken out by hand, and so is the
+second look.
 """
 
 import json
@@ -18,7 +19,7 @@ import jaxclear as jc
 from benchmarks.measure import about, arguments, report, side_by_side
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.integrators import fixed_step, implicit_step
-from jaxclear.simulation import loop, referee, second_look, spot_checks, turns
+from jaxclear.simulation import loop, referee, second_look, spot_checks, turns, wear_by_saves
 from jaxclear.simulation.simulate import saving_times
 
 FIXED, IMPLICIT, ADAPTIVE, PERMANENT = (
@@ -63,9 +64,10 @@ def unchecked() -> Iterator[None]:
         (
             referee,
             "_of_saved_states",
-            lambda *_: referee.Seen({}, {}, None, None, (jnp.zeros((0, 0)), jnp.zeros(()))),
+            lambda *_: referee.Seen({}, {}, None),
         ),
         (turns, "followed", lambda tally, *_: tally),
+        (wear_by_saves, "figures", lambda *_: {}),
         (fixed_step, "_nothing_met", lambda *_: None),
         (implicit_step, "contacts_met", lambda met, *_: met),
     ]

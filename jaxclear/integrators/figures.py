@@ -2,6 +2,7 @@
 as a table, as sentences, and of many samples at once.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.checks import Check
 
 
@@ -25,14 +27,42 @@ class Checks(eqx.Module):
     """The figures by which a run is judged. `print` shows them as a table; `warnings` are the
     sentences of those beyond their limits. After `jax.vmap` every array has the samples in front:
     `beyond` and `any_beyond` stay arrays, the rest is for one run.
+
+    Of all figures together it holds the `worst` and the `time` [s]: a short run would pay for every
+    array that it hands over. `named`: the checks in order, each with the names of its places.
     """
 
-    figures: dict[Check, Figure] = eqx.field(default_factory=dict)
+    worst: Float[Array, "*batch all_places"] = eqx.field(default_factory=lambda: np.zeros(0))
+    time: Float[Array, "*batch all_places"] = eqx.field(default_factory=lambda: np.zeros(0))
+    named: tuple[tuple[Check, tuple[str, ...]], ...] = eqx.field(static=True, default=())
+
+    @classmethod
+    def of(cls, figures: Mapping[Check, Figure]) -> "Checks":
+        """Of each figure by its check."""
+        if not figures:
+            return cls()
+        together = jnp if is_traced(figures) else np
+        rows = zip(*((figure.worst, figure.time) for figure in figures.values()), strict=True)
+        worst, time = (together.concatenate(row, axis=-1) for row in rows)
+        return cls(worst, time, tuple((check, own.places) for check, own in figures.items()))
+
+    @property
+    def figures(self) -> dict[Check, Figure]:
+        """Each figure by its check."""
+        found, start = {}, 0
+        rows = self.worst, self.time
+        # JAX takes as long for every part of an array that is known as for a short run.
+        worst, time = rows if is_traced(rows) else map(np.asarray, rows)
+        for check, places in self.named:
+            own = slice(start, start + len(places))
+            found[check] = Figure(worst[..., own], time[..., own], places)
+            start = own.stop
+        return found
 
     def beyond(self) -> dict[Check, Bool[Array, "*batch"]]:
         """For each figure whether it is beyond its limit anywhere; samples stay in front."""
         return {
-            check: jnp.any(figure.worst > check.limit, axis=-1)
+            check: (figure.worst > check.limit).any(axis=-1)
             for check, figure in self.figures.items()
         }
 

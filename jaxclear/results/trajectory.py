@@ -54,10 +54,7 @@ class Trajectory(eqx.Module):
     """A simulated run. `history` holds the states; `worn` are depth maps [m] by joint and surface
     at the end, `outcome` tells how the run ended (an `Outcome`), `ended` when [s], `stats` what it
     cost, `checks` what it found out about its own numbers; `noted`: touches and releases, where
-    they were asked for; what a second look compares, at up to 50 saving times: `places`, where in
-    its gap each contact is beside the gap's width (None: there are none), and `ways`, how far the
-    centres of mass have gone [m] (of mechanisms without clearance: the coordinates, angles times
-    the longest arm), with the `way` [m] beside which that counts, the longest.
+    they were asked for.
     """
 
     history: StateHistory
@@ -67,9 +64,6 @@ class Trajectory(eqx.Module):
     stats: RunStats
     checks: Checks = eqx.field(default_factory=Checks)
     noted: Events | None = None
-    places: Float[Array, "looks places"] | None = None
-    ways: Float[Array, "looks places"] | None = None
-    way: Float[Array, ""] | None = None
 
     @property
     def mechanism(self) -> Mechanism:

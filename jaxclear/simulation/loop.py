@@ -15,6 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.base import model_of
@@ -31,10 +32,10 @@ from jaxclear.simulation import spot_checks, wear_by_saves
 from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.looks import looked_at
 from jaxclear.simulation.referee import refereed
-from jaxclear.simulation.spot_checks import Plan
+from jaxclear.simulation.spot_checks import COARSE_ON, ON, Plan
 from jaxclear.simulation.tally import nothing_yet
 from jaxclear.simulation.turns import Carry, Left, turns_of
-from jaxclear.simulation.wear import unworn
+from jaxclear.simulation.wear import Worn, unworn
 
 # What a derivative in reverse mode is told where the run is neither pushed forwards nor one kernel.
 NOT_BACKWARDS = (
@@ -80,7 +81,8 @@ def run(
     if past.remembered is not None:
         state = state.at[layout.remembered].set(past.remembered)
     worn = unworn(model.system) if past.worn is None else past.worn
-    plan = spot_checks.plan(times, integrator.usual_step)
+    means = formulation.forces_are_means
+    plan = spot_checks.plan(times, integrator.usual_step, means)
     read = readings(model.system, worn)
     seen = dataclasses.replace(model, worn=read)
     warm_start = _first_warm_start(seen, integrator, times[0], state)
@@ -104,7 +106,6 @@ def run(
         run_there = times[:-1] <= last.ended
         noted = noted._replace(counts=jnp.where(run_there[:, None], noted.counts, 0.0))
     trajectory = Trajectory(history, last.worn, last.outcome, last.ended, stats, noted=noted)
-    means = formulation.forces_are_means
     windows = spot_checks.figures(model, plan, states, ends, last.tally, means)
     windows |= wear_by_saves.figures(model, worn, last.worn, states)
     return refereed(trajectory, model, last.tally, figures, windows)
@@ -157,17 +158,22 @@ def _in_one_kernel(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Lef
         # Of a shadow no more is carried than the next one needs: a step's registers are few.
         now, shadow = carry
         span, is_own, follows = row
-        state, warm_start, outcome = _choose(
-            follows, shadow, (now.state, now.warm_start, now.outcome)
-        )
-        begin = now._replace(state=state, warm_start=warm_start, outcome=outcome)
+        begin = now
+        if goes_on.any():
+            state, warm_start, outcome = _choose(
+                follows, shadow, (now.state, now.warm_start, now.outcome)
+            )
+            begin = now._replace(state=state, warm_start=warm_start, outcome=outcome)
         end, left = turn(begin, span)
         shadow = end.state, end.warm_start, now.outcome
-        return (_choose(is_own, end, now), shadow), (*left, _end(end))
+        parts = [(each.state, each.warm_start, each.outcome) for each in (end, now)]
+        state, warm_start, outcome = _choose(is_own, *parts)
+        after = end._replace(state=state, warm_start=warm_start, outcome=outcome)
+        return (after, shadow if goes_on.any() else ()), (*left, _end(end))
 
     shadows = np.where(own, np.sum(~own), np.cumsum(~own) - 1)
     kept.append(Kept(shadows, np.sum(~own)))
-    shadow = first.state, first.warm_start, first.outcome
+    shadow = (first.state, first.warm_start, first.outcome) if goes_on.any() else ()
     (last, _), (*left, ends) = scan(one, (first, shadow), (turns, own, goes_on), kept)
     return last, Left(*left), ends
 
@@ -175,32 +181,56 @@ def _in_one_kernel(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Lef
 def _from_save_to_save(
     plan: Plan, turn: Callable, first: Carry
 ) -> tuple[Carry, Left, Array | None]:
-    """As `_in_one_kernel`, each turn by itself. What shadows are apart from the run is seen to
-    between parts, so that the run's own turns pay nothing for them."""
+    """As `_in_one_kernel`, each turn by itself; windows are gone through after the run, from what
+    its turns began with, so that these pay nothing for them."""
     if not len(plan.windows):
         last, rows = jax.lax.scan(turn, first, plan.turns)
         return last, _from_the_start(first.state, rows), None
-    count = plan.intervals
-    left = jax.eval_shape(turn, first, jax.tree.map(lambda each: each[0], plan.turns))[1]
-    rows = jax.tree.map(lambda each: jnp.zeros((count, *each.shape), each.dtype), left)
 
-    def one(index, carry):
-        now, rows = carry
-        now, row = turn(now, jax.tree.map(lambda each: each[index], plan.turns))
-        # A shadow's go to the last row, which is the run's own in the end.
-        put = lambda each, values: jax.lax.dynamic_update_index_in_dim(each, values, index, 0)
-        return now, jax.tree.map(put, rows, row)
+    def one(now, span):
+        after, left = turn(now, span)
+        return after, (left, ravel_pytree(now.warm_start)[0])
 
-    def through(carry, part):
-        now, shadow, rows = carry
-        begin = _choose(part.goes_on, shadow, now)
-        end, rows = jax.lax.fori_loop(part.first, part.stop, one, (begin, rows))
-        shadow = now._replace(state=end.state, warm_start=end.warm_start)
-        return (_choose(part.own, end, now), shadow, rows), _end(end)
+    own = jax.tree.map(lambda each: each[: plan.intervals], plan.turns)
+    last, (rows, begun) = jax.lax.scan(one, first, own)
+    ends = _through_windows(plan, turn, (first, last), rows.saved, begun)
+    return forwards_only(NOT_BACKWARDS, (last, _from_the_start(first.state, rows), ends))
 
-    (last, _, rows), ends = jax.lax.scan(through, (first, first, rows), plan.parts)
-    done = last, _from_the_start(first.state, rows), ends[~plan.parts.own]
-    return forwards_only(NOT_BACKWARDS, done)
+
+def _through_windows(
+    plan: Plan,
+    turn: Callable,
+    run: tuple[Carry, Carry],
+    saved: tuple[Float[Array, "turns n"], Worn],
+    begun: Float[Array, "turns k"],
+) -> Float[Array, "shadows n"]:
+    """States at the ends of the windows' turns, of a `run` with such a beginning and end, of whose
+    turns this is left: the state after each and the surfaces that it saw, and what warm-started
+    it. Surfaces do not wear in windows."""
+    (first, last), (states, read) = run, saved
+    states = jnp.concatenate([first.state[None], states])
+    begun = jnp.concatenate([begun, ravel_pytree(last.warm_start)[0][None]])
+    unpacked = ravel_pytree(first.warm_start)[1]
+    # What goes on from the run's own turn begins where that has ended.
+    ends_own = np.array([plan.whole and name == COARSE_ON for name in plan.names])
+    follows = np.array([name in ON for name in plan.names]) & ~ends_own
+    at = np.repeat(plan.windows, len(plan.names))
+    begins = at + np.tile(ends_own, len(plan.windows))
+    reached = plan.times[at] <= last.ended
+    outcomes = jnp.where(reached, Outcome.REACHED, last.outcome).astype(last.outcome.dtype)
+
+    def one(shadow, row):
+        span, state, warm_start, surfaces, outcome, goes_on = row
+        state, warm_start = _choose(goes_on, shadow, (state, warm_start))
+        now = last._replace(worn={}, read=surfaces, state=state, outcome=outcome)
+        end, _ = turn(now._replace(warm_start=unpacked(warm_start)), span)
+        return (end.state, ravel_pytree(end.warm_start)[0]), _end(end)
+
+    spans = jax.tree.map(lambda each: each[plan.intervals :], plan.turns)
+    surfaces = jax.tree.map(lambda depths: depths[at], read)
+    goes_on = jnp.asarray(np.tile(follows, len(plan.windows)))
+    rows = spans, states[begins], begun[begins], surfaces, outcomes, goes_on
+    return jax.lax.scan(one, (first.state, begun[0]), rows)[1]
 
 
 def _end(end: Carry) -> State:

@@ -17,19 +17,17 @@ from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
-from jaxclear.ground.pose import REST
 from jaxclear.integrators.checks import CONTACTS, JOINTS, LOOPS, SPEEDS, SURFACES, WHOLE, Check
-from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.multibody import contact_point, energy, kinematics, loops
+from jaxclear.multibody import energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.damper_steps import damper_step, damping
+from jaxclear.simulation.found import met_by, seen_by, together
 from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubbing, taken
 from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.rebound import rebound_steps
 from jaxclear.simulation.tally import Figures, Tally
-from jaxclear.simulation.ways import of_centres, of_coordinates
 
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
@@ -51,11 +49,7 @@ def refereed(
     """
     history = trajectory.history
     looks, ends = look(history, model, figures), jnp.asarray(history.time)[1:]
-    seen, rubbed, verdict, inside, gone = _of_saved_states(looks)
-    if gone is None:
-        gone = of_coordinates(model, looks.history.states[looks.rows], tally, looks.history.time)
-    inside, (ways, way) = jax.lax.stop_gradient((inside, gone))
-    trajectory = dataclasses.replace(trajectory, places=inside, ways=ways, way=way)
+    seen, rubbed, verdict = _of_saved_states(looks)
     of_run = windows | rubbed
     met, when = dict(tally.worst), dict(tally.when)
     rebound = met.pop(Check.REBOUND_STEP, None)
@@ -65,8 +59,8 @@ def refereed(
     places = _places(model)
     met = jax.lax.stop_gradient(_of_contacts(model.system, met) | of_run)
     when |= {check: jnp.full(each.shape, ends[-1]) for check, each in of_run.items()}
-    others = _over_looks(jax.lax.stop_gradient(seen), ends[looks.intervals], places)
-    checks = Checks(_met(met, when, places) | others)
+    seen = jax.lax.stop_gradient(seen)
+    checks = together(met_by(met, when, places), seen_by(seen, ends[looks.intervals], places))
     if verdict is None:
         return dataclasses.replace(trajectory, checks=checks)
     bad = (verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
@@ -82,30 +76,6 @@ def refereed(
         ended=jnp.where(stops, ends[first], trajectory.ended),
         checks=checks,
     )
-
-
-def _met(worst: Figures, when: Figures, places: dict[str, tuple[str, ...]]) -> dict[Check, Figure]:
-    """The worst figures that were met, and when; `places` as for `_over_looks`."""
-    return {
-        check: Figure(jnp.where(jnp.isnan(each), jnp.inf, each), when[check], places[check.of])
-        for check, each in worst.items()
-        if places[check.of]
-    }
-
-
-def _over_looks(
-    found: Figures, ends: Float[Array, " looks"], places: dict[str, tuple[str, ...]]
-) -> dict[Check, Figure]:
-    """The worst of figures found by looks, at such times [s]; `places`: names of the places by what
-    they are of. What is not a number counts as infinite.
-    """
-    figures = {}
-    for check, each in found.items():
-        known = jnp.where(jnp.isnan(each), jnp.inf, each)
-        latest = jnp.argmax(known, axis=0)
-        worst = jnp.take_along_axis(known, latest[None], axis=0)[0]
-        figures[check] = Figure(worst, ends[latest], places[check.of])
-    return figures
 
 
 def _ending(found: Figures, outcome: Any = None) -> Any:
@@ -155,14 +125,11 @@ def _places(model: Model) -> dict[str, tuple[str, ...]]:
 
 class Seen(NamedTuple):
     """What the looks tell: figures by look, figures of the run as a whole, the `Outcome` that each
-    look calls for (None: none ever ends a run), where parts were in their gaps, and how far bodies
-    have gone and by which way that is measured (None: there are no gaps)."""
+    look calls for (None: none ever ends a run)."""
 
     figures: dict[Check, Float[Array, "looks places"]]
     of_run: dict[Check, Float[Array, " contacts"]]
     verdict: Int[Array, " looks"] | None
-    inside: Float[Array, "looks places"] | None
-    ways: tuple[Float[Array, "looks places"], Float[Array, ""]] | None
 
 
 def _of_saved_states(looks: Looks) -> Seen:
@@ -170,7 +137,7 @@ def _of_saved_states(looks: Looks) -> Seen:
     model, system = looks.model, looks.model.system
     means = looks.history.formulation.forces_are_means
     said = looks.of(_judging(looks))
-    inside, energies = said.get("places"), said.get("energies")
+    energies = said.get("energies")
     # Without the start.
     told, verdict = jax.tree.map(lambda each: each[1:], (said["told"], said.get("verdict")))
     figures = {check: told[check] for check in ENDING if check in told}
@@ -181,8 +148,7 @@ def _of_saved_states(looks: Looks) -> Seen:
     of_run = {check: friction_steps(model, told[check]) for check in KINDS if check in told}
     if Check.DAMPER_STEP in told:
         of_run[Check.DAMPER_STEP] = jnp.max(told[Check.DAMPER_STEP], axis=0, initial=0.0)
-    ways = None if inside is None else of_centres(system, said["centres"], inside)
-    return Seen(figures, of_run, verdict, inside, ways)
+    return Seen(figures, of_run, verdict)
 
 
 def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
@@ -206,35 +172,9 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
         judging = {} if depths is None else {Check.INDENTATION: depths / _radii(system)}
         verdict = _ending(judging | {check: told[check] for check in ENDING if check in told})
         said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
-        said |= {} if driven else _energies(now, formulation)
-        inside = {"places": _in_gaps(now), "centres": _centres(now)} if system.bearings else {}
-        return said | inside
+        return said | ({} if driven else _energies(now, formulation))
 
     return judged
-
-
-def _centres(now: Instant) -> Float[Array, " components"]:
-    """Where the centres of mass are [m] (3 components a body)."""
-    places: list[Any] = []
-    for link, motion in zip(now.model.system.links, now.motions, strict=True):
-        inner = sp.scale(safe_divide(1.0, link.mass), link.first_moment)
-        places += motion.pose.point(inner)
-    return sp.stack(places)
-
-
-def _in_gaps(now: Instant) -> Float[Array, " components"]:
-    """Where each contact's parts are in their gap, beside its width: the vector from the middle
-    along which it closes, in the bearing's axes (3 components a contact)."""
-    places: list[Any] = []
-    for name, bearing in now.model.system.bearings.items():
-        _, pose, _ = kinematics.relative_motion(bearing.closure, now.motions)
-        rooms = contact_point.depths(bearing.joint, REST, {})
-        contacts = contact_point.gap_function(bearing.joint, pose, now.model.worn.get(name, {}))
-        for room, contact in zip(rooms, contacts, strict=True):
-            width = abs(room)
-            share = safe_divide(contact.indentation + width, width)
-            places += sp.scale(share, contact.slope)
-    return sp.stack(places)
 
 
 def _depths(now: Instant, formulation: AbstractFormulation) -> Float[Array, " contacts"]:

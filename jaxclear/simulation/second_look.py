@@ -108,7 +108,7 @@ def looked_at_again(
         for check in OF_WINDOWS:
             if _within(other, {check: check.limit}):
                 figures.pop(check, None)
-    return dataclasses.replace(run, checks=Checks(figures))
+    return dataclasses.replace(run, checks=Checks.of(figures))
 
 
 def _finer(run: Trajectory, integrator: AbstractIntegrator) -> AbstractIntegrator | None:
@@ -173,7 +173,7 @@ def found_in_one(integrator: AbstractIntegrator, again: Callable[[Any], Trajecto
     beyond = {check for check, over in found.beyond().items() if over} & set(FINDINGS)
     cleared = Check.IMPACT_STEP in set(run.checks.figures) - set(found.figures)
     told = beyond or ({Check.PLACE_IN_GAP} if cleared else set())
-    return Checks({check: found.figures[check] for check in FINDINGS if check in told})
+    return Checks.of({check: found.figures[check] for check in FINDINGS if check in told})
 
 
 def _impacts_are_right(run: Trajectory, other: Trajectory, worst: dict[Check, float]) -> bool:

@@ -8,7 +8,8 @@ not look for them.
 
 A window is four turns: through it with the run's own steps, and on over an instant, from which the
 accelerations (so the forces) at its end follow; then the same with finer steps. One that fills its
-saving interval takes the run's own turn for the first of them.
+saving interval takes the run's own turn for the first of them. Where forces are means there are
+none at an instant, and no turns on.
 """
 
 from collections.abc import Iterable
@@ -44,6 +45,7 @@ GOLDEN = 0.5 * (5**0.5 - 1)
 # fills its saving interval the run's own turn stands before the last.
 COARSE, COARSE_ON, FINE, FINE_ON = "coarse", "coarse, on", "fine", "fine, on"
 APART, WHOLE = (COARSE, COARSE_ON, FINE, FINE_ON), (FINE, FINE_ON, COARSE_ON)
+ON = (COARSE_ON, FINE_ON)
 # Size, beside the largest, below which a coordinate's changes do not matter.
 LEAST = 0.1
 # Worn depth, beside the root of its surface's area, below which nothing wears: a thousand million
@@ -77,12 +79,13 @@ class Parts(NamedTuple):
 class Plan(NamedTuple):
     """A run's `turns`, one for each saving interval and behind them those of the windows; the
     `parts` in which they are gone through, and the saving intervals at whose start a window
-    begins; `names` of the turns of a window."""
+    begins; `names` of the turns of a window, and whether each fills the `whole` of its interval."""
 
     turns: Turns
     parts: Parts
     windows: np.ndarray
     names: tuple[str, ...]
+    whole: bool
 
     @property
     def intervals(self) -> int:
@@ -110,27 +113,26 @@ class Plan(NamedTuple):
         return np.arange(len(self.windows)) * len(self.names) + self.names.index(name)
 
 
-def plan(times: Float[Array, " saves"], step: Scalar | None) -> Plan:
+def plan(times: Float[Array, " saves"], step: Scalar | None, means: bool = False) -> Plan:
     """The turns of a run that is saved at these times; `step` [s]: the usual one, which a window
-    holds at least (None: no windows)."""
+    holds at least (None: no windows); whether forces are `means`."""
     count = len(times) - 1
     windows = np.array([] if step is None else window_starts(count), int)
     times = jnp.asarray(times)
     starts, stops = times[:-1], times[1:]
     share, progress = jnp.ones(count), (stops - starts) / (times[-1] - times[0])
-    names: tuple[str, ...] = APART
+    whole = len(windows) > 0 and _length(count, len(windows)) == 1.0
+    names = tuple(name for name in (WHOLE if whole else APART) if not (means and name in ON))
     if step is not None and len(windows):
         begin, end = _windows(starts[windows], stops[windows], count, step)
-        names = WHOLE if _length(count, len(windows)) == 1.0 else APART
         instant = end + INSTANT * (end - begin)
-        on = {COARSE_ON, FINE_ON}
-        starts = jnp.concatenate([starts, _in_turn(end if k in on else begin for k in names)])
-        stops = jnp.concatenate([stops, _in_turn(instant if k in on else end for k in names)])
+        starts = jnp.concatenate([starts, _in_turn(end if k in ON else begin for k in names)])
+        stops = jnp.concatenate([stops, _in_turn(instant if k in ON else end for k in names)])
         shares = np.tile([FINER if k == FINE else 1.0 for k in names], len(windows))
         share = jnp.concatenate([share, shares])
         progress = jnp.concatenate([progress, jnp.zeros(len(shares))])
     turns = Turns(starts, stops, share, progress)
-    return Plan(turns, _parts(count, windows, names), windows, names)
+    return Plan(turns, _parts(count, windows, names, whole), windows, names, whole)
 
 
 def _length(count: int, windows: int) -> float:
@@ -150,7 +152,7 @@ def _in_turn(turns: Iterable[Float[Array, " windows"]]) -> Float[Array, " turns"
     return jnp.stack(list(turns), axis=1).ravel()
 
 
-def _parts(count: int, windows: np.ndarray, names: tuple[str, ...]) -> Parts:
+def _parts(count: int, windows: np.ndarray, names: tuple[str, ...], whole: bool) -> Parts:
     """Where each window begins the run is left for its turns, which stand behind its own."""
     rows: list[tuple[int, int, bool, bool]] = []
     done, shadow = 0, count
@@ -158,10 +160,10 @@ def _parts(count: int, windows: np.ndarray, names: tuple[str, ...]) -> Parts:
         rows += [(done, start, True, False)] if start > done else []
         done = start
         for name in names:
-            if names == WHOLE and name == COARSE_ON:
+            if whole and name == COARSE_ON:
                 done = start + 1
                 rows.append((start, done, True, False))
-            rows.append((shadow, shadow + 1, False, name in (COARSE_ON, FINE_ON)))
+            rows.append((shadow, shadow + 1, False, name in ON))
             shadow += 1
     rows += [(done, count, True, False)] if done < count else []
     return Parts(*map(np.array, zip(*rows, strict=True)))
@@ -197,9 +199,8 @@ def _figures(
     layout = model.layout
     begin = _rows(states, plan.windows)
     of = lambda name: _rows(ends, plan.among_shadows(name))
-    fine, fine_on, coarse_on = map(of, (FINE, FINE_ON, COARSE_ON))
-    own = plan.names == WHOLE
-    coarse = _rows(states, plan.windows + 1) if own else of(COARSE)
+    fine = of(FINE)
+    coarse = _rows(states, plan.windows + 1) if plan.whole else of(COARSE)
     speeds = slice(layout.coordinates, layout.memory_start)
     # What makes each speed one in m/s: the longest arm for those of turning.
     arm = longest_arm(model.system)
@@ -216,6 +217,7 @@ def _figures(
         Check.HALVED_MOTION: _motion(model, plan, tally, coarse - fine, scales, led)[None],
     }
     if not means:
+        fine_on, coarse_on = of(FINE_ON), of(COARSE_ON)
         found[Check.HALVED_FORCES] = _difference(
             safe_divide(coarse_on - coarse, _durations(plan, COARSE_ON)),
             safe_divide(fine_on - fine, _durations(plan, FINE_ON)),
@@ -260,7 +262,7 @@ def _motion(
     share = safe_divide(plan.duration, jnp.sum(_durations(plan, FINE)))
     total = share * jnp.sum(abs(off), axis=0)
     gone = total[:count] * reaches(model.system, longest_arm(model.system))
-    places = safe_divide(jnp.max(gone, initial=0.0), longest_way(model, tally, led))
+    places = safe_divide(jnp.max(gone, initial=0.0), longest_way(model, tally.reach, led))
     if tally.squares is None:
         return places
     speeds = slice(count, layout.memory_start)

@@ -58,27 +58,29 @@ def followed(
     tally: Tally,
     layout: Layout,
     figures: Figures,
-    running: Bool[Array, ""],
+    counts: Bool[Array, ""],
     stop: Scalar,
     states: tuple[State, State, State],
 ) -> Tally:
     """After a turn that ends at a time [s] with these figures; `states`: those with which the run
-    and the turn began, and that at the turn's end. What is no number is worse than any number, and
-    a turn of a run that has ended before tells nothing. No part of derivatives."""
+    and the turn began, and that at the turn's end. What is no number is worse than any number.
+    Whether the turn `counts`: a shadow, and a turn of a run that has ended before, tell nothing. No
+    part of derivatives."""
     start, before, after = jax.lax.stop_gradient(states)
     worst, when = {}, {}
     for check, known in tally.worst.items():
         each = jax.lax.stop_gradient(figures[check])
-        worse = ~(each <= known) & ~jnp.isnan(known) & running
+        worse = ~(each <= known) & ~jnp.isnan(known) & counts
         worst[check] = jnp.where(worse, each, known)
         when[check] = jnp.where(worse, stop, tally.when[check])
     count, squares = layout.coordinates, tally.squares
+    told = lambda numbers: jnp.where(counts, numbers, 0.0)
     return Tally(
         worst,
         when,
-        None if tally.way is None else tally.way + abs(after - before),
-        jnp.maximum(tally.reach, abs(after[:count] - start[:count])),
-        None if squares is None else squares + after[_speeds(layout)] ** 2,
+        None if tally.way is None else tally.way + told(abs(after - before)),
+        jnp.maximum(tally.reach, told(abs(after[:count] - start[:count]))),
+        None if squares is None else squares + told(after[_speeds(layout)] ** 2),
     )
 
 

@@ -32,8 +32,9 @@ from jaxclear.simulation.wear import Losses, Worn, losses, worn_at_once, worn_wh
 
 
 class Carry(NamedTuple):
-    """What a run hands from turn to turn; `read` are its worn surfaces as gaps read them, `ended`
-    [s] is the last saving time that it reached, `steps` those accepted and rejected so far."""
+    """What a run hands from turn to turn; `worn` are its worn surfaces (none where they are not to
+    wear on), `read` these as gaps read them, `ended` [s] is the last saving time that it reached,
+    `steps` those accepted and rejected so far."""
 
     state: State
     worn: Worn
@@ -82,10 +83,12 @@ def turns_of(
 
         worn, read = now.worn, now.read
         counted = integrator.steps_between_saves is not None
-        through = _as_a_kernel if worn and not counted else _as_it_is
+        through = _as_a_kernel if read and not counted else _as_it_is
         now, (lost, *packed) = through(motion, now._replace(worn={}, read={}), read)
-        wear = worn_at_once if counted else worn_where_lost
-        worn, after = wear(model.system, worn, read, lost)
+        after = read
+        if worn:
+            wear = worn_at_once if counted else worn_where_lost
+            worn, after = wear(model.system, worn, read, lost)
         return now._replace(worn=worn, read=after), Left((now.state, read), *packed)
 
     def turn(now, span):
@@ -137,14 +140,16 @@ def _motion(
     failed = ~sound & (result.outcome == Outcome.REACHED)
     found = jnp.where(failed, Outcome.NOT_FINITE, result.outcome)
     outcome = jnp.where(running, found, now.outcome)
-    ended = jnp.where(running & (outcome == Outcome.REACHED), turn.stop, now.ended)
+    # Of a shadow, by which the run does not get on, nothing counts.
+    own = running & (turn.progress > 0)
+    ended = jnp.where(own & (outcome == Outcome.REACHED), turn.stop, now.ended)
     taken = jax.tree.map(
-        lambda before, more: before + jnp.where(running, more, 0),
+        lambda before, more: before + jnp.where(own, more, 0),
         now.steps,
         (result.accepted, result.rejected),
     )
     figures, path = result.figures or {}, (start, now.state, state)
-    tally = followed(now.tally, model.layout, figures, running, turn.stop, path)
+    tally = followed(now.tally, model.layout, figures, own, turn.stop, path)
     after = Carry(state, now.worn, now.read, result.warm_start, outcome, ended, taken, tally)
     return after, lost, (result.events, figures_of_a_look(figures, running))
 

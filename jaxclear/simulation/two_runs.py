@@ -10,6 +10,7 @@ from jaxclear.multibody.system import wear_maps
 from jaxclear.results.histories import contact_impulse
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.spot_checks import NO_WEAR
+from jaxclear.simulation.ways import Whereabouts, whereabouts
 
 # What friction takes, beside the most of all energies of the balance that come in or go out, below
 # which nobody reads it; and what is rounding in any mechanism [J].
@@ -57,10 +58,10 @@ def impulses(run: Trajectory, joints: tuple[str, ...]) -> np.ndarray:
     return np.array([float(contact_impulse(run.history, name)[-1]) for name in joints])
 
 
-def _elsewhere(run: Trajectory, other: Trajectory) -> float:
+def _elsewhere(run: Whereabouts, other: Whereabouts) -> float:
     """How far bodies are apart, beside the longest way of both."""
-    apart = np.abs(np.asarray(run.ways) - np.asarray(other.ways)).max(initial=0.0)
-    way = max(float(np.asarray(one.way)) for one in (run, other))
+    apart = np.abs(np.asarray(run.gone) - np.asarray(other.gone)).max(initial=0.0)
+    way = max(float(one.way) for one in (run, other))
     return float(apart / way) if way > 0 else 0.0
 
 
@@ -72,9 +73,10 @@ def apart_by_check(
     found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
     sunk = run.checks.figures.get(Check.INDENTATION)
     if opens(run) or doubts:
-        found[Check.HALVED_MOTION] = (np.array([_elsewhere(run, other)]), ("",))
+        here, there = (whereabouts(each.history) for each in (run, other))
+        found[Check.HALVED_MOTION] = (np.array([_elsewhere(here, there)]), ("",))
     if opens(run) and gaps and sunk is not None:
-        off = np.abs(np.asarray(run.places) - np.asarray(other.places)).max(axis=0)
+        off = np.abs(np.asarray(here.places) - np.asarray(there.places)).max(axis=0)
         found[Check.PLACE_IN_GAP] = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)
     if opens(run):
         joints = tuple(run.mechanism.topology.clearances)

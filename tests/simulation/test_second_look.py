@@ -128,7 +128,7 @@ def test_it_takes_a_quarter_of_the_steps_that_saving_times_have_left(pushed):
 def rising(run, figure, factor=1.0):
     """The run with another figure of its steps in contact, its forces so many times as large."""
     steps = Figure(np.full(4, figure), np.zeros(4), ("G",) * 4)
-    checks = Checks(run.checks.figures | {Check.CONTACT_STEP: steps})
+    checks = Checks.of(run.checks.figures | {Check.CONTACT_STEP: steps})
     model = run.history.model()
     place = model.layout.impulse_start + model.layout.impulses_of("G").start
     history = dataclasses.replace(run.history, states=run.states.at[:, place].multiply(factor))
@@ -173,7 +173,7 @@ def test_a_joint_is_cleared_of_its_own_steps_alone():
     steps = Figure(np.array([0.9, 0.5, 0.95, 0.2]), np.arange(4.0), places)
 
     def left(worst, right):
-        checks = Checks({Check.CONTACT_STEP: Figure(np.array(worst), np.arange(4.0), places)})
+        checks = Checks.of({Check.CONTACT_STEP: Figure(np.array(worst), np.arange(4.0), places)})
         other = SimpleNamespace(checks=checks)
         found = second_look._accused(steps, Check.CONTACT_STEP, other, right)
         return None if found is None else list(zip(found.places, found.worst, strict=True))
@@ -183,28 +183,37 @@ def test_a_joint_is_cleared_of_its_own_steps_alone():
     assert left([0.9, 0.3, 0.3, 0.3], {"A", "B", "C"}) == [("A", 0.9)]
 
 
-def test_bodies_that_are_elsewhere_are_said(pushed):
+def test_bodies_that_are_elsewhere_are_said(pushed, monkeypatch):
     """Their ways are those of the centres of mass, beside the longest or a hundred clearances."""
     run = pushed(5e-6)
     rows = np.unique(np.linspace(0, 199, 50).round().astype(int)) + 1
     gone = [np.asarray(run.body(name).com) for name in run.mechanism.bodies]
     gone = np.concatenate(gone, axis=1)[[0, *rows]]
     gone = gone - gone[0]
-    np.testing.assert_allclose(run.ways, gone, atol=1e-12)
+    was = two_runs.whereabouts(run.history)
+    np.testing.assert_allclose(was.gone, gone, atol=1e-12)
     (name,) = run.mechanism.topology.clearances
     clearance = float(run.mechanism.connections[name].joint.clearance)
-    assert run.way >= max(np.abs(gone).max(), 100 * clearance) * (1 - 1e-9)
+    assert was.way >= max(np.abs(gone).max(), 100 * clearance) * (1 - 1e-9)
 
-    def looked(off, longer=1.0):
-        ways, way = longer * run.ways + off * run.way, longer * run.way
-        found = looked_at(run, dataclasses.replace(run, ways=ways, way=way))
+    def looked(was, off, longer=1.0):
+        other = was._replace(gone=longer * was.gone + off * was.way, way=longer * was.way)
+        found = looked_at(run, elsewhere(monkeypatch, run, was, other))
         return {check for check, flag in found.checks.beyond().items() if flag}
 
-    assert looked(0.03) - looked(0.01) == {Check.HALVED_MOTION}
+    assert looked(was, 0.03) - looked(was, 0.01) == {Check.HALVED_MOTION}
     # All of it longer by a twentieth: both are measured by the same way. One that is a hundred
     # clearances long is not longer for what goes on in it.
-    run = dataclasses.replace(run, ways=run.ways * float(run.way) / np.abs(run.ways).max())
-    assert looked(0.0, 1.05) - looked(0.0, 1.01) == {Check.HALVED_MOTION}
+    was = was._replace(gone=was.gone * float(was.way) / np.abs(was.gone).max())
+    assert looked(was, 0.0, 1.05) - looked(was, 0.0, 1.01) == {Check.HALVED_MOTION}
+
+
+def elsewhere(monkeypatch, run, here, there):
+    """Another run, which was there where this one was here."""
+    other = dataclasses.replace(run, history=dataclasses.replace(run.history))
+    were = lambda history: there if history is other.history else here
+    monkeypatch.setattr(two_runs, "whereabouts", were)
+    return other
 
 
 def looked_at(run, other):
@@ -221,10 +230,13 @@ def looked_at(run, other):
         (0.1, 1.03, {Check.PLACE_IN_GAP, Check.PARTED_FORCE}),
     ],
 )
-def test_mean_forces_of_paths_that_have_parted_are_held_to_less(pushed, place, factor, said):
+def test_mean_forces_of_paths_that_have_parted_are_held_to_less(
+    pushed, place, factor, said, monkeypatch
+):
     run = pushed(5e-6)
-    other = dataclasses.replace(rising(run, 0.06, factor), places=run.places + place)
-    found = looked_at(run, other)
+    was = two_runs.whereabouts(run.history)
+    parted = was._replace(places=was.places + place)
+    found = looked_at(run, elsewhere(monkeypatch, rising(run, 0.06, factor), was, parted))
     assert {check for check, flag in found.checks.beyond().items() if flag} == said
 
 
@@ -233,7 +245,7 @@ def test_creep_is_cleared_by_steps_that_resolve_the_vibration_of_a_contact(finer
     """Not by those that are within the limit of a run alone (0.1 rad): 14 of 50 right runs of
     ImplicitStep that warned warned of creep and of nothing else (benchmarks/attack.py)."""
     own, other = (Figure(np.array([x]), np.zeros(1), ("A",)) for x in (0.9, finer))
-    run = SimpleNamespace(checks=Checks({Check.CREEP_STEP: other}))
+    run = SimpleNamespace(checks=Checks.of({Check.CREEP_STEP: other}))
     assert (second_look._accused(own, Check.CREEP_STEP, run, {"A"}) is None) == cleared
 
 
@@ -247,7 +259,7 @@ def test_what_windows_say_of_forces_is_dropped_where_the_whole_run_has_the_same(
 ):
     def with_window(run, figure):
         window = Figure(np.full(1, figure), np.zeros(1), ("slide",))
-        checks = Checks(run.checks.figures | {Check.HALVED_FORCES: window})
+        checks = Checks.of(run.checks.figures | {Check.HALVED_FORCES: window})
         return dataclasses.replace(run, checks=checks)
 
     run = rising(pushed(5e-6), 0.2)
@@ -267,9 +279,9 @@ def test_impacts_are_right_only_where_their_peaks_are(pushed, deeper, dropped):
     steep = dataclasses.replace(known, worst=np.full(known.worst.shape, 0.5))
     other = dataclasses.replace(depth, worst=deeper * depth.worst)
     looked = second_look.looked_at_again(
-        dataclasses.replace(run, checks=Checks(figures | {Check.IMPACT_STEP: steep})),
+        dataclasses.replace(run, checks=Checks.of(figures | {Check.IMPACT_STEP: steep})),
         jc.integrator.FixedStep(5e-6),
-        lambda _: dataclasses.replace(run, checks=Checks(figures | {Check.INDENTATION: other})),
+        lambda _: dataclasses.replace(run, checks=Checks.of(figures | {Check.INDENTATION: other})),
     )
     assert (Check.IMPACT_STEP not in looked.checks.figures) == dropped
 

@@ -183,6 +183,6 @@ def test_bodies_that_drift_bring_rigid_steps_in_doubt(drift):
         mechanism=rig,
         formulation=jc.integrator.NonColliding().formulation,
         history=SimpleNamespace(balanced=False),
-        checks=jc.integrator.Checks({Check.HALVED_MOTION: figure}),
+        checks=jc.integrator.Checks.of({Check.HALVED_MOTION: figure}),
     )
     assert second_look._in_doubt(run) == (drift > second_look.DOUBTS[Check.HALVED_MOTION])

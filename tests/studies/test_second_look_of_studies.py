@@ -55,9 +55,9 @@ def test_steps_that_are_right_say_nothing(study):
 
 def test_samples_that_warn_of_impacts_hear_that_the_nominal_ones_are_right(study):
     """The nominal run's places agree: a study tells it beside how many samples warn."""
-    right = Checks({Check.PLACE_IN_GAP: Figure(np.array([0.0123]), np.zeros(1), ("B",))})
+    right = Checks.of({Check.PLACE_IN_GAP: Figure(np.array([0.0123]), np.zeros(1), ("B",))})
     steep = Figure(np.full((32, 1), 0.4), np.zeros((32, 1)), ("B",))
-    warned = dataclasses.replace(study, checks=Checks({Check.IMPACT_STEP: steep}), nominal=right)
+    warned = dataclasses.replace(study, checks=Checks.of({Check.IMPACT_STEP: steep}), nominal=right)
     assert warned.sentence() == (
         "32 samples, 0 failed, 32 with warnings (impact step in 32). The nominal sample was gone "
         "through again with steps a quarter as long: its places in gaps agree within 0.012 of the "

@@ -232,7 +232,7 @@ class Campaign:
         responses: Any = {n: np.concatenate([own[n] for own in columns]) for n in names}
         outcome: Any = np.concatenate(outcomes)
         ended: Any = np.zeros(len(outcome))
-        reduced = SampleResult(responses, outcome, ended, Checks(checks))
+        reduced = SampleResult(responses, outcome, ended, Checks.of(checks))
         return self._study(np.zeros((len(outcome), 0)), reduced)
 
     def _study(self, values: np.ndarray, found: Any) -> MonteCarlo:

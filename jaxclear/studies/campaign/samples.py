@@ -205,7 +205,7 @@ class Samples:
                 figures[Check[check]] = Figure(worst[:, own], time[:, own], places)
         by_name = {name: responses[:, i] for i, name in enumerate(names)}
         outcome = self.read(OUTCOME, at).astype(np.int32)
-        return SampleResult(by_name, outcome, self.read(ENDED, at), Checks(figures))
+        return SampleResult(by_name, outcome, self.read(ENDED, at), Checks.of(figures))
 
     def settle(self, look: Callable[[Checks], Checks]) -> None:
         """Has the finished samples looked at, once, and keeps what was found. `look` is given the
@@ -224,7 +224,7 @@ class Samples:
         }
         self.told[NOMINAL] = [
             [c.name, np.asarray(f.worst).tolist(), np.asarray(f.time).tolist(), list(f.places)]
-            for c, f in look(Checks(own)).figures.items()
+            for c, f in look(Checks.of(own)).figures.items()
         ]
         with self._planning() as current:
             if current:
@@ -237,7 +237,7 @@ class Samples:
             Check[name]: Figure(jnp.asarray(worst), jnp.asarray(when), tuple(places))
             for name, worst, when, places in kept
         }
-        return Checks(figures)
+        return Checks.of(figures)
 
     @contextmanager
     def claimed(self, number: int) -> Iterator[bool]:

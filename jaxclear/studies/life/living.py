@@ -155,7 +155,7 @@ def _worse(one: Checks, other: Checks) -> Checks:
             jnp.where(more, theirs.time, mine.time),
             mine.places,
         )
-    return Checks(figures)
+    return Checks.of(figures)
 
 
 def flattened(tree: Any) -> tuple[np.ndarray, Any]:
