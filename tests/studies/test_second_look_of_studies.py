@@ -88,9 +88,7 @@ def test_a_study_without_doubts_is_not_looked_at(study, monkeypatch):
     monkeypatch.setattr(problems, "found_in_one", look)
     quiet = study.checks.figures[Check.IMPACT_STEP]
     little = dataclasses.replace(quiet, worst=jnp.full_like(quiet.worst, 0.05))
-    calm = dataclasses.replace(
-        study.checks, figures=study.checks.figures | {Check.IMPACT_STEP: little}
-    )
+    calm = Checks.of(study.checks.figures | {Check.IMPACT_STEP: little})
     assert not study.problem.second_look(calm).figures
     with pytest.raises(AssertionError, match="again"):
         study.problem.second_look(study.checks)
