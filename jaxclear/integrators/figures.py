@@ -50,9 +50,11 @@ class Checks(eqx.Module):
     def figures(self) -> dict[Check, Figure]:
         """Each figure by its check."""
         found, start = {}, 0
-        rows = self.worst, self.time
-        # JAX takes as long for every part of an array that is known as for a short run.
-        worst, time = rows if is_traced(rows) else map(np.asarray, rows)
+        worst: Any = self.worst
+        time: Any = self.time
+        # JAX takes long to give a part of an array, NumPy does not.
+        if not is_traced((worst, time)):
+            worst, time = np.asarray(worst), np.asarray(time)
         for check, places in self.named:
             own = slice(start, start + len(places))
             found[check] = Figure(worst[..., own], time[..., own], places)

@@ -47,8 +47,7 @@ def together(*found: Found) -> Checks:
     worst, when, named = (list(chain(*parts)) for parts in zip(*found, strict=True))
     if not named:
         return Checks()
-    worst = _infinite_where_nan(jnp.concatenate(worst))
-    return Checks(worst, jnp.concatenate(when), tuple(named))
+    return Checks(_infinite_where_nan(jnp.concatenate(worst)), jnp.concatenate(when), tuple(named))
 
 
 def _infinite_where_nan(figures: Array) -> Array:
