@@ -114,7 +114,7 @@ def write(path: Any, worn: BlockMesh, new: BlockMesh | None = None) -> Path:
     data = {}
     if new is not None:
         data["displacement"] = np.asarray(jnp.asarray(worn.points) - new.points)
-    shape = {"scaled Jacobian": [quality]}
+    shape = {"scaled_jacobian": [quality]}
     written = meshio.Mesh(
         points, [("hexahedron", worn.hexahedra())], point_data=data, cell_data=shape
     )

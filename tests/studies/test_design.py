@@ -220,14 +220,23 @@ def test_nominal_values_move_away_from_a_one_sided_limit():
     assert found.holds
 
 
+CATALOGUES = {
+    "IT": lambda size: jc.catalogue.ISO286(size, range(6, 10)),
+    "": lambda _: jc.catalogue.Sizes((5e-6, 8e-6, 12e-6, 20e-6)),
+}
+
+
 @pytest.mark.slow
-def test_grades_are_the_best_of_all_combinations():
-    grades = {n: jc.catalogue.ISO286(v, range(6, 10)) for n, v in zip(NAMES, NOMINAL, strict=True)}
-    found = jc.design(problem(), reciprocal(), MEAN, tolerance=grades)
-    widths = np.stack(np.meshgrid(*[g.numbers() for g in grades.values()], indexing="ij"), -1)
+@pytest.mark.parametrize("name", CATALOGUES)
+def test_choices_of_a_catalogue_are_the_best_of_all_combinations(name):
+    choices = {n: CATALOGUES[name](v) for n, v in zip(NAMES, NOMINAL, strict=True)}
+    found = jc.design(problem(), reciprocal(), MEAN, tolerance=choices)
+    widths = np.stack(np.meshgrid(*[g.numbers() for g in choices.values()], indexing="ij"), -1)
     kept = np.linalg.norm(3 * SPREAD * SLOPES * widths, axis=-1) <= ROOM * 1.005
     assert found.cost == pytest.approx((PRICED / widths).sum(-1)[kept].min(), rel=1e-9)
-    assert all(label.startswith("IT") for label in found.table()["catalogue"])
+    for own, label in zip(found.tolerances, found.table()["catalogue"], strict=True):
+        assert found.tolerances[own] in choices[own].numbers() and label.startswith(name)
+        assert label == choices[own].label(found.tolerances[own])
 
 
 @pytest.mark.slow
