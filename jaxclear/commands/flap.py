@@ -26,6 +26,11 @@ SAVES_PER_SECOND = 100_000
 LEVER_RATIOS = (0.5, 0.8, 1.0, 1.25, 2.0)
 # Of the runs over the lever ratio [s]: the first stroke.
 STROKE_TIME = 0.1
+# Clearances [m] over which ratios of forces spread: impacts come at other times in each.
+CLEARANCES = (0.95e-4, 1.0e-4, 1.05e-4)
+PAIRS = (("J1", "J2"), ("J3", "J4"), ("J1", "J3"))
+# Contact of all joints that lasts so long [s], less what still rings from the impact before it.
+LASTING, RINGING = 20e-3, 5e-3
 
 
 def simulated(rig: jc.Mechanism, duration: float, show: bool = False) -> Any:
@@ -45,11 +50,40 @@ def mean_forces(run: Any) -> dict[str, float]:
 
 
 def over_ratio() -> pandas.DataFrame:
-    """Mean force of each joint over the lever ratio."""
+    """Mean force of each joint over the lever ratio; of pairs of joints their ratio, the mean over
+    nearly equal clearances, and its spread, from the least to the most."""
     rows = []
     for ratio in LEVER_RATIOS:
-        forces = mean_forces(simulated(flap(lever_ratio=ratio), STROKE_TIME))
-        rows.append({"lever ratio": ratio} | {f"{n} [N]": f for n, f in forces.items()})
+        rigs = [flap(clearance=clearance, lever_ratio=ratio) for clearance in CLEARANCES]
+        found = pandas.DataFrame([mean_forces(simulated(rig, STROKE_TIME)) for rig in rigs])
+        row = {"lever ratio": ratio} | {f"{n} [N]": found[n].mean() for n in JOINTS}
+        for one, other in PAIRS:
+            shares = found[one] / found[other]
+            row |= {f"{one}/{other}": shares.mean(), f"{one}/{other} spread": np.ptp(shares)}
+        rows.append(row)
+    return pandas.DataFrame(rows)
+
+
+def lasting_contact(run: Any, ideal: Any) -> pandas.DataFrame:
+    """Intervals in which all joints stay in contact, and how far the shaft then is from that of
+    ideal joints: its speed at most, its acceleration root mean square, beside the largest ideal
+    ones. No state is left to match: ideal joints leave nothing free."""
+    modes = run.combined_modes()
+    moment = np.asarray(run.time)
+    speed, wanted = (np.asarray(one.body("shaft").spin)[:, 2] for one in (run, ideal))
+    rates = [np.gradient(own, moment) for own in (speed, wanted)]
+    rows = []
+    for _, row in modes[(modes[list(JOINTS)] == "contact").all(axis=1)].iterrows():
+        begins, ends = row["from [s]"], row["to [s]"]
+        inside = (moment > begins + RINGING) & (moment < ends)
+        if ends - begins < LASTING:
+            continue
+        away = np.abs(speed - wanted)[inside].max() / np.abs(wanted).max()
+        shaken = np.sqrt(np.mean((rates[0] - rates[1])[inside] ** 2)) / np.abs(rates[1]).max()
+        rows.append(
+            {"from [s]": begins, "to [s]": ends, "speed off [1]": away}
+            | {"acceleration off [1]": shaken}
+        )
     return pandas.DataFrame(rows)
 
 
@@ -74,9 +108,13 @@ def forces_figure(run: Any) -> Figure:
     return warned(figure, {"": run})
 
 
-def shaft_figure(run: Any, ideal: Any) -> Figure:
-    """Angular velocity and acceleration of the shaft beside those of ideal joints."""
+def shaft_figure(run: Any, ideal: Any, lasting: pandas.DataFrame) -> Figure:
+    """Angular velocity and acceleration of the shaft beside those of ideal joints; shaded where all
+    joints stay in contact."""
     figure, axes = canvas(2, 1, (8.0, 6.0), sharex=True)
+    for begins, ends in zip(lasting["from [s]"], lasting["to [s]"], strict=True):
+        for axis in axes:
+            axis.axvspan(MILLI * begins, MILLI * ends, color="C2", alpha=0.12, lw=0)
     for one, style, label in ((run, "C0-", "four joints with clearance"), (ideal, "k--", "ideal")):
         moment, speed = np.asarray(one.time), np.asarray(one.body("shaft").spin)[:, 2]
         axes[0].plot(MILLI * moment, speed, style, lw=0.9, label=label)
@@ -90,20 +128,21 @@ def shaft_figure(run: Any, ideal: Any) -> Figure:
     figure.legend(
         *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8
     )
-    axes[0].set_title("The shaft")
+    axes[0].set_title("The shaft; shaded: all joints stay in contact")
     return warned(figure, {"with clearance": run, "ideal": ideal})
 
 
 def ratio_figure(table: pandas.DataFrame) -> Figure:
-    """Mean force of each joint beside that of J1, over the lever ratio."""
+    """Ratios of mean forces with their spread, over the lever ratio."""
     figure, axes = canvas()
     ratio = table["lever ratio"]
-    for name, marker in zip(JOINTS, "os^v", strict=True):
-        share = table[f"{name} [N]"] / table["J1 [N]"]
-        axes.plot(ratio, share, marker=marker, lw=0.8, label=name, alpha=0.8)
-    axes.plot(ratio, 1 / ratio, "k:", lw=0.8, label="1 / lever ratio")
+    for (one, other), marker in zip(PAIRS, "os^", strict=True):
+        name = f"{one}/{other}"
+        bars = {"yerr": 0.5 * table[f"{name} spread"], "marker": marker, "capsize": 3}
+        axes.errorbar(ratio, table[name], **bars, lw=0.8, label=name, alpha=0.8)
+    axes.plot(ratio, ratio, "k:", lw=0.8, label="lever ratio")
     axes.set_xlabel("lever ratio: distance of J3 from the pivot over that of J2")
-    axes.set_ylabel("mean force over that of J1")
+    axes.set_ylabel("ratio of mean forces")
     axes.legend(fontsize=8)
     axes.set_title("The lever ratio decides who carries most")
     return figure
@@ -120,17 +159,19 @@ def study(folder: Path, duration: float = 0.5, show: bool = True) -> None:
         "modes": phases(clear),
         "combined_modes": clear.combined_modes(),
         "lever_ratio": over_ratio(),
+        "lasting_contact": lasting_contact(clear, ideal),
     }
     for name, table in tables.items():
         table.to_csv(folder / f"{name}.csv", index=False)
     spent = tables["modes"].assign(time=lambda rows: rows["to [s]"] - rows["from [s]"])
     shares = spent.pivot_table("time", "joint", "mode", "sum", 0.0) / duration
     print(f"share of the time in each mode\n{shares.to_string(float_format='%.3f')}\n")
-    print(f"{tables['lever_ratio'].to_string(index=False, float_format='%.4g')}\n")
+    for name in ("lever_ratio", "lasting_contact"):
+        print(f"{tables[name].to_string(index=False, float_format='%.4g')}\n")
     figures = {
         "modes": plot.modes(clear),
         "forces": forces_figure(clear),
-        "shaft": shaft_figure(clear, ideal),
+        "shaft": shaft_figure(clear, ideal, tables["lasting_contact"]),
         "lever_ratio": ratio_figure(tables["lever_ratio"]),
     }
     for name, figure in figures.items():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.commands.flap import lasting_contact
 from jaxclear.scenes.flap import ARM, FIRST_ROD, FREQUENCY, JOINTS, SECOND_ROD, STROKE, flap
 
 STEP, DURATION, SAVES = 2e-6, 0.07, 7001
@@ -82,6 +83,15 @@ def test_bad_input_is_refused_by_name():
         flap(("J5",))
     with pytest.raises(ValueError, match="lever_ratio of flap"):
         flap(lever_ratio=0.0)
+
+
+def test_where_all_joints_stay_in_contact_the_shaft_is_that_of_ideal_joints(run):
+    """From the paper's first impacts to the turn of the stroke; a figure of the flap's study."""
+    ideal = jc.simulate(flap("ideal"), DURATION, save=SAVES)
+    (found,) = lasting_contact(run, ideal).itertuples(index=False)
+    begins, ends, speed, acceleration = found
+    assert 0.012 < begins < 0.02 and ends > 0.06
+    assert speed < 5e-3 and acceleration < 0.05
 
 
 @pytest.mark.slow
