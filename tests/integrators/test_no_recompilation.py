@@ -49,6 +49,7 @@ def test_every_number_of_a_mechanism_varies_without_tracing_again():
         ), name
 
 
+@pytest.mark.slow
 def test_duration_tolerances_and_steps_vary_without_tracing_again():
     go, mechanism = counted(SETTINGS), full_loop()
     for duration in (1e-5, 2e-5):

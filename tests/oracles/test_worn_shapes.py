@@ -247,7 +247,14 @@ def test_a_ball_in_full_turn_wears_a_groove_that_is_its_own_circle():
 
 
 @pytest.mark.parametrize("around", [pytest.param(72, marks=pytest.mark.slow), 288])
-@pytest.mark.parametrize("volume", [pytest.param(2e-13, marks=pytest.mark.slow), 2e-11, 2e-10])
+@pytest.mark.parametrize(
+    "volume",
+    [
+        pytest.param(2e-13, marks=pytest.mark.slow),
+        2e-11,
+        pytest.param(2e-10, marks=pytest.mark.slow),
+    ],
+)
 def test_no_loss_however_large_digs_waves(around, volume):
     """A direction that wanders, and losses up to far beyond what the contact overlaps: the wall has
     no more ups and downs than the two places at which the direction turns back leave."""
