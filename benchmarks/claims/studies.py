@@ -10,9 +10,14 @@ CPU second of both together: where nothing is lost to the second, it is the rate
 second of the clock has two of these. Designs are in `design`, campaigns in `campaign`.
 """
 
+import os
+
+# Threads of NumPy's linear algebra that wait for each other count as CPU time; read when it is
+# loaded.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import argparse
 import contextlib
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
