@@ -22,7 +22,7 @@ from jaxclear.integrators.error_control import Solved, solve, stepped_by_hand
 from jaxclear.integrators.impacts import EndingAtTouches, TakingImpactSpeeds
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.integrators.saltation import equations
+from jaxclear.integrators.saltation import equations, trusted
 from jaxclear.integrators.state_group import state_group
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.system import longest_arm
@@ -45,6 +45,10 @@ LOOSEST_IN_GAP = 4e-4
 LANDING, LANDING_IN_GAP = 0.1, 1e-4
 ROUNDING = 1e-12
 
+# Derivatives have grown too much where a place within the tolerance, grown as they have, is more
+# than this beside the narrowest gap: beyond, they were off by a tenth and more, and within by less
+# than a hundredth (slider-cranks with and without friction, rtol 1e-7 beside 1e-12).
+TRUSTED = 8e-4
 # What a second derivative through contacts is told.
 NO_SECOND = (
     "a second derivative through contacts that open and close is not known: take differences of "
@@ -65,9 +69,11 @@ class Adaptive(AbstractIntegrator):
     on the mean of their steps. In a batch all samples wait for the slowest. First derivatives
     through contacts are those of the motion (within 0.5 % at the usual tolerance, measured through
     up to seven impacts): steps end at touches and releases, and know how these move (`saltation`).
-    Their error is not controlled: tighten `rtol` to see it. Not with implicit solvers and
-    `MuntheKaas`, where `jaxclear.sensitivity` is the way. Stiff scenes (large friction over tiny
-    transition speeds) may prefer an implicit solver, best with a full Newton iteration:
+    Their error is not controlled: tighten `rtol` to see it. Where impacts have made them grow so
+    much that the tolerance no longer determines them they are nan; a tighter one goes further. Not
+    with implicit solvers and `MuntheKaas`, where `jaxclear.sensitivity` is the way. Stiff scenes
+    (large friction over tiny transition speeds) may prefer an implicit solver, best with a full
+    Newton iteration:
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)). `MuntheKaas` keeps
     rotations on their group.
     """
@@ -117,8 +123,10 @@ class Adaptive(AbstractIntegrator):
         return CompliantContact()
 
     def first_warm_start(self, model, start, state):
-        """How long a step may be [s]; 0: not known. Where contacts may close, the mean of steps."""
-        return jnp.zeros(())
+        """How long a step may be [s]; 0: not known. Where contacts may close, the mean of steps;
+        and the growth of derivatives."""
+        through = model.system.bearings and self.through_contacts
+        return jnp.zeros(()), jnp.zeros(3) if through else None
 
     def advance(self, model, interval, state, warm_start):
         interval = interval._replace(
@@ -170,7 +178,7 @@ class Adaptive(AbstractIntegrator):
         group, field_of = state_group(model), term.vector_field
         return GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
 
-    def _solver(self, rest, size, own):
+    def _solver(self, rest, size, own, growth):
         """The solver, which looks at contacts where there are any: laws may ask for impact speeds,
         and without them it would step over touches. `size`: so many equations of a program are in a
         rate."""
@@ -186,10 +194,11 @@ class Adaptive(AbstractIntegrator):
             return formulation.remember(eqx.combine(args[0], rest), y, before, after, length)
 
         derived = own if through else None
-        return TakingImpactSpeeds(solver or self.solver, contacts, remember, derived, rest.events)
+        taken = contacts, remember, derived, growth, rest.events
+        return TakingImpactSpeeds(solver or self.solver, *taken)
 
-    def _solve(self, rest, arrays, interval, state, step) -> Advance:
-        formulation, (start, stop) = self.formulation, interval[:2]
+    def _solve(self, rest, arrays, interval, state, warm_start) -> Advance:
+        formulation, (start, stop), (step, growth) = self.formulation, interval[:2], warm_start
         length = stop - start
         usual = jnp.where(step > 0, jnp.minimum(step, length), length)
 
@@ -205,11 +214,12 @@ class Adaptive(AbstractIntegrator):
         own = equations(formulation, rest, plain)
         through = rest.system.bearings and self.through_contacts
         rates = own.rates if through else lambda arrays, _, *now: plain(arrays, *now)
+        controller = self._controller(model, interval)
         first = jnp.where(step > 0, interval.share * usual, 1e-2 * length)
         found, failed = self._solved(
             self._term(model, rates),
-            self._solver(rest, size, own),
-            self._controller(model, interval),
+            self._solver(rest, size, own, growth),
+            controller,
             (start, stop, first),
             state,
             (arrays, None),
@@ -220,13 +230,15 @@ class Adaptive(AbstractIntegrator):
         outcome = jnp.where(reached, Outcome.REACHED, failed)
         figures, events, usual = {}, None, found.wish
         if rest.system.bearings:
-            _, _, figures[Check.INDENTATION], events = found.kept
+            _, _, figures[Check.INDENTATION], events, growth = found.kept
             # A step as long as a flight may go through a wall: rounding then decides what follows.
             usual = (found.time - start) / jnp.maximum(found.accepted, 1)
         usual = constant(usual)
         steps = found.accepted, found.rejected
-        state = derived_once(NO_SECOND, found.state) if rest.system.bearings else found.state
-        return Advance(state, *steps, usual, outcome, figures, events)
+        state = found.state
+        if through:
+            state = derived_once(NO_SECOND, trusted(state, growth, _most_growth(model, controller)))
+        return Advance(state, *steps, (usual, growth), outcome, figures, events)
 
     def _solved(self, term, solver, controller, span, state, args):
         """Where a solver ends, and why where that is before the end."""
@@ -258,6 +270,13 @@ class Adaptive(AbstractIntegrator):
         ended = solution.ts[-1], solution.ys[-1], solution.solver_state
         found = Solved(*ended, *steps, ~fine, typical)
         return found, jnp.where(fine, Outcome.REACHED, failed)
+
+
+def _most_growth(model, controller):
+    """By how much derivatives may grow from the first touches on: what a tolerance leaves of a
+    place is then a share of the gap by which they change."""
+    place = controller.rtol * longest_arm(model.system) + controller.atol
+    return TRUSTED * narrowest_gap(model.system) / place
 
 
 def _largest(weights, error):

@@ -85,15 +85,17 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
     `contacts(time, state, args)`: their motion. `remember(state, before, after, length, args)`: the
     state with its impact speeds set. Args are (arrays of the model, None), those of `solver` may
     tell which contacts count as closed. `derived`: how derivatives go through touches (None: they
-    do not). Its state between steps ends with the largest indentation of every contact so far [m]:
-    the motion of the contacts is known at both ends of a step, so that peaks of a run cost it
-    nothing; and with `events`, so many, of a saving interval (`integrators.events`).
+    do not), `growth`: by how much they have grown (`saltation.trusted`). Its state between steps
+    ends with the largest indentation of every contact so far [m]: the motion of the contacts is
+    known at both ends of a step, so that peaks of a run cost it nothing; with `events`, so many, of
+    a saving interval (`integrators.events`); and with the growth.
     """
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
     contacts: Callable
     remember: Callable
     derived: Equations | None = None
+    growth: Any = None
     events: int = eqx.field(static=True, default=0)
 
     @property
@@ -124,13 +126,13 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
         contacts = self.contacts(t0, y0, args)
         events = nothing(contacts, self.events) if self.events else None
         own = self.solver.init(terms, t0, t1, y0, args)
-        return own, contacts, _deeper(contacts, 0.0), events
+        return own, contacts, _deeper(contacts, 0.0), events, self.growth
 
     def func(self, terms, t0, y0, args):
         return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        own, before, deepest, events = solver_state
+        own, before, deepest, events, growth = solver_state
         step = Step(args[0], ContactMotion(*constant(before)), constant(t1 - t0))
         times, y, own, shift, given = self._begun(step, (t0, t1), y0, own, args)
         y1, error, dense, own, result = self.solver.step(terms, *times, y, given, own, made_jump)
@@ -140,14 +142,14 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
         middle = self.contacts(half, path.evaluate(half), args)
         passed = Passage(*constant((before, middle, after)))
         remembering = self.remember(y1, before, after, length, args)
-        y1, own = self._ended(step, (t1, y1), own, shift, remembering)
+        y1, own, growth = self._ended(step, (t1, y1), own, shift, (remembering, growth))
         if events is not None:
             events = noted(events, t0, length, *jax.lax.stop_gradient((before, after)))
         return (
             y1,
             Judged(error, passed),
             dense,
-            (own, after, _deeper(after, deepest), events),
+            (own, after, _deeper(after, deepest), events, growth),
             result,
         )
 
@@ -160,13 +162,14 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
         times = tuple(time + shift for time in times)
         return times, y, eqx.combine(slopes, others), shift, (args[0], step.shares)
 
-    def _ended(self, step, end, own, shift, remembering):
-        """(state, state of the solver) with derivatives behind touches and releases."""
+    def _ended(self, step, end, own, shift, known):
+        """(state, state of the solver, growth) with derivatives behind touches and releases, from
+        (state, growth) as `known` before."""
         if self.derived is None:
-            return remembering, own
+            return known[0], own, known[1]
         slopes, others = eqx.partition(own, eqx.is_inexact_array)
-        y, slopes = self.derived.jumped(step, end, slopes, shift, remembering)
-        return y, eqx.combine(slopes, others)
+        y, slopes, growth = self.derived.jumped(step, end, slopes, shift, *known)
+        return y, eqx.combine(slopes, others), growth
 
 
 def _deeper(contacts: Any, deepest: Any) -> Any:

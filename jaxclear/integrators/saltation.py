@@ -31,18 +31,22 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import ContactMotion
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
-from jaxclear.ground.quantity import Scalar
+from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import moved, pushed
 from jaxclear.multibody.state import Layout, impact_speed_places
 
 # A contact is near to its touch or release, or to the end of its slip, if so many steps as long as
 # this one would take it there at its rate.
 NEAR = 200.0
+# So many touches are the first ones, by which the growth of a derivative is measured: at the first
+# of all nothing may move yet (of a stiffness), or little.
+FIRST = 3
 
 
 class Step(NamedTuple):
@@ -59,14 +63,28 @@ class Step(NamedTuple):
         return _closed(self.contacts)
 
 
+def trusted(state: Any, growth: Array, limit: Scalar) -> Any:
+    """The state; its derivative is nan where touches move more than `limit` times as much as the
+    first of them did.
+
+    `growth`: three zeros, whose derivatives tell how many touches moved, and by how much [s] the
+    first few of them and all of them did at most."""
+
+    def judged(numbers, tangents):
+        (_, _, limit), (state, growth, _) = numbers, map(moved, tangents)
+        return jnp.where(growth[2] > limit * growth[1], jnp.nan, state)
+
+    return _derived(lambda state, growth, limit: state, judged)(state, growth, constant(limit))
+
+
 class Equations(NamedTuple):
     """Of a model, by its arrays, with derivatives: `rates(arrays, shares, time, state)`, and what
     goes around a step, where `slopes` holds the slope with which the next one begins, if any.
 
     `shifted(step, (time, state), slopes)`: state and slopes at its start, at times that move by the
     derivative of a third number, which is 0; `jumped(step, (time, state), slopes, shift,
-    remembering)`: the state with its impact speeds, and the slopes, at the end, at a fixed time
-    behind touches and releases there.
+    remembering, growth)`: the state with its impact speeds, the slopes and the growth (see
+    `trusted`) at the end, at a fixed time behind touches and releases there.
     """
 
     rates: Callable
@@ -111,7 +129,12 @@ def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equa
             functools.partial(_at_moving_time, model),
         ),
         _derived(
-            lambda step, now, slopes, shift, remembering: (remembering, slopes),
+            lambda step, now, slopes, shift, remembering, growth: (
+                remembering,
+                slopes,
+                # It moves with the state, which a loop is to know.
+                jnp.where(jnp.isnan(remembering[0]), remembering[0], growth),
+            ),
             functools.partial(_behind, model),
         ),
     )
@@ -177,16 +200,16 @@ def _shift(model: _Model, step: Step, here: tuple, ways: tuple, slopes: tuple) -
 
 
 def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
-    """The derivatives of (state, slopes) at the end of a step."""
+    """The derivatives of (state, slopes, growth) at the end of a step."""
     step, (time, y), *_ = numbers
-    (way, *_), (time_way, _), slopes, shift, state = tangents
+    (way, *_), (time_way, _), slopes, shift, *known = tangents
     arrays, before = step.arrays, step.shares
     here = arrays, time, y
     now = model.contacts(*here)
     after = _closed(now)
 
     def behind(known):
-        state, slopes = known
+        state, slopes, growth = known
         flow = model.rates(arrays, before, time, y)
         state = state - moved(shift) * flow
         ahead = pushed(model.contacts, here, (way, time_way, state))[1]
@@ -196,10 +219,20 @@ def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
         along = lambda time, y: model.contacts(arrays, time, y).rates
         gain = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
         state = _with_impact_speeds(model.layout, state, after > before, ahead.rates + gain * late)
-        return state, _slopes(model, after, here, (way, time_way, state), slopes)
+        grown = _grown(growth, jnp.max(jnp.where(after > before, abs(late), 0.0)))
+        return state, _slopes(model, after, here, (way, time_way, state), slopes), grown
 
     wanted = jnp.any((before > 0) | (before != after))
-    return _where(wanted, behind, jax.tree.map(moved, (state, slopes)))
+    state, growth = known
+    return _where(wanted, behind, jax.tree.map(moved, (state, slopes, growth)))
+
+
+def _grown(growth: Array, late: Scalar) -> Array:
+    """After touches of which one comes that much later (0: none does)."""
+    met, first, most = growth[0], growth[1], growth[2]
+    met = met + jnp.where(late > 0, 1.0, 0.0)
+    first = jnp.where(met <= FIRST, jnp.maximum(first, late), first)
+    return jnp.stack([met, first, jnp.maximum(most, late)])
 
 
 def _slopes(model: _Model, shares: Any, here: tuple, ways: tuple, slopes: Any) -> Any:

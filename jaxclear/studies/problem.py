@@ -252,10 +252,12 @@ class Problem(AbstractProblem):
         return concerned(self.response[response], concerns)
 
     def pathwise_limits(self):
+        if self.integrator.through_contacts:
+            return "", "steps that follow an error do not follow that of derivatives"
         if not self.integrator.pathwise:
             return (
-                "derivatives of single adaptive runs are not averaged over tolerances; use a "
-                "fixed-step integrator."
+                "derivatives of finished runs of this integrator are wrong near contact; use "
+                "integrator.Adaptive with an explicit solver, or one with fixed steps."
             ), ""
         seen = self.integrator.formulation.seen(self.mechanism)
         return "", refusal(seen, self.integrator)

@@ -248,3 +248,19 @@ def test_a_second_derivative_says_why_not():
     )
     with pytest.raises(ValueError, match="take differences of first derivatives"):
         jax.jit(jax.hessian(lambda v: answer(asked, v, 0.09)))(asked.nominal())
+
+
+def test_a_derivative_that_the_tolerance_no_longer_determines_is_nan():
+    """Beside differences, through ten impacts of a slider-crank derivatives of the usual tolerance
+    are right, through twenty of a rattling one off by a sixth, those of a tight one by 1e-3."""
+    usual = problem(crank(friction=None), "slider", 0, (CLEARANCE,), jc.integrator.Adaptive())
+
+    @jax.jit
+    def slope(end, rtol):
+        tolerances = lambda own: (own.integrator.rtol, own.integrator.atol)
+        asked = eqx.tree_at(tolerances, usual, (rtol, 1e-2 * rtol))
+        return jax.jacfwd(lambda v: answer(asked, v, end))(asked.nominal())
+
+    np.testing.assert_allclose(slope(0.01, 1e-7), slope(0.01, 1e-11), rtol=1e-3)
+    assert np.isnan(slope(0.03, 1e-7))
+    np.testing.assert_allclose(slope(0.03, 1e-10), slope(0.03, 1e-11), rtol=2e-3)

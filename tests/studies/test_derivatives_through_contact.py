@@ -131,12 +131,12 @@ def test_where_nothing_opens_derivatives_pass(integrator):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["explicit", "implicit"])
+@pytest.mark.parametrize("name", ["explicit", "implicit", "under error control"])
 def test_pathwise_knows_that_a_longer_fall_strikes_faster(name):
     """-1.212 by differences of tight runs. Impact speeds are taken at the touch, so the tangent of
     the discrete run follows them (-1.268 when they relaxed to the approach speed); alone it is
     still refused, because nothing confirms it."""
-    asked = problem(INTEGRATORS[name])
+    asked = problem((INTEGRATORS | {"under error control": jc.integrator.Adaptive()})[name])
     sample = jc.monte_carlo(asked, 32)
     answers = jc.sensitivity(
         asked, sample=sample, methods=("regression", "pathwise"), difference_samples=16
