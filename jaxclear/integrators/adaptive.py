@@ -67,7 +67,7 @@ class Adaptive(AbstractIntegrator):
     steps end at saving times too, so saving more often than steps are long costs as many more.
     `MuntheKaas`, implicit solvers and those with steps of their own run in diffrax's loop, and hand
     on the mean of their steps. In a batch all samples wait for the slowest. First derivatives
-    through contacts are those of the motion (within 0.5 % at the usual tolerance, measured through
+    through contacts are those of the motion (within 1.2 % at the usual tolerance, measured through
     up to seven impacts): steps end at touches and releases, and know how these move (`saltation`).
     Their error is not controlled: tighten `rtol` to see it. Where impacts have made them grow so
     much that the tolerance no longer determines them they are nan; a tighter one goes further. Not
