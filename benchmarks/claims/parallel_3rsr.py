@@ -18,7 +18,7 @@ import jaxclear as jc
 from benchmarks.measure import about, alone, arguments, report, side_by_side
 from jaxclear.commands import parallel_3rsr as study
 from jaxclear.components.clearance import AbstractClearance, BallSocket
-from jaxclear.components.wear_map import direction_angle
+from jaxclear.ground.numerics import direction_angle
 from jaxclear.ground import sparse as sp
 from jaxclear.scenes.parallel_3rsr import QUIET, RATTLING, parallel_3rsr
 

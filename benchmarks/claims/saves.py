@@ -1,9 +1,15 @@
-"""What saving often costs: a run of the slider-crank with 1920 saving times over the same run with
-4, by rung, alone and in a batch. `--json benchmarks/results/saves.json` keeps it.
+"""What saving often costs: a run with 1920 saving times over the same run with 4, by rung, alone
+and in a batch: of the slider-crank, whose surfaces do not wear or do, and of the spatial four-bar,
+whose map has 72 times 20 cells. `--json benchmarks/results/saves.json` keeps rows of earlier calls
+beside those measured now.
 
 Fixed steps fit both intervals, so that both runs take the same steps. Those that follow an error
-end at every saving time, and there are more of them: their number stands beside the time.
+end at every saving time, and there are more of them: their number stands beside the time. Where
+surfaces wear they are worn at every saving time.
 """
+
+import functools
+import json
 
 from typing import Any
 
@@ -13,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, side_by_side
+from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.ground.compiling import AROUND_A_KERNEL, ONCE
 from jaxclear.native import explain
 from jaxclear.simulation.beginning import beginning
@@ -29,6 +35,11 @@ RUNGS = {
     "NonColliding(2e-5)": jc.integrator.NonColliding(2e-5),
     "Adaptive()": jc.integrator.Adaptive(),
 }
+SCENES = {
+    "slider-crank": jc.scenes.slider_crank,
+    "slider-crank that wears": functools.partial(jc.scenes.slider_crank, wear=True),
+    "four-bar that wears": functools.partial(jc.scenes.four_bar, "spatial"),
+}
 OFTEN, SELDOM, BATCH = 1920, 4, 64
 # Steps between two of the many saving times. 3 saving intervals fit 1919 of them but for one step,
 # which changes nothing that is measured.
@@ -36,9 +47,9 @@ STEPS = 3
 STEP = 2e-5
 
 
-def program(integrator: Any, saves: int, batch: int) -> Any:
+def program(scene: str, integrator: Any, saves: int, batch: int) -> Any:
     """The compiled run, from consistent coordinates to all of its numbers, and what it is given."""
-    rig = integrator.formulation.seen(jc.scenes.slider_crank())
+    rig = integrator.formulation.seen(SCENES[scene]())
     rig, start, _, past = beginning(rig, integrator.formulation, State())
     times = jnp.linspace(0.0, (OFTEN - 1) * STEPS * STEP, saves)
     arrays, rest = eqx.partition((rig, integrator, past), eqx.is_array)
@@ -46,7 +57,8 @@ def program(integrator: Any, saves: int, batch: int) -> Any:
     def function(arrays, speeds):
         rig, integrator, past = eqx.combine(arrays, rest)
         found = run(rig, start.coordinates, speeds, times, integrator, past=past)
-        return eqx.filter((found.states, found.checks, found.stats, found.outcome), eqx.is_array)
+        told = found.states, found.checks, found.stats, found.outcome, found.worn
+        return eqx.filter(told, eqx.is_array)
 
     speeds = start.speeds
     if batch:
@@ -57,15 +69,16 @@ def program(integrator: Any, saves: int, batch: int) -> Any:
     return lambda: compiled(arrays, speeds)
 
 
-def measured(name: str, integrator: Any, batch: int, repeats: int) -> dict[str, Any]:
+def measured(scene: str, name: str, batch: int, repeats: int) -> dict[str, Any]:
     """One row."""
-    cases = {str(saves): program(integrator, saves, batch) for saves in (OFTEN, SELDOM)}
+    cases = {str(saves): program(scene, RUNGS[name], saves, batch) for saves in (OFTEN, SELDOM)}
     stats = {saves: case()[2] for saves, case in cases.items()}
     taken = {saves: float(np.mean(of.accepted_steps)) for saves, of in stats.items()}
     told = {explain(int(np.max(of.verdict))) for of in stats.values()}
     cpu = {saves: spent[1] for saves, spent in side_by_side(cases, repeats).items()}
     many, few = str(OFTEN), str(SELDOM)
     return {
+        "scene": scene,
         "rung": name,
         "samples": max(batch, 1),
         f"{few} saves [ms]": 1e3 * cpu[few],
@@ -77,14 +90,27 @@ def measured(name: str, integrator: Any, batch: int, repeats: int) -> dict[str, 
 
 
 def main() -> None:
-    options = arguments(__doc__)
-    rungs = dict(list(RUNGS.items())[:1]) if options.quick else RUNGS
-    rows = [
-        measured(name, integrator, batch, 3 if options.quick else 7)
-        for name, integrator in rungs.items()
-        for batch in ((0,) if options.quick else (0, BATCH))
-    ]
-    report(f"{OFTEN} saving times over {SELDOM}, CPU time", rows, options)
+    options = arguments(
+        __doc__,
+        scene={"choices": list(SCENES), "nargs": "*", "default": list(SCENES), "help": "which"},
+        rung={"choices": list(RUNGS), "nargs": "*", "default": list(RUNGS), "help": "which ones"},
+        batch={"type": int, "nargs": "*", "default": [0, BATCH], "help": "0: a run alone"},
+    )
+    for scene in options.scene:
+        title = f"{OFTEN} saving times over {SELDOM}, CPU time: {scene}"
+        for name in options.rung[:1] if options.quick else options.rung:
+            for batch in (0,) if options.quick else options.batch:
+                row = measured(scene, name, batch, 3 if options.quick else 7)
+                known = _known(options.json, title)
+                rows = known | {(name, row["samples"]): row}
+                report(title, list(rows.values()), options)
+                sign("benchmarks.claims.saves", options.json, [title])
+
+
+def _known(path: Any, title: str) -> dict[tuple[str, int], dict[str, Any]]:
+    """Rows of earlier calls by rung and samples."""
+    kept = json.loads(path.read_text()) if path is not None and path.exists() else {}
+    return {(row["rung"], row["samples"]): row for row in kept.get(title, [])}
 
 
 if __name__ == "__main__":

@@ -93,12 +93,12 @@ def depth_lost(volume: Scalar, patch: Patch) -> tuple[Float[Array, "around along
     with u the largest overlap on the way before it, w the contact's share, m the mean of the roots
     over the way beside the largest and S the integral of w times the root of a contact.
     """
-    load = patch.elasticity
-    wanted = volume + load.overlap
 
     def total(cells):
         # A product with a vector is several times faster than a sum.
         return jnp.sum(cells @ patch.area)
+
+    wanted = volume + patch.elasticity.overlap
 
     def closer(level):
         overlap, share = patch.outline.at(level)
@@ -108,11 +108,17 @@ def depth_lost(volume: Scalar, patch: Patch) -> tuple[Float[Array, "around along
     level = patch.start
     for _ in range(STEPS):
         level = closer(level)
+    pressure = pressures(volume, patch, level)
+    return volume * safe_divide(1.0, total(pressure)) * pressure, level
+
+
+def pressures(volume: Scalar, patch: Patch, level: Scalar) -> Float[Array, "around along"]:
+    """What each cell loses beside the others, where the part that wears them has come to a level
+    [m]."""
     overlap = patch.outline.at(level)[0]
     mean = patch.share * (_mean_root(patch.way, level) + LEAST_SHARE * safe_sqrt(overlap))
-    own, whole = volume * mean, 2.0 * load.root * overlap
-    pressure = safe_divide(mean * overlap, own + safe_sqrt(own * own + whole * whole))
-    return volume * safe_divide(1.0, total(pressure)) * pressure, level
+    own, whole = volume * mean, 2.0 * patch.elasticity.root * overlap
+    return safe_divide(mean * overlap, own + safe_sqrt(own * own + whole * whole))
 
 
 def _mean_root(way: Way, level: Scalar) -> Float[Array, "around along"]:

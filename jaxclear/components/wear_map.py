@@ -14,23 +14,19 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.contact_patch import (
-    SHARPEST,
-    Outline,
-    Patch,
-    Way,
-    arc,
-    arc_with_cell,
-    depth_lost,
-    depth_of,
-    line_contact,
-    line_sunk,
-    square_width,
+from jaxclear.components.contact_patch import depth_lost, depth_of, square_width
+from jaxclear.components.cylinder_contact import Wall, loss_of
+from jaxclear.components.touched_cells import (
+    entry,
+    number,
+    shared,
+    taken_off,
+    through,
+    with_number,
 )
-from jaxclear.ground.numerics import TINY_SQUARE, positive_part, safe_divide, safe_sqrt
+from jaxclear.ground.numerics import direction_angle, positive_part, safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.laws.wear import AbstractWearLaw
 
@@ -85,6 +81,13 @@ class AbstractWearMap(AbstractQuantified):
         event's location, weighted by what was lost there.
         """
 
+    def deposit_in_turn(self, depth, reading, pressures, volume, features):
+        """(depth, its reading, `pressures`) after such a loss, within a kernel: of many cells, cell
+        by cell, and only those that are touched. `pressures`: an array like the depth for each
+        event, to be written over."""
+        depth = self.deposit(depth, volume, features)
+        return depth, self.reading(depth), pressures
+
     def directions_of(self, features):
         """Mean direction (..., up to 3) of each event: of length 1 where it was at one place, as
         always unless overridden."""
@@ -95,14 +98,6 @@ class AbstractWearMap(AbstractQuantified):
         covers: all of it unless overridden."""
         whole = jnp.ones(features.shape[:-1])
         return whole, whole
-
-
-def direction_angle(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
-    """atan2(y, x), and 0 with zero derivative at the origin, where a direction does not exist."""
-    somewhere = x * x + y * y > TINY_SQUARE
-    return jnp.where(
-        somewhere, jnp.arctan2(jnp.where(somewhere, y, 0.0), jnp.where(somewhere, x, 1.0)), 0.0
-    )
 
 
 class CylinderMap(AbstractWearMap):
@@ -128,11 +123,6 @@ class CylinderMap(AbstractWearMap):
     def angles(self) -> Float[Array, " around"]:
         """Direction of the centre of each cell [rad]."""
         return (jnp.arange(self.cells[0]) + 0.5) * (2 * jnp.pi / self.cells[0])
-
-    def _ways(self) -> Float[np.ndarray, "around 2"]:
-        """Direction (x, y) of the centre of each cell."""
-        angles = (np.arange(self.cells[0]) + 0.5) * (2 * np.pi / self.cells[0])
-        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def heights(self) -> Float[Array, " along"]:
         """z of the centre of each cell [m]."""
@@ -164,16 +154,21 @@ class CylinderMap(AbstractWearMap):
     def _column(self, x, y):
         return direction_angle(x, y) * (self.cells[0] / (2 * jnp.pi)) - 0.5
 
+    @property
+    def wall(self) -> Wall:
+        """Its geometry alone."""
+        return Wall(self.cells, self.radius, self.length, self.clearance)
+
     def deposit(self, depth, volume, features):
         around = self.cells[0]
         reach = math.ceil(REACH * around / (2 * math.pi))
 
         # A table: XLA would work them out anew for every cell of a column.
-        columns = self._ways()
+        ways = self.wall.ways()
 
         def wide():
-            whole = jax.vmap(self._lost, (None, None, 0, 0))
-            return depth + jnp.sum(whole(columns, depth, volume, features)[0], axis=0)
+            whole = jax.vmap(lambda *event: self._lost(ways, depth, depth, *event))
+            return depth + jnp.sum(whole(volume, features)[0], axis=0)
 
         if 2 * reach + 1 >= around:
             return wide()
@@ -182,9 +177,11 @@ class CylinderMap(AbstractWearMap):
         width = 2 * reach + 1
         twice = jnp.concatenate([depth, depth[:width]])
         near = lambda these, start: jax.lax.dynamic_slice_in_dim(these, start, width)
-        ways = jnp.concatenate([columns, columns[:width]])
+        ways_twice = jnp.concatenate([ways, ways[:width]])
         lost, fits = jax.vmap(
-            lambda start, *event: self._lost(near(ways, start), near(twice, start), *event)
+            lambda start, *event: self._lost(
+                near(ways_twice, start), near(twice, start), depth, *event
+            )
         )(first, volume, features)
 
         def narrow():
@@ -201,94 +198,73 @@ class CylinderMap(AbstractWearMap):
         rare = lambda: jnp.where(fit, narrow(), wide())
         return jax.lax.cond(eqxi.unvmap_all(fit), narrow, rare)
 
-    def _lost(self, columns, depth, volume, features):
-        """(what each cell of these columns, directions (x, y), loses in an event [m], whether no
-        other column is reached)."""
-        x, y, fall, narrowness, end = features
-        around, along = self.cells
-        clearance, ends = self.clearance, jnp.abs(end)
-        length = safe_sqrt(x * x + y * y)
-        half_arc = arc(length)
-        towards = (safe_divide(x, length), safe_divide(y, length))
-        along_arc, cosine, sine = self._from_arc(columns, *towards, half_arc)
-        square = safe_divide(1.0, narrowness * narrowness)
-        overlap = depth_of(square, self._cell, clearance)
-        # Up to where a tilted journal overlaps. Its two ends have shares, as the line between them
-        # tells, that add up to one.
-        touching = safe_divide(overlap * self.length, 2.5 * jnp.abs(fall) * ends + overlap)
-        load = line_contact(overlap, self.radius, clearance, touching, half_arc)
-        load = load._replace(root=load.root * (1.0 - 0.5 * ends * touching / self.length))
-        wanted = volume + load.overlap
-        sunk = line_sunk(wanted, self.radius, clearance, self.length, jnp.abs(fall) * ends)
-        away = 0.5 * ends - end * self.heights() / self.length
-        nearest = jnp.argmax(cosine)
-        edge = jnp.where(end > 0, depth[nearest, -1], depth[nearest, 0])
-        steepest = (0.5 / along) * jnp.abs(fall)
-        outline = Outline(
-            cosine[:, None],
-            clearance + depth + fall * away * cosine[:, None],
-            (
-                (jnp.pi / around) * clearance * sine
-                + steepest * jnp.abs(cosine)
-                + SHARPEST * clearance
-            )[:, None],
-        )
-        nearest_to = Outline(1.0, clearance + depth + fall * away, steepest + SHARPEST * clearance)
-        half = arc_with_cell(half_arc, self._cell)
-        patch = Patch(
-            outline,
-            Way(along_arc[:, None], nearest_to, half, clearance + depth),
-            self.areas()[0],
-            1.0 - away,
-            clearance + edge + sunk,
-            load,
-        )
-        lost, level = depth_lost(volume, patch)
-        deepest = level + positive_part(-fall)
-        beyond = jnp.cos(positive_part(REACH - half_arc))
-        return lost, (deepest * beyond < clearance) | (volume == 0)
+    def _lost(self, ways, depth, of_all, volume, features):
+        """(what each cell of columns in these directions, worn so deep [m], loses in an event [m],
+        whether no other column is reached)."""
+        loss = loss_of(self.wall, volume, features)
+        columns = jax.tree.map(lambda each: each[:, None], loss.columns(ways))
+        patch = loss.cell(columns, jnp.arange(self.cells[1]), depth, loss.start(of_all))
+        lost, level = depth_lost(volume, patch._replace(area=self.areas()[0]))
+        return lost, (loss.reach(level) < REACH) | (volume == 0)
 
-    def _from_arc(self, columns, x, y, half_arc):
-        """(angle [rad] between the direction of each column and (x, y); cosine and size of the sine
-        of that between it and the arc about (x, y)); without a direction all are in it."""
-        cosine = columns[:, 0] * x + columns[:, 1] * y
-        sine = jnp.abs(columns[:, 0] * y - columns[:, 1] * x)
-        c, s = jnp.cos(half_arc), jnp.sin(half_arc)
-        inside = cosine >= c
-        return (
-            direction_angle(cosine, sine),
-            jnp.where(inside, 1.0, cosine * c + sine * s),
-            jnp.where(inside, 0.0, sine * c - cosine * s),
-        )
+    def deposit_in_turn(self, depth, reading, pressures, volume, features):
+        found = []
+        for own, *event in zip(pressures, volume, features, strict=True):
+            loss = lambda event=event: loss_of(self.wall, *event)
+            found.append(shared(loss, event[0], depth, own))
+        shares, pressures = zip(*found, strict=True)
+        depth = taken_off(shares, pressures, depth)
+        for touched, _ in shares:
+            reading = self._read_anew(touched, depth, reading)
+        return depth, reading, pressures
+
+    def _read_anew(self, touched, depth, reading):
+        """The reading where cells of these columns have changed."""
+        around = self.cells[0]
+
+        def one(_, place, reading):
+            column = place[0]
+            ends = []
+            for own, (row, inside) in zip(reading, self._edges(), strict=True):
+                last, further = (entry(depth, (column, each)) for each in (row, inside))
+                ends.append(with_number(own, _to_the_edge(last, further), column + 1))
+            return tuple(ends)
+
+        reading = through(touched, (around, 1), one, reading, True)
+        # The last column once more in front of the first, the first behind the last.
+        for to, of in ((0, around), (around + 1, 1)):
+            reading = tuple(with_number(own, number(own, of), to) for own in reading)
+        return reading
 
     def reading(self, depth):
-        """For the lower and upper end: coefficients (around, 3) of the spline 1, f, f^2 around each
-        cell, contiguous so that one lookup costs one small slice."""
+        """Of each row at an end the depth at the edge, column by column, the last one in front and
+        the first one behind: what a place reads of it is one small slice."""
         rows = []
-        inner = min(1, self.cells[1] - 1)
-        for edge, inside in ((depth[:, 0], depth[:, inner]), (depth[:, -1], depth[:, -1 - inner])):
-            # From the middle of the last cell to its edge.
-            edge = edge + 0.5 * positive_part(edge - inside)
-            left, right = jnp.roll(edge, 1), jnp.roll(edge, -1)
-            rows.append(
-                jnp.stack(
-                    [
-                        0.125 * (left + 6.0 * edge + right),
-                        0.5 * (right - left),
-                        0.5 * (left + right) - edge,
-                    ],
-                    -1,
-                )
-            )
+        for row, inside in self._edges():
+            edge = _to_the_edge(depth[:, row], depth[:, inside])
+            rows.append(jnp.concatenate([edge[-1:], edge, edge[:1]]))
         return tuple(rows)
+
+    def _edges(self) -> list[tuple[int, int]]:
+        """(row, the next further inside) at the lower and the upper end; one of a single row."""
+        last = self.cells[1] - 1
+        return [(0, 1), (last, last - 1)] if last else [(0, 0)]
 
     def depth_at_end(self, reading: tuple, x: Scalar, y: Scalar, end: int) -> Scalar:
         """Worn depth at the direction (x, y) of the row at the lower (-1) or upper (1) end, in
         metres.
         """
-        around = self.cells[0]
         position = self._column(x, y)
         nearest = jnp.round(position)
         f = position - nearest
-        constant, slope, curvature = reading[0 if end < 0 else 1][nearest.astype(int) % around]
-        return constant + f * (slope + f * curvature)
+        first = nearest.astype(int) % self.cells[0]
+        own = reading[0 if end < 0 else -1]
+        left, here, right = jax.lax.dynamic_slice_in_dim(own, first, 3)
+        # A quadratic B-spline.
+        curvature = 0.5 * (left + right) - here
+        return 0.125 * (left + 6.0 * here + right) + f * (0.5 * (right - left) + f * curvature)
+
+
+def _to_the_edge(last: Array, inside: Array) -> Array:
+    """Depth [m] at the edge of a last cell, beside that of the one further inside."""
+    return last + 0.5 * positive_part(last - inside)

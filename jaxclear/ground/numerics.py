@@ -49,6 +49,14 @@ def safe_divide(numerator, denominator):
     return jnp.where(regular, numerator / jnp.where(regular, denominator, jnp.inf), 0.0)
 
 
+def direction_angle(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
+    """atan2(y, x), and 0 with zero derivative at the origin, where a direction does not exist."""
+    somewhere = x * x + y * y > TINY_SQUARE
+    return jnp.where(
+        somewhere, jnp.arctan2(jnp.where(somewhere, y, 0.0), jnp.where(somewhere, x, 1.0)), 0.0
+    )
+
+
 def power(base: Float[Array, "..."], exponent: Float[Array, "..."] | None) -> Float[Array, "..."]:
     """max(base, 0) ** exponent for an exponent above 1; value and first derivative are 0 at and
     below zero.

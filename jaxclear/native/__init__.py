@@ -52,7 +52,8 @@ What a kernel holds of its arguments: constants and the first state as one packe
 each sample (whole numbers and truth values as floats, exact to 2^53); constant arrays of more than
 64 numbers stay in memory and are read by index, once for all samples that share them; and so is
 written what turns of a scan leave (`tables`): an array for each of its parts, handed to XLA as it
-is. An array in the state always lives in registers.
+is. An array of the state lives in registers, unless the loop's writer calls it `long`: then it
+stands in memory, where turns read and change it by index, and as it was before it is nowhere.
 
 How it is tested (tests/native): every rule by itself on awkward numbers (zeros of both signs,
 infinities, nan, empty arrays, several lanes) against JAX's own evaluation; a rule without such a

@@ -47,6 +47,15 @@ def _dynamic_slice(p):
     return cut
 
 
+def _dynamic_update(a, update, *starts):
+    firsts = [
+        min(max(int(s), 0), n - m) for s, n, m in zip(starts, a.shape, update.shape, strict=True)
+    ]
+    out = np.array(a)
+    out[tuple(slice(f, f + m) for f, m in zip(firsts, update.shape, strict=True))] = update
+    return out
+
+
 def _broadcast(p):
     def spread(a):
         if not p["shape"]:
@@ -94,6 +103,7 @@ PLAIN: dict[str, Callable] = {
     "not": np.invert,
     "select_n": _select,
     "is_finite": np.isfinite,
+    "dynamic_update_slice": _dynamic_update,
     "copy": np.asarray,
     "stop_gradient": np.asarray,
     # Equinox: what a single sample does.

@@ -14,7 +14,17 @@ import jax
 import numpy as np
 
 from jaxclear.native.by_numpy import evaluator
-from jaxclear.native.program import Program, Table, avals_of, floats_in, in_memory, packed, row_of
+from jaxclear.native.program import (
+    Program,
+    Table,
+    avals_of,
+    changing,
+    floats_in,
+    in_memory,
+    packed,
+    packed_state,
+    row_of,
+)
 from jaxclear.native.writer import Unsupported
 
 # Largest whole number that is drawn: a place among the rows of a table.
@@ -94,9 +104,17 @@ def _agrees(
     first = np.zeros(found.shape)
     before = np.array([packed(s[len(constants) :]) for s in samples])
     first[:, : before.shape[1]] = before
-    parts = [(a[:1], a[1:]) for a in (found, wanted, changed, first)]
+    # What a turn leaves of a long array as it was tells nothing.
+    long = np.repeat([i in program.long for i in range(len(state))], list(map(_size, state)))
+    asked = np.any((wanted != first) | (found != first), axis=0)
+    asked[: len(long)] |= ~long
+    parts = [(a[:1, asked], a[1:, asked]) for a in (found, wanted, changed, first)]
     usual, others = (judged(*part) for part in zip(*parts, strict=True))
     return usual, others[0]
+
+
+def _size(aval: Any) -> int:
+    return floats_in([aval])
 
 
 def _one_turn(program: Program, address: int, samples: list) -> np.ndarray:
@@ -106,16 +124,22 @@ def _one_turn(program: Program, address: int, samples: list) -> np.ndarray:
     rows = [packed([v for v, k in zip(s, kept, strict=True) if not k]) for s in samples]
     given = np.ascontiguousarray(rows)
     big = [np.ascontiguousarray([s[i] for s in samples]) for i, k in enumerate(kept) if k]
-    out = np.zeros((len(samples), floats_in(avals_of(program)[1])))
+    out = np.zeros((len(samples), floats_in(packed_state(program))))
+    long = [np.zeros((len(samples), _size(aval))) for aval in changing(program)]
     tables = [
         np.zeros((len(samples), table.height, floats_in([aval])))
         for table, aval in _tables(program)
     ]
-    big += tables
+    big += [*long, *tables]
     data = (ctypes.c_void_p * (1 + len(big)))(given.ctypes.data, *[b.ctypes.data for b in big])
     call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
     call(address)(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples), 1)
-    return np.hstack([out, *(rows[:, -1] for rows in tables), *(rows[:, 0] for rows in tables)])
+    short = np.split(out, np.cumsum(list(map(_size, packed_state(program))))[:-1], axis=1)
+    parts = {i: each for each, i in zip(long, sorted(program.long), strict=True)}
+    others = (i for i in range(len(avals_of(program)[1])) if i not in program.long)
+    parts |= dict(zip(others, short, strict=False))
+    last = [parts[i] for i in sorted(parts)]
+    return np.hstack([*last, *(rows[:, -1] for rows in tables), *(rows[:, 0] for rows in tables)])
 
 
 def _tables(program: Program) -> list[tuple[Table, Any]]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxclear.native.arithmetic import compare
 from jaxclear.native.reductions import combine
-from jaxclear.native.rules import known, rule
+from jaxclear.native.rules import known, refuse_memory, rule
 from jaxclear.native.writer import (
     LONGEST_IN_REGISTERS,
     TRUTH,
@@ -35,15 +35,7 @@ def _entry(writer, array, index, kind):
     """array[index] for a tuple of indices within range, some known only at run time."""
     shape = array.shape
     if isinstance(array, InMemory):
-        strides = [math.prod(shape[i + 1 :]) for i in range(len(shape))]
-        flat: Any = sum(i * s for i, s in zip(index, strides, strict=True) if known(i))
-        for i, stride in zip(index, strides, strict=True):
-            if not known(i):
-                part = i if stride == 1 else writer.operate("mul {type} {0}, {1}", WHOLE, i, stride)
-                flat = (
-                    part if flat == 0 else writer.operate("add {type} {0}, {1}", WHOLE, flat, part)
-                )
-        return writer.read(array, flat)
+        return writer.read(array, _flat(writer, shape, index))
     for axis, i in enumerate(index):
         if not known(i):
             found = None
@@ -56,6 +48,17 @@ def _entry(writer, array, index, kind):
                 )
             return found
     return array[tuple(index)]
+
+
+def _flat(writer, shape, index):
+    """The row-major index of an entry."""
+    strides = [math.prod(shape[i + 1 :]) for i in range(len(shape))]
+    flat: Any = sum(i * s for i, s in zip(index, strides, strict=True) if known(i))
+    for i, stride in zip(index, strides, strict=True):
+        if not known(i):
+            part = i if stride == 1 else writer.operate("mul {type} {0}, {1}", WHOLE, i, stride)
+            flat = part if flat == 0 else writer.operate("add {type} {0}, {1}", WHOLE, flat, part)
+    return flat
 
 
 def _plus(writer, x, y):
@@ -81,16 +84,28 @@ def _dynamic_slice(writer, equation, a, *starts):
     return out
 
 
-@rule("dynamic_update_slice")
+@rule("dynamic_update_slice", reads_memory=True)
 def _dynamic_update(writer, equation, a, update, *starts):
     starts = [
         _within(writer, s.item(), full - n)
         for s, full, n in zip(starts, a.shape, update.shape, strict=True)
     ]
+    places = {
+        index: tuple(_plus(writer, s, i) for s, i in zip(starts, index, strict=True))
+        for index in np.ndindex(*update.shape)
+    }
+    return _changed(writer, a, update, places, kind_of(equation.invars[0].aval.dtype))
+
+
+def _changed(writer, a, update, places, kind):
+    """An array with the entries of an update at their places, all of them within it."""
+    refuse_memory(update)
+    if isinstance(a, InMemory):
+        at = [(_flat(writer, a.shape, place), update[index]) for index, place in places.items()]
+        return writer.change(a, at)
     out = a.copy()
-    for index in np.ndindex(*update.shape):
-        place = tuple(_plus(writer, s, i) for s, i in zip(starts, index, strict=True))
-        _put_entry(writer, out, place, update[index], kind_of(equation.invars[0].aval.dtype))
+    for index, place in places.items():
+        _put_entry(writer, out, place, update[index], kind)
     return out
 
 
@@ -149,10 +164,15 @@ def _gather(writer, equation, a, indices):
     return out
 
 
-@rule("scatter", "scatter-add")
+@rule("scatter", "scatter-add", reads_memory=True)
 def _scatter(writer, equation, a, indices, update):
     numbers, add = equation.params["dimension_numbers"], equation.primitive.name != "scatter"
-    if numbers.operand_batching_dims or "CLIP" in str(equation.params["mode"]):
+    clips = "CLIP" in str(equation.params["mode"])
+    if clips and not (add or numbers.operand_batching_dims):
+        places = _windows(writer, numbers, a.shape, indices, update)
+        return _changed(writer, a, update, places, kind_of(equation.invars[0].aval.dtype))
+    refuse_memory(a, indices, update)
+    if numbers.operand_batching_dims or clips:
         raise Unsupported("this kind of scatter")
     kind, out = kind_of(equation.invars[0].aval.dtype), a.copy()
     window = [i for i in range(a.ndim) if i not in numbers.inserted_window_dims]
@@ -171,3 +191,24 @@ def _scatter(writer, equation, a, indices, update):
         else:
             raise Unsupported("an addition at a place known only at run time")
     return out
+
+
+def _windows(writer, numbers, shape, indices, update):
+    """Where the entries of an update go in an array of this shape, whose windows are moved within
+    it as a whole: what the update of a slice becomes where several arrays are updated at the same
+    place."""
+    window = [i for i in range(len(shape)) if i not in numbers.inserted_window_dims]
+    sizes = dict.fromkeys(range(len(shape)), 1)
+    sizes |= {i: update.shape[d] for i, d in zip(window, numbers.update_window_dims, strict=True)}
+    places = {}
+    for index in np.ndindex(*update.shape):
+        batch = tuple(x for i, x in enumerate(index) if i not in numbers.update_window_dims)
+        inside = [index[d] for d in numbers.update_window_dims]
+        place: list[Any] = [0] * len(shape)
+        for where, axis in enumerate(numbers.scatter_dims_to_operand_dims):
+            largest = shape[axis] - sizes[axis]
+            place[axis] = _within(writer, indices[(*batch, where)], largest)
+        for axis, offset in zip(window, inside, strict=True):
+            place[axis] = _plus(writer, place[axis], offset)
+        places[index] = tuple(place)
+    return places

@@ -27,9 +27,16 @@ from jaxclear.native import (  # noqa: F401  (rules register themselves when imp
 )
 from jaxclear.native.by_numpy import LONGEST_LOOP
 from jaxclear.native.check import check
-from jaxclear.native.program import Program, avals_of, floats_in, in_memory
+from jaxclear.native.program import (
+    Program,
+    avals_of,
+    changing,
+    floats_in,
+    in_memory,
+    packed_state,
+)
 from jaxclear.native.rules import array_of, write_closed
-from jaxclear.native.tables import SPOIL, Tables, array_starts, sizes_of_tables, store
+from jaxclear.native.tables import SPOIL, Tables, array_starts, handed_over, sizes_of_tables, store
 from jaxclear.native.turning import loop
 from jaxclear.native.writer import (
     ENDLESS,
@@ -52,6 +59,7 @@ def text_of(program: Program, lanes: int) -> str:
     values = _arguments(writer, program)
     c, b = program.condition_constants, program.body_constants
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], values[c + b :]
+    first = handed_over(writer, program, first)
     kinds = [kind_of(a.dtype) for a in avals_of(program)[1]]
     tables = Tables(writer, program, fixed_body)
 
@@ -74,9 +82,12 @@ def text_of(program: Program, lanes: int) -> str:
         together=bool(program.length),
     )
     if program.tables:
-        tables.spoil_unless_whole(last[0].item(), checked)
+        tables.spoil_unless_whole(last[0].item(), checked, first)
     numbers = [
-        (value, kind) for array, kind in zip(last, kinds, strict=True) for value in array.flat
+        (value, kind)
+        for array, kind in zip(last, kinds, strict=True)
+        if not isinstance(array, InMemory)
+        for value in array.flat
     ]
     for position, (value, kind) in enumerate(numbers):
         store(writer, position, value, kind)
@@ -178,7 +189,8 @@ def build(program: Program, lanes: int) -> Kernel:
     kept = list(zip([*constants, *state], in_memory(program), strict=True))
     long = [aval for aval, is_long in kept if is_long]
     ways = [i in program.shared for i, is_long in enumerate(in_memory(program)) if is_long]
-    form = f"{lanes}{[a.shape for a in long]}{ways}{program.tables}{program.length}"
+    form = f"{lanes}{[a.shape for a in long]}{ways}{program.tables}{program.length}{program.long}"
+    changed = [floats_in([aval]) for aval in changing(program)]
     mark = hashlib.sha256(f"{text}{form}".encode()).hexdigest()
     number = max(int(mark[:16], 16) >> 1, 1)
     name = f"jaxclear_{mark[:24]}"
@@ -186,9 +198,9 @@ def build(program: Program, lanes: int) -> Kernel:
         name,
         lanes,
         width=floats_in([aval for aval, is_long in kept if not is_long]),
-        height=floats_in(state),
+        height=floats_in(packed_state(program)),
         in_memory=[0 if way else floats_in([aval]) for aval, way in zip(long, ways, strict=True)],
-        tables=sizes_of_tables(program),
+        tables=[*changed, *sizes_of_tables(program)],
     )
     whole = text.replace("@NAME", f"@{name}").replace(STOP_FLAG, stopping.flag_in_llvm()) + frame
     with _BUILDING:

@@ -25,9 +25,11 @@ from jaxclear.native.program import (
     Program,
     Table,
     avals_of,
+    changing,
     floats_in,
     in_memory,
     loops_marked,
+    packed_state,
     row_of,
 )
 from jaxclear.native.tangent import bundled, by_portions, side_by_side
@@ -127,7 +129,8 @@ def _batch(values, dims, *, program, rank):
         return loop_p.bind(*bundle.values, program=bundle.program, rank=rank), bundle.axes
     size = next(v.shape[d] for v, d in zip(values, dims, strict=True) if d is not None)
     # A long array that is the same for all samples is read where it is.
-    alike = {i for i, long in enumerate(in_memory(program)) if long and dims[i] is None}
+    fixed = len(values) - len(avals_of(program)[1])
+    alike = {i for i, long in enumerate(in_memory(program)[:fixed]) if long and dims[i] is None}
     alike -= {program.condition_constants + i for i in program.tangents}
     shared = frozenset(alike & program.shared if rank else alike)
     lead = list(np.shape(values[-1]))
@@ -165,15 +168,18 @@ def _native(*values, program, rank, number):
         if not k
     ]
     big = [v for v, k in zip(values, kept, strict=True) if k]
-    shapes = [jax.ShapeDtypeStruct((*batch, floats_in(state)), jnp.float64)]
+    short, long = packed_state(program), changing(program)
+    shapes = [jax.ShapeDtypeStruct((*batch, floats_in(short)), jnp.float64)]
+    shapes += [jax.ShapeDtypeStruct((*batch, *aval.shape), jnp.float64) for aval in long]
     row = row_of(program)
     for table, aval in zip(program.tables, row, strict=True):
         shape = (*batch, table.height, *aval.shape)
         shapes.append(jax.ShapeDtypeStruct(shape, jnp.float64))
     call = jax.ffi.ffi_call(dispatch.TARGET, shapes)
-    packed, *tables = call(jnp.concatenate(rows, -1), *big, kernel=np.int64(number))
-    pairs = zip(tables, row, strict=True)
-    return [*_unpacked(packed, state), *(_typed(each, aval.dtype) for each, aval in pairs)]
+    packed, *arrays = call(jnp.concatenate(rows, -1), *big, kernel=np.int64(number))
+    found, own = iter(_unpacked(packed, short)), iter(arrays)
+    last = [next(own if i in program.long else found) for i in range(len(state))]
+    return [*last, *(_typed(each, aval.dtype) for each, aval in zip(own, row, strict=True))]
 
 
 def _unpacked(packed: Any, avals: Sequence[Any]) -> list:

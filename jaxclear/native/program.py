@@ -2,8 +2,8 @@
 
 A kernel takes one packed row of floats for each sample (constants, then the first state; whole
 numbers and truth values as floats, which is exact to 2^53), and long arrays of constants, which it
-reads by index; it gives one packed row, the last state, and of a loop of known length a table of
-each array that a turn leaves.
+reads by index; it gives one packed row, the last state, those long arrays of the state that it
+changes in memory, and of a loop of known length a table of each array that a turn leaves.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,8 @@ class Program(NamedTuple):
     whose body gives a row of results behind the state, kept in as many `tables` (0: of any other).
     `within`: it stands in the body of another loop, whose kernel it is a part of. `narrow`: the
     loop of one of the tangents that it takes side by side. `shared`: constants that are the same
-    for all samples of a batch, and have no axes for them.
+    for all samples of a batch, and have no axes for them. `long`: parts of the state that stand in
+    memory, and are changed there.
     """
 
     condition: ClosedJaxpr
@@ -49,6 +50,7 @@ class Program(NamedTuple):
     narrow: "Narrow | None" = None
     tables: tuple[Table, ...] = ()
     shared: frozenset[int] = frozenset()
+    long: frozenset[int] = frozenset()
 
 
 class Narrow(NamedTuple):
@@ -78,14 +80,25 @@ def avals_of(program: Program) -> tuple[list, list]:
 
 
 def in_memory(program: Program) -> list[bool]:
-    """For each constant and then each part of the state, whether it is read by index instead of
+    """For each constant and then each part of the state, whether it stays in memory instead of
     being packed.
     """
     constants, state = avals_of(program)
     long = [
         int(np.prod(a.shape)) > LONGEST_IN_REGISTERS and a.dtype == np.float64 for a in constants
     ]
-    return [*long, *[False] * len(state)]
+    return [*long, *(i in program.long for i in range(len(state)))]
+
+
+def changing(program: Program) -> list:
+    """Shapes and types of the parts of the state that stand in memory."""
+    state = avals_of(program)[1]
+    return [state[i] for i in sorted(program.long)]
+
+
+def packed_state(program: Program) -> list:
+    """Those of the others, which are packed."""
+    return [a for i, a in enumerate(avals_of(program)[1]) if i not in program.long]
 
 
 def row_of(program: Program) -> list:

@@ -38,13 +38,13 @@ def _broadcast(writer, equation, a):
 @rule("reshape", reads_memory=True)
 def _reshape(writer, equation, a):
     new = equation.params["new_sizes"]
-    return InMemory(a.places, tuple(new)) if isinstance(a, InMemory) else a.reshape(new)
+    return a.reshaped(tuple(new)) if isinstance(a, InMemory) else a.reshape(new)
 
 
 @rule("squeeze", reads_memory=True)
 def _squeeze(writer, equation, a):
     shape = equation.outvars[0].aval.shape
-    return InMemory(a.places, shape) if isinstance(a, InMemory) else a.reshape(shape)
+    return a.reshaped(shape) if isinstance(a, InMemory) else a.reshape(shape)
 
 
 @rule("expand_dims")

@@ -1,9 +1,11 @@
-"""What a kernel writes: the last state as a packed row, and the tables that turns of a scan leave:
-each is an array of its own in memory, in which every sample has its rows.
+"""What a kernel writes: the last state as a packed row, its long arrays where they stand, and the
+tables that turns of a scan leave: each is an array of its own in memory, in which every sample has
+its rows.
 
 Samples of a scan go through the same turns, so that a turn's place in a table is one for all.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -53,7 +55,7 @@ class Tables:
 
     def __init__(self, writer: Writer, program: Program, constants: Sequence[Any]):
         self.writer, self.program, self.constants = writer, program, constants
-        ahead = sum(in_memory(program))
+        ahead = sum(in_memory(program)) + len(program.long)
         self.starts = [array_starts(writer, ahead + k) for k in range(len(program.tables))]
         self.avals = row_of(program)
 
@@ -61,10 +63,9 @@ class Tables:
         """Their first rows as they stand from the start: zeros where no constant says otherwise,
         for a turn to write over."""
         for k, (table, aval) in enumerate(zip(self.program.tables, self.avals, strict=True)):
-            given = array_of(0, aval.shape)
-            if table.begins is not None:
-                given = in_registers(self.writer, self.constants[table.begins])
-            self._put(k, np.broadcast_to(given, aval.shape), "0")
+            given = 0 if table.begins is None else self.constants[table.begins]
+            long = isinstance(given, InMemory)
+            self._put(k, given if long else array_of(given, aval.shape), "0")
 
     def leave(self, row: Sequence[np.ndarray]) -> None:
         """A turn's row, each of its arrays at its place, where it has one."""
@@ -85,13 +86,20 @@ class Tables:
             writer.say(f"br label %{passed}")
             writer.start(passed)
 
-    def _put(self, k: int, array: np.ndarray, place: str) -> None:
+    def _put(self, k: int, array: Any, place: str) -> None:
         """Every sample's numbers of an array into a row of its table."""
         writer, kind = self.writer, kind_of(self.avals[k].dtype)
+        count = floats_in([self.avals[k]])
+        ahead = writer.put(f"mul i64 {place}, {count}")
+        rows = [
+            writer.put(f"getelementptr double, ptr {start}, i64 {ahead}")
+            for start in self.starts[k]
+        ]
+        if isinstance(array, InMemory):
+            writer.copy(array, rows, count)
+            return
         words = [as_float(writer, value, kind) for value in array.flat]
-        ahead = writer.put(f"mul i64 {place}, {len(words)}")
-        for lane, start in enumerate(self.starts[k]):
-            own = writer.put(f"getelementptr double, ptr {start}, i64 {ahead}")
+        for lane, own in enumerate(rows):
             for j, word in enumerate(words):
                 number = word
                 if writer.lanes > 1:
@@ -100,9 +108,9 @@ class Tables:
                 target = writer.put(f"getelementptr double, ptr {own}, i64 {j}")
                 writer.say(f"store double {number}, ptr {target}")
 
-    def spoil_unless_whole(self, turns: Any, checked: str) -> None:
-        """All rows become nan where the loop was stopped before it had taken all its `turns`; a
-        kernel under check takes one."""
+    def spoil_unless_whole(self, turns: Any, checked: str, state: Sequence[Any]) -> None:
+        """All rows, and long arrays of the state, become nan where the loop was stopped before it
+        had taken all its `turns`; a kernel under check takes one."""
         writer = self.writer
         taken = writer.lane(turns, WHOLE, 0)
         ended = writer.put(f"icmp eq i64 {taken}, {self.program.length}")
@@ -110,21 +118,22 @@ class Tables:
         spoil, done = writer.fresh("spoil")[1:], writer.fresh("whole")[1:]
         writer.say(f"br i1 {whole}, label %{done}, label %{spoil}")
         writer.start(spoil)
-        sizes = sizes_of_tables(self.program)
-        for start, size in [
-            (s, size) for own, size in zip(self.starts, sizes, strict=True) for s in own
-        ]:
+        arrays = list(zip(self.starts, sizes_of_tables(self.program), strict=True))
+        arrays += [(a.places, math.prod(a.shape)) for a in state if isinstance(a, InMemory)]
+        for start, size in [(start, size) for own, size in arrays for start in own]:
             writer.say(f"call void @NAME.spoil(ptr {start}, i64 {size})")
         writer.say(f"br label %{done}")
         writer.start(done)
 
 
-def in_registers(writer: Writer, array: Any) -> np.ndarray:
-    """All numbers of an array."""
-    if not isinstance(array, InMemory):
-        return array
-    count = int(np.prod(array.shape))
-    return array_of([writer.read(array, k) for k in range(count)], (count,)).reshape(array.shape)
+def handed_over(writer: Writer, program: Program, state: Sequence[Any]) -> list[Any]:
+    """The first state, its long arrays where the kernel leaves them: what it is given stays."""
+    out, ahead = list(state), sum(in_memory(program))
+    for k, i in enumerate(sorted(program.long)):
+        places = array_starts(writer, ahead + k)
+        writer.copy(state[i], places, math.prod(state[i].shape))
+        out[i] = InMemory(places, state[i].shape, version=0)
+    return out
 
 
 def store(writer: Writer, position: int, value: Any, kind: str) -> None:

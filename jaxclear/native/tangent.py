@@ -115,8 +115,8 @@ def tangent_program(
 
         moving = [*(k[i] for i in of_constants), *(s[i] for i in of_state)]
         _, tangents, out = jax.jvp(moved, moving, [*dk, *ds], has_aux=True)
-        moved_state = len(of_state)
-        return [*out[:n], *tangents[:moved_state], *out[n:], *tangents[moved_state:]]
+        count = len(of_state)
+        return [*out[:n], *tangents[:count], *out[n:], *tangents[count:]]
 
     behind = [first[i] for i in of_state]
     body = _traced(turn, [*fixed, *(fixed[i] for i in of_constants), *first, *behind])
@@ -137,6 +137,7 @@ def tangent_program(
         motion=program,
         narrow=None,
         tables=(*program.tables, *own),
+        long=program.long | {n + k for k, i in enumerate(of_state) if i in program.long},
     )
 
 
@@ -247,9 +248,10 @@ def _widened(narrow: Narrow, count: int) -> Program:
     asked += map(wide, program.condition.in_avals[c:], axes[b:])
 
     def test(*numbers):
-        # It reads no tangent: any of them will do.
+        # It reads no tangent: any will do.
         places = [*[None] * c, *axes[b:]]
-        return tests(*(n if a is None else n[0] for n, a in zip(numbers, places, strict=True)))
+        any_of = lambda each: jnp.zeros(each.shape[1:], each.dtype)
+        return tests(*(n if a is None else any_of(n) for n, a in zip(numbers, places, strict=True)))
 
     whole = narrow if count == narrow.tangents else None
     return program._replace(condition=_traced(test, asked), body=body, motion=None, narrow=whole)

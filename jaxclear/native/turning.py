@@ -7,8 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.native.rules import array_of, refuse_memory
-from jaxclear.native.writer import FLOAT, STOP_FLAG, TRUTH, WHOLE, Writer
+from jaxclear.native.rules import array_of
+from jaxclear.native.writer import (
+    FLOAT,
+    STOP_FLAG,
+    TRUTH,
+    WHOLE,
+    InMemory,
+    Unsupported,
+    Writer,
+)
 
 
 def phi(writer: Writer, name: str, kind: str, values: tuple, blocks: tuple[str, str]) -> str:
@@ -34,15 +42,17 @@ def loop(
     outermost: bool = False,
     together: bool = False,
 ) -> list:
-    """A while loop over arrays of registers: every sample stops by itself, the loop ends with the
-    last one; `together`: all take the same turns, which the state's first number counts.
+    """A while loop over arrays of registers and changing ones in memory: every sample stops by
+    itself, the loop ends with the last one; `together`: all take the same turns, which the state's
+    first number counts.
 
     The `outermost` one, and a time loop within it, looks at `writer.most` and at the flag that
     stops all kernels: the unfinished becomes nan. Others are bounded while a kernel is checked.
     """
-    refuse_memory(*carry)
+    # A turn may change them, so that as they were before the loop they can be read no more.
+    long = [writer.renewed(a) if isinstance(a, InMemory) else None for a in carry]
     head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
-    flat = [(value, kind) for array, kind in zip(carry, kinds, strict=True) for value in array.flat]
+    flat = _numbers(carry, kinds)
     begun = writer.lane(flat[0][0], WHOLE, 0) if together else "0"
     before = writer.block
     writer.say(f"br label %{head}")
@@ -51,30 +61,46 @@ def loop(
     turn = writer.fresh("turn")
     region, outer = writer.enter(), writer.active
     state = _of_the_turn(writer, registers, turn, begun) if together else registers
-    truth = condition(_shaped(state, carry))
-    if outer is not None:
-        truth = writer.operate("and {type} {0}, {1}", TRUTH, truth, outer)
+    truth = condition(_shaped(state, carry, long))
     go, truth, stopped = _bounded(writer, truth, turn, outermost)
     writer.say(f"br i1 {go}, label %{inside}, label %{behind}")
     writer.start(inside)
-    masked = writer.lanes > 1 and not together
-    writer.active = truth if masked else None
+    writer.active = truth if writer.lanes > 1 and not together else None
     writer.depth += 1
-    found = [value for array in body(_shaped(state, carry)) for value in array.flat]
+    after = body(_shaped(state, carry, long))
     writer.depth -= 1
-    if masked:
-        triples = zip(found, registers, flat, strict=True)
-        found = [writer.choose(truth, new, old, kind) for new, old, (_, kind) in triples]
+    long = [_same_place(writer, *pair) for pair in zip(long, after, strict=True)]
+    found = _numbers(after, kinds)
+    if writer.active is not None:
+        pairs = zip(found, registers, strict=True)
+        found = [(writer.choose(truth, new, old, kind), kind) for (new, kind), old in pairs]
     writer.active = outer
     writer.leave(region)
-    ends = before, writer.block
-    writer.lines[places:places] = [
-        phi(writer, name, kind, (old, new), ends)
-        for name, new, (old, kind) in zip(registers, found, flat, strict=True)
-    ] + [phi_of_turns(turn, writer.put(f"add i64 {turn}, 1"), ends)]
+    ends, following = (before, writer.block), writer.put(f"add i64 {turn}, 1")
+    values = zip(registers, found, flat, strict=True)
+    phis = [phi(writer, name, k, (old, new), ends) for name, (new, _), (old, k) in values]
+    writer.lines[places:places] = [*phis, phi_of_turns(turn, following, ends)]
     writer.say(f"br label %{head}")
     writer.start(behind)
-    return _shaped(_spoilt(writer, stopped, registers, [kind for _, kind in flat]), carry)
+    return _shaped(_spoilt(writer, stopped, registers, flat), carry, long)
+
+
+def _numbers(arrays: Any, kinds: list[str]) -> list[tuple[Any, str]]:
+    """(value, kind) of all entries of arrays that are no arrays in memory."""
+    pairs = zip(arrays, kinds, strict=True)
+    return [(value, k) for a, k in pairs if not isinstance(a, InMemory) for value in a.flat]
+
+
+def _same_place(writer: Writer, before: Any, after: Any) -> InMemory | None:
+    """An array in memory as a turn leaves it. Raises `Unsupported` for another one."""
+    if before is None:
+        if isinstance(after, InMemory):
+            raise Unsupported("a long array in the place of registers")
+        return None
+    if not isinstance(after, InMemory) or after.places != before.places:
+        raise Unsupported("another long array in the place of one")
+    writer.check_latest(after)
+    return after.reshaped(before.shape)
 
 
 def _of_the_turn(writer, registers, turn, begun):
@@ -83,10 +109,13 @@ def _of_the_turn(writer, registers, turn, begun):
     return [writer.spread(writer.turn, WHOLE), *registers[1:]]
 
 
-def _shaped(values, like):
-    """Single values as arrays of the shapes of others."""
+def _shaped(values, like, long):
+    """Single values as arrays of the shapes of others, `long` ones among them."""
     values, out = iter(values), []
-    for array in like:
+    for array, own in zip(like, long, strict=True):
+        if own is not None:
+            out.append(own)
+            continue
         out.append(array_of(None, array.shape))
         for index in np.ndindex(*array.shape):
             out[-1][index] = next(values)
@@ -95,6 +124,8 @@ def _shaped(values, like):
 
 def _bounded(writer, truth, turn, outermost):
     """Whether to go on, each sample's truth, and (of the outermost loop) whether it was stopped."""
+    if writer.active is not None:
+        truth = writer.operate("and {type} {0}, {1}", TRUTH, truth, writer.active)
     go = writer.any(truth)
     if outermost:
         go, truth = _within_turns(writer, go, truth, turn)
@@ -129,7 +160,7 @@ def _unless_stopped(writer, go):
     return writer.put(f"and i1 {go}, {onward}"), stopped
 
 
-def _spoilt(writer, stopped, registers, kinds):
+def _spoilt(writer, stopped, registers, flat):
     """What a loop leaves: nan where it was stopped, which nobody takes for an answer."""
     if stopped is None:
         return registers
@@ -138,5 +169,5 @@ def _spoilt(writer, stopped, registers, kinds):
         writer.put(f"select i1 {stopped}, {wide} {nan}, {wide} {register}")
         if kind == FLOAT
         else register
-        for register, kind in zip(registers, kinds, strict=True)
+        for register, (_, kind) in zip(registers, flat, strict=True)
     ]

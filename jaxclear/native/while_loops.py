@@ -16,11 +16,22 @@ from jaxclear.native.program import Program, Table, loops_marked
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 
-def while_loop(condition: Callable[[Any], Any], body: Callable[[Any], Any], first: Any) -> Any:
+def while_loop(
+    condition: Callable[[Any], Any], body: Callable[[Any], Any], first: Any, long: Any = False
+) -> Any:
     """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over
-    batches.
+    batches. `long`: a prefix of the state, true where arrays may be long; such arrays stand in
+    memory, are read and changed by index, and as they were before that can be read no more.
     """
-    return _loop(condition, body, first, False)
+    return _loop(condition, body, first, False, _long_parts(long, first))
+
+
+def _long_parts(long: Any, first: Any) -> frozenset[int]:
+    """Which leaves of a state stand in memory."""
+    wide = jax.tree.map(lambda own, part: [own] * len(jax.tree.leaves(part)), long, first)
+    pairs = zip(jax.tree.leaves(wide), jax.tree.leaves(first), strict=True)
+    sizes = ((own, np.size(each)) for own, each in pairs)
+    return frozenset(i for i, (own, n) in enumerate(sizes) if own and n > LONGEST_IN_REGISTERS)
 
 
 def once(function: Callable, *numbers: Any) -> Any:
@@ -45,12 +56,16 @@ class Kept(NamedTuple):
 
 
 def scan(
-    turn: Callable[[Any, Any], tuple], first: Any, rows: Any, kept: Sequence[Kept] = ()
+    turn: Callable[[Any, Any], tuple],
+    first: Any,
+    rows: Any,
+    kept: Sequence[Kept] = (),
+    long: Any = False,
 ) -> tuple[Any, Any]:
     """As `jax.lax.scan(turn, first, rows)`, for a state and rows of few numbers: all turns, and
     loops within them, are one kernel that reads and leaves its rows itself. Forward-mode
     differentiable, maps over batches. `kept`: how each part of the tuple that a turn leaves is kept
-    (nothing: as of each turn in turn).
+    (nothing: as of each turn in turn). `long`: as of `while_loop`.
     """
     length = len(jax.tree.leaves(rows)[0])
     tables = jax.tree.map(_in_memory, rows)
@@ -58,6 +73,7 @@ def scan(
     begins = [jax.tree.map(jnp.asarray, jax.tree.leaves(each.begins)) for each in kept]
     for each in kept:
         _check_kept(each, length)
+    parts_in_memory = _long_parts((False, long), (0, first))
     first = jax.tree.map(jnp.asarray, (0, first))
     form: list[Any] = []
 
@@ -82,6 +98,7 @@ def scan(
     fixed = [*fixed, *given]
     body_of_all = loops_marked(turns, within=True)
     program = Program(tests, body_of_all, 0, len(fixed), length=length, tables=found)
+    program = program._replace(long=parts_in_memory)
     out = loop_p.bind(*fixed, *leaves, program=program, rank=0)
     _, last = jax.tree.unflatten(structure, out[: len(leaves)])
     return last, jax.tree.unflatten(shape, out[len(leaves) :])
@@ -123,7 +140,9 @@ def _tables(
     return tuple(out)
 
 
-def _loop(condition: Callable, body: Callable, first: Any, once: bool) -> Any:
+def _loop(
+    condition: Callable, body: Callable, first: Any, once: bool, long: frozenset[int] = frozenset()
+) -> Any:
     first = jax.tree.map(jnp.asarray, first)
     leaves, structure = jax.tree.flatten(first)
     tests, fixed_tests = _open(jax.make_jaxpr(condition)(first))
@@ -132,7 +151,7 @@ def _loop(condition: Callable, body: Callable, first: Any, once: bool) -> Any:
         raise TypeError(
             f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
         )
-    program = Program(tests, turns, len(fixed_tests), len(fixed_turns), once)
+    program = Program(tests, turns, len(fixed_tests), len(fixed_turns), once, long=long)
     out = loop_p.bind(*fixed_tests, *fixed_turns, *leaves, program=program, rank=0)
     return jax.tree.unflatten(structure, out)
 

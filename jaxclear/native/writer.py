@@ -42,11 +42,15 @@ def kind_of(dtype: Any) -> str:
 
 class InMemory:
     """An array that is read by index: registers with its place in memory for each sample, and its
-    shape for one sample.
+    shape for one sample. `version`: of one that changes, how often it had when this was it.
     """
 
-    def __init__(self, places: list[str], shape: tuple[int, ...]):
-        self.places, self.shape = places, shape
+    def __init__(self, places: list[str], shape: tuple[int, ...], version: int | None = None):
+        self.places, self.shape, self.version = places, shape, version
+
+    def reshaped(self, shape: tuple[int, ...]) -> "InMemory":
+        """The same numbers in another shape."""
+        return InMemory(self.places, shape, self.version)
 
 
 class Writer:
@@ -68,6 +72,8 @@ class Writer:
         self.turn = ""
         self._count = 0
         self._seen: dict[tuple, Any] = {}
+        # How often arrays in memory have changed, by the register of the first sample's place.
+        self._versions: dict[str, int] = {}
 
     def wide(self, kind: str) -> str:
         """The type of a register."""
@@ -175,14 +181,55 @@ class Writer:
 
     def read(self, array: InMemory, flat_index: Any) -> str:
         """The entry of an array in memory at a row-major index."""
-        parts = []
-        for lane in range(self.lanes):
-            place = self.put(
-                f"getelementptr double, ptr {array.places[lane]}, i64 "
-                f"{self.lane(flat_index, WHOLE, lane)}"
-            )
-            parts.append(self.put(f"load double, ptr {place}, !invariant.load !0"))
+        self.check_latest(array)
+        stays = ", !invariant.load !0" if array.version is None else ""
+        parts = [
+            self.put(f"load double, ptr {place}{stays}")
+            for place in self._entries(array, flat_index)
+        ]
         return self.gather_lanes(parts, FLOAT)
+
+    def change(self, array: InMemory, entries: list[tuple[Any, Any]]) -> InMemory:
+        """The array once entries at row-major indices have been given these numbers; as it was it
+        can be read no more. Samples that have ended keep theirs."""
+        for flat_index, value in entries:
+            places = self._entries(array, flat_index)
+            if self.active is not None:
+                old = self.read(array, flat_index)
+                value = self.choose(self.active, value, old, FLOAT)
+            # All samples are read before any is written: one may stand in the place of another.
+            numbers = [self.lane(value, FLOAT, lane) for lane in range(self.lanes)]
+            for number, place in zip(numbers, places, strict=True):
+                self.say(f"store double {number}, ptr {place}")
+        return self.renewed(array)
+
+    def renewed(self, array: InMemory) -> InMemory:
+        """An array that has changed, or may have. Raises `Unsupported` for one that may not."""
+        self.check_latest(array)
+        if array.version is None:
+            raise Unsupported("a long array that changes")
+        self._versions[array.places[0]] = array.version + 1
+        return InMemory(array.places, array.shape, array.version + 1)
+
+    def check_latest(self, array: InMemory) -> None:
+        """Raises `Unsupported` for an array as it was before it changed."""
+        if array.version != self._versions.get(array.places[0], array.version):
+            raise Unsupported("a long array as it was before it changed")
+
+    def _entries(self, array: InMemory, flat_index: Any) -> list[str]:
+        """Registers with the place of each sample's entry."""
+        return [
+            self.put(f"getelementptr double, ptr {start}, i64 {self.lane(flat_index, WHOLE, lane)}")
+            for lane, start in enumerate(array.places)
+        ]
+
+    def copy(self, source: InMemory, targets: list[str], count: int) -> None:
+        """Each sample's numbers of an array in memory to its place among these."""
+        self.check_latest(source)
+        name = "@llvm.memcpy.p0.p0.i64"
+        self.needs.add(f"declare void {name}(ptr, ptr, i64, i1)")
+        for start, target in zip(source.places, targets, strict=True):
+            self.say(f"call void {name}(ptr {target}, ptr {start}, i64 {8 * count}, i1 false)")
 
     def any(self, truth: Any) -> str:
         """Whether it holds for one of the samples, as a single i1."""

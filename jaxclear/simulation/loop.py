@@ -2,12 +2,13 @@
 
 Worn surfaces enter the gap as they were at the last saving time, and are updated at every saving
 time: wear is slow, the motion is fast, and a map that is constant within an interval costs the
-equations of motion nothing but its reading. Where nothing wears, the whole loop is one kernel,
-which writes what is saved itself; where surfaces do, each of its turns is one, and XLA wears them
-in between.
+equations of motion nothing but its reading. The whole loop is one kernel, which wears surfaces and
+writes what is saved itself. Where there are no kernels, and where steps are counted, XLA goes from
+save to save.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import readings, rubbing_joints
-from jaxclear.native import Kept, forwards_only, one_row, scan, verdict
+from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation import spot_checks, wear_by_saves
@@ -35,8 +36,10 @@ from jaxclear.simulation.referee import refereed
 from jaxclear.simulation.spot_checks import COARSE_ON, ON, Plan
 from jaxclear.simulation.tally import nothing_yet
 from jaxclear.simulation.turns import Carry, Left, turns_of
-from jaxclear.simulation.wear import Worn, unworn
+from jaxclear.simulation.wear import Pending, Worn, pending_wear, unworn, worn_so_far
 
+# Worn surfaces stand in memory.
+LONG: Any = Carry._make(name in ("worn", "read") for name in Carry._fields)
 # What a derivative in reverse mode is told where the run is neither pushed forwards nor one kernel.
 NOT_BACKWARDS = (
     "a derivative in reverse mode (jax.grad, jax.vjp, jax.jacrev, jax.hessian) does not go through "
@@ -87,14 +90,15 @@ def run(
     seen = dataclasses.replace(model, worn=read)
     warm_start = _first_warm_start(seen, integrator, times[0], state)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
-    turn, shapes, unpack = turns_of(model, integrator, extras.report, (state, read, warm_start))
+    begun, whole = (state, read, warm_start), _whole(integrator, extras, worn)
+    turn, shapes, unpack = turns_of(model, integrator, extras.report, begun, whole)
     tally = nothing_yet(shapes, model, state, len(plan.windows))
     first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), tally)
-    # Worn surfaces are more numbers than a kernel carries from turn to turn, the host hears nothing
-    # of it on its way, and counted steps are gone through backwards.
-    whole = not (worn or extras.report) and integrator.steps_between_saves is None
-    through = _in_one_kernel if whole else _from_save_to_save
-    done = through(plan, turn, first)
+    if whole:
+        pending = pending_wear(model.system, layout, state) if worn else None
+        done = _in_one_kernel(plan, turn, functools.partial(_settled, model), (first, pending))
+    else:
+        done = _from_save_to_save(plan, turn, first)
     if _sweeps_outside_kernels(model, integrator, warm_start):
         done = forwards_only(NOT_THROUGH_SWEEPS, done)
     last, left, ends = done
@@ -109,6 +113,13 @@ def run(
     windows = spot_checks.figures(model, plan, states, ends, last.tally, means)
     windows |= wear_by_saves.figures(model, worn, last.worn, states)
     return refereed(trajectory, model, last.tally, figures, windows)
+
+
+def _whole(integrator: AbstractIntegrator, extras: Extras, worn: Worn) -> bool:
+    """Whether a run is one kernel: the host hears nothing of that on its way, counted steps are
+    gone through backwards, and surfaces wear cell by cell by machine code alone."""
+    told = extras.report or integrator.steps_between_saves is not None
+    return not told and (not worn or has_kernels())
 
 
 def _first_warm_start(
@@ -133,31 +144,44 @@ def _sweeps_outside_kernels(model: Model, integrator: AbstractIntegrator, warm_s
     return (counted or begun) and any(joint.friction is not None for joint in joints)
 
 
-def _in_one_kernel(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Left, Array | None]:
+def _settled(
+    model: Model, now: Carry, pending: Pending | None, unless: Any = False
+) -> tuple[Carry, Pending | None]:
+    """What a run hands from turn to turn, once its surfaces are worn by what it has lost."""
+    if pending is None:
+        return now, None
+    found = now.worn, now.read, pending
+    worn, read, pending = worn_so_far(model.system, model.layout, found, now.state, unless)
+    return now._replace(worn=worn, read=read), pending
+
+
+def _in_one_kernel(
+    plan: Plan, turn: Callable, settled: Callable, begun: tuple[Carry, Pending | None]
+) -> tuple[Carry, Left, Array | None]:
     """(what the last turn hands on, what is left: states and worn surfaces at all saving times and
     the rest by saving intervals, the states at the ends of the windows' turns), turn by turn in the
-    order in which they are gone through."""
+    order in which they are gone through. Before a turn surfaces are `settled`."""
     parts = plan.parts
     lengths = parts.stop - parts.first
     order = np.concatenate(list(map(np.arange, parts.first, parts.stop)))
     own, goes_on = (np.repeat(each, lengths) for each in (parts.own, parts.goes_on))
     turns = jax.tree.map(lambda each: each[order], plan.turns)
-    count, looks = plan.intervals, looked_at(plan.intervals)
-    numbers = np.searchsorted(looks, order)
-    seen = own & (looks[numbers.clip(max=len(looks) - 1)] == order)
-    kept = [
-        Kept(np.where(own, order + 1, count + 1), count + 1, (first.state, first.read)),
-        Kept(np.where(own, order, count), count),
-        Kept(np.where(seen, numbers, len(looks)), len(looks)),
-    ]
+    kept = _kept(plan.intervals, begun[0], order, own)
     if not len(plan.windows):
-        last, left = scan(turn, first, turns, kept)
-        return last, Left(*left), None
+
+        def alone(carry, span):
+            now, pending = settled(*carry)
+            now, left = turn(now, span)
+            return (now, pending), left
+
+        done, left = scan(alone, begun, turns, kept, (LONG, True))
+        return _at_last(settled, done), Left(*left), None
 
     def one(carry, row):
         # Of a shadow no more is carried than the next one needs: a step's registers are few.
-        now, shadow = carry
+        now, shadow, pending = carry
         span, is_own, follows = row
+        now, pending = settled(now, pending, follows)
         begin = now
         if goes_on.any():
             state, warm_start, outcome = _choose(
@@ -169,13 +193,36 @@ def _in_one_kernel(plan: Plan, turn: Callable, first: Carry) -> tuple[Carry, Lef
         parts = [(each.state, each.warm_start, each.outcome) for each in (end, now)]
         state, warm_start, outcome = _choose(is_own, *parts)
         after = end._replace(state=state, warm_start=warm_start, outcome=outcome)
-        return (after, shadow if goes_on.any() else ()), (*left, _end(end))
+        return (after, shadow if goes_on.any() else (), pending), (*left, _end(end))
 
     shadows = np.where(own, np.sum(~own), np.cumsum(~own) - 1)
     kept.append(Kept(shadows, np.sum(~own)))
+    first, unsettled = begun
     shadow = (first.state, first.warm_start, first.outcome) if goes_on.any() else ()
-    (last, _), (*left, ends) = scan(one, (first, shadow), (turns, own, goes_on), kept)
-    return last, Left(*left), ends
+    carry, rows = (first, shadow, unsettled), (turns, own, goes_on)
+    (last, _, pending), (*left, ends) = scan(one, carry, rows, kept, (LONG, False, True))
+    return _at_last(settled, (last, pending)), Left(*left), ends
+
+
+def _kept(count: int, first: Carry, order: np.ndarray, own: np.ndarray) -> list[Kept]:
+    """How what turns leave is kept, of a run of so many saving intervals that are gone through in
+    this order, some of them not its `own`."""
+    looks = looked_at(count)
+    numbers = np.searchsorted(looks, order)
+    seen = own & (looks[numbers.clip(max=len(looks) - 1)] == order)
+    return [
+        Kept(np.where(own, order + 1, count + 1), count + 1, (first.state, first.read)),
+        Kept(np.where(own, order, count), count),
+        Kept(np.where(seen, numbers, len(looks)), len(looks)),
+    ]
+
+
+def _at_last(settled: Callable, done: tuple[Carry, Pending | None]) -> Carry:
+    """What the last turn hands on, its surfaces worn by what it lost."""
+    if done[1] is None:
+        return done[0]
+    last = lambda now, _: (settled(*now), ())
+    return scan(last, done, np.zeros(1), long=(LONG, True))[0][0]
 
 
 def _from_save_to_save(

@@ -56,11 +56,16 @@ class Left(NamedTuple):
 
 
 def turns_of(
-    model: Model, integrator: AbstractIntegrator, report: bool, begun: tuple[State, Worn, Any]
+    model: Model,
+    integrator: AbstractIntegrator,
+    report: bool,
+    begun: tuple[State, Worn, Any],
+    whole: bool,
 ) -> tuple[Callable, dict[Check, Any], Callable]:
     """(a turn as it stands in the loop, traced once however often it stands there; the shapes of
     its figures; how what turns have left is unpacked, known once it has been traced), of a run that
-    has `begun` with a state, worn surfaces and a warm start."""
+    has `begun` with a state, worn surfaces and a warm start. `whole`: all of it is one kernel, and
+    surfaces are worn between turns."""
     arrays, rest = eqx.partition((model, integrator), eqx.is_array)
     unpack: list[Callable] = []
 
@@ -81,15 +86,10 @@ def turns_of(
             unpack.append(unpacked)
             return now, (lost, *packed)
 
-        worn, read = now.worn, now.read
-        counted = integrator.steps_between_saves is not None
-        through = _as_a_kernel if read and not counted else _as_it_is
-        now, (lost, *packed) = through(motion, now._replace(worn={}, read={}), read)
-        after = read
-        if worn:
-            wear = worn_at_once if counted else worn_where_lost
-            worn, after = wear(model.system, worn, read, lost)
-        return now._replace(worn=worn, read=after), Left((now.state, read), *packed)
+        if whole:
+            now, (_, *packed) = motion(now, now.read)
+            return now, Left((now.state, now.read), *packed)
+        return _and_worn(model, motion, now, integrator.steps_between_saves is not None)
 
     def turn(now, span):
         if report:
@@ -110,6 +110,18 @@ def turns_of(
 def _packed(found: Any) -> tuple[Array, Callable]:
     some = bool(jax.tree.leaves(found))
     return ravel_pytree(found) if some else (jnp.zeros(0), lambda _: found)
+
+
+def _and_worn(model: Model, motion: Callable, now: Carry, counted: bool) -> tuple[Carry, Left]:
+    """A turn's `motion`, and behind it surfaces worn by XLA; of a `counted` number of steps."""
+    worn, read = now.worn, now.read
+    through = _as_a_kernel if read and not counted else _as_it_is
+    now, (lost, *packed) = through(motion, now._replace(worn={}, read={}), read)
+    after = read
+    if worn:
+        wear = worn_at_once if counted else worn_where_lost
+        worn, after = wear(model.system, worn, read, lost)
+    return now._replace(worn=worn, read=after), Left((now.state, read), *packed)
 
 
 def _as_it_is(motion: Callable, now: Carry, read: Any) -> tuple:

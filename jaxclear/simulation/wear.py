@@ -1,6 +1,6 @@
 """Depth maps of worn surfaces: new ones, and what a saving interval takes off."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout, WearSlot
 from jaxclear.multibody.system import System, readings, wear_maps
 from jaxclear.multibody.topology import rubbing_in
-from jaxclear.native import one_by_one
+from jaxclear.native import has_kernels, one_by_one, scan
 
 Worn = dict[str, dict[str, Array]]
 # Volumes [m3] and location features of the events of each surface, by joint and surface.
@@ -79,14 +79,19 @@ def worn_by_some(
     derivatives."""
     count = len(states)
     some = states[np.unique([*range(0, count, every), count - 1])]
-    numbers, rest = eqx.partition(constant(system), eqx.is_array)
+    system, worn, some = constant((system, worn, some))
+    if has_kernels():
+        begun = worn, readings(system, worn), pending_wear(system, layout, some[0])
+        turn = lambda now, state: (worn_so_far(system, layout, now, state), ())
+        return scan(turn, begun, some[1:], long=True)[0][0]
+    numbers, rest = eqx.partition(system, eqx.is_array)
 
     def through(numbers, worn, some):
         system = eqx.combine(numbers, rest)
         one = lambda worn, ends: (deposited(system, worn, losses(layout, *ends)), None)
         return jax.lax.scan(one, worn, (some[:-1], some[1:]))[0]
 
-    return one_by_one(through)(numbers, *constant((worn, some)))
+    return one_by_one(through)(numbers, worn, some)
 
 
 def lost_at(slot: WearSlot, before: Array, after: Array) -> tuple[Array, Array]:
@@ -121,6 +126,52 @@ def deposited(system: System, worn: Worn, lost: Losses) -> Worn:
         # All events of a surface see it as it was: none comes before the others.
         worn[bearing][surface] = wear_map.deposit(worn[bearing][surface], volumes, places)
     return worn
+
+
+class Pending(NamedTuple):
+    """What surfaces of a run in one kernel are still to lose: the entries of the state that tell
+    what contacts have lost, as they were when surfaces were worn (`since`), and for each event of a
+    surface an array in which the pressures of cells are put down."""
+
+    since: Array
+    pressures: dict[tuple[str, str], tuple[Array, ...]]
+
+
+def pending_wear(system: System, layout: Layout, state: Array) -> Pending:
+    """Of surfaces that have been worn by all that was lost up to a state."""
+    maps, pressures = wear_maps(system), {}
+    for surface, (volumes, _) in losses(layout, state, state).items():
+        cells = maps[surface[0]][surface[1]][0].cells
+        pressures[surface] = tuple(jnp.zeros(cells) for _ in volumes)
+    return Pending(state[_of_wear(layout)], pressures)
+
+
+def worn_so_far(
+    system: System,
+    layout: Layout,
+    now: tuple[Worn, Worn, Pending],
+    state: Array,
+    unless: Any = False,
+) -> tuple[Worn, Worn, Pending]:
+    """(depth maps, as gaps read them, what is pending) once surfaces are worn by all that was lost
+    up to a state (`unless`: by nothing): cell by cell, for a kernel."""
+    worn, read, before = now
+    entries = _of_wear(layout)
+    reached = jnp.where(unless, before.since, state[entries])
+    lost = losses(layout, *(state.at[entries].set(each) for each in (before.since, reached)))
+    worn, read = ({name: dict(own) for name, own in each.items()} for each in (worn, read))
+    maps, pressures = wear_maps(system), dict(before.pressures)
+    for (joint, surface), (volumes, places) in lost.items():
+        given = worn[joint][surface], read[joint][surface], pressures[joint, surface]
+        found = maps[joint][surface][0].deposit_in_turn(*given, volumes, places)
+        worn[joint][surface], read[joint][surface], pressures[joint, surface] = found
+    return worn, read, Pending(reached, pressures)
+
+
+def _of_wear(layout: Layout) -> slice:
+    """The entries of a state that tell what contacts have lost."""
+    last = layout.wear[-1]
+    return slice(layout.wear[0].start, last.start + 1 + len(last.averaged))
 
 
 def worn_at_once(system: System, worn: Worn, _: Worn, lost: Losses) -> tuple[Worn, Worn]:

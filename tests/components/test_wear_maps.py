@@ -10,7 +10,9 @@ import pytest
 from scipy.interpolate import BSpline
 
 from jaxclear.components.sphere_map import SphereMap
-from jaxclear.components.wear_map import CylinderMap, direction_angle
+from jaxclear.components.wear_map import CylinderMap
+from jaxclear.ground.numerics import direction_angle
+from jaxclear.native import scan
 
 CLEARANCE = 0.1e-3
 CYLINDER = CylinderMap((12, 5), 10e-3, 20e-3, CLEARANCE)
@@ -74,6 +76,35 @@ def test_volume_is_conserved(wear_map, events):
         np.testing.assert_allclose(np.sum(depth * areas), 1e-12, rtol=1e-13)
     together = deposit(jnp.zeros(wear_map.cells), jnp.full(len(events), 1e-12), events)
     np.testing.assert_allclose(np.sum(together * areas), 1e-12 * len(events), rtol=1e-13)
+
+
+@pytest.mark.parametrize("wear_map, ways", [(CYLINDER, 2), (SPHERE, 3)], ids=["wall", "socket"])
+def test_cell_by_cell_a_kernel_takes_off_what_the_whole_map_loses(wear_map, ways):
+    """And its reading is that of the depth; so are their slopes, and both of a batch."""
+    events = cylinder_events() if ways == 2 else sphere_places(sphere_events())
+    events, count = jnp.asarray(events), len(events)
+    rng = np.random.default_rng(0)
+    depths = jnp.asarray(rng.uniform(0.0, 1.0, (count, *wear_map.cells)))
+    depths = depths * 10.0 ** rng.uniform(-10, -6, (count, 1, 1))
+    volumes = jnp.asarray(10.0 ** rng.uniform(-15, -11, (count, 2))).at[::3, 1].set(0.0)
+
+    def whole(depth, volume, event):
+        depth = wear_map.deposit(depth, volume, event)
+        return depth, wear_map.reading(depth)
+
+    def cell_by_cell(depth, volume, event):
+        turn = lambda now, _: (wear_map.deposit_in_turn(*now, volume, event), ())
+        begun = depth, wear_map.reading(depth), (jnp.zeros_like(depth), jnp.zeros_like(depth))
+        return scan(turn, begun, np.zeros(1), long=True)[0][:2]
+
+    def told(deposit):
+        pairs = depths, volumes, jnp.stack([events, jnp.roll(events, 1, axis=0)], axis=1)
+        moved = lambda *given: jax.jvp(deposit, given, tuple(0.1 * each for each in given))
+        return jax.jit(jax.vmap(moved))(*pairs)
+
+    # Of narrow contacts what is lost is a difference of like numbers.
+    for one, other in zip(*(jax.tree.leaves(told(f)) for f in (cell_by_cell, whole)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9 * np.max(abs(other)))
 
 
 def test_areas_add_up():

@@ -10,9 +10,9 @@ import pytest
 from jax.extend.core import Literal
 
 from jaxclear.complementarity import interior_point, scaling
-from jaxclear.components.wear_map import direction_angle
 from jaxclear.ground import group, numerics
 from jaxclear.ground.factorisation import eliminate
+from jaxclear.ground.numerics import direction_angle
 
 
 def evaluated(program, values, turned):

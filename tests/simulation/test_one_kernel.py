@@ -61,7 +61,7 @@ def test_a_run_is_one_kernel_and_keeps_its_numbers(rung, monkeypatch):
     events = 3 if RUNGS[rung].notes_events else 0
     saving = jc.Saving(7, events=events)
     found, kernels = told(rung, saving)
-    monkeypatch.setattr(simulation, "_in_one_kernel", simulation._from_save_to_save)
+    monkeypatch.setattr(simulation, "_whole", lambda *_: False)
     wanted, by_save = told(rung, saving)
     # One that leaves its rows; before, one without rows for every saving interval. Another goes
     # through the looks, at every saving time here.
@@ -109,7 +109,7 @@ def test_slopes_through_the_one_kernel_are_those_by_saving_interval(rung, monkey
 
     slopes = lambda: jax.jit(jax.jacfwd(states))(jnp.asarray(0.2))
     found = slopes()
-    monkeypatch.setattr(simulation, "_in_one_kernel", simulation._from_save_to_save)
+    monkeypatch.setattr(simulation, "_whole", lambda *_: False)
     wanted = slopes()
     assert np.all(np.isfinite(found)) and np.max(np.abs(found)) > 0
     np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9 * np.max(np.abs(wanted)))
@@ -128,9 +128,9 @@ def worn(rung, mass):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rung", ["fixed", "implicit", "Moreau-Jean"])
-def test_where_surfaces_wear_a_turn_is_one_kernel(rung, monkeypatch):
-    """Its numbers, their slopes, and both of a batch are those of a run that XLA goes through, with
-    every surface worn at every saving time."""
+def test_surfaces_wear_within_the_one_kernel(rung, monkeypatch):
+    """Its numbers, their slopes, and both of a batch are those of a run that XLA goes through from
+    save to save, with every surface worn at every saving time."""
     built, build = [], kernel.build
     monkeypatch.setattr(
         loop.kernels, "build", lambda program, lanes: built.append(program) or build(program, lanes)
@@ -144,8 +144,9 @@ def test_where_surfaces_wear_a_turn_is_one_kernel(rung, monkeypatch):
         return jax.jit(alone)(masses[0]), jax.jit(jax.vmap(alone))(masses), slopes(pairs)
 
     found = told()
-    own = [program.length for program in built if not program.once and program.length != 7]
-    assert own and set(own) == {1}
+    # Turns of six saving intervals and of a window; what the last one wears.
+    assert {program.length for program in built if program.long} == {6 + 4, 1}
+    monkeypatch.setattr(simulation, "_whole", lambda *_: False)
     monkeypatch.setattr(turns, "_as_a_kernel", turns._as_it_is)
     monkeypatch.setattr(turns, "worn_where_lost", wear.worn_at_once)
     wanted = told()

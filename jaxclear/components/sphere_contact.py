@@ -1,0 +1,186 @@
+"""What wears a socket's wall in one loss: where the ball comes closest, how wide and deep it is
+there, and which cells it may overlap."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxclear.components.contact_patch import (
+    SHARPEST,
+    Elasticity,
+    Outline,
+    Patch,
+    Way,
+    arc,
+    arc_with_cell,
+    depth_of,
+    point_contact,
+    point_sunk,
+)
+from jaxclear.components.touched_cells import Touched, angle_touched, entry
+from jaxclear.ground.numerics import OFF_THE_TIES, arc_sine, direction_angle, safe_divide, safe_sqrt
+from jaxclear.ground.quantity import Scalar
+
+# Mean square of an angle [rad2] below which a direction has stood still: rounding is below.
+STILL = 1e-13
+
+
+class Wall(NamedTuple):
+    """A wall of so many `cells` of azimuth and elevation; radius and radial clearance [m]."""
+
+    cells: tuple[int, int]
+    radius: Scalar
+    clearance: Scalar
+
+    @property
+    def cell(self) -> float:
+        """Mean of a cell's two sides at the equator [rad]."""
+        around, along = self.cells
+        return 0.5 * (2 * math.pi / around + math.pi / along)
+
+    def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
+        around, along = self.cells
+        azimuth = direction_angle(x, y)
+        elevation = direction_angle(safe_sqrt(x * x + y * y), z)
+        return azimuth * (around / (2 * jnp.pi)) - 0.5, (elevation / jnp.pi + 0.5) * along - 0.5
+
+    def ways(self) -> Float[np.ndarray, "around 2"]:
+        """Cosine and sine of the azimuth of the centre of each column."""
+        angles = (np.arange(self.cells[0]) + 0.5) * (2 * np.pi / self.cells[0])
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+    def rows(self) -> Float[np.ndarray, "along 3"]:
+        """Cosine and sine of the elevation of the centre of each row, area of its cells beside the
+        square of the radius."""
+        around, along = self.cells
+        angles = ((np.arange(along) + 0.5) / along - 0.5) * np.pi
+        bands = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, along + 1)))
+        return np.stack([np.cos(angles), np.sin(angles), bands * (2 * np.pi / around)], axis=1)
+
+
+class Loss(NamedTuple):
+    """A volume [m3] that a `wall` loses to a ball that comes closest towards a direction of length
+    1 (0: without one), and goes through an arc of half that angle [rad] about it (with cosine and
+    sine, `turned`) in the direction of its `travel`; its `load` before anything is lost, and how
+    deep it would sink into an unworn wall (`sunk`) [m]."""
+
+    wall: Wall
+    volume: Scalar
+    normal: Float[Array, "3"]
+    there: Array
+    travel: Float[Array, "3"]
+    half_arc: Scalar
+    turned: tuple[Scalar, Scalar]
+    load: Elasticity
+    sunk: Scalar
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """How many cells the wall has, azimuth and elevation."""
+        return self.wall.cells
+
+    def patch(self, places: Float[Array, "*cells 3"], depth: Array, area: Array) -> Patch:
+        """Cells in these directions, worn so deep [m], of this area [m2]; no start."""
+        clearance, (c, s) = self.wall.clearance, self.turned
+        ahead, sideways = places @ self.normal, jnp.abs(places @ self.travel)
+        inside = sideways * c < ahead * s
+        beside = safe_sqrt(ahead * ahead + sideways * sideways)
+        cosine = jnp.where(inside, beside, ahead * c + sideways * s)
+        # Without a direction all are as near.
+        cosine, beside = (jnp.where(self.there, each, 1.0) for each in (cosine, beside))
+        rounded = lambda cosine: (
+            clearance * (0.5 * self.wall.cell * safe_sqrt(1.0 - cosine * cosine) + SHARPEST)
+        )
+        room = clearance + depth
+        way = Way(
+            direction_angle(ahead, sideways),
+            Outline(beside, room, rounded(beside)),
+            arc_with_cell(self.half_arc, self.wall.cell),
+            room,
+        )
+        return Patch(Outline(cosine, room, rounded(cosine)), way, area, 1.0, 0.0, self.load)
+
+    def in_column(self, column: Int[Array, ""]) -> Float[Array, "2"]:
+        """Cosine and sine of its azimuth."""
+        return jax.lax.dynamic_slice(self.wall.ways(), (column, 0), (1, 2))[0]
+
+    def cell(self, column: Float[Array, "2"], row: Int[Array, ""], depth: Scalar) -> Patch:
+        """One of them, worn so deep [m]."""
+        level, height, area = jax.lax.dynamic_slice(self.wall.rows(), (row, 0), (1, 3))[0]
+        place = jnp.stack([column[0] * level, column[1] * level, height])
+        return self.patch(place, depth, area * self.wall.radius * self.wall.radius)
+
+    def start(self, depth: Float[Array, "around along"]) -> Scalar:
+        """A level [m] near that of the ball and above it, on walls worn so deep [m]: in the middle
+        of its arc."""
+        around, along = self.cells
+        # Between two cells either rounding must choose the same.
+        off = OFF_THE_TIES - 0.5
+        place = (jnp.floor(each + off).astype(int) for each in self.wall.position(*self.normal))
+        column, row = place
+        there = entry(depth, (column % around, jnp.clip(row, 0, along - 1)))
+        return self.wall.clearance + there + self.sunk
+
+    def touched(self, level: Scalar) -> Touched:
+        """Cells that the ball may overlap at a level: of a cap about its mean direction."""
+        (around, along), clearance = self.cells, self.wall.clearance
+        rounds, needed = 0.5 * self.wall.cell * clearance, (1.0 - SHARPEST) * clearance
+        reach = self.half_arc + angle_touched(level, rounds, needed)
+        column, row = self.wall.position(*self.normal)
+        level = safe_sqrt(1.0 - self.normal[2] * self.normal[2])
+        # A cap that holds a pole lies on all columns.
+        beside = jnp.sin(jnp.minimum(reach, 0.5 * jnp.pi))
+        all_around = (beside >= level) | ~self.there
+        wide = arc_sine(jnp.where(all_around, 1.0, safe_divide(beside, level)))
+        wide, high = wide * (around / (2 * jnp.pi)), reach * (along / jnp.pi)
+        first = -jnp.floor(wide - column)
+        columns = jnp.where(all_around, around, jnp.floor(column + wide) - first + 1.0)
+        lower = jnp.where(self.there, jnp.maximum(-jnp.floor(high - row), 0.0), 0.0)
+        upper = jnp.where(self.there, jnp.minimum(jnp.floor(row + high), along - 1.0), along - 1.0)
+        counts = first, jnp.minimum(columns, around), lower, upper - lower + 1.0
+        return Touched(*(jnp.asarray(each).astype(int) for each in counts))
+
+
+def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "9"]) -> Loss:
+    """What an event with these location features takes off a wall (see `SphereMap`)."""
+    mean, products, narrowness = features[:3], features[3:8], features[8]
+    length = safe_sqrt(jnp.sum(mean * mean))
+    normal = safe_divide(mean, length)
+    travel, share = _travel(normal, products)
+    half_arc = arc(length) * safe_sqrt(share)
+    overlap = depth_of(safe_divide(1.0, narrowness), wall.cell, wall.clearance)
+    load = point_contact(overlap, wall.radius, wall.clearance, half_arc)
+    return Loss(
+        wall,
+        volume,
+        normal,
+        length > 0,
+        travel,
+        half_arc,
+        (jnp.cos(half_arc), jnp.sin(half_arc)),
+        load,
+        point_sunk(volume + load.overlap, wall.radius, wall.clearance),
+    )
+
+
+def _travel(normal: Float[Array, "3"], products: Float[Array, "5"]) -> tuple[Array, Scalar]:
+    """(direction across the mean `normal` in which directions spread most, how much more there than
+    across it relative to both) from the mean products of their components."""
+    xx, xy, xz, yy, yz = products
+    spread = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, 1.0 - xx - yy]])
+    across = jnp.eye(3) - jnp.outer(normal, normal)
+    spread = across @ spread @ across
+    both = jnp.trace(spread)
+    more = safe_sqrt(2.0 * jnp.sum(spread * spread) - both * both)
+    largest = spread - 0.5 * (both - more) * across
+    x, y, z = (largest[i, i] for i in range(3))
+    of_others = jnp.where(y >= z, largest[1], largest[2])
+    column = jnp.where((x >= y) & (x >= z), largest[0], of_others)
+    there = both > STILL
+    travel = safe_divide(column, safe_sqrt(jnp.sum(column * column)))
+    return jnp.where(there, travel, 0.0), jnp.where(there, safe_divide(more, both), 0.0)

@@ -1,0 +1,183 @@
+"""What a part takes off the cells that it touches, gone through one by one.
+
+The same numbers as by `contact_patch.depth_lost`, for machine code: of a map of a thousand cells a
+contact touches a few, and a loop that ends behind these costs as many times less. XLA, which starts
+each operation of such a loop by itself, is left to whole maps.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxclear.components.contact_patch import STEPS, Elasticity, Patch, pressures
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.quantity import Scalar
+from jaxclear.native import while_loop
+
+Depth = Float[Array, "around along"]
+# Column and row of a cell.
+Place = tuple[Int[Array, ""], Int[Array, ""]]
+
+
+class Touched(NamedTuple):
+    """Cells that a part may overlap: from a `first` column (of any turn) so many `columns`, and in
+    each from a `lower` row so many `rows`."""
+
+    first: Int[Array, ""]
+    columns: Int[Array, ""]
+    lower: Int[Array, ""]
+    rows: Int[Array, ""]
+
+
+def angle_touched(level: Scalar, rounding: Scalar, needed: Scalar) -> Scalar:
+    """An angle [rad] from a way of a part beyond which `level` cos + `rounding` sin [m], its
+    overlap there and a cell's own rounding, is nowhere more than `needed`."""
+    size = jnp.sqrt(level * level + rounding * rounding)
+    # That of the largest sum is no more than its tangent, that of the cosine needed / size no more
+    # than this.
+    sine = safe_sqrt(0.5 * (1.0 - needed / size))
+    return rounding / level + 2.0 * sine * (1.0 + (0.5 * jnp.pi - 1.0) * sine * sine)
+
+
+class Loss(Protocol):
+    """What a map of so many `cells` loses to a part: a `volume` [m3] under a `load`."""
+
+    @property
+    def cells(self) -> tuple[int, int]: ...
+
+    @property
+    def volume(self) -> Scalar: ...
+
+    @property
+    def load(self) -> Elasticity: ...
+
+    def start(self, depth: Depth) -> Scalar:
+        """A level [m] of the part to begin with, where walls are worn so deep [m]."""
+
+    def touched(self, level: Scalar) -> Touched:
+        """Cells that the part may overlap at a level [m]."""
+
+    def in_column(self, column: Int[Array, ""]) -> Any:
+        """What the cells of a column share."""
+
+    def cell(self, column: Any, row: Int[Array, ""], depth: Scalar) -> Patch:
+        """One of them, worn so deep [m]."""
+
+
+class Share(NamedTuple):
+    """Which cells a loss is taken off, and what a cell's pressure is multiplied by [m]."""
+
+    touched: Touched
+    scale: Scalar
+
+
+def shared(loss: Callable[[], Loss], volume: Scalar, depth: Depth, pressure: Depth) -> tuple:
+    """(the `Share` of a loss of a volume [m3] on walls worn so deep [m], the pressures of its
+    cells, which are written over others)."""
+    none = jnp.zeros((), int)
+
+    def turn(now):
+        own = loss()
+        level = _level(own, depth)
+        touched = own.touched(jax.lax.stop_gradient(level))
+
+        def visit(column, place, carry):
+            total, pressure = carry
+            cell = own.cell(column, place[1], entry(depth, place))
+            found = pressures(own.volume, cell, level)
+            return total + cell.area * found, with_entry(pressure, place, found)
+
+        first = jnp.zeros(()), now[2]
+        total, after = through(touched, own.cells, visit, first, (False, True), own.in_column)
+        scale = own.volume * safe_divide(1.0, total)
+        return jnp.zeros((), bool), Share(touched, scale), after
+
+    nothing = Share(Touched(none, none, none, none), jnp.zeros(()))
+    # A loop of one turn or none: without a loss none of this is gone through.
+    first = volume != 0, nothing, pressure
+    return while_loop(lambda now: now[0], turn, first, (False, False, True))[1:]
+
+
+def _level(loss: Loss, depth: Depth) -> Scalar:
+    """Eccentricity [m] of the part after the loss, as `depth_lost` finds it."""
+
+    def turn(now):
+        count, level = now
+
+        def visit(column, place, sums):
+            cell = loss.cell(column, place[1], entry(depth, place))
+            overlap, share = cell.outline.at(level)
+            slope = cell.outline.cosine * share
+            return sums[0] + cell.area * overlap, sums[1] + cell.area * slope
+
+        nothing = jnp.zeros(()), jnp.zeros(())
+        touched = loss.touched(jax.lax.stop_gradient(level))
+        overlap, slope = through(touched, loss.cells, visit, nothing, False, loss.in_column)
+        wanted = loss.volume + loss.load.overlap
+        return count + 1, level + safe_divide(wanted - overlap, slope)
+
+    first = jnp.zeros((), int), loss.start(depth)
+    return while_loop(lambda now: now[0] < STEPS, turn, first)[1]
+
+
+def taken_off(shares: Sequence[Share], pressures: Sequence[Depth], depth: Depth) -> Depth:
+    """Depth [m] once cells have lost their shares, by their pressures in each."""
+    for (touched, scale), pressure in zip(shares, pressures, strict=True):
+
+        def visit(_, place, depth, scale=scale, pressure=pressure):
+            return with_entry(depth, place, entry(depth, place) + scale * entry(pressure, place))
+
+        depth = through(touched, depth.shape, visit, depth, True)
+    return depth
+
+
+def through(
+    touched: Touched,
+    cells: tuple[int, ...],
+    visit: Callable[[Any, Place, Any], Any],
+    first: Any,
+    long: Any = False,
+    in_column: Callable[[Array], Any] | None = None,
+) -> Any:
+    """What `visit` (of what a column's cells share, the place of a cell, and what the visit before
+    has left) leaves in the end, once it has been at all cells of a map of so many `cells` that are
+    touched. `long` as of `while_loop`."""
+    around, along = cells
+
+    def one(now):
+        count, carry = now
+        column = (touched.first + count) % around
+        shared = None if in_column is None else in_column(column)
+        if along == 1:
+            return count + 1, visit(shared, (column, jnp.zeros_like(column)), carry)
+        cell = lambda own: (own[0] + 1, visit(shared, (column, touched.lower + own[0]), own[1]))
+        begin = jnp.zeros((), int), carry
+        return count + 1, while_loop(lambda own: own[0] < touched.rows, cell, begin, (False, long))[
+            1
+        ]
+
+    begin = jnp.zeros((), int), first
+    return while_loop(lambda now: now[0] < touched.columns, one, begin, (False, long))[1]
+
+
+def entry(array: Depth, place: Place) -> Scalar:
+    """That of one cell."""
+    return jax.lax.dynamic_slice(array, place, (1, 1))[0, 0]
+
+
+def with_entry(array: Depth, place: Place, value: Scalar) -> Depth:
+    """The array with another value in one cell."""
+    return jax.lax.dynamic_update_slice(array, jnp.reshape(value, (1, 1)), place)
+
+
+def number(row: Float[Array, " n"], place: Any) -> Scalar:
+    """That at a place of a row."""
+    return jax.lax.dynamic_slice(row, (place,), (1,))[0]
+
+
+def with_number(row: Float[Array, " n"], value: Scalar, place: Any) -> Float[Array, " n"]:
+    """The row with another value at a place."""
+    return jax.lax.dynamic_update_slice(row, jnp.reshape(value, (1,)), (place,))
