@@ -84,7 +84,8 @@ def test_of_one_place_in_one_saving_interval_and_of_what_does_not_wear_nothing_i
 
 @pytest.mark.slow
 def test_depths_that_few_saving_times_leave_wrong_are_told_and_those_of_many_are_not():
-    """Figures are at least what the depths are off by, beside a run with many saving times."""
+    """Figures are what the depths are off by, beside a run with many saving times, within a factor
+    of two where they warn."""
     rig = jc.scenes.four_bar("planar", cells=(144, 1))
     whole = jc.simulate(rig, 1.26, save=2, integrator=NonColliding())
     assert "saving times" in whole.result
@@ -93,7 +94,7 @@ def test_depths_that_few_saving_times_leave_wrong_are_told_and_those_of_many_are
     for count, beyond in ((26, True), (101, False)):
         found = runs[count].checks.figures[Check.WEAR_BY_SAVES].worst.max()
         off = np.asarray(runs[count].worn_depth("B", "bearing")) - true
-        assert np.sqrt((off**2).sum() / (true**2).sum()) < found
+        assert np.sqrt((off**2).sum() / (true**2).sum()) < (2 if beyond else 1) * found
         assert (found > Check.WEAR_BY_SAVES.limit) == beyond
         assert ("saving times" in runs[count].result) == beyond
 
@@ -108,3 +109,10 @@ def test_an_impact_that_saving_times_put_wrong_is_told():
     for count, off in ((126, True), (501, False)):
         assert (abs(depths[count] / depths[2001] - 1) > 0.05) == off
         assert bool(runs[count].checks.beyond()[Check.WEAR_BY_SAVES]) == off
+
+
+def test_of_a_single_loss_that_lies_right_fewer_saving_times_tell_nothing(model):
+    """A third of all is lost within an interval, in one place; the fourth of the saving times
+    spreads it over the way to there, which made it 0.15."""
+    angles, burst = np.where(np.arange(64) < 46, 0.3, 1.9), np.where(np.arange(64) == 47, 32.0, 1.0)
+    assert told(model, angles, 1.0, burst) < 0.2 * Check.WEAR_BY_SAVES.limit
