@@ -11,6 +11,7 @@ import pytest
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.studies import verdict
+from jaxclear.studies.advice import shortcomings
 from jaxclear.studies.advice.choice import piloted
 from jaxclear.studies.advice.curve import REFERENCE
 from jaxclear.studies.advice.pilot import Trial, describe, evaluate_one, measure, pilot_of
@@ -351,6 +352,24 @@ def trial(error, cost=1.0):
         0.0,
         "",
     )
+
+
+@pytest.mark.parametrize(
+    ("integrator", "errors", "said"),
+    [
+        (jc.integrator.NonColliding(), (0.4, 0.42), True),
+        (jc.integrator.NonColliding(), (0.4, 0.2), False),
+        (jc.integrator.ImplicitStep(), (0.4, 0.42), False),
+    ],
+)
+def test_an_error_that_shorter_steps_leave_as_it_is_is_said_to_be_the_models(
+    integrator, errors, said
+):
+    """Of joints that always touch; of compliant contact it may be that all steps are too long."""
+    answers = np.array([1.0, 2.0, 3.0])
+    criteria = {"r": verdict.criterion(answers, answers, 0.01)}
+    trials = [dataclasses.replace(trial(error), integrator=integrator) for error in errors]
+    assert (shortcomings.OF_ITS_MODEL in shortcomings.shortcoming(trials, criteria)) == said
 
 
 def test_a_setting_that_passes_by_luck_is_not_taken():

@@ -16,10 +16,10 @@ from jaxclear.integrators import AbstractIntegrator
 from jaxclear.studies import verdict
 from jaxclear.studies.advice.comparison import Comparison
 from jaxclear.studies.advice.curve import PRESENT, REFERENCE, Choice
-from jaxclear.studies.advice.pilot import Trial, describe
+from jaxclear.studies.advice.pilot import describe
+from jaxclear.studies.advice.shortcomings import in_percent, percent, shortcoming, worst_of
 from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.verdict import Criterion, MeasuredError
 
 
 class Advice(eqx.Module):
@@ -179,14 +179,14 @@ def _reason(found: Comparison, name: str, cost: float) -> str:
         return f"dearer: {text} meets it at {ratio:.2g} times the cost."
     if not finished:
         return f"fails: {curve.trials[-1].failure} {curve.stopped}"
-    return f"{_shortcoming(finished, criteria)} {curve.stopped}"
+    return f"{shortcoming(finished, criteria)} {curve.stopped}"
 
 
 def _recommended(found: Comparison, met: bool) -> Iterator[str]:
     criteria, trial = found.criteria, found.chosen
-    which, error = _worst(trial, criteria)
+    which, error = worst_of(trial, criteria)
     named = f' (largest in "{which}")' if len(criteria) > 1 else ""
-    text, asked = describe(trial.integrator), _percent(found.accuracy)
+    text, asked = describe(trial.integrator), percent(found.accuracy)
     if met:
         yield f"{text} meets {asked}:"
     elif verdict.passes(trial, criteria):
@@ -199,7 +199,7 @@ def _recommended(found: Comparison, met: bool) -> Iterator[str]:
     cost, reference = found.cost, found.curves[REFERENCE].trials[-1].cost
     where = "alone" if found.batch is None else f"a sample in batches of {found.batch}"
     longer = f"{reference / cost:.2g} times that" if reference > cost else "no longer"
-    yield f"error {_in_percent(error)}{named}, at {cost:.2g} s a simulated second {where},"
+    yield f"error {in_percent(error)}{named}, at {cost:.2g} s a simulated second {where},"
     yield (
         f"{cost * found.pilot.whole:.2g} s for the whole problem; the reference alone takes "
         f"{longer}."
@@ -210,17 +210,17 @@ def _doubts(found: Comparison) -> Iterator[str]:
     criteria, copies = found.criteria, len(found.pilot.values)
     for name, criterion in criteria.items():
         loose, tight = (trial.responses[name] for trial in found.curves[REFERENCE].trials)
-        apart = _percent(verdict.difference(loose, tight, criterion.size, False).error)
+        apart = percent(verdict.difference(loose, tight, criterion.size, False).error)
         alone = verdict.criterion(loose, tight, found.accuracy, criterion.size, copies=copies)
         if criterion.by_means and alone.by_means:
             yield (
                 f'Single runs do not converge in "{name}": two tight references differ by {apart} '
                 f"(chaotic motion does). Means over the {copies} copies are compared instead, and "
-                f"known to +-{_percent(criterion.trust)}."
+                f"known to +-{percent(criterion.trust)}."
             )
             if criterion.limit > found.accuracy:
                 needed = int(np.ceil(copies * (criterion.limit / found.accuracy) ** 2))
-                yield f"To show {_percent(found.accuracy)} there it takes some {needed} copies."
+                yield f"To show {percent(found.accuracy)} there it takes some {needed} copies."
         elif criterion.limit > found.accuracy:
             yield (
                 f'Two tight references differ by {apart} in "{name}", as chaotic motion does. To '
@@ -228,7 +228,7 @@ def _doubts(found: Comparison) -> Iterator[str]:
             )
     sure = max((c.trust for c in criteria.values() if not c.by_means), default=0.0)
     if sure > 0 and all(c.limit <= found.accuracy for c in criteria.values()):
-        yield f"Errors below {_percent(sure)} are within what the reference itself is known to."
+        yield f"Errors below {percent(sure)} are within what the reference itself is known to."
 
 
 def _warnings(found: Comparison) -> Iterator[str]:
@@ -248,10 +248,10 @@ def _if_means_count(found: Comparison) -> Iterator[str]:
         return
     other = found.of_means()
     if other.met and other.cost < found.cost:
-        _, error = _worst(other.chosen, other.criteria)
+        _, error = worst_of(other.chosen, other.criteria)
         yield (
             f"If only means over the tolerances count, {describe(other.chosen.integrator)} is "
-            f"enough: {_in_percent(error)} at {other.cost:.2g} s."
+            f"enough: {in_percent(error)} at {other.cost:.2g} s."
         )
 
 
@@ -260,10 +260,10 @@ def _present(found: Comparison) -> str:
     text = f"The problem's own {describe(trial.integrator)}"
     if trial.failure:
         return f"{text} fails: {trial.failure}"
-    _, error = _worst(trial, found.criteria)
+    _, error = worst_of(trial, found.criteria)
     verb = "keeps" if verdict.passes(trial, found.criteria) else "does not keep"
     return (
-        f"{text} {verb} within that: {_in_percent(error)} at {trial.cost:.2g} s a simulated "
+        f"{text} {verb} within that: {in_percent(error)} at {trial.cost:.2g} s a simulated "
         "second alone."
     )
 
@@ -273,27 +273,3 @@ def _seen(found: Comparison) -> str:
     many = "one run" if copies == 1 else f"{copies} copies"
     many += f", {found.pilot.runs - copies} shorter runs," if found.pilot.runs > copies else ""
     return f"{many} over {'all of' if found.is_whole else 'the first'} {duration:.3g} s"
-
-
-def _shortcoming(finished: list[Trial], criteria: dict[str, Criterion]) -> str:
-    undecided = [trial for trial in finished if verdict.undecided(trial, criteria)]
-    best = min(undecided or finished, key=lambda trial: verdict.worst(trial, criteria)[1])
-    which, error = _worst(best, criteria)
-    text = f'{_in_percent(error)} in "{which}" with {describe(best.integrator)}'
-    if undecided:
-        copies = verdict.copies_to_decide(best, criteria)
-        return f"undecided: {text}; some {copies} copies would tell."
-    return f"too inaccurate: {text}."
-
-
-def _worst(trial: Trial, criteria: dict[str, Criterion]) -> tuple[str, MeasuredError]:
-    which = verdict.worst(trial, criteria)[0]
-    return which, verdict.error_of(trial.responses[which], criteria[which])
-
-
-def _in_percent(error: MeasuredError) -> str:
-    return f"{_percent(error.error)} +- {_percent(error.uncertainty)}"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.3g} %"
