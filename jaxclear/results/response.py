@@ -205,7 +205,8 @@ class PeakContactForce(AbstractResponse):
 
     So it does not hang on the saving times, but where forces are means over these (rigid contact,
     joints that always touch) and where the law follows a worn radius (`Wearing.worn_radius`), which
-    is not known between them. What is more than at the saving times has no part in derivatives.
+    is not known between them. What is more than at the saving times has no part in derivatives,
+    which are then not those of the peak.
     """
 
     joint: str = eqx.field(static=True)
