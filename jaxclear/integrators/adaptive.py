@@ -47,7 +47,8 @@ ROUNDING = 1e-12
 
 # Derivatives have grown too much where a place within the tolerance, grown as they have, is more
 # than this beside the narrowest gap: beyond, they were off by a tenth and more, and within by less
-# than a hundredth (slider-cranks with and without friction, rtol 1e-7 beside 1e-12).
+# than a hundredth (slider-cranks with and without friction, rtol 1e-7 beside 1e-12; 3 hundredths at
+# 5000 rpm).
 TRUSTED = 8e-4
 # What a second derivative through contacts is told.
 NO_SECOND = (
@@ -68,12 +69,13 @@ class Adaptive(AbstractIntegrator):
     `MuntheKaas`, implicit solvers and those with steps of their own run in diffrax's loop, and hand
     on the mean of their steps. In a batch all samples wait for the slowest. First derivatives
     through contacts are those of the motion (within 1.2 % at the usual tolerance, measured through
-    up to seven impacts): steps end at touches and releases, and know how these move (`saltation`).
-    Their error is not controlled: tighten `rtol` to see it. Where impacts have made them grow so
-    much that the tolerance no longer determines them they are nan; a tighter one goes further. Not
-    with implicit solvers and `MuntheKaas`, where `jaxclear.sensitivity` is the way. Stiff scenes
-    (large friction over tiny transition speeds) may prefer an implicit solver, best with a full
-    Newton iteration:
+    up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps end at touches and releases, and
+    know how these move (`saltation`). Their error is not controlled: tighten `rtol` to see it.
+    Where impacts have made them grow so much that the tolerance no longer determines them they are
+    nan, and where a step does not resolve them (a contact at rest lets steps grow: hold
+    `largest_step`); a tighter `rtol` goes further. Not with implicit solvers and `MuntheKaas`,
+    where `jaxclear.sensitivity` is the way. Stiff scenes (large friction over tiny transition
+    speeds) may prefer an implicit solver, best with a full Newton iteration:
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)). `MuntheKaas` keeps
     rotations on their group.
     """
@@ -126,7 +128,7 @@ class Adaptive(AbstractIntegrator):
         """How long a step may be [s]; 0: not known. Where contacts may close, the mean of steps;
         and the growth of derivatives."""
         through = model.system.bearings and self.through_contacts
-        return jnp.zeros(()), jnp.zeros(3) if through else None
+        return jnp.zeros(()), jnp.zeros(4) if through else None
 
     def advance(self, model, interval, state, warm_start):
         interval = interval._replace(

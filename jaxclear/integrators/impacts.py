@@ -142,7 +142,8 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
         middle = self.contacts(half, path.evaluate(half), args)
         passed = Passage(*constant((before, middle, after)))
         remembering = self.remember(y1, before, after, length, args)
-        y1, own, growth = self._ended(step, (t1, y1), own, shift, (remembering, growth))
+        known = remembering, growth, error
+        y1, own, growth = self._ended(step, (t1, y1), own, shift, known)
         if events is not None:
             events = noted(events, t0, length, *jax.lax.stop_gradient((before, after)))
         return (
@@ -164,7 +165,7 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
 
     def _ended(self, step, end, own, shift, known):
         """(state, state of the solver, growth) with derivatives behind touches and releases, from
-        (state, growth) as `known` before."""
+        (state, growth, error) as `known` before."""
         if self.derived is None:
             return known[0], own, known[1]
         slopes, others = eqx.partition(own, eqx.is_inexact_array)

@@ -44,6 +44,10 @@ from jaxclear.multibody.state import Layout, impact_speed_places
 # A contact is near to its touch or release, or to the end of its slip, if so many steps as long as
 # this one would take it there at its rate.
 NEAR = 200.0
+# Of the derivative of a step its error estimate may be so large a share: beyond, steps that resolve
+# the motion do not resolve its neighbours (at rest they grow longer than a contact's period, and
+# derivatives with them).
+MOST_ERROR = 0.01
 # So many touches are the first ones, by which the growth of a derivative is measured: at the first
 # of all nothing may move yet (of a stiffness), or little.
 FIRST = 3
@@ -65,14 +69,15 @@ class Step(NamedTuple):
 
 def trusted(state: Any, growth: Array, limit: Scalar) -> Any:
     """The state; its derivative is nan where touches move more than `limit` times as much as the
-    first of them did.
+    first of them did, and where a step did not resolve it.
 
-    `growth`: three zeros, whose derivatives tell how many touches moved, and by how much [s] the
-    first few of them and all of them did at most."""
+    `growth`: zeros, whose derivatives tell how many touches moved, by how much [s] the first few of
+    them and all of them did at most, and of which share the largest error of a step was."""
 
     def judged(numbers, tangents):
         (_, _, limit), (state, growth, _) = numbers, map(moved, tangents)
-        return jnp.where(growth[2] > limit * growth[1], jnp.nan, state)
+        fine = (growth[2] <= limit * growth[1]) & (growth[3] <= MOST_ERROR)
+        return jnp.where(fine, state, jnp.nan)
 
     return _derived(lambda state, growth, limit: state, judged)(state, growth, constant(limit))
 
@@ -83,8 +88,8 @@ class Equations(NamedTuple):
 
     `shifted(step, (time, state), slopes)`: state and slopes at its start, at times that move by the
     derivative of a third number, which is 0; `jumped(step, (time, state), slopes, shift,
-    remembering, growth)`: the state with its impact speeds, the slopes and the growth (see
-    `trusted`) at the end, at a fixed time behind touches and releases there.
+    remembering, growth, error)`: the state with its impact speeds, the slopes and the growth (see
+    `trusted`) at the end, at a fixed time behind touches and releases there, by the step's error.
     """
 
     rates: Callable
@@ -129,7 +134,7 @@ def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equa
             functools.partial(_at_moving_time, model),
         ),
         _derived(
-            lambda step, now, slopes, shift, remembering, growth: (
+            lambda step, now, slopes, shift, remembering, growth, error: (
                 remembering,
                 slopes,
                 # It moves with the state, which a loop is to know.
@@ -223,8 +228,22 @@ def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
         return state, _slopes(model, after, here, (way, time_way, state), slopes), grown
 
     wanted = jnp.any((before > 0) | (before != after))
-    state, growth = known
-    return _where(wanted, behind, jax.tree.map(moved, (state, slopes, growth)))
+    state, growth, error = map(moved, known)
+    growth = _with_error(model.layout, step.length, state, growth, error)
+    return _where(wanted, behind, (state, jax.tree.map(moved, slopes), growth))
+
+
+def _with_error(layout: Layout, length: Scalar, state: Any, growth: Array, error: Any) -> Array:
+    """The growth after a step of this length [s] with such an error of its state: of their places,
+    and of the way that their speeds make in such a step."""
+    n, m = layout.coordinates, layout.memory_start
+
+    def size(numbers):
+        way = jnp.concatenate([numbers[:n], length * numbers[n:m]])
+        return jnp.max(abs(way), initial=0.0)
+
+    share = safe_divide(size(error), size(state))
+    return jnp.stack([growth[0], growth[1], growth[2], jnp.maximum(growth[3], share)])
 
 
 def _grown(growth: Array, late: Scalar) -> Array:
@@ -232,7 +251,7 @@ def _grown(growth: Array, late: Scalar) -> Array:
     met, first, most = growth[0], growth[1], growth[2]
     met = met + jnp.where(late > 0, 1.0, 0.0)
     first = jnp.where(met <= FIRST, jnp.maximum(first, late), first)
-    return jnp.stack([met, first, jnp.maximum(most, late)])
+    return jnp.stack([met, first, jnp.maximum(most, late), growth[3]])
 
 
 def _slopes(model: _Model, shares: Any, here: tuple, ways: tuple, slopes: Any) -> Any:

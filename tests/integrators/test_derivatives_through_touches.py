@@ -262,3 +262,26 @@ def test_a_derivative_that_the_tolerance_no_longer_determines_is_nan():
     np.testing.assert_allclose(slope(0.01, 1e-7), slope(0.01, 1e-11), rtol=1e-3)
     assert np.isnan(slope(0.03, 1e-7))
     np.testing.assert_allclose(slope(0.03, 1e-10), slope(0.03, 1e-11), rtol=2e-3)
+
+
+def test_a_journal_at_rest_in_steps_longer_than_its_period_has_no_derivative():
+    """Nothing moves, so steps grow; shorter ones have the derivative: it lies lower by as much as
+    the clearance is larger."""
+    rig = bouncing(LAWS["HuntCrossley"][0])
+    rig = jc.Mechanism(rig.bodies, rig.connections, DOWN)
+
+    def slope(**how):
+        asked = jc.Problem(
+            rig,
+            lambda run: run.body("journal").com[-1, 1],
+            {"clearance": jc.Variable(CLEARANCE, tolerance=1e-9)},
+            duration=0.02,
+            save=2,
+            integrator=jc.integrator.Adaptive(**how),
+            state=jc.seated(rig),
+        )
+        evaluate = lambda values: asked.evaluate(values).responses["response"]
+        return jax.jit(jax.jacfwd(evaluate))(asked.nominal())[0]
+
+    assert np.isnan(slope())
+    np.testing.assert_allclose(slope(largest_step=2e-4), -1.0, rtol=1e-6)
