@@ -169,7 +169,9 @@ def worn_so_far(
 
 
 def _of_wear(layout: Layout) -> slice:
-    """The entries of a state that tell what contacts have lost."""
+    """The entries of a state that tell what contacts have lost; none where nothing wears."""
+    if not layout.wear:
+        return slice(0, 0)
     last = layout.wear[-1]
     return slice(layout.wear[0].start, last.start + 1 + len(last.averaged))
 
