@@ -62,9 +62,16 @@ def ran_under(angles, begin, way):
 
 
 @pytest.mark.parametrize(
-    "rung", ["permanent", "compliant", pytest.param("rigid", marks=pytest.mark.slow)]
+    ("joint", "inner", "rung"),
+    [
+        (journal, "journal", "compliant"),
+        (ball, "ball", "permanent"),
+        pytest.param(journal, "journal", "permanent", marks=pytest.mark.slow),
+        pytest.param(journal, "journal", "rigid", marks=pytest.mark.slow),
+        pytest.param(ball, "ball", "compliant", marks=pytest.mark.slow),
+        pytest.param(ball, "ball", "rigid", marks=pytest.mark.slow),
+    ],
 )
-@pytest.mark.parametrize(("joint", "inner"), [(journal, "journal"), (ball, "ball")])
 def test_the_inner_part_wears_round_about_and_the_outer_one_where_it_is_pressed(joint, inner, rung):
     """Both lose k F s / H. The load stands still in the socket; on the ball it goes backwards."""
     outer = {"journal": "bearing", "ball": "socket"}[inner]

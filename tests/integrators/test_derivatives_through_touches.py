@@ -228,6 +228,7 @@ def test_the_run_is_the_same_whether_it_is_differentiated():
     np.testing.assert_allclose(backwards[0], forwards, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_saving_times_may_move():
     """The derivative of a place by the end of the run is the speed there."""
     rig = bouncing(LAWS["Flores"][0])
