@@ -4,9 +4,7 @@ there, and which cells it may overlap."""
 import math
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxclear.components.contact_patch import (
@@ -21,7 +19,7 @@ from jaxclear.components.contact_patch import (
     line_contact,
     line_sunk,
 )
-from jaxclear.components.touched_cells import Touched, angle_touched, entry
+from jaxclear.components.touched_cells import Touched, angle_touched, entry, least, way_of
 from jaxclear.ground.numerics import (
     OFF_THE_TIES,
     direction_angle,
@@ -49,11 +47,6 @@ class Wall(NamedTuple):
     def area(self) -> Scalar:
         """Of a cell [m2]."""
         return (2 * math.pi * self.radius / self.cells[0]) * (self.length / self.cells[1])
-
-    def ways(self) -> Float[np.ndarray, "around 2"]:
-        """Direction (x, y) of the centre of each column."""
-        angles = (np.arange(self.cells[0]) + 0.5) * self.cell
-        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def height(self, row: Array) -> Array:
         """z of the centre of cells [m]."""
@@ -108,7 +101,7 @@ class Loss(NamedTuple):
 
     def in_column(self, column: Int[Array, ""]) -> Column:
         """That column alone."""
-        return self.columns(jax.lax.dynamic_slice(self.wall.ways(), (column, 0), (1, 2))[0])
+        return self.columns(way_of(column, self.cells[0]))
 
     def cell(self, column: Column, row: Array, depth: Array, start: Scalar = 0.0) -> Patch:
         """Cells of columns in rows, worn so deep [m]; where their level is sought, from `start`
@@ -137,10 +130,8 @@ class Loss(NamedTuple):
 
     def reach(self, level: Scalar) -> Scalar:
         """Angle [rad] to either side beyond which the part overlaps no cell at a level [m]."""
-        clearance = self.wall.clearance
         most = level + positive_part(-self.fall) + self.steepest
-        rounds, needed = 0.5 * self.wall.cell * clearance, (1.0 - SHARPEST) * clearance
-        return self.half_arc + angle_touched(most, rounds, needed)
+        return self.half_arc + angle_touched(most, self.wall.cell, self.wall.clearance)
 
     @property
     def nearest(self) -> Scalar:
@@ -153,16 +144,16 @@ class Loss(NamedTuple):
 
     def touched(self, level: Scalar) -> Touched:
         """Cells that the part may overlap at a level."""
-        (around, along), clearance = self.wall.cells, self.wall.clearance
+        around, along = self.wall.cells
         reach, middle = self.reach(level) / self.wall.cell, self.middle
         first = -jnp.floor(reach - middle)
         nowhere = self.towards[0] ** 2 + self.towards[1] ** 2 < 0.5
         whole = nowhere | (2.0 * reach + 1.0 >= around)
         columns = jnp.where(whole, around, jnp.floor(middle + reach) - first + 1.0)
         # A row is overlapped, if at all, where level cos + rounding sin is as much as is needed.
-        rounds, needed = 0.5 * self.wall.cell * clearance, (1.0 - SHARPEST) * clearance
-        least = jnp.sqrt(needed * needed - rounds * rounds)
-        share = (level + self.steepest - least) / jnp.where(self.fall > 0, self.fall, jnp.inf)
+        rounding, needed = least(self.wall.cell, self.wall.clearance)
+        lowest = jnp.sqrt(needed * needed - rounding * rounding)
+        share = (level + self.steepest - lowest) / jnp.where(self.fall > 0, self.fall, jnp.inf)
         tilted = (self.fall > 0) & (jnp.abs(self.end) > 0.5)
         rows = jnp.where(tilted, jnp.clip(-jnp.floor(0.5 - share * along), 0.0, along), along)
         lower = jnp.where(self.end > 0.5, along - rows, 0.0)

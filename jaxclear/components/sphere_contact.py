@@ -21,7 +21,7 @@ from jaxclear.components.contact_patch import (
     point_contact,
     point_sunk,
 )
-from jaxclear.components.touched_cells import Touched, angle_touched, entry
+from jaxclear.components.touched_cells import Touched, angle_touched, entry, way_of
 from jaxclear.ground.numerics import OFF_THE_TIES, arc_sine, direction_angle, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 
@@ -48,11 +48,6 @@ class Wall(NamedTuple):
         azimuth = direction_angle(x, y)
         elevation = direction_angle(safe_sqrt(x * x + y * y), z)
         return azimuth * (around / (2 * jnp.pi)) - 0.5, (elevation / jnp.pi + 0.5) * along - 0.5
-
-    def ways(self) -> Float[np.ndarray, "around 2"]:
-        """Cosine and sine of the azimuth of the centre of each column."""
-        angles = (np.arange(self.cells[0]) + 0.5) * (2 * np.pi / self.cells[0])
-        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def rows(self) -> Float[np.ndarray, "along 3"]:
         """Cosine and sine of the elevation of the centre of each row, area of its cells beside the
@@ -107,7 +102,7 @@ class Loss(NamedTuple):
 
     def in_column(self, column: Int[Array, ""]) -> Float[Array, "2"]:
         """Cosine and sine of its azimuth."""
-        return jax.lax.dynamic_slice(self.wall.ways(), (column, 0), (1, 2))[0]
+        return way_of(column, self.cells[0])
 
     def cell(self, column: Float[Array, "2"], row: Int[Array, ""], depth: Scalar) -> Patch:
         """One of them, worn so deep [m]."""
@@ -128,9 +123,8 @@ class Loss(NamedTuple):
 
     def touched(self, level: Scalar) -> Touched:
         """Cells that the ball may overlap at a level: of a cap about its mean direction."""
-        (around, along), clearance = self.cells, self.wall.clearance
-        rounds, needed = 0.5 * self.wall.cell * clearance, (1.0 - SHARPEST) * clearance
-        reach = self.half_arc + angle_touched(level, rounds, needed)
+        around, along = self.cells
+        reach = self.half_arc + angle_touched(level, self.wall.cell, self.wall.clearance)
         column, row = self.wall.position(*self.normal)
         level = safe_sqrt(1.0 - self.normal[2] * self.normal[2])
         # A cap that holds a pole lies on all columns.

@@ -1,6 +1,8 @@
 """Where a ball wears its socket: depth in azimuth and elevation. Cells share a loss as in
 `contact_patch`, all over the sphere alike, poles included."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.contact_patch import depth_lost, square_width
 from jaxclear.components.sphere_contact import Wall, loss_of
 from jaxclear.components.stencil import stencil
-from jaxclear.components.touched_cells import shared, taken_off
+from jaxclear.components.touched_cells import all_shared, taken_off
 from jaxclear.components.wear_map import AbstractWearMap
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
@@ -68,11 +70,9 @@ class SphereMap(AbstractWearMap):
         return depth_lost(volume, patch._replace(start=loss.start(depth)))[0]
 
     def deposit_in_turn(self, depth, reading, pressures, volume, features):
-        found = []
-        for own, *event in zip(pressures, volume, features, strict=True):
-            loss = lambda event=event: loss_of(self.wall, *event)
-            found.append(shared(loss, event[0], depth, own))
-        shares, pressures = zip(*found, strict=True)
+        events = tuple(zip(volume, features, strict=True))
+        loss = functools.partial(loss_of, self.wall)
+        shares, pressures = all_shared(loss, events, depth, pressures)
         # The gap reads the depths themselves.
         depth, reading = (taken_off(shares, pressures, each) for each in (depth, reading))
         return depth, reading, pressures

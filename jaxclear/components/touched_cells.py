@@ -10,9 +10,10 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.components.contact_patch import STEPS, Elasticity, Patch, pressures
+from jaxclear.components.contact_patch import SHARPEST, STEPS, Elasticity, Patch, pressures
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 from jaxclear.native import while_loop
@@ -32,9 +33,26 @@ class Touched(NamedTuple):
     rows: Int[Array, ""]
 
 
-def angle_touched(level: Scalar, rounding: Scalar, needed: Scalar) -> Scalar:
-    """An angle [rad] from a way of a part beyond which `level` cos + `rounding` sin [m], its
-    overlap there and a cell's own rounding, is nowhere more than `needed`."""
+def ways(columns: int) -> Float[np.ndarray, "columns 2"]:
+    """Direction (x, y) of the centre of each of so many columns around."""
+    angles = (np.arange(columns) + 0.5) * (2 * np.pi / columns)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def way_of(column: Int[Array, ""], columns: int) -> Float[Array, "2"]:
+    """Direction (x, y) of one of so many columns."""
+    return jax.lax.dynamic_slice(ways(columns), (column, 0), (1, 2))[0]
+
+
+def least(cell: float, clearance: Scalar) -> tuple[Scalar, Scalar]:
+    """(a cell's own rounding [m], what a part's overlap cos + rounding sin is at the least where it
+    overlaps one [m]) of cells of such an angle [rad]."""
+    return 0.5 * cell * clearance, (1.0 - SHARPEST) * clearance
+
+
+def angle_touched(level: Scalar, cell: float, clearance: Scalar) -> Scalar:
+    """An angle [rad] from a way of a part at a level [m] beyond which it overlaps no cell."""
+    rounding, needed = least(cell, clearance)
     size = jnp.sqrt(level * level + rounding * rounding)
     # That of the largest sum is no more than its tangent, that of the cosine needed / size no more
     # than this.
@@ -74,7 +92,19 @@ class Share(NamedTuple):
     scale: Scalar
 
 
-def shared(loss: Callable[[], Loss], volume: Scalar, depth: Depth, pressure: Depth) -> tuple:
+def all_shared(
+    loss_of: Callable[..., Loss], events: Sequence, depth: Depth, pressures: Sequence[Depth]
+) -> tuple[tuple[Share, ...], tuple[Depth, ...]]:
+    """(the `Share`, the pressures) of the loss of each event (volume [m3], location features)."""
+    found = []
+    for own, (volume, features) in zip(pressures, events, strict=True):
+        loss = lambda event=(volume, features): loss_of(*event)
+        found.append(_shared(loss, volume, depth, own))
+    shares, pressures = zip(*found, strict=True)
+    return shares, pressures
+
+
+def _shared(loss: Callable[[], Loss], volume: Scalar, depth: Depth, pressure: Depth) -> tuple:
     """(the `Share` of a loss of a volume [m3] on walls worn so deep [m], the pressures of its
     cells, which are written over others)."""
     none = jnp.zeros((), int)
@@ -163,21 +193,11 @@ def through(
     return while_loop(lambda now: now[0] < touched.columns, one, begin, (False, long))[1]
 
 
-def entry(array: Depth, place: Place) -> Scalar:
-    """That of one cell."""
-    return jax.lax.dynamic_slice(array, place, (1, 1))[0, 0]
+def entry(array: Array, place: tuple) -> Scalar:
+    """That at one place."""
+    return jax.lax.dynamic_slice(array, place, (1,) * array.ndim)[(0,) * array.ndim]
 
 
-def with_entry(array: Depth, place: Place, value: Scalar) -> Depth:
-    """The array with another value in one cell."""
-    return jax.lax.dynamic_update_slice(array, jnp.reshape(value, (1, 1)), place)
-
-
-def number(row: Float[Array, " n"], place: Any) -> Scalar:
-    """That at a place of a row."""
-    return jax.lax.dynamic_slice(row, (place,), (1,))[0]
-
-
-def with_number(row: Float[Array, " n"], value: Scalar, place: Any) -> Float[Array, " n"]:
-    """The row with another value at a place."""
-    return jax.lax.dynamic_update_slice(row, jnp.reshape(value, (1,)), (place,))
+def with_entry(array: Array, place: tuple, value: Scalar) -> Array:
+    """The array with another value at one place."""
+    return jax.lax.dynamic_update_slice(array, jnp.reshape(value, (1,) * array.ndim), place)

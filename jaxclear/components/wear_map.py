@@ -7,6 +7,7 @@ over the arc that the contact has gone through. Quadratic B-splines read the dep
 worn surface enters the gap.
 """
 
+import functools
 import math
 from abc import abstractmethod
 
@@ -19,12 +20,12 @@ from jaxtyping import Array, Float
 from jaxclear.components.contact_patch import depth_lost, depth_of, square_width
 from jaxclear.components.cylinder_contact import Wall, loss_of
 from jaxclear.components.touched_cells import (
+    all_shared,
     entry,
-    number,
-    shared,
     taken_off,
     through,
-    with_number,
+    ways,
+    with_entry,
 )
 from jaxclear.ground.numerics import direction_angle, positive_part, safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
@@ -164,10 +165,10 @@ class CylinderMap(AbstractWearMap):
         reach = math.ceil(REACH * around / (2 * math.pi))
 
         # A table: XLA would work them out anew for every cell of a column.
-        ways = self.wall.ways()
+        table = ways(around)
 
         def wide():
-            whole = jax.vmap(lambda *event: self._lost(ways, depth, depth, *event))
+            whole = jax.vmap(lambda *event: self._lost(table, depth, depth, *event))
             return depth + jnp.sum(whole(volume, features)[0], axis=0)
 
         if 2 * reach + 1 >= around:
@@ -177,10 +178,10 @@ class CylinderMap(AbstractWearMap):
         width = 2 * reach + 1
         twice = jnp.concatenate([depth, depth[:width]])
         near = lambda these, start: jax.lax.dynamic_slice_in_dim(these, start, width)
-        ways_twice = jnp.concatenate([ways, ways[:width]])
+        table_twice = jnp.concatenate([table, table[:width]])
         lost, fits = jax.vmap(
             lambda start, *event: self._lost(
-                near(ways_twice, start), near(twice, start), depth, *event
+                near(table_twice, start), near(twice, start), depth, *event
             )
         )(first, volume, features)
 
@@ -198,21 +199,19 @@ class CylinderMap(AbstractWearMap):
         rare = lambda: jnp.where(fit, narrow(), wide())
         return jax.lax.cond(eqxi.unvmap_all(fit), narrow, rare)
 
-    def _lost(self, ways, depth, of_all, volume, features):
+    def _lost(self, table, depth, of_all, volume, features):
         """(what each cell of columns in these directions, worn so deep [m], loses in an event [m],
         whether no other column is reached)."""
         loss = loss_of(self.wall, volume, features)
-        columns = jax.tree.map(lambda each: each[:, None], loss.columns(ways))
+        columns = jax.tree.map(lambda each: each[:, None], loss.columns(table))
         patch = loss.cell(columns, jnp.arange(self.cells[1]), depth, loss.start(of_all))
         lost, level = depth_lost(volume, patch._replace(area=self.areas()[0]))
         return lost, (loss.reach(level) < REACH) | (volume == 0)
 
     def deposit_in_turn(self, depth, reading, pressures, volume, features):
-        found = []
-        for own, *event in zip(pressures, volume, features, strict=True):
-            loss = lambda event=event: loss_of(self.wall, *event)
-            found.append(shared(loss, event[0], depth, own))
-        shares, pressures = zip(*found, strict=True)
+        events = tuple(zip(volume, features, strict=True))
+        loss = functools.partial(loss_of, self.wall)
+        shares, pressures = all_shared(loss, events, depth, pressures)
         depth = taken_off(shares, pressures, depth)
         for touched, _ in shares:
             reading = self._read_anew(touched, depth, reading)
@@ -227,13 +226,13 @@ class CylinderMap(AbstractWearMap):
             ends = []
             for own, (row, inside) in zip(reading, self._edges(), strict=True):
                 last, further = (entry(depth, (column, each)) for each in (row, inside))
-                ends.append(with_number(own, _to_the_edge(last, further), column + 1))
+                ends.append(with_entry(own, (column + 1,), _to_the_edge(last, further)))
             return tuple(ends)
 
         reading = through(touched, (around, 1), one, reading, True)
         # The last column once more in front of the first, the first behind the last.
         for to, of in ((0, around), (around + 1, 1)):
-            reading = tuple(with_number(own, number(own, of), to) for own in reading)
+            reading = tuple(with_entry(own, (to,), entry(own, (of,))) for own in reading)
         return reading
 
     def reading(self, depth):

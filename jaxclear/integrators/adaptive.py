@@ -209,10 +209,8 @@ class Adaptive(AbstractIntegrator):
         def plain(arrays, time, y):
             return formulation.rate(eqx.combine(arrays, rest), time, y)[0]
 
-        model, size = (
-            eqx.combine(arrays, rest),
-            size_of(jax.make_jaxpr(plain)(arrays, start, state)),
-        )
+        model = eqx.combine(arrays, rest)
+        size = size_of(jax.make_jaxpr(plain)(arrays, start, state))
         own = equations(formulation, rest, plain)
         through = rest.system.bearings and self.through_contacts
         rates = own.rates if through else lambda arrays, _, *now: plain(arrays, *now)

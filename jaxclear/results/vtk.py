@@ -82,12 +82,13 @@ def _walls(run: Any) -> list[_Solid]:
     found = []
     for name, surfaces in run.worn.items():
         connection = run.mechanism.connections[name]
-        maps = getattr(connection.joint, "gap", connection.joint).maps()
+        joint = getattr(connection.joint, "gap", connection.joint)
+        maps = joint.maps()
         for surface, depth in surfaces.items():
             own = wall(maps[surface][0], surface, np.asarray(depth)) if surface in maps else None
             if own is None:
                 continue
-            inner = surface in ("journal", "ball")
+            inner = surface in joint.inner_surfaces()
             marker = connection.child if inner else connection.parent
             rotation, place = marker_frame(marker)
             points = own.points @ rotation.T + place
