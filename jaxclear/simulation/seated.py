@@ -3,6 +3,7 @@ middle, from where they would fall through their play.
 """
 
 import math
+import warnings
 from typing import Any
 
 import equinox as eqx
@@ -19,6 +20,7 @@ from jaxclear.ground.pose import frame_with_axis, quaternion_from_rotation
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import NonColliding
 from jaxclear.multibody.assembly import ready, ready_from
+from jaxclear.multibody.magnitudes import UnusualMagnitude
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import names
 from jaxclear.multibody.system import System, prepare, readings
@@ -102,13 +104,16 @@ def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
         share = _share(system, name, (offset, slope), load, read.get(name, {}))
         moved = _moved(connections[name].parent, share * offset, share * slope)
         connections[name] = Connection(connections[name].joint, moved, connections[name].child)
-    put = Mechanism(
-        mechanism.bodies,
-        connections,
-        mechanism.loads,
-        **mechanism.given,
-        stabilisation=mechanism.stabilisation,
-    )
+    with warnings.catch_warnings():
+        # Its numbers have been looked at; where a journal lies is no length of a link.
+        warnings.simplefilter("ignore", UnusualMagnitude)
+        put = Mechanism(
+            mechanism.bodies,
+            connections,
+            mechanism.loads,
+            **mechanism.given,
+            stabilisation=mechanism.stabilisation,
+        )
     try:
         known, start = ready(put)
     except ValueError:

@@ -1,5 +1,7 @@
 """A start in contact: journals lie where their reactions press them, and do not fall."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -105,3 +107,18 @@ def test_journals_that_their_loops_hold_back_rest_together():
     forces = np.asarray(run.contact("B").normal_force)
     assert (forces[0, [0, 1]] > 0).all() and (forces[0, 2:] > 0).any()
     assert np.linalg.norm(found[:, :2], axis=1).min() > 0.5 * np.linalg.norm(wanted)
+
+
+def test_where_a_journal_lies_is_not_taken_for_the_length_of_a_link():
+    """It is as long as the clearance, beside which every radius would look like a slip of unit."""
+    pin = jc.clearance.PlanarJournalBearing(
+        LAW, bearing_radius=10e-3, clearance=0.1e-3, length=20e-3
+    )
+    rotor = jc.Mechanism(
+        {"rotor": jc.Body(10.0, 1e-3)},
+        {"B": jc.Connection(pin, "ground", "rotor")},
+        {"g": jc.load.Gravity()},
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", jc.UnusualMagnitude)
+        jc.seated(rotor)
