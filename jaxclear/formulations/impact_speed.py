@@ -15,7 +15,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
-from jaxclear.ground.quantity import Scalar
+from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.ground.tangents import derived, moved, moving_with
 
 PerContact = Float[Array, " contacts"]
 # The least speed that is remembered [m/s]: 0 says that the contact is apart.
@@ -75,6 +76,12 @@ def cubic(path: tuple, share: Array) -> tuple[Array, Array]:
     )
 
 
+def bends(path: tuple) -> tuple[Array, Array]:
+    """The cubic's second derivatives, by the share of the step, at both its ends."""
+    bend, twist = _powers(path)
+    return 2 * bend, 2 * bend + 6 * twist
+
+
 def _powers(path: tuple) -> tuple[Array, Array]:
     """The cubic's coefficients of the second and third power."""
     first, last, leaving, arriving = path
@@ -117,6 +124,16 @@ def passage(path: tuple, level: Scalar, last: Array, wanted: Any = None) -> Arra
     return jax.lax.while_loop(lambda carry: carry[0] < turns, turn, (jnp.zeros((), int), *found))[3]
 
 
+def passed(path: tuple, share: Array) -> Array:
+    """A share of the step at which the cubic passes 0, with its derivative by the path."""
+
+    def late(numbers, tangents):
+        (path, share), (ways, _) = numbers, jax.tree.map(moved, tangents)
+        return -safe_divide(cubic(ways, share)[0], cubic(path, share)[1])
+
+    return derived(lambda path, share: moving_with(path[1], share), late)(path, constant(share))
+
+
 def end_at_passage(
     before: ContactMotion,
     middle: ContactMotion,
@@ -138,10 +155,10 @@ def end_at_passage(
     def half(first, last):
         ends = (first.depths, last.depths, 0.5 * length * first.rates, 0.5 * length * last.rates)
         path = tuple(outwards * each for each in ends)
-        summit = _summit(path)
-        top = cubic(path, summit)[0]
+        share = summit(path)
+        top = cubic(path, share)[0]
         higher = top > path[1]
-        return path, jnp.where(higher, summit, 1.0), jnp.where(higher, top, path[1]) > beyond
+        return path, jnp.where(higher, share, 1.0), jnp.where(higher, top, path[1]) > beyond
 
     (early, summit_early, soon), (late, summit_late, then) = (
         half(before, middle),
@@ -155,7 +172,7 @@ def end_at_passage(
     return jnp.min(jnp.where(told, shares, 1.0), initial=1.0)
 
 
-def _summit(path: tuple) -> Array:
+def summit(path: tuple) -> Array:
     """The share of the step at which the cubic is highest between its ends; an end, where it rises
     or falls all the way."""
     leaving = path[2]

@@ -27,6 +27,31 @@ def pushed(function: Callable, numbers: Sequence[Any], tangents: Sequence[Any]) 
     return jax.jvp(of_moving, [leaves[i] for i in moving], [ways[i] for i in moving])
 
 
+def derived(function: Callable, tangent: Callable) -> Callable:
+    """A function with another's derivative: `tangent(numbers, tangents)`, where tangents of what
+    does not move are `SymbolicZero`."""
+    known = jax.custom_jvp(function)
+    known.defjvp(
+        lambda numbers, tangents: (function(*numbers), tangent(numbers, tangents)),
+        symbolic_zeros=True,
+    )
+    return known
+
+
+def moving_with(number: Any, numbers: Any) -> Any:
+    """The numbers, which move with one of a program: by what numbers depend on loops know what
+    moves, and of a derivative of one's own they see but the function."""
+    return jax.tree.map(lambda each: jnp.where(jnp.isnan(number), number, each), numbers)
+
+
+def where_wanted(wanted: Any, function: Callable, known: Any) -> Any:
+    """`function(known)` where it is wanted, otherwise what is known. A kernel goes through a loop
+    of no turns for nothing, but through both sides of a choice."""
+    turn = lambda carry: (carry[0] + 1, function(carry[1]))
+    first = jnp.zeros((), int), known
+    return jax.lax.while_loop(lambda carry: carry[0] < wanted.astype(int), turn, first)[1]
+
+
 def moved(tangent: Any) -> Any:
     """A tangent as an array."""
     zero = isinstance(tangent, SymbolicZero)

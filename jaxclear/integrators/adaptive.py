@@ -19,6 +19,7 @@ from jaxclear.integrators.base import (
 )
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.error_control import Solved, solve, stepped_by_hand
+from jaxclear.integrators.events import Events
 from jaxclear.integrators.impacts import EndingAtTouches, TakingImpactSpeeds
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
@@ -237,7 +238,11 @@ class Adaptive(AbstractIntegrator):
         steps = found.accepted, found.rejected
         state = found.state
         if through:
-            state = derived_once(NO_SECOND, trusted(state, growth, _most_growth(model, controller)))
+            instants = () if events is None else events[:2]
+            moving = state, figures[Check.INDENTATION], instants
+            moving = trusted(moving, growth, _most_growth(model, controller))
+            state, figures[Check.INDENTATION], instants = derived_once(NO_SECOND, moving)
+            events = None if events is None else Events(*instants, events.counts)
         return Advance(state, *steps, (usual, growth), outcome, figures, events)
 
     def _solved(self, term, solver, controller, span, state, args):

@@ -9,14 +9,14 @@ counted.
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage
+from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage, passed
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.quantity import constant
 
 
 class Events(NamedTuple):
@@ -51,8 +51,8 @@ def nothing(motion: ContactMotion, most: int) -> Events:
 
 
 def contact_motion(model: Model, time: Any, state: State) -> ContactMotion:
-    """How contacts move; events are no part of derivatives."""
-    return jax.lax.stop_gradient(CompliantContact().contacts(model, time, state))
+    """How contacts move."""
+    return CompliantContact().contacts(model, time, state)
 
 
 def watched(watch: Watch | None, model: Model, time: Any, length: Any, after: State) -> Any:
@@ -71,7 +71,7 @@ def noted(
     happened = closed != (after.depths >= 0)
     path = (before.depths, after.depths, length * before.rates, length * after.rates)
 
-    share = passage(path, 0.0, jnp.ones_like(before.depths))
+    share = passed(path, passage(constant(path), 0.0, jnp.ones_like(before.depths)))
     rate = safe_divide(cubic(path, share)[1], length)
     places = jnp.arange(events.times.shape[1], dtype=float)
     here = (places == events.counts[:, None]) & happened[:, None]

@@ -247,7 +247,7 @@ def _met(met: Any, last: Any, now: Any) -> Any:
     """What was met of the contacts, from their motion at the starts of two steps."""
     if met is None:
         return None
-    return contacts_met(met, *jax.lax.stop_gradient((last[0].depths, now[0].depths)))
+    return contacts_met(met, last[0].depths, now[0].depths)
 
 
 def _nothing_met(last: Any) -> Any:

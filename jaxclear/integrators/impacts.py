@@ -16,7 +16,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.impact_speed import ContactMotion, Passage, end_at_passage
+from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.integrators.deepest import deepest
 from jaxclear.integrators.events import noted, nothing
 from jaxclear.integrators.saltation import Equations, Step
 
@@ -126,13 +128,14 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
         contacts = self.contacts(t0, y0, args)
         events = nothing(contacts, self.events) if self.events else None
         own = self.solver.init(terms, t0, t1, y0, args)
-        return own, contacts, _deeper(contacts, 0.0), events, self.growth
+        depths = contacts.depths if self.derived else constant(contacts.depths)
+        return own, contacts, positive_part(depths), events, self.growth
 
     def func(self, terms, t0, y0, args):
         return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        own, before, deepest, events, growth = solver_state
+        own, before, depths, events, growth = solver_state
         step = Step(args[0], ContactMotion(*constant(before)), constant(t1 - t0))
         times, y, own, shift, given = self._begun(step, (t0, t1), y0, own, args)
         y1, error, dense, own, result = self.solver.step(terms, *times, y, given, own, made_jump)
@@ -142,17 +145,20 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
         middle = self.contacts(half, path.evaluate(half), args)
         passed = Passage(*constant((before, middle, after)))
         remembering = self.remember(y1, before, after, length, args)
-        known = remembering, growth, error
-        y1, own, growth = self._ended(step, (t1, y1), own, shift, known)
         if events is not None:
-            events = noted(events, t0, length, *jax.lax.stop_gradient((before, after)))
-        return (
-            y1,
-            Judged(error, passed),
-            dense,
-            (own, after, _deeper(after, deepest), events, growth),
-            result,
-        )
+            events = noted(events, *constant((t0, length, before, after)))
+        known = remembering, growth, events, error
+        y1, own, growth, events = self._ended(step, (t1, y1), own, shift, known)
+        depths = self._deepest((t0, y0), (t1, y1), args, (step.contacts, after), depths)
+        kept = own, after, depths, events, growth
+        return y1, Judged(error, passed), dense, kept, result
+
+    def _deepest(self, start, end, args, motions, depths):
+        """The largest indentations after a step."""
+        if self.derived is None:
+            return jnp.maximum(motions[1].depths, depths)
+        contacts = lambda arrays, time, y: self.contacts(time, y, (arrays, None))
+        return deepest(contacts, args[0], (start, end), motions, depths)
 
     def _begun(self, step, times, y, own, args):
         """(times, state, state of the solver, shift, args) of its step, as derivatives want it."""
@@ -164,15 +170,10 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
         return times, y, eqx.combine(slopes, others), shift, (args[0], step.shares)
 
     def _ended(self, step, end, own, shift, known):
-        """(state, state of the solver, growth) with derivatives behind touches and releases, from
-        (state, growth, error) as `known` before."""
+        """(state, state of the solver, growth, events) with derivatives behind touches and
+        releases, from (state, growth, events, error) as `known` before."""
         if self.derived is None:
-            return known[0], own, known[1]
+            return known[0], own, *known[1:3]
         slopes, others = eqx.partition(own, eqx.is_inexact_array)
-        y, slopes, growth = self.derived.jumped(step, end, slopes, shift, *known)
-        return y, eqx.combine(slopes, others), growth
-
-
-def _deeper(contacts: Any, deepest: Any) -> Any:
-    """The largest indentations, those of the contacts included; nothing of it is differentiated."""
-    return jnp.maximum(jax.lax.stop_gradient(contacts.depths), deepest)
+        y, slopes, *rest = self.derived.jumped(step, end, slopes, shift, *known)
+        return y, eqx.combine(slopes, others), *rest

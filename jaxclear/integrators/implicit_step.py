@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.closing import closed
@@ -134,13 +133,13 @@ class ImplicitStep(AbstractIntegrator):
                 model, time_step, state, last, bias, iterations
             )
             if met is not None:
-                met = contacts_met(met, *jax.lax.stop_gradient((last[depths], now[depths])))
+                met = contacts_met(met, last[depths], now[depths])
             end = closed(model, interval.start + (index + 1) * h, end)
             return end, (now, met, watched(watch, model, time_step.start, h, end))
 
         met = None
         if contacts:
-            begun = positive_part(jax.lax.stop_gradient(warm_start[depths]))
+            begun = positive_part(warm_start[depths])
             met = jnp.zeros_like(begun), begun
         carried = (warm_start, met, watch_from(model, interval.start, state))
         if self.steps_per_save is None:

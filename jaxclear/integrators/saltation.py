@@ -38,7 +38,7 @@ from jaxclear.formulations.impact_speed import ContactMotion
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import moved, pushed
+from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
 from jaxclear.multibody.state import Layout, impact_speed_places
 
 # A contact is near to its touch or release, or to the end of its slip, if so many steps as long as
@@ -67,19 +67,20 @@ class Step(NamedTuple):
         return _closed(self.contacts)
 
 
-def trusted(state: Any, growth: Array, limit: Scalar) -> Any:
-    """The state; its derivative is nan where touches move more than `limit` times as much as the
-    first of them did, and where a step did not resolve it.
+def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
+    """What was found of a run; its derivative is nan where touches move more than `limit` times as
+    much as the first of them did, and where a step did not resolve it.
 
     `growth`: zeros, whose derivatives tell how many touches moved, by how much [s] the first few of
     them and all of them did at most, and of which share the largest error of a step was."""
 
     def judged(numbers, tangents):
-        (_, _, limit), (state, growth, _) = numbers, map(moved, tangents)
+        (_, _, limit), (found, growth, _) = numbers, tangents
+        growth = moved(growth)
         fine = (growth[2] <= limit * growth[1]) & (growth[3] <= MOST_ERROR)
-        return jnp.where(fine, state, jnp.nan)
+        return jax.tree.map(lambda each: jnp.where(fine, moved(each), jnp.nan), found)
 
-    return _derived(lambda state, growth, limit: state, judged)(state, growth, constant(limit))
+    return derived(lambda found, growth, limit: found, judged)(found, growth, constant(limit))
 
 
 class Equations(NamedTuple):
@@ -88,8 +89,9 @@ class Equations(NamedTuple):
 
     `shifted(step, (time, state), slopes)`: state and slopes at its start, at times that move by the
     derivative of a third number, which is 0; `jumped(step, (time, state), slopes, shift,
-    remembering, growth, error)`: the state with its impact speeds, the slopes and the growth (see
-    `trusted`) at the end, at a fixed time behind touches and releases there, by the step's error.
+    remembering, growth, events, error)`: the state with its impact speeds, the slopes, the growth
+    (see `trusted`) and the events noted so far (None: none are) at the end, at a fixed time behind
+    touches and releases there, by the step's error.
     """
 
     rates: Callable
@@ -128,31 +130,20 @@ def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equa
 
     model = _Model(counted, contacts, slips, rest.layout)
     return Equations(
-        _derived(lambda arrays, _, *now: plain(arrays, *now), as_counted),
-        _derived(
+        derived(lambda arrays, _, *now: plain(arrays, *now), as_counted),
+        derived(
             lambda step, now, slopes: (now[1], slopes, jnp.zeros(())),
             functools.partial(_at_moving_time, model),
         ),
-        _derived(
-            lambda step, now, slopes, shift, remembering, growth, error: (
+        derived(
+            lambda step, now, slopes, shift, remembering, growth, events, error: (
                 remembering,
                 slopes,
-                # It moves with the state, which a loop is to know.
-                jnp.where(jnp.isnan(remembering[0]), remembering[0], growth),
+                *moving_with(remembering[0], (growth, events)),
             ),
             functools.partial(_behind, model),
         ),
     )
-
-
-def _derived(function: Callable, tangent: Callable) -> Callable:
-    """A function with another's derivative: `tangent(numbers, tangents)`."""
-    known = jax.custom_jvp(function)
-    known.defjvp(
-        lambda numbers, tangents: (function(*numbers), tangent(numbers, tangents)),
-        symbolic_zeros=True,
-    )
-    return known
 
 
 def _closed(contacts: ContactMotion) -> Any:
@@ -174,7 +165,7 @@ def _at_moving_time(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
         return state, _slopes(model, step.shares, here, ways, slopes), shift
 
     known = *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
-    return _where(jnp.any(step.shares > 0), moving, known)
+    return where_wanted(jnp.any(step.shares > 0), moving, known)
 
 
 def _shift(model: _Model, step: Step, here: tuple, ways: tuple, slopes: tuple) -> Any:
@@ -205,8 +196,8 @@ def _shift(model: _Model, step: Step, here: tuple, ways: tuple, slopes: tuple) -
 
 
 def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
-    """The derivatives of (state, slopes, growth) at the end of a step."""
-    step, (time, y), *_ = numbers
+    """The derivatives of (state, slopes, growth, events) at the end of a step."""
+    step, (time, y), *_, events, _ = numbers
     (way, *_), (time_way, _), slopes, shift, *known = tangents
     arrays, before = step.arrays, step.shares
     here = arrays, time, y
@@ -214,7 +205,7 @@ def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
     after = _closed(now)
 
     def behind(known):
-        state, slopes, growth = known
+        state, slopes, growth, told = known
         flow = model.rates(arrays, before, time, y)
         state = state - moved(shift) * flow
         ahead = pushed(model.contacts, here, (way, time_way, state))[1]
@@ -223,14 +214,29 @@ def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
         state = state + jax.jvp(rate, (before,), ((before - after) * late,))[1]
         along = lambda time, y: model.contacts(arrays, time, y).rates
         gain = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
-        state = _with_impact_speeds(model.layout, state, after > before, ahead.rates + gain * late)
+        speeds = ahead.rates + gain * late
+        state = _with_impact_speeds(model.layout, state, after > before, speeds)
         grown = _grown(growth, jnp.max(jnp.where(after > before, abs(late), 0.0)))
-        return state, _slopes(model, after, here, (way, time_way, state), slopes), grown
+        slopes = _slopes(model, after, here, (way, time_way, state), slopes)
+        return state, slopes, grown, _told(told, events, before != after, (late, speeds))
 
     wanted = jnp.any((before > 0) | (before != after))
-    state, growth, error = map(moved, known)
+    state, growth, told, error = jax.tree.map(moved, tuple(known))
     growth = _with_error(model.layout, step.length, state, growth, error)
-    return _where(wanted, behind, (state, jax.tree.map(moved, slopes), growth))
+    return where_wanted(wanted, behind, (state, jax.tree.map(moved, slopes), growth, told))
+
+
+def _told(told: Any, events: Any, happened: Any, ways: tuple) -> Any:
+    """Derivatives of the events noted so far, the last of each contact being what has happened at
+    the end of this step, with derivatives of its instant and rate."""
+    if events is None:
+        return None
+    places = jnp.arange(events.times.shape[1], dtype=float)
+    here = (places == events.counts[:, None] - 1) & happened[:, None]
+    times, rates = (
+        jnp.where(here, way[:, None], each) for way, each in zip(ways, told, strict=False)
+    )
+    return told._replace(times=times, rates=rates)
 
 
 def _with_error(layout: Layout, length: Scalar, state: Any, growth: Array, error: Any) -> Array:
@@ -268,11 +274,3 @@ def _with_impact_speeds(layout: Layout, state: Any, taken: Any, speeds: Any) -> 
         if place is not None:
             entries[place] = jnp.where(taken[i], speeds[i], entries[place])
     return sp.stack(entries)
-
-
-def _where(wanted: Any, function: Callable, known: Any) -> Any:
-    """`function(known)` where it is wanted, otherwise what is known. A kernel goes through a loop
-    of no turns for nothing, but through both sides of a choice."""
-    turn = lambda carry: (carry[0] + 1, function(carry[1]))
-    first = jnp.zeros((), int), known
-    return jax.lax.while_loop(lambda carry: carry[0] < wanted.astype(int), turn, first)[1]

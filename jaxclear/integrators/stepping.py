@@ -57,10 +57,12 @@ def contacts_met(met: tuple, before: Any, after: Any) -> tuple:
     after another step from indentations `before` to those `after` it; `met` until then.
 
     What rises to no more than 0 does not count, as these are 0 in the beginning. What is not a
-    number is not met: every operation is paid for in every step.
+    number is not met: every operation is paid for in every step. Only of the largest indentation
+    derivatives are wanted.
     """
     rise, largest = met
     risen = jnp.minimum(after, after - before)
+    risen = jax.lax.stop_gradient(risen)
     return jnp.where(risen > rise, risen, rise), jnp.where(after > largest, after, largest)
 
 

@@ -205,8 +205,8 @@ class PeakContactForce(AbstractResponse):
 
     So it does not hang on the saving times, but where forces are means over these (rigid contact,
     joints that always touch) and where the law follows a worn radius (`Wearing.worn_radius`), which
-    is not known between them. What is more than at the saving times has no part in derivatives,
-    which are then not those of the peak.
+    is not known between them. Its derivative is that of the larger of the two: of the force at that
+    saving time, or of the elastic force where the contact turns between the ends of a step.
     """
 
     joint: str = eqx.field(static=True)
@@ -217,8 +217,7 @@ class PeakContactForce(AbstractResponse):
 
     def __call__(self, run):
         saved = jnp.max(run.contact(self.joint).normal_force)
-        missed = positive_part(_deepest_force(run, self.joint) - saved)
-        return saved + jax.lax.stop_gradient(missed)
+        return saved + positive_part(_deepest_force(run, self.joint) - saved)
 
 
 def _deepest_force(run: Trajectory, joint: str) -> Scalar:

@@ -25,7 +25,14 @@ from jaxclear.native import by_columns
 from jaxclear.results.trajectory import Trajectory
 
 # What a run has computed; its mechanism and its saving times were given.
-COMPUTED = lambda run: (run.history.states, run.history.read, run.worn, run.ended)
+COMPUTED = lambda run: (
+    run.history.states,
+    run.history.read,
+    run.worn,
+    run.ended,
+    run.noted,
+    run.checks,
+)
 
 
 def backwards(function: Callable, integrator: AbstractIntegrator, *arguments: Any) -> Any:
@@ -71,7 +78,8 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
         )
     sentence = f"the derivative of this run is not to be trusted: {why}; {ways}."
     numbers, rest = eqx.partition(COMPUTED(run), eqx.is_inexact_array)
-    return eqx.tree_at(COMPUTED, run, eqx.combine(_undifferentiated(sentence, numbers), rest))
+    found = eqx.combine(_undifferentiated(sentence, numbers), rest)
+    return eqx.tree_at(COMPUTED, run, found, is_leaf=lambda part: part is None)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

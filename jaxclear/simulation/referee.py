@@ -57,7 +57,10 @@ def refereed(
         rises = met[Check.CONTACT_STEP], met[Check.INDENTATION]
         of_run[Check.REBOUND_STEP] = rebound_steps(model, *rises, rebound)
     places = _places(model)
-    met = jax.lax.stop_gradient(_of_contacts(model.system, met) | of_run)
+    met = _of_contacts(model.system, met) | of_run
+    # Peak forces follow from the deepest indentations.
+    kept = {check: met[check] for check in (Check.INDENTATION,) if check in tally.worst}
+    met = jax.lax.stop_gradient(met) | kept
     when |= {check: jnp.full(each.shape, ends[-1]) for check, each in of_run.items()}
     seen = jax.lax.stop_gradient(seen)
     checks = together(met_by(met, when, places), seen_by(seen, ends[looks.intervals], places))

@@ -64,14 +64,18 @@ def followed(
 ) -> Tally:
     """After a turn that ends at a time [s] with these figures; `states`: those with which the run
     and the turn began, and that at the turn's end. What is no number is worse than any number.
-    Whether the turn `counts`: a shadow, and a turn of a run that has ended before, tell nothing. No
-    part of derivatives."""
+    Whether the turn `counts`: a shadow, and a turn of a run that has ended before, tell nothing. Of
+    all that only the deepest indentations have derivatives; of two as deep the later one, which
+    knows what became of the earlier."""
     start, before, after = jax.lax.stop_gradient(states)
     worst, when = {}, {}
     for check, known in tally.worst.items():
-        each = jax.lax.stop_gradient(figures[check])
+        each = figures[check]
+        if check is not Check.INDENTATION:
+            each = jax.lax.stop_gradient(each)
         worse = ~(each <= known) & ~jnp.isnan(known) & counts
-        worst[check] = jnp.where(worse, each, known)
+        as_bad = counts & (each == known) if check is Check.INDENTATION else False
+        worst[check] = jnp.where(worse | as_bad, each, known)
         when[check] = jnp.where(worse, stop, tally.when[check])
     count, squares = layout.coordinates, tally.squares
     told = lambda numbers: jnp.where(counts, numbers, 0.0)
