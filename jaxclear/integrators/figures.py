@@ -36,6 +36,15 @@ class Checks(eqx.Module):
     time: Float[Array, "*batch all_places"] = eqx.field(default_factory=lambda: np.zeros(0))
     named: tuple[tuple[Check, tuple[str, ...]], ...] = eqx.field(static=True, default=())
 
+    def __check_init__(self):
+        columns = self.worst.shape[-1], self.time.shape[-1]
+        named = sum(len(places) for _, places in self.named)
+        if columns != (named, named):
+            raise ValueError(
+                f"Checks has {columns[0]} figures and {columns[1]} times for {named} named places; "
+                "it must have one of each for every place, in the same order."
+            )
+
     @classmethod
     def of(cls, figures: Mapping[Check, Figure]) -> "Checks":
         """Of each figure by its check."""

@@ -23,7 +23,14 @@ from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.state_group import state_group
-from jaxclear.integrators.stepping import SLIVER, arrived, contacts_met, counted, divide
+from jaxclear.integrators.stepping import (
+    SLIVER,
+    arrived,
+    contacts_met,
+    counted,
+    divide,
+    resolved,
+)
 from jaxclear.native import while_loop
 
 # Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes,
@@ -151,11 +158,12 @@ class FixedStep(AbstractIntegrator):
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
         stop = interval.stop
+        shortest = resolved(longest / self.contact_steps, interval)
 
         def choose(left):
             def length(contacts, last):
                 near = jnp.any(_near(contacts, last, longest))
-                h = jnp.where(near, longest / self.contact_steps, longest)
+                h = jnp.where(near, shortest, longest)
                 return jnp.where(h > left * (1 - SLIVER), left, h)
 
             return length
@@ -173,7 +181,7 @@ class FixedStep(AbstractIntegrator):
         watch = watch_from(model, interval.start, state)
         first = (interval.start, jnp.zeros((), int), state, warm_start, met, watch)
         _, steps, end, last, met, watch = while_loop(lambda carry: carry[0] < stop, one, first)
-        judged = self._judged(longest / self.contact_steps)
+        judged = self._judged(shortest)
         return arrived(end, steps, last, met, judged, Check.IMPACT_STEP, watch)
 
     def _judged(self, h):

@@ -19,16 +19,28 @@ from jaxclear.native import while_loop
 
 # Share of a step by which rounding may miss the end of an interval.
 SLIVER = 1e-9
+# More steps than any run takes: at 200 ns each, a kernel's fastest, two days.
+MOST_STEPS = 1e12
 
 
 def divide(interval: Interval, step: Any, fixed: int | None = None) -> tuple[Any, Any]:
     """(number of steps, their length [s]): the fewest equal ones no longer than `step`, more by the
-    share of their length that the interval asks for; or the `fixed` number.
+    share of their length that the interval asks for; or the `fixed` number. Where that is more
+    than any run takes (a step of 0, which only a traced number can be here) one step of nan.
     """
     start, stop = interval.start, interval.stop
     count = jnp.maximum(jnp.ceil((stop - start) / step * (1 - SLIVER)), 1.0)
     count = jnp.ceil(count / interval.share) if fixed is None else jnp.asarray(float(fixed))
-    return count.astype(int), (stop - start) / count
+    known = count <= MOST_STEPS
+    return jnp.where(known, count, 1.0).astype(int), (stop - start) / jnp.where(
+        known, count, jnp.nan
+    )
+
+
+def resolved(step: Any, interval: Interval) -> Any:
+    """A step [s], nan where it is so short that the time at the end of an interval does not grow by
+    it: a loop that waits for the end would wait for ever."""
+    return jnp.where(interval.stop + step > interval.stop, step, jnp.nan)
 
 
 def march(

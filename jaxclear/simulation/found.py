@@ -26,7 +26,7 @@ def met_by(worst: Figures, when: Figures, places: dict[str, tuple[str, ...]]) ->
     """The worst figures that were met, and when; `places`: names of the places by what they are
     of."""
     kept = [check for check in worst if places[check.of]]
-    named = [(check, places[check.of]) for check in kept]
+    named = [_named(check, worst[check], places) for check in kept]
     return Found([worst[check] for check in kept], [when[check] for check in kept], named)
 
 
@@ -37,9 +37,23 @@ def seen_by(
     are gone through together: XLA would start every operation anew for each."""
     if not looks:
         return Found([], [], [])
+    named = [_named(check, each, places) for check, each in looks.items()]
     figures = _infinite_where_nan(jnp.concatenate(list(looks.values()), axis=1))
-    named = [(check, places[check.of]) for check in looks]
     return Found([jnp.max(figures, axis=0)], [ends[jnp.argmax(figures, axis=0)]], named)
+
+
+def _named(
+    check: Check, figures: Array, places: dict[str, tuple[str, ...]]
+) -> tuple[Check, tuple[str, ...]]:
+    """A check with the names of the places of its figures. One name more or less would give every
+    figure behind it the limit and the joint of another: a `ValueError` as the run is traced."""
+    own, count = places[check.of], figures.shape[-1]
+    if len(own) != count:
+        raise ValueError(
+            f"the check {check.name} has {count} figures for {len(own)} places ({', '.join(own)}) "
+            f"of what it is told for ({check.of}): a run must have one for each."
+        )
+    return check, own
 
 
 def together(*found: Found) -> Checks:

@@ -34,6 +34,7 @@ from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.looks import looked_at
 from jaxclear.simulation.referee import refereed
 from jaxclear.simulation.spot_checks import COARSE_ON, ON, Plan
+from jaxclear.simulation.step_lengths import with_few_enough_steps
 from jaxclear.simulation.tally import nothing_yet
 from jaxclear.simulation.turns import Carry, Left, turns_of
 from jaxclear.simulation.wear import Pending, Worn, pending_wear, unworn, worn_so_far
@@ -75,7 +76,7 @@ def run(
 ) -> Trajectory:
     """The pure core of `simulate`: from consistent coordinates and speeds, and what is left of a
     past, to a trajectory."""
-    formulation = integrator.formulation
+    formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     model = model_of(mechanism, formulation, extras.balance)
     model = dataclasses.replace(model, events=extras.events)
     layout = model.layout

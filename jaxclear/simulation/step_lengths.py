@@ -3,19 +3,21 @@ often shortens them, which costs time and hides what the asked length would do. 
 are so many that no run would end.
 """
 
+import math
 import warnings
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import concrete, public_name
 from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.stepping import MOST_STEPS
 
 # Share by which saving may add to the steps before it is said.
 LITTLE = 0.01
-# More steps than any run takes: at 200 ns each, a kernel's fastest, two days.
-MOST_STEPS = 1e12
 # Steps between saving times whose number is fixed are listed before the run [8 bytes each].
 MOST_LISTED = 1e8
 # Steps to the end of a run below which the time grows at each of them: past it, rounding takes
@@ -49,6 +51,20 @@ def check_steps(integrator: AbstractIntegrator | None, times: Any) -> None:
         )
 
 
+def with_few_enough_steps(
+    integrator: AbstractIntegrator, times: Float[Array, " saves"]
+) -> AbstractIntegrator:
+    """The integrator, its step nan where a number that only the compiled program knows asks for
+    more steps up to the last of the saving times [s] than any run takes: what it ends with is then
+    no number, where it would go on for ever."""
+    step = integrator.asked_step()
+    if step is None or concrete(step) is not None:
+        return integrator
+    few = times[-1] - times[0] <= MOST_STEPS * step
+    finer = integrator.with_finer_steps(jnp.where(few, 1.0, jnp.nan))
+    return integrator if finer is None else finer
+
+
 def _check_work(integrator: AbstractIntegrator, times: Any) -> None:
     """Raises `ValueError` where there are more steps up to the last of the saving `times` [s] than
     any machine goes through, or steps so short that the time does not grow."""
@@ -63,13 +79,15 @@ def _check_work(integrator: AbstractIntegrator, times: Any) -> None:
     if step is None or shortest is None or isinstance(times, jax.core.Tracer):
         return
     duration = float(times[-1])
-    if duration / step > MOST_STEPS:
+    # A number put into a built integrator may be 0.
+    steps, shortest_steps = (duration / h if h > 0 else math.inf for h in (step, shortest))
+    if steps > MOST_STEPS:
         raise ValueError(
-            f"{name}(step={step:.6g}) takes {duration / step:.1g} steps to {duration:.6g} s, which "
+            f"{name}(step={step:.6g}) takes {steps:.1g} steps to {duration:.6g} s, which "
             f"no machine goes through; for at most {MOST_STEPS:.0e} give a step of at least "
             f"{duration / MOST_STEPS:.1g} s."
         )
-    if duration / shortest > MOST_TOLD_APART:
+    if shortest_steps > MOST_TOLD_APART:
         raise ValueError(
             f"{name} has steps of {shortest:.6g} s in contact, which the time of a run to "
             f"{duration:.6g} s does not resolve; give fewer contact_steps."

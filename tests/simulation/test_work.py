@@ -2,12 +2,18 @@
 
 import re
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import pytest
 
 import jaxclear as jc
+from jaxclear.integrators.outcome import Outcome
 
 RIG = jc.scenes.slider_crank(wear=False)
 STEP = jc.integrator
+# In contact from its first steps on.
+PRESSED = jc.scenes.slider_crank(wear=False, clearance=1e-9)
 
 
 def problem(integrator):
@@ -37,6 +43,52 @@ def problem(integrator):
 def test_more_steps_than_any_machine_takes_are_refused(ask, integrator, sentence):
     with pytest.raises(ValueError, match=re.escape(sentence)):
         ask(integrator)
+
+
+@pytest.mark.parametrize("number", [jnp.inf, -jnp.inf, jnp.nan])
+def test_contact_steps_that_are_no_number_are_refused_when_they_are_given(number):
+    with pytest.raises(ValueError, match=r"contact_steps = .*; it must be at least 1 and finite"):
+        STEP.FixedStep(contact_steps=number)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "place", "number"),
+    [
+        (STEP.FixedStep(contact_steps=10), lambda own: own.contact_steps, jnp.inf),
+        (STEP.FixedStep(contact_steps=10), lambda own: own.contact_steps, 1e300),
+        (STEP.FixedStep(1e-5), lambda own: own.step, 0.0),
+        (STEP.ImplicitStep(1e-5), lambda own: own.step, 0.0),
+    ],
+)
+def test_numbers_put_into_a_built_integrator_are_refused_before_the_run(integrator, place, number):
+    """They ended in a ZeroDivisionError."""
+    absurd = eqx.tree_at(place, integrator, jnp.asarray(number))
+    with pytest.raises(ValueError, match="no machine goes through|give fewer contact_steps"):
+        jc.simulate(RIG, 1e-3, integrator=absurd, save=2)
+
+
+@pytest.mark.parametrize(
+    ("of", "number"),
+    [
+        (lambda n: STEP.FixedStep(contact_steps=n), jnp.inf),
+        pytest.param(lambda n: STEP.FixedStep(contact_steps=n), 1e300, marks=pytest.mark.slow),
+        (STEP.ImplicitStep, 1e-20),
+        pytest.param(STEP.ImplicitStep, 0.0, marks=pytest.mark.slow),
+        pytest.param(STEP.FixedStep, 1e-300, marks=pytest.mark.slow),
+        pytest.param(STEP.MoreauJean, 1e-300, marks=pytest.mark.slow),
+        pytest.param(STEP.NonColliding, 1e-300, marks=pytest.mark.slow),
+    ],
+)
+def test_of_numbers_known_only_in_the_program_a_run_neither_hangs_nor_lies(of, number):
+    """A step of 1e-20 s went on for ever, and the number of steps of 1e-300 s is beyond all whole
+    numbers, of which none were taken: the state at the start stood at the end."""
+
+    def end(n):
+        run = jc.simulate(PRESSED, 1e-3, integrator=of(n), save=2, throw=False)
+        return run.outcome, run.states[-1]
+
+    outcome, _ = jax.jit(end)(number)
+    assert Outcome(int(outcome)) == Outcome.NOT_FINITE
 
 
 def test_many_steps_that_a_machine_does_take_are_not_refused():
