@@ -25,6 +25,7 @@ from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.saltation import equations, trusted
 from jaxclear.integrators.state_group import state_group
+from jaxclear.integrators.unresolved import FollowingErrors, resolved, unfollowed
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.system import longest_arm
 from jaxclear.native import size_of, with_fast_loops
@@ -73,10 +74,10 @@ class Adaptive(AbstractIntegrator):
     up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps end at touches and releases, and
     know how these move (`saltation`). Their error is not controlled: tighten `rtol` to see it.
     Where impacts have made them grow so much that the tolerance no longer determines them they are
-    nan, and where a step does not resolve them (a contact at rest lets steps grow: hold
-    `largest_step`); a tighter `rtol` goes further. Not with implicit solvers and `MuntheKaas`,
-    where `jaxclear.sensitivity` is the way. Stiff scenes (large friction over tiny transition
-    speeds) may prefer an implicit solver, best with a full Newton iteration:
+    nan, and where steps do not resolve them (at rest in a contact, or on a stiff spring, they
+    grow: hold `largest_step`); a tighter `rtol` goes further. Not with implicit solvers and
+    `MuntheKaas`, where `jaxclear.sensitivity` is the way. Stiff scenes (large friction over tiny
+    transition speeds) may prefer an implicit solver, best with a full Newton iteration:
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)). `MuntheKaas` keeps
     rotations on their group.
     """
@@ -127,9 +128,12 @@ class Adaptive(AbstractIntegrator):
 
     def first_warm_start(self, model, start, state):
         """How long a step may be [s]; 0: not known. Where contacts may close, the mean of steps;
-        and the growth of derivatives."""
-        through = model.system.bearings and self.through_contacts
-        return jnp.zeros(()), jnp.zeros(4) if through else None
+        and the growth of derivatives; without contacts, their errors."""
+        if not model.system.bearings:
+            # Implicit solvers damp what is stiff.
+            follows = self.in_kernels and model.layout.size > 0
+            return jnp.zeros(()), unfollowed() if follows else None
+        return jnp.zeros(()), jnp.zeros(4) if self.through_contacts else None
 
     def advance(self, model, interval, state, warm_start):
         interval = interval._replace(
@@ -186,9 +190,9 @@ class Adaptive(AbstractIntegrator):
         and without them it would step over touches. `size`: so many equations of a program are in a
         rate."""
         formulation, through = self.formulation, self.through_contacts
-        solver = stepped_by_hand(self.solver, size)
+        solver = stepped_by_hand(self.solver, size) or self.solver
         if not rest.system.bearings:
-            return solver or self.solver
+            return solver if growth is None else FollowingErrors(solver, rest.layout, growth)
 
         def contacts(time, y, args):
             return formulation.contacts(eqx.combine(args[0], rest), time, y)
@@ -198,7 +202,7 @@ class Adaptive(AbstractIntegrator):
 
         derived = own if through else None
         taken = contacts, remember, derived, growth, rest.events
-        return TakingImpactSpeeds(solver or self.solver, *taken)
+        return TakingImpactSpeeds(solver, *taken)
 
     def _solve(self, rest, arrays, interval, state, warm_start) -> Advance:
         formulation, (start, stop), (step, growth) = self.formulation, interval[:2], warm_start
@@ -234,6 +238,8 @@ class Adaptive(AbstractIntegrator):
             _, _, figures[Check.INDENTATION], events, growth = found.kept
             # A step as long as a flight may go through a wall: rounding then decides what follows.
             usual = (found.time - start) / jnp.maximum(found.accepted, 1)
+        elif growth is not None:
+            growth = found.kept[-1]
         usual = constant(usual)
         steps = found.accepted, found.rejected
         state = found.state
@@ -242,7 +248,9 @@ class Adaptive(AbstractIntegrator):
             moving = state, figures[Check.INDENTATION], instants
             moving = trusted(moving, growth, _most_growth(model, controller))
             state, figures[Check.INDENTATION], instants = derived_once(NO_SECOND, moving)
-            events = None if events is None else Events(*instants, events.counts)
+            events = None if events is None else Events(instants[0], instants[1], events.counts)
+        elif growth is not None:
+            state = resolved(state, growth)
         return Advance(state, *steps, (usual, growth), outcome, figures, events)
 
     def _solved(self, term, solver, controller, span, state, args):
@@ -261,7 +269,7 @@ class Adaptive(AbstractIntegrator):
             state,
             args=args,
             stepsize_controller=controller,
-            saveat=diffrax.SaveAt(t1=True, solver_state=isinstance(solver, TakingImpactSpeeds)),
+            saveat=diffrax.SaveAt(t1=True, solver_state=solver is not self.solver),
             max_steps=self.most_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,

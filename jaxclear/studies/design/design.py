@@ -138,7 +138,7 @@ def _told(found: Sought, runs: Runs, settings: DesignSettings, before: tuple) ->
     last, question = found.rounds[-1], found.question
     place = jnp.asarray(last.candidate.place)
     names = question.freedom.names
-    nominal, tolerance = (np.asarray(own) for own in question.freedom.decoded(place))
+    nominal, tolerance = question.freedom.drawn(place)
     samples = question.samples(place, found.model, found.points)
     none = np.full(len(question.limits), np.nan)
     check = last.check

@@ -20,6 +20,8 @@ NOMINAL, TOLERANCE = "nominal", "tolerance"
 # Shares of a normal distribution three standard deviations out, which stand for the tolerance of
 # a distribution without ends.
 THREE_DEVIATIONS = 0.9986501019683699
+# So close to a number of a catalogue is that number.
+ROUNDING = 1e-12
 
 
 class Choice(NamedTuple):
@@ -60,6 +62,17 @@ class Freedom(eqx.Module):
         for i, choice in enumerate(self.choices):
             own = _between(choice, place[i])
             numbers[choice.kind] = numbers[choice.kind].at[choice.variable].set(own)
+        return numbers[NOMINAL], numbers[TOLERANCE]
+
+    def drawn(self, place: Float[Array, " size"]) -> tuple[np.ndarray, np.ndarray]:
+        """(nominal values, tolerances) as they stand in a drawing: those that come from a catalogue
+        to the last digit as it has them, which their places between 0 and 1 are not."""
+        numbers = dict(zip((NOMINAL, TOLERANCE), map(np.array, self.decoded(place)), strict=True))
+        for choice in self.choices:
+            own = numbers[choice.kind]
+            for number in choice.offered:
+                if np.isclose(own[choice.variable], number, rtol=ROUNDING, atol=0.0):
+                    own[choice.variable] = number
         return numbers[NOMINAL], numbers[TOLERANCE]
 
     def encoded(self, nominal: np.ndarray, tolerance: np.ndarray) -> np.ndarray:

@@ -1,0 +1,116 @@
+"""Whether steps that resolve a motion resolve its derivative too.
+
+A controller sees the errors of the motion alone. Where that is at rest steps grow beyond what a
+stiff spring lets stand, and a derivative, which is at rest nowhere, grows with every one of them:
+from 1e-5 to 1e57 in a second. So errors of derivatives are followed along a run: they are the
+derivatives of the solver's own error estimate.
+
+None of this is in a program of which no derivative is asked.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.ground.tangents import moved
+from jaxclear.multibody.state import Layout
+
+# All errors of a derivative together may be so large a share of the largest that it has been, and
+# so may those of single steps of its own size there.
+MOST_ERROR = 0.01
+# Not of so many steps one behind the other: where something sets in, one step may be as coarse.
+IN_A_ROW = 3
+
+# Of a derivative: the sum of its errors, the largest that it has been, how many steps up to now had
+# too large an error, one behind the other, and how many at the most.
+Followed = Float[Array, "4"]
+
+
+def unfollowed() -> Followed:
+    """At the start of a run. Only derivatives of these numbers are ever anything else than 0."""
+    return jnp.zeros(4)
+
+
+def followed(
+    layout: Layout, known: Followed, state: Array, error: Array, length: Scalar
+) -> Followed:
+    """What is known behind a step of this length [s], whose state is wrong by `error`."""
+
+    def further(numbers, tangents):
+        known, state, error = map(moved, tangents[:3])
+        sums, largest, row, most = known
+        size, off = (_size(layout, each, numbers[3]) for each in (state, error))
+        row = jnp.where(off > MOST_ERROR * size, row + 1.0, 0.0)
+        return jnp.stack([sums + off, jnp.maximum(largest, size), row, jnp.maximum(most, row)])
+
+    # The loop is to know that it moves with the state.
+    same = lambda known, state, *_: jnp.where(jnp.isnan(state[0]), state[0], known)
+    return _with_derivative(same, further)(known, state, error, constant(length))
+
+
+def resolved(state: Array, known: Followed) -> Array:
+    """The state; its derivative is nan where it was not resolved."""
+
+    def judged(_, tangents):
+        state, (sums, largest, _, most) = map(moved, tangents)
+        fine = (sums <= MOST_ERROR * largest) & (most < IN_A_ROW)
+        return jnp.where(fine, state, jnp.nan)
+
+    return _with_derivative(lambda state, known: state, judged)(state, known)
+
+
+def _size(layout: Layout, numbers: Array, length: Scalar) -> Scalar:
+    """Of a difference: of its places, and of the way that its speeds make in such a step."""
+    n, m = layout.coordinates, layout.memory_start
+    way = jnp.concatenate([numbers[:n], length * numbers[n:m]])
+    return jnp.max(abs(way), initial=0.0)
+
+
+def _with_derivative(function: Callable, derivative: Callable) -> Callable:
+    known = jax.custom_jvp(function)
+    known.defjvp(
+        lambda numbers, tangents: (function(*numbers), derivative(numbers, tangents)),
+        symbolic_zeros=True,
+    )
+    return known
+
+
+class FollowingErrors(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
+    """`solver`, whose state between steps ends with what is `followed` of the errors of
+    derivatives, of states of this `layout`."""
+
+    solver: diffrax.AbstractSolver  # type: ignore[misc]
+    layout: Layout = eqx.field(static=True)
+    known: Any = None
+
+    @property
+    def term_structure(self):
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self):
+        return self.solver.interpolation_cls
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args), self.known
+
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        own, known = solver_state
+        y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
+        known = followed(self.layout, known, y1, error, t1 - t0)
+        return y1, error, dense, (own, known), result
