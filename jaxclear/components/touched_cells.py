@@ -13,7 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.components.contact_patch import SHARPEST, STEPS, Elasticity, Patch, pressures
+from jaxclear.components.contact_patch import (
+    LAST_STEPS,
+    MOST_STEPS,
+    SHARPEST,
+    Elasticity,
+    Patch,
+    next_level,
+    pressures,
+)
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 from jaxclear.native import while_loop
@@ -135,7 +143,7 @@ def _level(loss: Loss, depth: Depth) -> Scalar:
     """Eccentricity [m] of the part after the loss, as `depth_lost` finds it."""
 
     def turn(now):
-        count, level = now
+        count, left, level = now
 
         def visit(column, place, sums):
             cell = loss.cell(column, place[1], entry(depth, place))
@@ -147,10 +155,11 @@ def _level(loss: Loss, depth: Depth) -> Scalar:
         touched = loss.touched(jax.lax.stop_gradient(level))
         overlap, slope = through(touched, loss.cells, visit, nothing, False, loss.in_column)
         wanted = loss.volume + loss.load.overlap
-        return count + 1, level + safe_divide(wanted - overlap, slope)
+        near, level = next_level(level, wanted, overlap, slope)
+        return count + 1, jnp.where(near, left - 1, left), level
 
-    first = jnp.zeros((), int), loss.start(depth)
-    return while_loop(lambda now: now[0] < STEPS, turn, first)[1]
+    first = jnp.zeros((), int), jnp.full((), LAST_STEPS), loss.start(depth)
+    return while_loop(lambda now: (now[1] > 0) & (now[0] < MOST_STEPS), turn, first)[2]
 
 
 def taken_off(shares: Sequence[Share], pressures: Sequence[Depth], depth: Depth) -> Depth:
