@@ -8,17 +8,15 @@ derivatives of the solver's own error estimate.
 None of this is in a program of which no derivative is asked.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import diffrax
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import moved
+from jaxclear.ground.tangents import derived, moved, moving_with
 from jaxclear.multibody.state import Layout
 
 # All errors of a derivative together may be so large a share of the largest that it has been, and
@@ -49,9 +47,8 @@ def followed(
         row = jnp.where(off > MOST_ERROR * size, row + 1.0, 0.0)
         return jnp.stack([sums + off, jnp.maximum(largest, size), row, jnp.maximum(most, row)])
 
-    # The loop is to know that it moves with the state.
-    same = lambda known, state, *_: jnp.where(jnp.isnan(state[0]), state[0], known)
-    return _with_derivative(same, further)(known, state, error, constant(length))
+    same = lambda known, state, *_: moving_with(state[0], known)
+    return derived(same, further)(known, state, error, constant(length))
 
 
 def resolved(state: Array, known: Followed) -> Array:
@@ -62,7 +59,7 @@ def resolved(state: Array, known: Followed) -> Array:
         fine = (sums <= MOST_ERROR * largest) & (most < IN_A_ROW)
         return jnp.where(fine, state, jnp.nan)
 
-    return _with_derivative(lambda state, known: state, judged)(state, known)
+    return derived(lambda state, known: state, judged)(state, known)
 
 
 def _size(layout: Layout, numbers: Array, length: Scalar) -> Scalar:
@@ -70,15 +67,6 @@ def _size(layout: Layout, numbers: Array, length: Scalar) -> Scalar:
     n, m = layout.coordinates, layout.memory_start
     way = jnp.concatenate([numbers[:n], length * numbers[n:m]])
     return jnp.max(abs(way), initial=0.0)
-
-
-def _with_derivative(function: Callable, derivative: Callable) -> Callable:
-    known = jax.custom_jvp(function)
-    known.defjvp(
-        lambda numbers, tangents: (function(*numbers), derivative(numbers, tangents)),
-        symbolic_zeros=True,
-    )
-    return known
 
 
 class FollowingErrors(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
