@@ -75,6 +75,9 @@ def _dynamic_slice(writer, equation, a, *starts):
         for s, full, size in zip(starts, a.shape, sizes, strict=True)
     ]
     if math.prod(sizes) > LONGEST_IN_REGISTERS:
+        if isinstance(a, InMemory) and a.version is None and tuple(sizes[1:]) == a.shape[1:]:
+            # Whole rows of a table: they stand where they stand.
+            return writer.part(a, _flat(writer, a.shape, starts), tuple(sizes))
         raise Unsupported("a long slice")
     out = np.empty(sizes, object)
     for index in np.ndindex(*sizes):

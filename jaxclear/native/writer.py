@@ -189,6 +189,10 @@ class Writer:
         ]
         return self.gather_lanes(parts, FLOAT)
 
+    def part(self, array: InMemory, flat_index: Any, shape: tuple[int, ...]) -> InMemory:
+        """The numbers of an array that never changes from a row-major index on, in this shape."""
+        return InMemory(self._entries(array, flat_index), shape)
+
     def change(self, array: InMemory, entries: list[tuple[Any, Any]]) -> InMemory:
         """The array once entries at row-major indices have been given these numbers; as it was it
         can be read no more. Samples that have ended keep theirs."""

@@ -14,7 +14,7 @@ from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import constant
 from jaxclear.multibody import kinematics, state
-from jaxclear.native import over_rows, through_rows
+from jaxclear.native import through_rows
 from jaxclear.results.state_history import StateHistory
 from jaxclear.simulation.tally import Figures
 
@@ -40,30 +40,29 @@ class Looks(NamedTuple):
         """What a function of an instant, and of the figures of the saving interval that ends there
         (at the start: of the first), says of every look. No derivatives."""
         rows, times, states = self.rows, jnp.asarray(self.history.time), self.history.states
+        worn = self.history.read
         # Means of forces are those from one look to the next.
         begins, ends = np.append(rows[:1], rows[:-1]), np.append(rows[1:2], rows[1:])
         looks = (np.arange(len(rows)) - 1).clip(min=0)
         impulses = range(self.model.layout.impulse_start, self.model.layout.energy_start)
 
-        def at(row: Any, begin: Any, end: Any, look: Any) -> tuple[Any, list, list, Figures]:
+        def seen(row: Any, begin: Any, end: Any, look: Any) -> dict[str, Any]:
             before, after = (_numbers_of(states, k, impulses) for k in (begin, end))
             length = times[end] - times[begin]
             means = [(late - early) / length for early, late in zip(before, after, strict=True)]
-            return times[row], _numbers_of(states, row), means, _row_of(self.figures, look)
-
-        def seen(time, entries, means, figures, read) -> dict[str, Any]:
+            time, entries, figures = (
+                times[row],
+                _numbers_of(states, row),
+                _row_of(self.figures, look),
+            )
+            read = jax.tree.map(lambda depths: depths[row], worn)
             model, system = self.model, self.model.system
             q, v = state.unpack_motion(system, entries)
             now = Model(system, read, model.stabilisation, model.layout, model.projects)
             motions = kinematics.link_motions(system, q, v, time)
             return sp.dense(function(Instant(now, motions, q, v, time, entries, means), figures))
 
-        places = rows, begins, ends, looks
-        if not self.history.read:
-            return through_rows(lambda *places: seen(*at(*places), read={}), *places)
-        # The depths of worn surfaces are more than a kernel reads by index.
-        read = jax.tree.map(lambda depths: depths[rows], self.history.read)
-        return over_rows(seen, *jax.vmap(at)(*places), read)
+        return through_rows(seen, rows, begins, ends, looks)
 
 
 def _row_of(figures: Figures, row: Any) -> Figures:

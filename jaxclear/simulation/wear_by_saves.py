@@ -13,7 +13,6 @@ mean direction tells: it is short, and zero only of a loss that is even around, 
 makes whole turns under a steady load (or lies on opposite places alike, which is not told).
 """
 
-import functools
 import math
 from typing import Any
 
@@ -22,21 +21,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.contact_patch import arc
 from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.integrators.checks import Check
 from jaxclear.multibody.system import wear_maps
-from jaxclear.simulation.wear import Worn, lost_at, worn_by_some
+from jaxclear.simulation.single_losses import SingleLosses, gone_through
+from jaxclear.simulation.wear import Worn, worn_by_some
 
-# One of at least so many saving times counts in the comparison, and so many do at most: a run of
-# many saving times pays little for it.
-LEAST, MOST = 4, 64
+# One of at least so many saving times counts in the comparison. Each that counts is put on its
+# surface once more, which is most of what this check costs: where `ENOUGH` count without, one of
+# more does, up to `FEWER`; where more than `MOST` would even then, one of as many as leave these.
+LEAST, FEWER, ENOUGH, MOST = 4, 8, 25, 64
 # A surface that wears less than this share of the one that wears most is judged beside that.
 NEGLIGIBLE = 0.01
-# Length of the mean direction of a loss below which it may have been anywhere around: an even sweep
-# over two thirds of a turn has one of 0.4, over half a turn 0.64.
-AROUND = 0.5
 # Share of the depths that single losses may put wrong by which they were wrong: of slider-cranks,
 # four-bars and the 3RSR a quarter to one and a half, beside runs with up to 64 times the saving
 # times, the median a half.
@@ -59,16 +56,17 @@ def figures(
     are.
     """
     intervals = len(states) - 1
-    every = min(max(LEAST, math.ceil(intervals / MOST)), intervals)
+    every = one_of(intervals)
     if not ended or not model.layout.wear:
         return {}
     begun, ended, states = jax.lax.stop_gradient((begun, ended, states))
-    around = _around(model, states)
+    some = np.unique([*range(0, intervals, every), intervals])
+    single = gone_through(model, states, some)
+    around = _around(model, single)
     if every < 2:
         return {Check.WEAR_BY_SAVES: around}
     fewer = worn_by_some(model.system, model.layout, begun, states, every)
-    some = np.unique([*range(0, intervals, every), intervals])
-    bursts, of_fewer = (_bursts(model, states, ends) for ends in (np.arange(intervals + 1), some))
+    bursts, of_fewer = (_bursts(model, each) for each in (single.wrong, single.wrong_of_some))
     by_saves, in_bursts = {}, {}
     for joint, surfaces in wear_maps(model.system).items():
         for surface, (wear_map, _) in surfaces.items():
@@ -89,6 +87,12 @@ def figures(
     return {Check.WEAR_BY_SAVES: jnp.maximum(told, around)}
 
 
+def one_of(intervals: int) -> int:
+    """One of how many saving times counts in the comparison, of so many saving intervals."""
+    few = max(LEAST, min(FEWER, math.ceil(intervals / ENOUGH)))
+    return min(max(few, math.ceil(intervals / MOST)), intervals)
+
+
 def _shares(found: dict[Place, tuple]) -> dict[Place, Array]:
     """How far each surface's numbers are apart beside their sizes, the worst of them, from both; of
     one that wears little beside the sizes of the one that wears most."""
@@ -100,52 +104,26 @@ def _shares(found: dict[Place, tuple]) -> dict[Place, Array]:
     }
 
 
-def _bursts(model: Model, states: Float[Array, "time n"], ends: np.ndarray) -> dict[Place, Array]:
-    """By surface the root of the integral of the square of depths [m2] that losses unlike those of
-    the intervals beside them may put wrong on their arcs, which reach from one of these saving
-    times to the next: independent of each other."""
+def _bursts(model: Model, wrong: list[Float[Array, ""]]) -> dict[Place, Array]:
+    """By surface the root of the integral of the square of depths [m2] that single losses may put
+    wrong, by contact [m4]: independent of each other."""
     squares: dict[Place, Any] = {}
-    for slot in model.layout.wear:
+    for slot, own in zip(model.layout.wear, wrong, strict=True):
         place = slot.bearing, slot.surface
-        wear_map = wear_maps(model.system)[slot.bearing][slot.surface][0]
-        volumes, features = jax.vmap(functools.partial(lost_at, slot))(states[:-1], states[1:])
-        around = jnp.concatenate([volumes[1:2], volumes, volumes[-2:-1]])
-        # What an interval did not lose is wrong nowhere, however much its neighbours lost.
-        sudden = jnp.minimum(abs(volumes - 0.5 * (around[:-2] + around[2:])), volumes)
-        # What some intervals lost so is wrong along the arc of all of them.
-        sums = jnp.concatenate([jnp.zeros(1), jnp.cumsum(sudden)])[ends]
-        sudden = sums[1:] - sums[:-1]
-        volumes, features = jax.vmap(functools.partial(lost_at, slot))(
-            states[ends[:-1]], states[ends[1:]]
-        )
-        means = wear_map.directions_of(features)
-        swept = arc(safe_sqrt(jnp.sum(means**2, axis=-1))) ** 2
-        width, share = wear_map.covered(features)
-        # What is put wrong falls with the square of the arc where that is narrow.
-        wrong = sudden * safe_divide(swept, swept + width**2)
-        area = share * jnp.sum(wear_map.areas())
-        depths = jnp.where(volumes > 0, safe_divide(wrong * wrong, area), 0.0)
-        squares[place] = squares.get(place, 0.0) + jnp.sum(depths)
+        squares[place] = squares.get(place, 0.0) + own
     return {place: safe_sqrt(each) for place, each in squares.items()}
 
 
-def _around(model: Model, states: Float[Array, "time n"]) -> Float[Array, " places"]:
+def _around(model: Model, single: SingleLosses) -> Float[Array, " places"]:
     """Of each contact that wears, by how much depths are off that its losses in intervals of short
     mean direction leave even around, beside their mean: twice the length of those losses' mean
     direction, as of a depth that goes with the cosine, the smoothest that has it."""
-    maps, slots = wear_maps(model.system), model.layout.wear
-    uneven, lost = [], []
-    for slot in slots:
-        volumes, features = jax.vmap(functools.partial(lost_at, slot))(states[:-1], states[1:])
-        lost.append(jnp.sum(volumes))
-        means = maps[slot.bearing][slot.surface][0].directions_of(features)
-        short = jnp.sum(means**2, axis=-1) < AROUND**2
-        moment = jnp.sum(jnp.where(short, volumes, 0.0)[:, None] * means, axis=0)
-        uneven.append(2 * safe_sqrt(jnp.sum(moment**2)))
+    slots = model.layout.wear
+    uneven = [2 * safe_sqrt(jnp.sum(moment**2)) for moment in single.around]
     by_surface = [
         sum(
             own
-            for own, other in zip(lost, slots, strict=True)
+            for own, other in zip(single.lost, slots, strict=True)
             if (slot.bearing, slot.surface) == (other.bearing, other.surface)
         )
         for slot in slots

@@ -122,3 +122,27 @@ def test_what_machine_code_cannot_do_to_a_long_array_is_left_to_xla(change, monk
     with pytest.warns(RuntimeWarning, match="long array"):
         found = jax.jit(lambda depth: run(depth))(FIRST)
     np.testing.assert_allclose(found, change(change(FIRST)), rtol=1e-15)
+
+
+def test_whole_rows_of_a_long_table_are_read_where_they_stand():
+    """A row of more numbers than registers hold, of another row for each turn and each sample."""
+    table = jnp.sin(jnp.arange(6 * LENGTH) * 1.0).reshape(6, LENGTH)
+
+    def sums(own_scan, begin, table):
+        def turn(total, k):
+            row = jax.lax.dynamic_index_in_dim(table, (begin + k) % 6, keepdims=False)
+            three = jax.lax.dynamic_slice(row, (7 * k,), (3,))
+            return total + jnp.sum(three), three
+
+        return own_scan(turn, jnp.zeros(()), jnp.arange(TURNS))
+
+    begins, tables = jnp.arange(5), jnp.stack([table, 2 * table, table, -table, table + 1])
+    found, wanted = (
+        jax.jit(jax.vmap(lambda *own, f=f: sums(f, *own)))(begins, tables)
+        for f in (scan, jax.lax.scan)
+    )
+    with only_kernels():
+        alone = jax.jit(lambda *own: sums(scan, *own))(begins[3], tables[3])
+    for one, other, single in zip(*map(jax.tree.leaves, (found, wanted, alone)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=ROUNDING)
+        np.testing.assert_allclose(single, other[3], rtol=ROUNDING)
