@@ -16,6 +16,7 @@ from jaxclear.components.wear_map import AbstractWearMap
 from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.multibody.state import WearSlot
 from jaxclear.multibody.system import wear_maps
 from jaxclear.native import scan, while_loop
 from jaxclear.simulation.wear import lost_at
@@ -80,14 +81,16 @@ def gone_through(model: Model, states: Float[Array, "time n"], some: np.ndarray)
         )
         return (found, of_some), ()
 
-    begin = []
-    for slot, each in zip(slots, own_map, strict=True):
-        moment = each.directions_of(jnp.zeros(slot.feature_count))
-        begin.append((jnp.zeros(()), jnp.zeros_like(moment), jnp.zeros(())))
-    nothing = tuple(begin), tuple(jnp.zeros(()) for _ in slots)
+    nothing = tuple(map(_nothing, slots, own_map)), tuple(jnp.zeros(()) for _ in slots)
     found, of_some = scan(from_some_to_next, nothing, (some[:-1], some[1:]))[0]
     wrong, moments, lost = map(list, zip(*found, strict=True))
     return SingleLosses(wrong, list(of_some), moments, lost)
+
+
+def _nothing(slot: WearSlot, wear_map: AbstractWearMap) -> tuple[Array, Array, Array]:
+    """What nothing has put wrong, its losses times directions, and what is lost."""
+    moment = wear_map.directions_of(jnp.zeros(slot.feature_count))
+    return jnp.zeros(()), jnp.zeros_like(moment), jnp.zeros(())
 
 
 def wrong_by(
