@@ -53,7 +53,7 @@ HEAD = "jaxclear_scene"
 
 @dataclass(frozen=True)
 class Correlated:
-    """Two variables and the correlation [1] of their normal scores."""
+    """Two variables and the `coefficient` [1] of correlation of their normal scores."""
 
     between: tuple[str, str]
     coefficient: float

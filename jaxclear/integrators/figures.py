@@ -16,7 +16,8 @@ from jaxclear.integrators.checks import Check
 
 
 class Figure(eqx.Module):
-    """The worst of a figure at each of its `places`, and the end [s] of its saving interval."""
+    """The worst of a figure at each of its `places`, and at what `time` [s] its saving interval
+    ended."""
 
     worst: Float[Array, "*batch places"]
     time: Float[Array, "*batch places"]

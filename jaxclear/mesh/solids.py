@@ -26,8 +26,8 @@ ACROSS, ALL_WAYS = (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)
 class Solid(eqx.Module):
     """A worn part: its mesh as new, and how the mesh follows the wear of its wall.
 
-    `into`: from each point of the wall into the material; `position`: where in the wear map it
-    lies, in units of cells.
+    `into`: direction [1] from each point of the wall into the material; `position` [cells]: where
+    in the wear map it lies.
     """
 
     follow: BlockDeformation

@@ -32,7 +32,8 @@ class Inputs(eqx.Module):
     `nominal` (variables,) and `widths` (variables,) [1], factors by which all deviations of a
     variable are wider than its distribution says (1 as it is), are arrays that JAX may
     differentiate by. `correlation` (variables, variables) [1] is that of the normal scores, None
-    where all are independent.
+    where all are independent; `root` [1] is lower triangular, root root^T = correlation, and
+    `inverse_root` [1] its inverse.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -40,7 +41,6 @@ class Inputs(eqx.Module):
     nominal: Float[Array, " variables"]
     widths: Float[Array, " variables"]
     correlation: Float[Array, "variables variables"] | None
-    # Lower triangular, root root^T = correlation, and its inverse.
     root: Float[Array, "variables variables"] | None
     inverse_root: Float[Array, "variables variables"] | None
 

@@ -58,7 +58,7 @@ def cases(wear_map):
 
 @SINGLE
 def test_a_part_sinks_to_the_one_level_that_its_overlap_asks_for(wear_map):
-    """As Brent's method finds it, which brackets it; and from 0.1 mm above as from its own start."""
+    """As Brent's method finds it, which brackets it; from 0.1 mm above as from its own start."""
     loss_of, patch_of = parts(wear_map)
 
     def sought(depth, volume, event):

@@ -59,8 +59,8 @@ def advise(
 ) -> Advice:
     """The cheapest integrator that meets `accuracy` in every response of a problem; see `Advice`.
 
-    `accuracy`: largest error as a share of a response's root mean square over the copies, or of its
-    size in `scales` (for a response about zero). `candidates`: integrators to try instead of all
+    `accuracy` [1]: largest error beside a response's root mean square over the copies, or its size
+    in `scales` (for a response about zero). `candidates`: integrators to try instead of all
     that jaxclear has, by method, coarse to fine; every method compiles once. `pilot`: the short
     runs that are made, their number and length. `means`: not every run must meet the accuracy but
     the mean over the copies, as a Monte Carlo study wants it. `batch`: samples run together as

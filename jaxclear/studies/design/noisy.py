@@ -109,8 +109,8 @@ def _all_failed(question: Question, place: np.ndarray, values: np.ndarray) -> st
 
 
 class Batch(eqx.Module):
-    """Runs of one step: values (runs, variables), scores (runs, free), shares (runs,), 0 for those
-    that failed, and responses (runs,) by name."""
+    """Runs of one step: `values` (runs, variables) in their own units, `scores` (runs, free) [1],
+    `shares` (runs,) [1], 0 for those that failed, and responses (runs,) by name."""
 
     values: Float[Array, "runs variables"]
     scores: Float[Array, "runs free"]

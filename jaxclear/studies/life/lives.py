@@ -106,8 +106,8 @@ def wear_lives(
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WearLives:
-    """The wear of lives over a quasi-random sample of the problem's variables; `cycles`,
-    `tolerance`, `most` as in `wear_life`, of every one of them. `store`: a folder in which each
+    """The wear of lives over a quasi-random sample of the problem's variables; `cycles` [1],
+    `tolerance` [1], `most` as in `wear_life`, of every one of them. `store`: a folder in which each
     life is kept, from which an interrupted study goes on. A life that has no first cycle keeps its
     row, with a sentence. Raises `ValueError` with a sentence for what cannot be asked.
     """

@@ -160,13 +160,13 @@ def settled(
     `Problem` whose duration is the period, at its nominal numbers.
 
     Each cycle goes on where the one before stood; worn surfaces are put back to what they were. A
-    cycle is periodic where its two ends are within `tolerance`: places of bodies in longest arms of
-    the mechanism, attitudes in rad (whole turns left out), velocities in the largest of the cycle,
-    journals in clearances. After `cycles` of them without one, the later half is taken for means
-    with their noise, as is right for chaotic motion. `state`: where the first one begins; from
-    `jaxclear.seated` no journal falls through its play in it. Raises
-    `ValueError` where drives do not repeat after a period, and, unless `throw=False`,
-    `SimulationError` for a cycle that ends early.
+    cycle is periodic where its two ends are within `tolerance` [1]: places of bodies in longest
+    arms of the mechanism, attitudes in rad (whole turns left out), velocities in the largest of the
+    cycle, journals in clearances. After `cycles` of them without one, the later half is taken for
+    means with their noise, as is right for chaotic motion. `state`: where the first one begins;
+    from `jaxclear.seated` no journal falls through its play in it. Raises `ValueError` where drives
+    do not repeat after a period, and, unless `throw=False`, `SimulationError` for a cycle that ends
+    early.
     """
     problem = as_problem("settled", asked, period, state)
     check_number("tolerance of settled", tolerance, above=0)

@@ -49,7 +49,7 @@ def reliability(
 
     `limit`: of `jaxclear.limit_state`: `Above("response", threshold)`, `Below`, or several in
     `Series` or `Parallel`. `methods`: some of "form", "sorm", "importance" and "subset"; by default
-    the first three, and the last where importance sampling does not reach the `accuracy`, a
+    the first three, and the last where importance sampling does not reach the `accuracy` [1], a
     coefficient of variation. `most_runs` bounds the runs of each sampling
     (subset simulation begins with eight repetitions whatever they cost). `surface`: of
     `jaxclear.surface`, on which design points are then found, and which takes up what it explains

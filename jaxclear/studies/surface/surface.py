@@ -47,13 +47,12 @@ def surface(
 
     `sample`: how many runs (by default three for each term of a quadratic), or a Monte Carlo study
     or a campaign of the problem that is there. `degree`: of the polynomials; by default that of 1
-    to 4 which predicts runs best, for each response. `truncation` q in (0, 1]: 1 takes all products
-    of that total degree, less fewer mixed ones (hyperbolic). `over`: where it is fitted: a number
-    widens the spread of the variables so many times, for rare parts; {name: (low, high)} fills
-    ranges of these variables evenly, for nominal values that are to be chosen. `slopes`: take the
-    exact slopes of each run as equations too, which a problem has where no contact opens and
-    closes.
-    Raises `ValueError` for what cannot be asked, and where too few runs reach their end.
+    to 4 which predicts runs best, for each response. `truncation` q [1] in (0, 1]: 1 takes all
+    products of that total degree, less fewer mixed ones (hyperbolic). `over`: where it is fitted: a
+    number widens the spread of the variables so many times, for rare parts; {name: (low, high)}
+    fills ranges of these variables evenly, for nominal values that are to be chosen. `slopes`: take
+    the exact slopes of each run as equations too, which a problem has where no contact opens and
+    closes. Raises `ValueError` for what cannot be asked, and where too few runs reach their end.
     """
     expect(problem, AbstractProblem, "what a surface is fitted to", "a problem of jaxclear")
     if not problem.names:
