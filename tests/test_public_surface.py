@@ -113,6 +113,7 @@ INNER = {
     "PeriodicTorque",
     "SphereMap",
     "StepTorque",
+    "WallMap",
 }
 # A folder of samples remembers its problem by one.
 INNER |= {"RecordedProblem", "StateGroup"}

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 import pandas
+from matplotlib.figure import Figure
 
 import jaxclear as jc
+from jaxclear import plot
 from jaxclear.commands import guide_figures as draw
 from jaxclear.commands.reported import report_warnings
 from jaxclear.scenes.guide import CRANK_SPEED, guide
@@ -40,14 +42,28 @@ def impacts(compliant: Any, instants: np.ndarray) -> pandas.DataFrame:
     return table
 
 
-def study(folder: Path, clearance: float = SMALL_CLEARANCE, show: bool = True) -> None:
+def _worn(touching: Any) -> dict[str, Figure]:
+    """Figures of the surfaces that wear, and what each loses, said."""
+    figures = {}
+    for surface in touching.worn.get("P", {}):
+        figures[f"wear_of_the_{surface}"] = plot.wear_unrolled(touching, "P", surface)
+        lost = float(touching.worn_volume("P", surface)[-1])
+        deepest = float(touching.worn_depth("P", surface).max())
+        print(f"the {surface} loses {1e9 * lost:.3g} mm3 a turn, {1e6 * deepest:.3g} um at most")
+    return figures
+
+
+def study(
+    folder: Path, clearance: float = SMALL_CLEARANCE, wear: bool = False, show: bool = True
+) -> None:
     """Runs one turn of the crank on both formulations and writes figures and tables to `folder`;
-    `clearance` [m] of the compliant run, `show`: progress bars.
+    `clearance` [m] of the compliant run, `wear`: both parts of the other wear, `show`: progress
+    bars.
     """
     begun = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
     touching = jc.simulate(
-        guide(),
+        guide("wearing" if wear else "guide"),
         TURN,
         save=STEPS + 1,
         integrator=jc.integrator.NonColliding(TURN / STEPS),
@@ -79,6 +95,7 @@ def study(folder: Path, clearance: float = SMALL_CLEARANCE, show: bool = True) -
         "switchings": draw.switching_window(touching, compliant, instants),
         "reactions": draw.reactions(touching, compliant, instants),
     }
+    figures |= _worn(touching)
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png", dpi=130)
     print(

@@ -16,7 +16,7 @@ has cut it: no loss, however large, digs waves. Where a contact is narrower than
 is that of a contact as wide as these.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -89,8 +89,41 @@ class Patch(NamedTuple):
     start: Scalar
     elasticity: Elasticity
 
+    def overlapped(self, level: Scalar) -> tuple[Array, Array]:
+        """(mean over each cell of the overlap [m], its slope by the level) at an eccentricity
+        [m]."""
+        overlap, share = self.outline.at(level)
+        return overlap, self.outline.cosine * share
 
-def depth_lost(volume: Scalar, patch: Patch) -> tuple[Float[Array, "around along"], Scalar]:
+    def pressures(self, volume: Scalar, level: Scalar) -> Float[Array, "around along"]:
+        """As `pressures`."""
+        return pressures(volume, self, level)
+
+
+class Cells(Protocol):
+    """Cells and the part that wears them."""
+
+    @property
+    def area(self) -> Any:
+        """Of a cell of each row [m2]."""
+
+    @property
+    def start(self) -> Scalar:
+        """A level of the part [m] near the solution and at or above it."""
+
+    @property
+    def elasticity(self) -> Elasticity:
+        """What its load overlaps before anything is lost."""
+
+    def overlapped(self, level: Scalar) -> tuple[Array, Array]:
+        """(mean over each cell of the overlap [m], its slope by the level) at a level [m]."""
+
+    def pressures(self, volume: Scalar, level: Scalar) -> Array:
+        """What each cell loses beside the others of a volume [m3], where the part that wears them
+        has come to a level [m]."""
+
+
+def depth_lost(volume: Scalar, patch: Cells) -> tuple[Float[Array, "around along"], Scalar]:
     r"""(depth [m] that each cell loses, `volume` [m3] in all; eccentricity [m] of the part): in
     proportion to its mean pressure after the loss, :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}`
     with u the largest overlap on the way before it, w the contact's share, m the mean of the roots
@@ -102,9 +135,8 @@ def depth_lost(volume: Scalar, patch: Patch) -> tuple[Float[Array, "around along
         return jnp.sum(cells @ patch.area)
 
     def closer(volume, patch, level):
-        overlap, share = patch.outline.at(level)
-        wanted, slope = volume + patch.elasticity.overlap, total(patch.outline.cosine * share)
-        return next_level(level, wanted, total(overlap), slope)
+        overlap, slope = patch.overlapped(level)
+        return next_level(level, volume + patch.elasticity.overlap, total(overlap), total(slope))
 
     # Held as they are: a loop that ends by itself has no derivative in reverse mode.
     held = jax.lax.stop_gradient((volume, patch))
@@ -117,7 +149,7 @@ def depth_lost(volume: Scalar, patch: Patch) -> tuple[Float[Array, "around along
     level = jax.lax.while_loop(lambda now: ~now[1] & (now[0] < MOST_STEPS), turn, first)[2]
     for _ in range(LAST_STEPS - 1):
         _, level = closer(volume, patch, level)
-    pressure = pressures(volume, patch, level)
+    pressure = patch.pressures(volume, level)
     return volume * safe_divide(1.0, total(pressure)) * pressure, level
 
 

@@ -17,10 +17,9 @@ from jaxclear.components.contact_patch import (
     LAST_STEPS,
     MOST_STEPS,
     SHARPEST,
+    Cells,
     Elasticity,
-    Patch,
     next_level,
-    pressures,
 )
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
@@ -89,7 +88,7 @@ class Loss(Protocol):
     def in_column(self, column: Int[Array, ""]) -> Any:
         """What the cells of a column share."""
 
-    def cell(self, column: Any, row: Int[Array, ""], depth: Scalar) -> Patch:
+    def cell(self, column: Any, row: Int[Array, ""], depth: Scalar) -> Cells:
         """One of them, worn so deep [m]."""
 
 
@@ -125,7 +124,7 @@ def _shared(loss: Callable[[], Loss], volume: Scalar, depth: Depth, pressure: De
         def visit(column, place, carry):
             total, pressure = carry
             cell = own.cell(column, place[1], entry(depth, place))
-            found = pressures(own.volume, cell, level)
+            found = cell.pressures(own.volume, level)
             return total + cell.area * found, with_entry(pressure, place, found)
 
         first = jnp.zeros(()), now[2]
@@ -147,8 +146,7 @@ def _level(loss: Loss, depth: Depth) -> Scalar:
 
         def visit(column, place, sums):
             cell = loss.cell(column, place[1], entry(depth, place))
-            overlap, share = cell.outline.at(level)
-            slope = cell.outline.cosine * share
+            overlap, slope = cell.overlapped(level)
             return sums[0] + cell.area * overlap, sums[1] + cell.area * slope
 
         nothing = jnp.zeros(()), jnp.zeros(())

@@ -37,7 +37,7 @@ REACH = 0.6
 
 class Wearing(AbstractQuantified):
     """A surface that wears: its law (of this surface alone), and the number of cells around and
-    along (azimuth and elevation on a sphere).
+    along (azimuth and elevation on a sphere; of a guide and its slider only along).
 
     `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear
     extrapolation, as in cycle-jump schemes). `worn_radius`: whether what the contact law takes from
@@ -65,6 +65,12 @@ class AbstractWearMap(AbstractQuantified):
     """Geometry of a wear map; the depth itself is an array (cells) [m] kept by the simulation."""
 
     cells: eqx.AbstractVar[tuple[int, int]]
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is that of flat walls, which a part can leave: locations are then no numbers,
+        and the run ends. It is not unless overridden."""
+        return False
 
     @abstractmethod
     def areas(self) -> Float[Array, "around along"]:

@@ -70,11 +70,23 @@ def _pose_in_gap(
     if held.joint.gap_axes and len(ends) == 2:
         between = sp.minus(ends[1].offset, ends[0].offset)
         lean = sp.scale(1 / (ends[1].height - ends[0].height), between)
+    if held.joint.units == ("m",):
+        place = (*offset[:2], _slid_to(system, motions, q, held))
+        return place, ((1, 0, sp.neg(lean[0])), (lean[0], lean[1], 1))
     # Turns of the journal are large, leans of the order of clearance over length.
     found = {2: (lean[0], lean[1], 1)}
     if 0 in held.joint.gap_axes:
         found[0] = _journal_x(system, motions, q, held)
     return offset, tuple(found[axis] for axis in held.joint.gap_axes)
+
+
+def _slid_to(system: System, motions: tuple, q: tuple, held: PermanentJoint) -> Any:
+    """Where along the guide the slider's marker is [m]."""
+    if held.loop is not None:
+        pose = kinematics.relative_motion(system.closures[held.loop], motions)[1]
+        return pose.translation[2]
+    (place,) = q[held.link]
+    return place
 
 
 def _journal_x(system: System, motions: tuple, q: tuple, held: PermanentJoint) -> sp.Vec:

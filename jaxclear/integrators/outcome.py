@@ -60,6 +60,12 @@ class Outcome(AbstractOutcome):
         "steps, which pass such places more often.",
     )
 
+    OFF_THE_WALLS = (
+        12,
+        "A slider left the walls of its guide that wear: its corners went beyond "
+        "guide_length about guide_middle. Give the SliderGuide longer walls, or another middle.",
+    )
+
     @property
     def began(self) -> bool:
         """Whether there was a run at all."""

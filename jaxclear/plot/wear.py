@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 
-from jaxclear.plot.canvas import MICRO, MILLI, check_run, panels, setting, warned
+from jaxclear.plot.canvas import MICRO, MILLI, check_run, panels, readable, setting, warned
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = ["wear_surface", "wear_unrolled"]
@@ -56,22 +56,31 @@ def _sphere(wear_map: Any) -> Wall:
     return Wall(edges, "elevation [deg]", across, places, rise, 1.0)
 
 
+# What either side of a guide or slider is called.
+FLAT = {"guide": "wall", "slider": "face"}
 # The shape of a wall, by the surface's name.
 SHAPES = {"socket": _sphere, "ball": _sphere}
 
 
-def _wear(run: Trajectory, joint: str, surface: str) -> tuple[Any, Wall, np.ndarray]:
+def _wear(run: Trajectory, joint: str, surface: str) -> tuple[Any, np.ndarray]:
     check_run(run)
     depth = np.asarray(run.worn_depth(joint, surface))
-    wear_map = run.mechanism.connections[joint].joint.maps()[surface][0]
-    return wear_map, SHAPES.get(surface, _cylinder)(wear_map), depth
+    return run.mechanism.connections[joint].joint.maps()[surface][0], depth
+
+
+def _wall(wear_map: Any, surface: str) -> Wall:
+    return SHAPES.get(surface, _cylinder)(wear_map)
 
 
 def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing", *, ax: Any = None) -> Any:
     """Worn depth over direction and position along the axis, the wall rolled out flat; beside it
-    the deepest cell of each row. `ax`: two axes to draw in.
+    the deepest cell of each row. Of a guide or slider the depth along either wall. `ax`: two axes
+    to draw in.
     """
-    _, wall, depth = _wear(run, joint, surface)
+    wear_map, depth = _wear(run, joint, surface)
+    if wear_map.flat:
+        return _along_walls(run, joint, surface, wear_map, depth, ax)
+    wall = _wall(wear_map, surface)
     sheet = panels("wear_unrolled", ax, 1, 2, (9.5, 4.2), width_ratios=(3.2, 1.0), sharey=True)
     axes = sheet.axes.flat
     around = np.linspace(0, 360, depth.shape[0] + 1)
@@ -86,6 +95,30 @@ def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing", *, ax: 
     middles, widths = 0.5 * (wall.edges[1:] + wall.edges[:-1]), np.diff(wall.edges)
     axes[1].barh(middles, MICRO * depth.max(axis=0), height=widths, color="C1")
     axes[1].set_xlabel("deepest in row [µm]")
+    return warned(sheet, {"": run})
+
+
+def _along_walls(
+    run: Trajectory, joint: str, surface: str, wear_map: Any, depth: np.ndarray, ax: Any
+) -> Any:
+    """Worn depth along the lower (-x) and the upper (x) wall or face, downwards."""
+    sheet = panels("wear_unrolled", ax, 1, 2, (9.5, 4.2), width_ratios=(3.2, 1.0), sharey=True)
+    axes = sheet.axes.flat
+    edges = MILLI * (
+        float(wear_map.middle) + np.linspace(-0.5, 0.5, depth.shape[1] + 1) * float(wear_map.length)
+    )
+    factor, unit = readable(depth, "m")
+    names = tuple(f"{side} {FLAT[surface]}" for side in ("lower", "upper"))
+    for k, name in enumerate(names):
+        axes[0].stairs(factor * depth[k], edges, color=f"C{k}", lw=1.4, label=name)
+    axes[0].set_xlabel(f"position along the {surface} [mm]")
+    axes[0].set_ylabel(f"worn depth [{unit}]")
+    axes[0].set_title(f"Worn depth of the {surface} of {joint}{setting(run, joint)}")
+    axes[0].margins(x=0.0)
+    axes[0].legend(fontsize=8)
+    axes[1].bar(names, factor * depth.max(axis=1), color=("C0", "C1"), width=0.6)
+    axes[1].set_xlabel("deepest")
+    axes[0].set_ylim(axes[0].get_ylim()[::-1])
     return warned(sheet, {"": run})
 
 
@@ -104,7 +137,13 @@ def wear_surface(
     """The worn wall in space, depth exaggerated so that the deepest place shows as a fifth of the
     radius. `ax`: axes in space to draw in.
     """
-    wear_map, wall, depth = _wear(run, joint, surface)
+    wear_map, depth = _wear(run, joint, surface)
+    if wear_map.flat:
+        raise ValueError(
+            f'the {surface} of joint "{joint}" is flat; jaxclear.plot.wear_unrolled draws its '
+            "depth along either side."
+        )
+    wall = _wall(wear_map, surface)
     radius = float(wear_map.radius)
     factor = 0.2 * radius / max(depth.max(), 1e-15) if exaggeration is None else exaggeration
     ringed = np.vstack([depth[-1:], depth, depth[:1]])

@@ -78,7 +78,8 @@ def _bodies(run: Any, meshes: Any) -> list[_Solid]:
 
 
 def _walls(run: Any) -> list[_Solid]:
-    """Every worn wall: of a bearing or socket on the parent, of a journal or ball on the child."""
+    """Every worn wall: of a bearing, socket or guide on the parent, of a journal, ball or slider on
+    the child."""
     found = []
     for name, surfaces in run.worn.items():
         connection = run.mechanism.connections[name]

@@ -23,6 +23,8 @@ guide); crank speed 5 rad/s (inertia forces about as large as weights, so that t
 sides within a turn); gravity in the plane, along -y (the default of Adams, with which the paper
 compares); friction 0.1 (dry steel on steel); gap 0.1 mm on each side (a loose sliding fit of this
 size); corners rounded with 5 mm and a restitution of 0.8, which only runs with impacts feel.
+Masses are those of bars 0.1 m wide and 0.1 m broad of a density of 7801 kg/m3, so the faces that
+wear are 0.1 m broad; both parts are as hard, with the wear coefficient that Archard has by default.
 """
 
 from typing import Any
@@ -34,12 +36,14 @@ from jaxclear.components.clearance import SliderGuide
 from jaxclear.components.drive import AbstractDrive, ConstantSpeed
 from jaxclear.components.joint import Prismatic, Revolute
 from jaxclear.components.load import AbstractLoad, Gravity, JointTorque
+from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.laws.contact import CarvalhoMartins
 from jaxclear.laws.friction import AbstractFrictionLaw, Coulomb, CoulombTanh
 from jaxclear.laws.material import steel
 from jaxclear.laws.stiffness import HertzStiffness
+from jaxclear.laws.wear import Archard
 from jaxclear.multibody.mechanism import Mechanism
 
 CRANK, SLIDER, WIDTH, GUIDE_LENGTH = 0.5, 0.2, 0.1, 1.6
@@ -48,6 +52,7 @@ CRANK_MASS, SLIDER_MASS, GUIDE_MASS = 39.005, 15.602, 41.850
 CRANK_INERTIA, SLIDER_INERTIA, GUIDE_INERTIA = 3.28292083, 0.06500833, 32.5078317
 # From the guide's pivot to its middle.
 GUIDE_ARM = 0.5 * GUIDE_LENGTH - 0.05
+BREADTH = 0.1
 GROUND_DISTANCE = 0.8
 CRANK_SPEED = 5.0
 GRAVITY = 9.81
@@ -56,7 +61,10 @@ MU = 0.1
 REGULARISING_SPEED = 1e-4
 # Radius of the slider's rounded corners [m].
 CORNER_RADIUS = 5e-3
-KINDS = ("guide", "ideal")
+# Along the guide where it wears: a centimetre each.
+CELLS = (4, 160)
+WALLS = {"breadth": BREADTH, "guide_length": GUIDE_LENGTH}
+KINDS = ("guide", "wearing", "ideal")
 FRICTIONS = ("set_valued", "regularised")
 
 
@@ -72,13 +80,20 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
     return CoulombTanh(mu_kinetic=MU, transition_speed=REGULARISING_SPEED)
 
 
-def slider_joint(kind: str, clearance: Any, friction: AbstractFrictionLaw | None) -> Any:
-    """The joint of slider and guide: "guide" with a gap of `clearance` [m] on each side, or
-    "ideal".
+def slider_joint(
+    kind: str, clearance: Any, friction: AbstractFrictionLaw | None, middle: Any
+) -> Any:
+    """The joint of slider and guide: "guide" with a gap of `clearance` [m] on each side, "wearing"
+    as this with both parts wearing, or "ideal"; `middle` of the guide [m] along it from where the
+    slider starts.
     """
     check_known("kind of guide", kind, KINDS)
     if kind == "ideal":
         return Prismatic()
+    walls: dict[str, Any] = {}
+    if kind == "wearing":
+        wear = Wearing(Archard(), CELLS)
+        walls = WALLS | {"guide_middle": middle, "guide_wear": wear, "slider_wear": wear}
     return SliderGuide(
         contact=CarvalhoMartins(stiffness=HertzStiffness(steel(), steel()), restitution=0.8),
         friction=friction,
@@ -86,6 +101,7 @@ def slider_joint(kind: str, clearance: Any, friction: AbstractFrictionLaw | None
         length=SLIDER,
         clearance=clearance,
         corner_radius=CORNER_RADIUS,
+        **walls,
     )
 
 
@@ -104,6 +120,17 @@ def _from_pivot_to_crank(crank_angle: Any) -> tuple[Any, Any]:
     return jnp.hypot(along, across), jnp.arctan2(across, along)
 
 
+def _loads(gravity: Any, torque: Any) -> dict[str, AbstractLoad]:
+    """Weights under a `gravity` [m/s2], and the crank's `torque` [N m]; None for none."""
+    loads: dict[str, AbstractLoad] = {}
+    if gravity is not None:
+        check_number("gravity of guide", gravity, "m/s^2")
+        loads["gravity"] = Gravity((0.0, -gravity))
+    if torque is not None:
+        loads["torque"] = JointTorque("O", torque)
+    return loads
+
+
 @answering
 def guide(
     kind: str = "guide",
@@ -117,7 +144,7 @@ def guide(
     gravity: float | None = GRAVITY,
 ) -> Mechanism:
     """The mechanism of the paper, joint "P" between guide and slider being `kind`: "guide" with
-    clearance, or "ideal".
+    clearance, "wearing" as this with both parts wearing, or "ideal".
 
     `clearance`: gap on each side of the centred slider [m]. `friction`: "set_valued" (NonColliding,
     MoreauJean), "regularised" (compliant runs; NonColliding takes its coefficients), a law, or
@@ -127,7 +154,8 @@ def guide(
     """
     check_number("clearance of guide", clearance, "m", above=0)
     check_number("crank_angle of guide", crank_angle, "rad")
-    joint = slider_joint(kind, clearance, friction_law(friction))
+    reach, tilt = _from_pivot_to_crank(crank_angle)
+    joint = slider_joint(kind, clearance, friction_law(friction), GUIDE_ARM - reach)
     if isinstance(drive, str):
         check_known("drive of guide (beside a drive of your own, and None)", drive, ["constant"])
         drive = ConstantSpeed(crank_speed, crank_angle)
@@ -136,12 +164,6 @@ def guide(
             "the crank of the guide is driven and under a torque; give drive=None for the torque "
             "to move it."
         )
-    reach, tilt = _from_pivot_to_crank(crank_angle)
-    weight: dict[str, AbstractLoad] = {}
-    if gravity is not None:
-        check_number("gravity of guide", gravity, "m/s^2")
-        weight["gravity"] = Gravity((0.0, -gravity))
-    motor: dict[str, AbstractLoad] = {} if torque is None else {"torque": JointTorque("O", torque)}
     return Mechanism(
         bodies=_bodies(),
         connections={
@@ -150,7 +172,7 @@ def guide(
             "A": Connection(Revolute(), "crank", "slider", at=(CRANK, 0.0)),
             "P": Connection(joint, Marker("guide", (reach, 0.0), "x"), Marker("slider", axis="x")),
         },
-        loads=weight | motor,
+        loads=_loads(gravity, torque),
         start={} if drive else {"O": crank_angle},
         speeds={} if drive else {"O": crank_speed},
         guess={"C": tilt, "A": tilt - crank_angle},

@@ -28,7 +28,14 @@ from jaxclear.native import scan
 from jaxclear.simulation import progress
 from jaxclear.simulation.spot_checks import Turns
 from jaxclear.simulation.tally import Tally, figures_of_a_look, followed
-from jaxclear.simulation.wear import Losses, Worn, losses, worn_at_once, worn_where_lost
+from jaxclear.simulation.wear import (
+    Losses,
+    Worn,
+    left_its_surface,
+    losses,
+    worn_at_once,
+    worn_where_lost,
+)
 
 
 class Carry(NamedTuple):
@@ -151,6 +158,9 @@ def _motion(
     # succeed.
     failed = ~sound & (result.outcome == Outcome.REACHED)
     found = jnp.where(failed, Outcome.NOT_FINITE, result.outcome)
+    gone = left_its_surface(model.system, model.layout, result.state)
+    if gone is not False:
+        found = jnp.where(gone, Outcome.OFF_THE_WALLS, found)
     outcome = jnp.where(running, found, now.outcome)
     # Of a shadow, by which the run does not get on, nothing counts.
     own = running & (turn.progress > 0)

@@ -107,6 +107,20 @@ def lost_at(slot: WearSlot, before: Array, after: Array) -> tuple[Array, Array]:
     return change[0], sp.stack(features)
 
 
+def left_its_surface(system: System, layout: Layout, state: Array) -> Any:
+    """Whether locations of wear are all that is no number in a state, because a part has left the
+    surface that it wears; False where none can."""
+    maps = wear_maps(system)
+    places: list[int] = []
+    for slot in layout.wear:
+        if slot.averaged and maps[slot.bearing][slot.surface][0].flat:
+            places += range(slot.start + 1, slot.start + 1 + len(slot.averaged))
+    if not places:
+        return False
+    known = jnp.isfinite(state)
+    return jnp.all(known.at[np.array(places)].set(True)) & ~jnp.all(known)
+
+
 def losses(layout: Layout, before: Array, after: Array) -> Losses:
     """What each surface lost between two states."""
     lost: dict[tuple[str, str], list] = {}

@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from jaxclear.components.sphere_map import SphereMap
+from jaxclear.components.wall_map import WallMap
 from jaxclear.components.wear_map import CylinderMap
 from jaxclear.ground.numerics import direction_angle
 from jaxclear.native import scan
@@ -17,6 +18,7 @@ from jaxclear.native import scan
 CLEARANCE = 0.1e-3
 CYLINDER = CylinderMap((12, 5), 10e-3, 20e-3, CLEARANCE)
 SPHERE = SphereMap((12, 6), 10e-3, CLEARANCE)
+WALLS = WallMap((2, 12), 0.12, 0.01, 0.04, 0.01, CLEARANCE, 0.01)
 HUMP = BSpline.basis_element([-1.5, -0.5, 0.5, 1.5], extrapolate=False)
 
 
@@ -62,10 +64,29 @@ def sphere_places(events):
     return np.array(found)
 
 
+def wall_events():
+    """(place, its square, how the overlap falls, overlap, wall, end) of ways of several lengths;
+    the last leaves the walls by half of the face."""
+    events = [
+        (place, place**2 + half**2 / 3, fall, overlap, wall, end)
+        for place in (-0.0383, 0.0, 0.0137, 0.0391)
+        for half in (0.0, 1e-9, 1.1e-3, 0.0187)
+        for fall in (0.0, 1e-12, 1e-6, -1e-6, 5e-5, 2e-4, -2e-4)
+        for overlap in (0.0, 1e-7, 1e-5)
+        for wall in (0.0, 1.0)
+        for end in (-1.0, 1.0)
+    ]
+    return np.array([*events[::29], (0.06, 0.06**2, 0.0, 1e-6, 0.0, -1.0)])
+
+
 @pytest.mark.parametrize(
     "wear_map, events",
-    [(CYLINDER, cylinder_events()), (SPHERE, sphere_places(sphere_events()))],
-    ids=["cylinder", "sphere"],
+    [
+        (CYLINDER, cylinder_events()),
+        (SPHERE, sphere_places(sphere_events())),
+        (WALLS, wall_events()),
+    ],
+    ids=["cylinder", "sphere", "walls"],
 )
 def test_volume_is_conserved(wear_map, events):
     deposit, areas = eqx.filter_jit(wear_map.deposit), np.asarray(wear_map.areas())
@@ -78,12 +99,21 @@ def test_volume_is_conserved(wear_map, events):
     np.testing.assert_allclose(np.sum(together * areas), 1e-12 * len(events), rtol=1e-13)
 
 
-@pytest.mark.parametrize("wear_map, ways", [(CYLINDER, 2), (SPHERE, 3)], ids=["wall", "socket"])
-def test_cell_by_cell_a_kernel_takes_off_what_the_whole_map_loses(wear_map, ways):
+@pytest.mark.parametrize(
+    "wear_map, events",
+    [
+        (CYLINDER, cylinder_events()),
+        (SPHERE, sphere_places(sphere_events())),
+        pytest.param(WALLS, wall_events(), marks=pytest.mark.slow),
+    ],
+    ids=["wall", "socket", "guide"],
+)
+def test_cell_by_cell_a_kernel_takes_off_what_the_whole_map_loses(wear_map, events):
     """And its reading is that of the depth; so are their slopes, and both of a batch."""
-    events = cylinder_events() if ways == 2 else sphere_places(sphere_events())
     events, count = jnp.asarray(events), len(events)
     rng = np.random.default_rng(0)
+    # Squares change twice as much.
+    rates = jnp.full(events.shape[1], 0.1).at[1].set(0.2 if wear_map is WALLS else 0.1)
     depths = jnp.asarray(rng.uniform(0.0, 1.0, (count, *wear_map.cells)))
     depths = depths * 10.0 ** rng.uniform(-10, -6, (count, 1, 1))
     volumes = jnp.asarray(10.0 ** rng.uniform(-15, -11, (count, 2))).at[::3, 1].set(0.0)
@@ -99,7 +129,9 @@ def test_cell_by_cell_a_kernel_takes_off_what_the_whole_map_loses(wear_map, ways
 
     def told(deposit):
         pairs = depths, volumes, jnp.stack([events, jnp.roll(events, 1, axis=0)], axis=1)
-        moved = lambda *given: jax.jvp(deposit, given, tuple(0.1 * each for each in given))
+        moved = lambda *given: jax.jvp(
+            deposit, given, (0.1 * given[0], 0.1 * given[1], rates * given[2])
+        )
         return jax.jit(jax.vmap(moved))(*pairs)
 
     # Of narrow contacts what is lost is a difference of like numbers.
@@ -117,8 +149,9 @@ def test_areas_add_up():
     [
         pytest.param(CYLINDER, cylinder_events(), marks=pytest.mark.slow),
         (SPHERE, sphere_places(sphere_events())),
+        (WALLS, wall_events()),
     ],
-    ids=["cylinder", "sphere"],
+    ids=["cylinder", "sphere", "walls"],
 )
 def test_deposit_has_finite_derivatives(wear_map, events):
     def lost(volume, event):

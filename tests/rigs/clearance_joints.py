@@ -150,7 +150,15 @@ def guide(p):
         kinetic_speed=10 * p["transition_speed"],
     )
     return jc.clearance.SliderGuide(
-        law, friction, width=RADIUS, length=LENGTH, clearance=p["clearance"]
+        law,
+        friction,
+        width=RADIUS,
+        length=LENGTH,
+        clearance=p["clearance"],
+        breadth=RADIUS,
+        guide_length=20 * LENGTH,
+        guide_wear=_wearing(),
+        slider_wear=_wearing(),
     )
 
 

@@ -98,6 +98,25 @@ def test_reactions_agree_with_the_regularised_model_away_from_switchings(driven,
 
 
 @pytest.mark.slow
+def test_both_parts_of_a_worn_guide_lose_what_the_forces_by_hand_take(driven):
+    """Volumes are k / H times the integral of force and slip; wear changes nothing of the motion
+    of joints that always touch."""
+    worn = jc.simulate(
+        jc.scenes.guide("wearing"), TURN, save=SAVES, integrator=jc.integrator.NonColliding(STEP)
+    )
+    middle = SPEED * (np.asarray(worn.time)[1:] - 0.5 * STEP)
+    expected = regularised(middle, SPEED)
+    law = jc.wear.Archard()
+    rate = float(law.wear_coefficient / law.hardness) * STEP
+    wanted = rate * np.sum(np.abs(expected["n"]).sum(axis=0) * np.abs(expected["slip"]))
+    for surface in ("guide", "slider"):
+        np.testing.assert_allclose(worn.worn_volume("P", surface)[-1], wanted, rtol=1e-3)
+    np.testing.assert_array_equal(
+        worn.history.states[:, :2], np.asarray(driven.history.states)[:, :2]
+    )
+
+
+@pytest.mark.slow
 def test_reactions_agree_with_a_compliant_run_away_from_switchings_and_impacts(
     driven, compliant, instants
 ):
@@ -343,7 +362,7 @@ def test_the_command_writes_figures_and_tables(tmp_path, capsys, keep_settings):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        ({"kind": "slot"}, '"slot"; there are "guide", "ideal"'),
+        ({"kind": "slot"}, '"slot"; there are "guide", "wearing", "ideal"'),
         ({"friction": "viscous"}, "set_valued"),
         ({"torque": 3.0}, "drive=None"),
     ],

@@ -4,7 +4,8 @@ Source of the permanent form: Luo, Qi & Kong, "Non-colliding contact analysis wi
 planar prismatic joint".
 """
 
-from typing import ClassVar
+from math import inf
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,9 +19,11 @@ from jaxclear.components.clearance.base import (
 from jaxclear.components.clearance.permanent import AbstractPermanentJoint
 from jaxclear.components.joint import Prismatic
 from jaxclear.components.joint.rubbing import CarriedContact, CarryingEnd
+from jaxclear.components.wall_map import WallMap
+from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.friction import AbstractFrictionLaw
 from jaxclear.laws.stiffness import Shape
@@ -36,7 +39,11 @@ class SliderGuide(AbstractClearance):
     touch a wall.
 
     :math:`\delta = \pm x - (w/2 + c)` with x of the corner and w the slider's width; corners
-    (-, +) x (back, front).
+    (-, +) x (back, front). Walls and faces that wear ask for their `breadth`; the walls are mapped
+    over `guide_length` about `guide_middle`, and a run in which the slider leaves that range ends
+    and says so. Of `Wearing.cells` the number along counts. A face loses where it overlaps the worn
+    wall on the line between its corners: all along where it lies flat, at a corner where it is
+    tilted.
     """
 
     ideal_rows: ClassVar = ("x", "x.z")
@@ -54,9 +61,21 @@ class SliderGuide(AbstractClearance):
     corner_radius: Scalar = quantity(
         5e-3, "m", "rounding of a corner, for the stiffness only", above=0, kw_only=True
     )
+    guide_wear: Wearing | None = eqx.field(default=None, kw_only=True)
+    slider_wear: Wearing | None = eqx.field(default=None, kw_only=True)
+    breadth: Scalar | None = quantity(
+        None, "m", "breadth of the faces that wear, along y", above=0, kw_only=True
+    )
+    guide_length: Scalar | None = quantity(
+        None, "m", "length of the walls that wear, along the guide", above=0, kw_only=True
+    )
+    guide_middle: Scalar | None = quantity(
+        None, "m", "place of these walls' middle along the guide (None: its marker)", kw_only=True
+    )
 
     def __check_init__(self):
         check_clearance(self, "width")
+        _check_wear(self)
 
     @property
     def axes(self) -> tuple[int, ...]:
@@ -64,7 +83,7 @@ class SliderGuide(AbstractClearance):
 
     def contact_laws(self):
         shape = Shape(self.corner_radius, FLAT * self.corner_radius, None)
-        return (ContactLaws(self.contact, self.friction, shape, False),) * 4
+        return (ContactLaws(self.contact, self.friction, shape, True),) * 4
 
     def contact_names(self):
         return ("lower back", "lower front", "upper back", "upper front")
@@ -80,14 +99,55 @@ class SliderGuide(AbstractClearance):
                 yield side, sp.plus(offset, arm)
 
     def indentations(self, offset, axes, worn):
-        half = 0.5 * self.width + self.clearance
-        return tuple(side * corner[0] - half for side, corner in self._corners(offset, axes))
+        half, maps = 0.5 * self.width + self.clearance, self.maps() if worn else {}
+        overlaps = []
+        for k, (side, corner) in enumerate(self._corners(offset, axes)):
+            overlap, (wall, front) = side * corner[0] - half, divmod(k, 2)
+            if "guide" in worn:
+                overlap = overlap - maps["guide"][0].depth_at(worn["guide"], wall, corner[2])
+            if "slider" in worn:
+                end = 2 * front - 1
+                overlap = overlap - maps["slider"][0].depth_at_end(worn["slider"], wall, end)
+            overlaps.append(overlap)
+        return tuple(overlaps)
 
     def contact_candidates(self, offset, axes, indentations):
         return tuple(
             ContactCandidate(corner, (side, 0, 0), ((0, 0, 1),))
             for side, corner in self._corners(offset, axes)
         )
+
+    def maps(self):
+        middle = jnp.zeros(()) if self.guide_middle is None else self.guide_middle
+        half = 0.5 * self.width
+        walls = {
+            "guide": (self.guide_wear, half + self.clearance, self.guide_length, middle),
+            "slider": (self.slider_wear, half, self.length, jnp.zeros(())),
+        }
+        size = self.length, self.breadth, self.clearance
+        return {
+            name: (WallMap((2, own.cells[1]), *along, *size, away), own)
+            for name, (own, away, *along) in walls.items()
+            if own is not None
+        }
+
+    def inner_surfaces(self):
+        return ("slider",)
+
+    def features(self, surface, offset, axes, indentations, index):
+        corners = tuple(self._corners(offset, axes))
+        # Corners of one side follow upon each other.
+        (side, here), (_, other) = corners[index], corners[index ^ 1]
+        wall, front = divmod(index, 2)
+        end, fall = 2 * front - 1, side * (here[0] - other[0])
+        place: tuple[Any, Any] = 0.0, 0.0
+        if surface == "guide":
+            walls, _ = self.maps()["guide"]
+            middle = here[2] - walls.middle - 0.5 * end * self.length
+            # Beyond the walls nothing is known: the run ends, and says why.
+            middle = jnp.where(walls.within(here[2]), middle, jnp.nan)
+            place = middle, middle * middle
+        return (*place, fall, positive_part(indentations[index]), float(wall), float(end))
 
     def check_plane(self, heights):
         if max(abs(heights[0]), abs(heights[2])) > ACROSS:
@@ -101,7 +161,16 @@ class SliderGuide(AbstractClearance):
         width = inner * self.width
         gap = outer * (0.5 * self.width + self.clearance) - 0.5 * width
         sizes = lambda own: (own.width, own.clearance, own.length)
-        return eqx.tree_at(sizes, self, (width, gap, inner * self.length))
+        joint = eqx.tree_at(sizes, self, (width, gap, inner * self.length))
+        for name, factor in (
+            ("breadth", inner),
+            ("guide_length", outer),
+            ("guide_middle", outer),
+        ):
+            size = getattr(self, name)
+            if size is not None:
+                joint = eqx.tree_at(lambda own, name=name: getattr(own, name), joint, factor * size)
+        return joint
 
     def seat(self, force, torque):
         first, last = self.permanent_form().carrying_ends(force, torque, 0.0)
@@ -110,6 +179,34 @@ class SliderGuide(AbstractClearance):
 
     def permanent_form(self):
         return PermanentPrismatic(self)
+
+
+def _check_wear(joint: SliderGuide) -> None:
+    """Raises `ValueError` where a guide wears and does not tell where, or asks for a radius of flat
+    walls."""
+    wearing = {"guide_wear": joint.guide_wear, "slider_wear": joint.slider_wear}
+    given = {name: own for name, own in wearing.items() if own is not None}
+    for name, own in given.items():
+        if own.worn_radius:
+            raise ValueError(
+                f"the {name} of a SliderGuide has worn_radius=True, but flat walls have no radius; "
+                "leave worn_radius out."
+            )
+    missing = [] if joint.breadth is not None or not given else ["breadth"]
+    if joint.guide_wear is not None and joint.guide_length is None:
+        missing.append("guide_length")
+    if missing:
+        raise ValueError(
+            f"a SliderGuide with {' and '.join(given)} has no {' and no '.join(missing)}; give the "
+            "breadth of the faces and, where the guide wears, the length of its walls [m], over "
+            "which the slider travels about guide_middle."
+        )
+    walls, face = concrete(joint.guide_length), concrete(joint.length)
+    if walls is not None and face is not None and 0 < walls < face < inf:
+        raise ValueError(
+            f"a SliderGuide has a slider of length {face:g} m on walls of guide_length {walls:g} "
+            "m; they must be as long as the slider and its travel."
+        )
 
 
 class PermanentPrismatic(AbstractPermanentJoint):

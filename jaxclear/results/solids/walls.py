@@ -9,7 +9,8 @@ __all__ = ["Wall", "wall"]
 
 
 class Wall(NamedTuple):
-    """`points` (n, 3) [m] of the worn wall, in the frame of its bearing, journal, socket or ball;
+    """`points` (n, 3) [m] of the worn wall, in the frame of its bearing, journal, socket, ball,
+    guide or slider;
     `corners` (cells, 4) of each cell, and its `depth` (cells,) [m]."""
 
     points: np.ndarray
@@ -47,6 +48,8 @@ SHAPES: dict[str, tuple[Callable, int]] = {
 def wall(wear_map: Any, surface: str, depth: np.ndarray) -> Wall | None:
     """The worn wall of a surface; None of one whose shape is not known. `depth` (around, along)
     [m]."""
+    if wear_map.flat:
+        return _flat(wear_map, 1 if surface == "guide" else -1, depth)
     if surface not in SHAPES:
         return None
     shape, sign = SHAPES[surface]
@@ -61,3 +64,19 @@ def wall(wear_map: Any, surface: str, depth: np.ndarray) -> Wall | None:
     place = lambda i, j: i * (along + 1) + j
     corners = [place(column, row), place(after, row), place(after, row + 1), place(column, row + 1)]
     return Wall(points, np.stack(corners, -1).reshape(-1, 4), depth.reshape(-1))
+
+
+def _flat(wear_map: Any, sign: int, depth: np.ndarray) -> Wall:
+    """The walls of a guide, or the faces of a slider, each as deep as its cells at their edges."""
+    along = depth.shape[1]
+    padded = np.pad(depth, ((0, 0), (1, 1)), mode="edge")
+    away = float(wear_map.distance) + sign * 0.5 * (padded[:, 1:] + padded[:, :-1])
+    ends = np.array([-0.5, 0.5])
+    x = (np.array([-1.0, 1.0])[:, None] * away)[..., None] * np.ones(2)
+    y = np.broadcast_to(float(wear_map.breadth) * ends, x.shape)
+    z = float(wear_map.middle) + float(wear_map.length) * np.linspace(-0.5, 0.5, along + 1)
+    points = np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], -1).reshape(-1, 3)
+    side, row = np.meshgrid(np.arange(2), np.arange(along), indexing="ij")
+    first = 2 * (side * (along + 1) + row)
+    corners = np.stack([first, first + 1, first + 3, first + 2], -1).reshape(-1, 4)
+    return Wall(points, corners, depth.reshape(-1))

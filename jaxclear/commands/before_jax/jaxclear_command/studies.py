@@ -41,9 +41,10 @@ STUDIES: dict[str, tuple[str, list[click.Parameter], list[str]]] = {
                 number(0.0, "m", above=True),
                 1e-5,
             ),
+            click.Option(["--wear"], is_flag=True, help="wear both parts, and draw their depth"),
             quiet(),
         ],
-        ["jaxclear guide --clearance 2e-5"],
+        ["jaxclear guide --clearance 2e-5", "jaxclear guide --wear"],
     ),
     "flap": (
         "flap actuation with four clearance joints: modes, impacts, forces, lever ratio",
