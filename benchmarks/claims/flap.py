@@ -1,9 +1,10 @@
 """Half a second of the flap: what ImplicitStep costs and how right its forces and friction are,
 beside Adaptive, and what its runs warn of.
 
-Of every joint the impulse of its contact over the run, which is its mean force; of all joints
-together the energy that friction takes, integrated with the motion (`balance`). Mean forces are
-right at any of these steps. What friction takes is not: the warning at 5e-6 s is true.
+Of every joint the impulse of its contact over the run, which is its mean force, and its largest
+force, that of an impact of some microseconds; of all joints together the energy that friction
+takes, integrated with the motion (`balance`). Mean forces are right at any of these steps. What
+friction takes is not: the warning at 5e-6 s is true.
 """
 
 import time
@@ -29,8 +30,10 @@ QUICK = (5e-6,), (1e-7,), 0.02
 def asked(run: jc.Trajectory) -> dict[str, np.ndarray]:
     """Impulses by joint [N s], friction's energy [J], and where the second rod is [m]."""
     energies = np.asarray(run.states)[-1, run.history.layout().energy_start :]
+    peaks = [float(jc.response.PeakContactForce(joint)(run)) for joint in JOINTS]
     return {
         "mean forces": np.array([float(contact_impulse(run.history, j)[-1]) for j in JOINTS]),
+        "peak forces": np.array(peaks),
         "friction loss": np.array([energies[ENERGIES.index("friction_loss")]]),
         "motion": np.asarray(run.body("rod 2").com[-1]),
     }

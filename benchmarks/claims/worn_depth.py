@@ -3,22 +3,24 @@
 Walls worn by given volumes: a pin pressed one way, rigid (the area between two circles, in closed
 form) and elastic, a tilted journal, a ball. Then the four-bar with three-dimensional clearance:
 deepest cell, volume, and CPU time beside the same run without wear, and what hangs on its saving
-times. The order is that between three numbers of cells.
+times. And the 3RSR's socket, after a settled cycle and after a million. The order is that between
+three numbers of cells.
 """
 
-import json
 import math
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import about, arguments, report, side_by_side
+from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wear_map import AbstractWearMap, CylinderMap
 from jaxclear.scenes.four_bar import four_bar
+from jaxclear.scenes.parallel_3rsr import QUIET, parallel_3rsr
 
 RADIUS, LENGTH, CLEARANCE = 10e-3, 20e-3, 0.1e-3
 # Depth of the pin's scar [m], overlap of elastic contacts [m], fall of the tilted journal's [m].
@@ -26,8 +28,21 @@ DEPTH, OVERLAP, FALL = 10e-6, 0.5e-6, 30e-6
 LOSSES, DIRECTION = 50, 0.31
 # Of the four-bar: duration [s], saving times, cells around and along.
 SPAN, SAVES, GRIDS = 1.26, 631, ((18, 5), (36, 10), (72, 20), (144, 40), (288, 80))
+# Cells along that a tilted journal's scar needs, which is shorter than a millimetre of 20.
+AROUND, ROWS = 144, (40, 80, 160, 320)
 # Saving times over 0.5 s of it; the last are those that others are held against.
 SPAN_OF_SAVES, COUNTS, STEP = 0.5, (126, 251, 501, 1001, 2001, 4001, 8001), 5e-6
+
+# Of the 3RSR: cells of azimuth and of elevation after a cycle, the most of them after a million;
+# cycles that it settles in, saving times of a cycle, and by how many cycles a million stand for.
+BALL_CELLS, MOST_OF_A_LIFE = (12, 24, 48, 96, 192, 384), 192
+SETTLED, BALL_SAVES, LIFE, CYCLES = 3, 200, 1e6, 160
+PARTS = {
+    "given": "worn depth: walls",
+    "four-bar": "worn depth: the four-bar",
+    "along": "worn depth: the four-bar, finer along",
+    "3RSR": "worn depth: the 3RSR",
+}
 
 
 def deepest(wear_map: AbstractWearMap, volume: float, place: tuple) -> float:
@@ -44,8 +59,10 @@ def with_orders(rows: list[dict[str, Any]], names: list[str]) -> list[dict[str, 
     """The rows with the orders that the last three of each figure show; none where there are not
     three yet."""
     for name in names:
-        changes = np.abs(np.diff([row[name] for row in rows]))
+        known = [row[name] for row in rows if row[name] is not None]
+        changes = np.abs(np.diff(known))
         orders = [None, None, *np.log2(changes[:-1] / changes[1:]).tolist()]
+        orders += [None] * (len(rows) - len(known))
         for row, order in zip(rows, orders, strict=True):
             row[f"order, {name.split(' [')[0]}"] = order
     return rows
@@ -99,6 +116,29 @@ def runs(grids: tuple[tuple[int, int], ...], integrator: Any) -> list[dict[str, 
     return rows
 
 
+def along(rows: tuple[int, ...]) -> list[dict[str, Any]]:
+    """The four-bar's joint on finer and finer rows, and how much of its scar's length they see:
+    that of the deepest column, where it is deeper than a fiftieth of its deepest cell."""
+    found = []
+    for count in rows:
+        rig = four_bar("spatial", cells=(AROUND, count))
+        run = jc.simulate(rig, SPAN, save=SAVES, integrator=jc.integrator.FixedStep(2e-5))
+        depth = np.asarray(run.worn_depth("B", "bearing"))
+        column, row = np.unravel_index(depth.argmax(), depth.shape)
+        scar = depth[column, count // 2 :] if row >= count // 2 else depth[column, : count // 2]
+        length = 1e3 * rig.connections["B"].joint.length / count
+        found.append(
+            {
+                "cells": f"{AROUND} x {count}",
+                "deepest cell [um]": 1e6 * float(depth.max()),
+                "its scar is long [mm]": float(length * np.sum(scar > 0.02 * depth.max())),
+                "volume in the last rows [1]": float(depth[:, [0, -1]].sum() / depth.sum()),
+            }
+        )
+        print(found[-1], flush=True)
+    return with_orders(found, ["deepest cell [um]"])
+
+
 def by_saves(counts: tuple[int, ...]) -> list[dict[str, Any]]:
     """The four-bar's joint at so many saving times, beside the last of them: its deepest cell, and
     what other cells have lost."""
@@ -119,20 +159,89 @@ def by_saves(counts: tuple[int, ...]) -> list[dict[str, Any]]:
     ]
 
 
+def parallel(cells: tuple[int, ...]) -> list[dict[str, Any]]:
+    """The quiet 3RSR's socket: what a cycle takes off once it has settled, and what a million do,
+    each of those that are run standing for as many as it must."""
+    rows = []
+    for around in cells:
+        rig = parallel_3rsr(period=QUIET, cells=(around, around))
+        begun = _cycles(rig, SETTLED)[0]
+        cycle, _ = _cycles(rig, 1, begun)
+        before, after = (run.worn_depth("S1", "socket") for run in (begun, cycle))
+        row = {"cells": f"{around} x {around}", "a cycle [nm]": 1e9 * float((after - before).max())}
+        row |= {"a million [mm]": None, "volume [mm^3]": None}
+        if around <= MOST_OF_A_LIFE:
+            row |= _million(rig, begun)
+        print(row, flush=True)
+        rows.append(row)
+    return with_orders(rows, ["a cycle [nm]", "a million [mm]"])
+
+
+def _million(rig: jc.Mechanism, begun: jc.Trajectory) -> dict[str, float]:
+    """Depth and volume after a million cycles."""
+    many = eqx.tree_at(
+        lambda own: own.connections["S1"].joint.socket_wear.acceleration,
+        rig,
+        jnp.asarray(LIFE / CYCLES),
+    )
+    run, volume = _cycles(many, CYCLES, begun)
+    depth = float(run.worn_depth("S1", "socket").max())
+    return {"a million [mm]": 1e3 * depth, "volume [mm^3]": 1e9 * volume}
+
+
+def _cycles(
+    rig: jc.Mechanism, count: int, begun: jc.Trajectory | None = None
+) -> tuple[jc.Trajectory, float]:
+    """(the last of so many cycles after those of a run, volume lost in all [m3])."""
+    how, volume = jc.integrator.ImplicitStep(5e-5, rebound=1.0), 0.0
+    for _ in range(count):
+        state = None if begun is None else begun.state()
+        begun = jc.simulate(rig, QUIET, save=BALL_SAVES + 1, integrator=how, state=state)
+        volume += float(begun.worn_volume("S1", "socket")[-1])
+    return begun, volume
+
+
 def main() -> None:
-    options = arguments(__doc__)
+    options = arguments(__doc__, only={"choices": list(PARTS), "help": "this part alone"})
+    asked = [options.only] if options.only else [part for part in PARTS if part != "along"]
+    for part in asked:
+        measured = {
+            "given": given_rows,
+            "four-bar": four_bar_rows,
+            "along": along_rows,
+            "3RSR": parallel_rows,
+        }[part]
+        measured(options)
+    sign("benchmarks.claims.worn_depth", options.json, [PARTS[part] for part in asked])
+
+
+def along_rows(options: Any) -> None:
+    """Of the four-bar, along its bearing."""
+    rows = ROWS[:3] if options.quick else ROWS
+    report("worn depth: the four-bar, finer along", along(rows), options)
+
+
+def parallel_rows(options: Any) -> None:
+    """Of the 3RSR."""
+    cells = BALL_CELLS[:4] if options.quick else BALL_CELLS
+    report(PARTS["3RSR"], parallel(cells), options)
+
+
+def given_rows(options: Any) -> None:
+    """Of given volumes."""
     cells = (24, 48, 96, 192) if options.quick else (24, 48, 96, 192, 384)
     report("worn depth: walls worn by given volumes", shapes(cells), options)
+
+
+def four_bar_rows(options: Any) -> None:
+    """Of the four-bar."""
     grids = GRIDS[1:4] if options.quick else GRIDS
     for integrator in (jc.integrator.FixedStep(2e-5), jc.integrator.ImplicitStep()):
         name = type(integrator).__name__
         report(f"worn depth: the four-bar, {name}", runs(grids, integrator), options)
+    along_rows(options)
     counts = COUNTS[:3] if options.quick else COUNTS
     report("worn depth: the four-bar, by saving times", by_saves(counts), options)
-    if options.json is not None:
-        told = {"about": about("benchmarks.claims.worn_depth", options.json)}
-        known = json.loads(options.json.read_text())
-        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
 
 
 if __name__ == "__main__":
