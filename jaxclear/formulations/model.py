@@ -26,7 +26,8 @@ class Model(eqx.Module):
     the gaps read them, the stabilisation of its loops, and where everything sits in the state.
 
     `projects`: loops are closed anew after every step. `events`: how many touches and releases of
-    each contact are kept between two saving times.
+    each contact are kept between two saving times. `discrete`: derivatives are those of the steps,
+    not of the motion.
     """
 
     system: System
@@ -35,6 +36,7 @@ class Model(eqx.Module):
     layout: Layout = eqx.field(static=True)
     projects: bool = eqx.field(static=True, default=False)
     events: int = eqx.field(static=True, default=0)
+    discrete: bool = eqx.field(static=True, default=False)
 
     def entries(self, state: State) -> list:
         """The numbers of a state, one by one."""

@@ -19,12 +19,12 @@ from jaxclear.integrators.base import (
 )
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.error_control import Solved, solve, stepped_by_hand
-from jaxclear.integrators.events import Events
 from jaxclear.integrators.impacts import EndingAtTouches, TakingImpactSpeeds
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.integrators.saltation import equations, trusted
+from jaxclear.integrators.saltation import equations
 from jaxclear.integrators.state_group import state_group
+from jaxclear.integrators.trust import NO_SECOND, trusted
 from jaxclear.integrators.unresolved import FollowingErrors, resolved, unfollowed
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.system import longest_arm
@@ -52,11 +52,6 @@ ROUNDING = 1e-12
 # than a hundredth (slider-cranks with and without friction, rtol 1e-7 beside 1e-12; 3 hundredths at
 # 5000 rpm).
 TRUSTED = 8e-4
-# What a second derivative through contacts is told.
-NO_SECOND = (
-    "a second derivative through contacts that open and close is not known: take differences of "
-    "first derivatives (jax.jvp, jax.jacfwd, jax.grad)."
-)
 
 
 class Adaptive(AbstractIntegrator):
@@ -248,7 +243,8 @@ class Adaptive(AbstractIntegrator):
             moving = state, figures[Check.INDENTATION], instants
             moving = trusted(moving, growth, _most_growth(model, controller))
             state, figures[Check.INDENTATION], instants = derived_once(NO_SECOND, moving)
-            events = None if events is None else Events(instants[0], instants[1], events.counts)
+            if events is not None:
+                events = events._replace(times=instants[0], rates=instants[1])
         elif growth is not None:
             state = resolved(state, growth)
         return Advance(state, *steps, (usual, growth), outcome, figures, events)

@@ -9,10 +9,12 @@ of the step in which a contact turns, derivatives follow Hermite's cubic, as the
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.impact_speed import ContactMotion, bends, cubic, summit
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.quantity import constant
 from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
 
 
@@ -52,6 +54,25 @@ def deepest(
         return where_wanted(jnp.any(deeper), ahead, moved(so_far))
 
     return derived(larger, moving)(arrays, *ends, motions, known)
+
+
+def largest(known: Any, before: ContactMotion, after: ContactMotion, length: Any) -> Any:
+    """The same where the motion of the contacts at both ends of a step of this length [s] has
+    derivatives of its own."""
+
+    def moving(numbers, tangents):
+        (known, before, after, length), ways = numbers, jax.tree.map(moved, tuple(tangents))
+        turns = (before.rates > 0) & (after.rates <= 0)
+        turns = turns & (jnp.maximum(before.depths, after.depths) >= known)
+        path, moves = (
+            (one.depths, other.depths, length * one.rates, length * other.rates)
+            for one, other in ((before, after), ways[1:3])
+        )
+        share = jnp.where(turns, summit(path), 1.0)
+        return jnp.where(turns | (after.depths > known), cubic(moves, share)[0], ways[0])
+
+    deeper = lambda known, _, after, __: jnp.where(after.depths > known, after.depths, known)
+    return derived(deeper, moving)(known, before, after, constant(length))
 
 
 def _at_fixed_times(found: list, motions: Any, moves: Any, bent: Any, length: Any) -> list:

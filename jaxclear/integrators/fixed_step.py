@@ -17,11 +17,21 @@ import numpy as np
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, count, quantity
+from jaxclear.ground.tangents import derived_once
 from jaxclear.ground.wording import unknown
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.deepest import largest
 from jaxclear.integrators.events import watch_from, watched
+from jaxclear.integrators.explicit_methods import (
+    CHAINS,
+    ON_GROUPS,
+    ORDERS,
+    STABLE_DAMPING,
+    near_contacts,
+)
+from jaxclear.integrators.mid_step import through_touches
 from jaxclear.integrators.state_group import state_group
 from jaxclear.integrators.stepping import (
     SLIVER,
@@ -31,22 +41,8 @@ from jaxclear.integrators.stepping import (
     divide,
     resolved,
 )
+from jaxclear.integrators.trust import GROWTH, NO_SECOND, trusted_steps, unknown_way
 from jaxclear.native import while_loop
-
-# Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes,
-# weights).
-CHAINS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
-    "euler": ((0.0,), (1.0,)),
-    "semi_implicit": ((0.0,), (1.0,)),
-    "heun": ((0.0, 1.0), (0.5, 0.5)),
-    "rk4": ((0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
-}
-# Methods on the group of the coordinates, by their order.
-ON_GROUPS = {f"munthe_kaas{order}": order for order in munthe_kaas.TABLEAUS}
-# Rate of damping times the step up to which a method is stable, by its order: where |1 + z + ... +
-# z^p / p!| passes 1 on the negative axis.
-STABLE_DAMPING = {1: 2.0, 2: 2.0, 3: 2.513, 4: 2.785}
-ORDERS = {"euler": 1, "semi_implicit": 1, "heun": 2, "rk4": 4} | ON_GROUPS
 
 
 class FixedStep(AbstractIntegrator):
@@ -67,8 +63,10 @@ class FixedStep(AbstractIntegrator):
     numbers, but not through friction in ideal joints. Impact speeds
     are those at the touch within a step, to the third power of the step; a force that begins as the
     3/2th power of the indentation limits the order of a run through impacts to 5/2. Derivatives are
-    those of the discrete run: where contacts open and close, not those of the motion
-    (`jaxclear.sensitivity` compares methods).
+    those of the discrete run: where contacts open and close, by "rk4" without `steps_per_save`
+    those of the motion (`mid_step`; within 1e-3 through six bounces of Hertzian laws in steps of
+    20 us), nan where impacts have made them grow beyond what steps determine or a contact is over
+    in a few steps; else not those of the motion (`jaxclear.sensitivity` compares methods).
     """
 
     pathwise: ClassVar = True
@@ -131,20 +129,81 @@ class FixedStep(AbstractIntegrator):
         seen = self.method not in ON_GROUPS or self.formulation.remembers(model)
         if not (seen and any(kinds for _, kinds in model.layout.memories)):
             return None
-        return self.formulation.contacts(model, start, state), jnp.ones(())
+        growth = jnp.zeros(GROWTH) if self._derived(model) else None
+        return self.formulation.contacts(model, start, state), jnp.ones(()), growth
+
+    def _derived(self, model):
+        return self.through_contacts and model.system.bearings and not model.discrete
+
+    @property
+    def through_contacts(self):
+        return self.method == "rk4" and self.steps_per_save is None
+
+    def _stepped(self, model):
+        """A step, as a function of ((time [s], lengths...), state, last)."""
+        arrays, rest = eqx.partition((model, self), eqx.is_array)
+
+        def plain(arrays, clock, y, last):
+            (model, own), (time, longest, left) = eqx.combine(arrays, rest), clock
+            length = (lambda *_: longest) if left is None else own._choice(longest, *left)
+            return own._step(model, time, length, longest, y, last)
+
+        if not self._derived(model):
+
+            def alone(clock, y, last):
+                h, y, now = plain(arrays, clock, y, None if last is None else last[:2])
+                return h, y, None if now is None else (*now, None)
+
+            return alone
+        step = through_touches(self.formulation, rest[0], plain)
+
+        def derived(clock, y, last):
+            h, y, now, growth = step(arrays, clock, y, last[:2], last[2])
+            return h, y, (*now, growth)
+
+        return derived
+
+    def _met(self, model, met, last, now):
+        """What was met of the contacts, from their motion at the starts of two steps."""
+        found = None if met is None else contacts_met(met, last[0].depths, now[0].depths)
+        if met is None or not self._derived(model):
+            return found
+        return found[0], largest(met[1], last[0], now[0], last[1])
+
+    def _trusted(self, model, end, last, met, watch):
+        """All that was found, where its derivative can be trusted; rates at events have none."""
+        if not self._derived(model):
+            return end, met, watch
+        if watch is not None:
+            rates = unknown_way(watch.events.rates)
+            watch = watch._replace(events=watch.events._replace(rates=rates))
+        return derived_once(NO_SECOND, trusted_steps((end, met, watch), last[2]))
+
+    def _choice(self, longest, left, shortest):
+        """Chooses the length [s] of a step by contacts, where so much is `left`, the
+        `shortest` where one is near."""
+
+        def length(contacts, last):
+            near = jnp.any(near_contacts(contacts, last, longest))
+            h = jnp.where(near, shortest, longest)
+            return jnp.where(h > left * (1 - SLIVER), left, h)
+
+        return length
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
         if self.contact_steps is not None:
             return self._steps_that_meet_contacts(model, interval, h, state, warm_start)
 
+        step = self._stepped(model)
+
         def turn(carry):
             index, y, last, met, watch = carry
             time = interval.start + index * h
-            _, y, now = self._step(model, time, lambda *_: h, h, y, last)
+            _, y, now = step((time, h, None), y, last)
             y = closed(model, time + h, y)
             watch = watched(watch, model, time, h, y)
-            return index + 1, y, now, _met(met, last, now), watch
+            return index + 1, y, now, self._met(model, met, last, now), watch
 
         watch = watch_from(model, interval.start, state)
         first = (jnp.zeros((), int), state, warm_start, _nothing_met(warm_start), watch)
@@ -153,35 +212,29 @@ class FixedStep(AbstractIntegrator):
         else:
             scanned = lambda index, carry: turn((index, *carry))[1:]
             end, last, met, watch = counted(scanned, self.steps_per_save, first[1:])
+        end, met, watch = self._trusted(model, end, last, met, watch)
         return arrived(end, steps, last, met, self._judged(h), Check.IMPACT_STEP, watch)
 
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
-        stop = interval.stop
+        stop, step = interval.stop, self._stepped(model)
         shortest = resolved(longest / self.contact_steps, interval)
-
-        def choose(left):
-            def length(contacts, last):
-                near = jnp.any(_near(contacts, last, longest))
-                h = jnp.where(near, shortest, longest)
-                return jnp.where(h > left * (1 - SLIVER), left, h)
-
-            return length
 
         def one(carry):
             time, steps, y, last, met, watch = carry
-            h, y, now = self._step(model, time, choose(stop - time), longest, y, last)
+            h, y, now = step((time, longest, (stop - time, shortest)), y, last)
             # The step that was cut to what was left ends exactly at the end.
             begin, time = time, jnp.where(h == stop - time, stop, time + h)
             y = closed(model, time, y)
             watch = watched(watch, model, begin, h, y)
-            return time, steps + 1, y, now, _met(met, last, now), watch
+            return time, steps + 1, y, now, self._met(model, met, last, now), watch
 
         met = _nothing_met(warm_start)
         watch = watch_from(model, interval.start, state)
         first = (interval.start, jnp.zeros((), int), state, warm_start, met, watch)
         _, steps, end, last, met, watch = while_loop(lambda carry: carry[0] < stop, one, first)
         judged = self._judged(shortest)
+        end, met, watch = self._trusted(model, end, last, met, watch)
         return arrived(end, steps, last, met, judged, Check.IMPACT_STEP, watch)
 
     def _judged(self, h):
@@ -251,27 +304,6 @@ class FixedStep(AbstractIntegrator):
         return h, munthe_kaas.fixed_step(state_group(model), rate, order, time, h, y), last
 
 
-def _met(met: Any, last: Any, now: Any) -> Any:
-    """What was met of the contacts, from their motion at the starts of two steps."""
-    if met is None:
-        return None
-    return contacts_met(met, last[0].depths, now[0].depths)
-
-
 def _nothing_met(last: Any) -> Any:
     """What was met before the first step; None where nothing looks at contacts."""
     return None if last is None else (jnp.zeros_like(last[0].depths),) * 2
-
-
-def _near(contacts: Any, last: Any, longest: Any) -> Any:
-    """Whether each contact is closed, has parted within the last step, or would close within the
-    `longest` [s]: by its closing speed, and by how that has grown since the last step began (a load
-    ends a short flight however slowly it begins)."""
-    coming = jnp.maximum(contacts.rates, 0.0) * longest
-    near = (contacts.depths >= 0) | (contacts.depths + coming > 0)
-    if last is None:
-        return near
-    before, length = last
-    growth = jnp.maximum(contacts.rates - before.rates, 0.0) / length
-    falling = contacts.depths + (contacts.rates + 0.5 * growth * longest) * longest
-    return near | (before.depths >= 0) | (falling > 0)

@@ -37,17 +37,13 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import ContactMotion
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
-from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
 from jaxclear.multibody.state import Layout, impact_speed_places
 
 # A contact is near to its touch or release, or to the end of its slip, if so many steps as long as
 # this one would take it there at its rate.
 NEAR = 200.0
-# Of the derivative of a step its error estimate may be so large a share: beyond, steps that resolve
-# the motion do not resolve its neighbours (at rest they grow longer than a contact's period, and
-# derivatives with them).
-MOST_ERROR = 0.01
 # So many touches are the first ones, by which the growth of a derivative is measured: at the first
 # of all nothing may move yet (of a stiffness), or little.
 FIRST = 3
@@ -55,32 +51,18 @@ FIRST = 3
 
 class Step(NamedTuple):
     """A step of a model with these arrays: how its contacts were at the start, and its length [s],
-    both without derivatives."""
+    both without derivatives. `acting`: 1 for a contact that counts as closed, 0 for one that does
+    as apart (None: as its indentation has it)."""
 
     arrays: Any
     contacts: ContactMotion
     length: Scalar
+    acting: Any = None
 
     @property
     def shares(self) -> Any:
-        """1 for a contact that counts as closed, 0 for one that does as apart."""
-        return _closed(self.contacts)
-
-
-def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
-    """What was found of a run; its derivative is nan where touches move more than `limit` times as
-    much as the first of them did, and where a step did not resolve it.
-
-    `growth`: zeros, whose derivatives tell how many touches moved, by how much [s] the first few of
-    them and all of them did at most, and of which share the largest error of a step was."""
-
-    def judged(numbers, tangents):
-        (_, _, limit), (found, growth, _) = numbers, tangents
-        growth = moved(growth)
-        fine = (growth[2] <= limit * growth[1]) & (growth[3] <= MOST_ERROR)
-        return jax.tree.map(lambda each: jnp.where(fine, moved(each), jnp.nan), found)
-
-    return derived(lambda found, growth, limit: found, judged)(found, growth, constant(limit))
+        """Which contacts count as closed."""
+        return closed(self.contacts) if self.acting is None else self.acting
 
 
 class Equations(NamedTuple):
@@ -90,7 +72,7 @@ class Equations(NamedTuple):
     `shifted(step, (time, state), slopes)`: state and slopes at its start, at times that move by the
     derivative of a third number, which is 0; `jumped(step, (time, state), slopes, shift,
     remembering, growth, events, error)`: the state with its impact speeds, the slopes, the growth
-    (see `trusted`) and the events noted so far (None: none are) at the end, at a fixed time behind
+    (see `trust`) and the events noted so far (None: none are) at the end, at a fixed time behind
     touches and releases there, by the step's error.
     """
 
@@ -109,9 +91,8 @@ class _Model(NamedTuple):
     layout: Layout
 
 
-def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
-    """Of a model, of which this is the `rest` beside its arrays; `plain`: its rates as a function
-    of (arrays, time, state)."""
+def motion_of(formulation: CompliantContact, rest: Any) -> _Model:
+    """How a model moves, of which this is the `rest` beside its arrays."""
 
     @jax.jit
     def counted(arrays, shares, time, y):
@@ -121,19 +102,27 @@ def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equa
     def contacts(arrays, time, y):
         return formulation.contacts(eqx.combine(arrays, rest), time, y)
 
-    def as_counted(numbers, tangents):
-        return pushed(counted, numbers, tangents)[1]
-
     @jax.jit
     def slips(arrays, time, y):
         return formulation.slips(eqx.combine(arrays, rest), time, y)
 
-    model = _Model(counted, contacts, slips, rest.layout)
+    return _Model(counted, contacts, slips, rest.layout)
+
+
+def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
+    """Of a model, of which this is the `rest` beside its arrays; `plain`: its rates as a function
+    of (arrays, time, state)."""
+
+    model = motion_of(formulation, rest)
+
+    def as_counted(numbers, tangents):
+        return pushed(model.rates, numbers, tangents)[1]
+
     return Equations(
         derived(lambda arrays, _, *now: plain(arrays, *now), as_counted),
         derived(
             lambda step, now, slopes: (now[1], slopes, jnp.zeros(())),
-            functools.partial(_at_moving_time, model),
+            functools.partial(at_moving_time, model),
         ),
         derived(
             lambda step, now, slopes, shift, remembering, growth, events, error: (
@@ -146,11 +135,12 @@ def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equa
     )
 
 
-def _closed(contacts: ContactMotion) -> Any:
+def closed(contacts: ContactMotion) -> Any:
+    """1 for every contact that is closed, 0 for one that is apart."""
     return jnp.where(contacts.depths >= 0, 1.0, 0.0)
 
 
-def _at_moving_time(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
+def at_moving_time(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
     """The derivatives of (state, slopes, shift) at the start of a step."""
     step, (time, y), _ = numbers
     (way, *_), (time_way, state), slopes = tangents
@@ -201,29 +191,47 @@ def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
     (way, *_), (time_way, _), slopes, shift, *known = tangents
     arrays, before = step.arrays, step.shares
     here = arrays, time, y
-    now = model.contacts(*here)
-    after = _closed(now)
+    after = closed(model.contacts(*here))
 
     def behind(known):
         state, slopes, growth, told = known
-        flow = model.rates(arrays, before, time, y)
-        state = state - moved(shift) * flow
-        ahead = pushed(model.contacts, here, (way, time_way, state))[1]
-        late = jnp.where(before != after, -safe_divide(ahead.depths, now.rates), 0.0)
-        rate = lambda shares: model.rates(arrays, shares, time, y)
-        state = state + jax.jvp(rate, (before,), ((before - after) * late,))[1]
-        along = lambda time, y: model.contacts(arrays, time, y).rates
-        gain = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
-        speeds = ahead.rates + gain * late
-        state = _with_impact_speeds(model.layout, state, after > before, speeds)
-        grown = _grown(growth, jnp.max(jnp.where(after > before, abs(late), 0.0)))
+        state = state - moved(shift) * model.rates(arrays, before, time, y)
+        ways = way, time_way, state
+        state, grown, *moves = passed(model, here, ways, (before, after), growth)
         slopes = _slopes(model, after, here, (way, time_way, state), slopes)
-        return state, slopes, grown, _told(told, events, before != after, (late, speeds))
+        return state, slopes, grown, _told(told, events, before != after, moves)
 
     wanted = jnp.any((before > 0) | (before != after))
     state, growth, told, error = jax.tree.map(moved, tuple(known))
     growth = _with_error(model.layout, step.length, state, growth, error)
     return where_wanted(wanted, behind, (state, jax.tree.map(moved, slopes), growth, told))
+
+
+class Passed(NamedTuple):
+    """Derivatives behind touches and releases at a fixed time: of the state, and the growth; of
+    every contact by how much later it touches or parts [s], and its rate there [m/s]."""
+
+    state: Any
+    growth: Array
+    late: Any
+    speeds: Any
+
+
+def passed(model: _Model, here: tuple, ways: tuple, acting: tuple, growth: Array) -> Passed:
+    """Behind an instant at which contacts that act by these shares, (before, after), touch and
+    part; `here`: (arrays, time, state), `ways`: their derivatives before it."""
+    (arrays, time, y), (before, after), state = here, acting, ways[2]
+    flow, now = model.rates(arrays, before, time, y), model.contacts(*here)
+    ahead = pushed(model.contacts, here, ways)[1]
+    late = jnp.where(before != after, -safe_divide(ahead.depths, now.rates), 0.0)
+    rate = lambda shares: model.rates(arrays, shares, time, y)
+    state = state + jax.jvp(rate, (before,), ((before - after) * late,))[1]
+    along = lambda time, y: model.contacts(arrays, time, y).rates
+    gain = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
+    speeds = ahead.rates + gain * late
+    state = with_impact_speeds(model.layout, state, after > before, speeds)
+    grown = _grown(growth, jnp.max(jnp.where(after > before, abs(late), 0.0)))
+    return Passed(state, grown, late, speeds)
 
 
 def _told(told: Any, events: Any, happened: Any, ways: tuple) -> Any:
@@ -257,7 +265,7 @@ def _grown(growth: Array, late: Scalar) -> Array:
     met, first, most = growth[0], growth[1], growth[2]
     met = met + jnp.where(late > 0, 1.0, 0.0)
     first = jnp.where(met <= FIRST, jnp.maximum(first, late), first)
-    return jnp.stack([met, first, jnp.maximum(most, late), growth[3]])
+    return jnp.concatenate([jnp.stack([met, first, jnp.maximum(most, late)]), growth[3:]])
 
 
 def _slopes(model: _Model, shares: Any, here: tuple, ways: tuple, slopes: Any) -> Any:
@@ -267,7 +275,7 @@ def _slopes(model: _Model, shares: Any, here: tuple, ways: tuple, slopes: Any) -
     return jax.tree.map(lambda _: found, slopes)
 
 
-def _with_impact_speeds(layout: Layout, state: Any, taken: Any, speeds: Any) -> Any:
+def with_impact_speeds(layout: Layout, state: Any, taken: Any, speeds: Any) -> Any:
     """The state with these in the places of impact speeds that have been taken."""
     entries = [state[i] for i in range(layout.size)]
     for i, place in enumerate(impact_speed_places(layout)):

@@ -1,10 +1,11 @@
 """Which derivatives through a run are refused.
 
-Where contacts open and close, steps of a given length do not know how the instant of a touch moves
+Where contacts open and close, steps by themselves do not know how the instant of a touch moves
 with a number, and the derivative of one finished run scatters about that of the motion: by a share
 after one bounce, by a multiple after a few (-3.0 for 0.24 after three lossless ones in steps of 20
 us), and nothing tells by how much. So it is refused while it is being traced, unless the derivative
-of the discrete run is what was asked for. Steps that end at touches know it (`saltation`). Where
+of the discrete run is what was asked for. Steps that end at touches know it (`saltation`), and
+those by rk4 whose derivatives are taken apart there (`mid_step`). Where
 nothing opens (ideal joints, permanent contact) the derivative of the discrete run converges to that
 of the motion, and passes: forwards through the steps, backwards as so many of these as numbers
 move.
@@ -43,12 +44,12 @@ def backwards(function: Callable, integrator: AbstractIntegrator, *arguments: An
     return function(*arguments) if counted else by_columns(function, *arguments)
 
 
-def refusal(mechanism: Mechanism, integrator: AbstractIntegrator) -> str:
+def refusal(mechanism: Mechanism, integrator: AbstractIntegrator, discrete: bool = False) -> str:
     """Why derivatives through runs of a mechanism are not those of its motion; "" where they are.
-    `mechanism`: as its formulation sees it.
+    `mechanism`: as its formulation sees it; `discrete`: derivatives of the discrete run.
     """
     joints = mechanism.topology.clearances
-    if not joints or integrator.through_contacts:
+    if not joints or (integrator.through_contacts and not discrete):
         return ""
     name = public_name(type(integrator))
     named = " and ".join(f'"{joint}"' for joint in joints[:2])
@@ -68,8 +69,8 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
     if not why or (discrete and integrator.pathwise):
         return run
     ways = (
-        "take jaxclear.integrator.Adaptive() with an explicit solver, which ends steps at touches, "
-        "or jaxclear.sensitivity, which compares methods and gives an error"
+        "take jaxclear.integrator.Adaptive() with an explicit solver or FixedStep() by rk4, which "
+        "follow touches, or jaxclear.sensitivity, which compares methods and gives an error"
     )
     if integrator.pathwise:
         ways += (

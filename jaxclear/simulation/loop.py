@@ -57,12 +57,13 @@ NOT_THROUGH_SWEEPS = (
 
 class Extras(NamedTuple):
     """What a run does beside its motion: the energies of its `balance`, a `report` of its progress,
-    and how many `events` (touches and releases) of each contact it keeps between two saving
-    times."""
+    how many `events` (touches and releases) of each contact it keeps between two saving times, and
+    whether its derivatives are those of the `discrete` run."""
 
     balance: bool = False
     report: bool = False
     events: int = 0
+    discrete: bool = False
 
 
 def run(
@@ -78,7 +79,7 @@ def run(
     past, to a trajectory."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     model = model_of(mechanism, formulation, extras.balance)
-    model = dataclasses.replace(model, events=extras.events)
+    model = dataclasses.replace(model, events=extras.events, discrete=extras.discrete)
     layout = model.layout
     state = jnp.concatenate([coordinates, speeds, jnp.zeros(layout.size - layout.memory_start)])
     state = closure_coordinates.started(mechanism, model.system, layout, times[0], state)

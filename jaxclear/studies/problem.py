@@ -5,6 +5,7 @@ Studies see a `Problem`, never a joint. The whole path from varied numbers to re
 function, `evaluate`, that maps over samples and differentiates.
 """
 
+import functools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -169,8 +170,11 @@ class Problem(AbstractProblem):
         seen = self.integrator.formulation.seen(self.with_values(values))
         return with_redundancy(seen, self.redundancy)
 
-    def started(self, values: Float[Array, " variables"]) -> tuple[Mechanism, Start, Trajectory]:
-        """The mechanism of one set of values as it is simulated, its start, and its run; pure."""
+    def started(
+        self, values: Float[Array, " variables"], discrete: bool = False
+    ) -> tuple[Mechanism, Start, Trajectory]:
+        """The mechanism of one set of values as it is simulated, its start, and its run; pure.
+        `discrete`: derivatives are those of the steps."""
         mechanism = self.seen(values)
         times, motion = self.shares * self.duration, self.state.motion
         if motion is None:
@@ -178,7 +182,7 @@ class Problem(AbstractProblem):
         else:
             start = carried_on(mechanism, *motion.moving)
             times = motion.time + times
-        extras = Extras(events=self.events)
+        extras = Extras(events=self.events, discrete=discrete)
         found = run(mechanism, *start[:2], times, self.integrator, extras, self.past)
         return mechanism, start, found
 
@@ -192,7 +196,9 @@ class Problem(AbstractProblem):
         on, as the derivative of the discrete run.
         """
         check_double_precision()
-        begun = backwards(Problem.started, self.integrator, self, values)
+        discrete = discrete_derivatives and self.integrator.pathwise
+        started = functools.partial(Problem.started, discrete=discrete)
+        begun = backwards(started, self.integrator, self, values)
         mechanism, start, trajectory = begun
         trajectory = guarded(trajectory, self.integrator, discrete_derivatives)
         responses = {
@@ -252,7 +258,7 @@ class Problem(AbstractProblem):
         return concerned(self.response[response], concerns)
 
     def pathwise_limits(self):
-        if self.integrator.through_contacts:
+        if self.integrator.through_contacts and not self.integrator.pathwise:
             return "", "steps that follow an error do not follow that of derivatives"
         if not self.integrator.pathwise:
             return (
@@ -260,7 +266,7 @@ class Problem(AbstractProblem):
                 "integrator.Adaptive with an explicit solver, or one with fixed steps."
             ), ""
         seen = self.integrator.formulation.seen(self.mechanism)
-        return "", refusal(seen, self.integrator)
+        return "", refusal(seen, self.integrator, discrete=True)
 
     def parts(self):
         told = ("mechanism", "response", "duration", "shares", "integrator", "state")

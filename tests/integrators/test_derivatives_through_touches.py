@@ -92,9 +92,10 @@ def tight(rtol=1e-12):
     return jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol)
 
 
-def assert_right(rig, body, axis, variables, ends, within, share=1e-4):
-    """Derivatives of runs of usual tolerance beside differences of tight ones."""
-    usual = problem(rig, body, axis, variables, jc.integrator.Adaptive())
+def assert_right(rig, body, axis, variables, ends, within, rung=None, share=1e-4):
+    """Derivatives of runs of a rung (of usual tolerance) beside differences of tight ones."""
+    rung = jc.integrator.Adaptive() if rung is None else rung
+    usual = problem(rig, body, axis, variables, rung)
     best = problem(rig, body, axis, variables, tight())
     values = usual.nominal()
     slopes = jax.jit(jax.jacfwd(lambda v, end: answer(usual, v, end)))
@@ -126,6 +127,18 @@ def test_bounces_of_every_law_have_the_derivatives_of_the_motion(law):
     within = {"KelvinVoigt": 6e-3, "AdamsImpact": 1.5e-2}.get(law, 1e-3)
     variables = CLEARANCE, start_speed, *numbers
     assert_right(bouncing(contact), "journal", 1, variables, ENDS, within)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", LAWS)
+def test_bounces_in_equal_steps_have_the_derivatives_of_the_motion(law):
+    """In steps of 20 us; a force that jumps at the touch takes shorter ones, as the run itself."""
+    contact, *numbers = LAWS[law]
+    jumps = law in ("KelvinVoigt", "AdamsImpact")
+    rung = jc.integrator.FixedStep(2e-6 if jumps else 2e-5)
+    within = 1.5e-2 if jumps else 2e-3
+    variables = CLEARANCE, start_speed, *numbers
+    assert_right(bouncing(contact), "journal", 1, variables, ENDS, within, rung)
 
 
 CASES = {
@@ -162,6 +175,28 @@ QUICK = ("a drive that depends on time",)
 def test_joints_friction_and_drives_have_the_derivatives_of_the_motion(name):
     rig, *case = CASES[name]
     assert_right(rig(), *case, within=6e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ball in its socket", "slider in its guide", "LuGre"])
+def test_joints_and_friction_in_equal_steps_have_the_derivatives_of_the_motion(name):
+    rig, *case = CASES[name]
+    assert_right(rig(), *case, 6e-3, jc.integrator.FixedStep(2e-5))
+
+
+def test_in_equal_steps_a_lossless_bounce_has_the_derivative_of_its_closed_form():
+    """As below; where a contact is over in few steps there is none."""
+    speed, end, omega = -0.05, 0.03, 3e3
+    rig = bouncing(jc.contact.Linear(stiffness=omega**2))
+    rig = jc.Mechanism(rig.bodies, rig.connections, speeds=rig.speeds)
+    variables = start_speed, CLEARANCE, ELASTIC
+    asked = problem(rig, "journal", 1, variables, jc.integrator.FixedStep(2e-5))
+    asked = eqx.tree_at(lambda own: own.state, asked, jc.State(concentric=False))
+    slopes = jax.jit(jax.jacfwd(lambda v: 1e-3 * answer(asked, v, end)))
+    found = slopes(asked.nominal())
+    wanted = -(end - np.pi / omega), -2.0, 0.5 * speed * np.pi / -(omega**3)
+    np.testing.assert_allclose(found, wanted, rtol=2e-3)
+    assert np.isnan(slopes(asked.nominal().at[2].set(2.5e5**2))[0])
 
 
 def test_a_lossless_bounce_has_the_derivative_of_its_closed_form():

@@ -16,9 +16,9 @@ import jaxclear as jc
 
 CLEARANCE, GRAVITY, OMEGA, TIME = 1e-3, 9.81, 3e3, 0.02
 INTEGRATORS = {
-    "explicit": jc.integrator.FixedStep(2e-5),
+    "explicit": jc.integrator.FixedStep(2e-5, "heun"),
     "explicit, reverse mode": jc.integrator.FixedStep(steps_per_save=50),
-    "contact steps": jc.integrator.FixedStep(1e-4, contact_steps=10),
+    "contact steps": jc.integrator.FixedStep(1e-4, "heun", contact_steps=10),
     "implicit": jc.integrator.ImplicitStep(2e-5),
     "adaptive, implicit": jc.integrator.Adaptive(diffrax.Kvaerno5()),
     "rigid": jc.integrator.MoreauJean(1e-4),

@@ -1,0 +1,206 @@
+"""Derivatives through touches and releases that fall within a step of a given length.
+
+A step itself does not know that a contact closes within it. Its derivative here does: where a
+contact is closed at either end it is that of the motion, by a method of order 4, at times that move
+with touches (`saltation`): up to a touch, behind it, and on to the end. In flight it is that of the
+step. So it converges to that of the motion as steps become shorter. How fast hangs on the method:
+what goes along with the motion is large beside what is left of it behind a touch, and what a step
+departs from the motion by is as large.
+
+None of this is in a program of which no derivative is asked.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array
+
+from jaxclear.formulations.compliant import CompliantContact
+from jaxclear.formulations.impact_speed import ContactMotion, passage
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.ground.tangents import moved, moving_with, pushed
+from jaxclear.integrators import saltation
+from jaxclear.integrators.trust import GROWTH, RISE
+from jaxclear.multibody.reach import narrowest_gap
+from jaxclear.multibody.state import impact_speed_places
+
+# Within a step that is taken apart: the classic method of order 4.
+NODES, WEIGHTS = (0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+# So far behind a touch [shares of the step] a part of a step ends, beyond what rounding leaves.
+BEHIND = 1e-6
+
+
+class Now(NamedTuple):
+    """Where a step of a `length` [s] begins: `time` [s], state, the `contacts` there."""
+
+    arrays: Any
+    time: Scalar
+    state: Any
+    length: Scalar
+    contacts: ContactMotion
+
+
+def through_touches(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
+    """A step with its derivative, as a function of (arrays, clock, state, last, growth).
+
+    `plain(arrays, clock, state, last)`: its length [s], the state at its end and what it leaves to
+    the next: the contacts at its start and its length. `arrays`: of the model, and of all else;
+    `clock`: begins with the time [s]. `growth`: of derivatives (`trust`)."""
+    motion = saltation.motion_of(formulation, rest)
+
+    def step(arrays, clock, y, last, growth):
+        length, end, now = plain(arrays, clock, y, last)
+        return length, end, now, moving_with(end[0], growth)
+
+    @jax.custom_jvp
+    def known(*numbers):
+        return step(*numbers)
+
+    def moving(numbers, tangents):
+        arrays, clock, y, last, growth = numbers
+        way, clock_way, state, last_way, grown = tangents
+        remembering = _remembering(formulation, rest, motion)
+        aware, state = remembering(
+            (arrays[0], clock[0], y, last), (way[0], clock_way[0], state, last_way)
+        )
+        gap = narrowest_gap(eqx.combine(arrays[0], rest).system)
+        here, ways = (arrays, clock, aware, last), (way, clock_way, state, last_way)
+        (length, end, now), (longer, gone, left) = pushed(plain, here, ways)
+        begun = Now(arrays[0], clock[0], aware, length, ContactMotion(*now[0]))
+        times = clock_way[0], longer if _moves(clock_way) else None
+        found = _taken_apart(motion, begun, end, (way[0], times, state), gone, (moved(grown), gap))
+        gone, grown = found
+        return (length, end, now, moving_with(end[0], growth)), (longer, gone, left, grown)
+
+    known.defjvp(moving, symbolic_zeros=True)
+    return known
+
+
+def _moves(tree: Any) -> bool:
+    return any(not isinstance(each, SymbolicZero) for each in jax.tree.leaves(tree))
+
+
+def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Callable:
+    """The state with its impact speeds at the start of a step, and its derivative, from numbers and
+    tangents of (arrays, time, state, last): the derivative of a speed that was taken within the
+    last step is known since then."""
+    places = impact_speed_places(motion.layout)
+    wanted = any(place is not None for place in places)
+
+    def aware(arrays, time, y, last):
+        contacts = motion.contacts(arrays, time, y)
+        return formulation.remember(eqx.combine(arrays, rest), y, last[0], contacts, last[1])
+
+    def both(numbers, tangents):
+        if not wanted:
+            return numbers[2], moved(tangents[2])
+        now, state = pushed(aware, numbers, tangents)
+        y, before, known = numbers[2], numbers[3][0], moved(tangents[2])
+        entries = [state[i] for i in range(len(state))]
+        for i, place in enumerate(places):
+            if place is not None:
+                taken = (y[place] <= 0) & (now[place] > 0) & (before.depths[i] < 0)
+                entries[place] = jnp.where(taken, known[place], entries[place])
+        return now, jnp.stack(entries)
+
+    return both
+
+
+def _taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, gone: Any, judged: tuple) -> tuple:
+    """The derivatives of (state, growth) at the end of a step, from that of the step itself."""
+    (way, (time_way, longer), state), (growth, gap) = ways, judged
+    time, h = begun.time, begun.length
+    before = saltation.closed(begun.contacts)
+    contacts = motion.contacts(begun.arrays, time + h, end)
+    after = saltation.closed(contacts)
+    path = (begun.contacts.depths, contacts.depths, h * begun.contacts.rates, h * contacts.rates)
+    changed = before != after
+    shares = passage(constant(path), 0.0, jnp.ones_like(before), jnp.any(changed))
+    wanted = jnp.any(changed | (before > 0))
+    turns = jnp.where(wanted, jnp.sum(changed.astype(int)) + 1, 0)
+    if longer is not None:
+        state = state - moved(time_way) * motion.rates(begun.arrays, before, time, begun.state)
+
+    def turn(carry):
+        i, share, y, state, acting, growth = carry
+        pending = acting != after
+        until = jnp.maximum(jnp.min(jnp.where(pending, shares, 1.0)), share)
+        hit = pending & (shares <= until)
+        length = (until - share) * h
+        go = lambda arrays, time, y: _gone(motion, arrays, acting, time, length, y)
+        at = time + share * h
+        step_ = saltation.Step(begun.arrays, motion.contacts(begun.arrays, at, y), length, acting)
+        ways = (way, None, None), (jnp.zeros(()), state), ()
+        state, _, shift = saltation.at_moving_time(motion, (step_, (at, y), ()), ways)
+        y, state = pushed(go, (begun.arrays, at, y), (way, shift, state))
+        at = time + until * h
+        state = state - shift * motion.rates(begun.arrays, acting, at, y)
+        y, state, growth, later = _passed(motion, begun, (way, state), at, y, (acting, hit), growth)
+        acting = jnp.where(hit, after, acting)
+        return i + 1, until + later / h, y, state, acting, growth
+
+    first = jnp.zeros((), int), jnp.zeros(()), begun.state, state, before, growth
+    carry = jax.lax.while_loop(lambda carry: carry[0] < turns, turn, first)
+    _, _, apart, state, _, growth = carry
+    growth = _judged(motion, begun, gap, (before, contacts), (jnp.any(changed), apart, end), growth)
+    if longer is not None:
+        moves = moved(time_way) + moved(longer)
+        state = state + moves * motion.rates(begun.arrays, after, time + h, end)
+    return jnp.where(wanted, state, gone), growth
+
+
+def _judged(motion: Any, begun: Now, gap: Any, seen: tuple, ends: tuple, growth: Array) -> Array:
+    """The growth behind a step that begins with such contacts closed and ends with those contacts;
+    `ends`: whether it was taken apart, and how it ended so and as it is."""
+    met, first, most, lost, error, rise, largest = [growth[i] for i in range(GROWTH)]
+    (before, contacts), (parted, apart, end) = seen, ends
+    n, m = motion.layout.coordinates, motion.layout.memory_start
+    off = abs(apart - end)
+    fast = jnp.max(abs(end[n:m]), initial=0.0)
+    share = jnp.max(off[:n], initial=0.0) / gap + safe_divide(jnp.max(off[n:m], initial=0.0), fast)
+    error = jnp.where(parted, jnp.maximum(error, share), error)
+    depths = contacts.depths
+    risen = jnp.minimum(depths, depths - begun.contacts.depths)
+    rise = jnp.maximum(rise, jnp.max(risen, initial=0.0))
+    largest = jnp.maximum(largest, jnp.max(depths, initial=0.0))
+    over = jnp.any((before > 0) & (depths < 0)) & (rise > RISE * largest)
+    lost = jnp.where(over, 1.0, lost)
+    return jnp.stack([met, first, most, lost, error, rise, largest])
+
+
+def _passed(motion: Any, begun: Now, ways: tuple, at: Any, y: Any, acts: tuple, growth: Array):
+    """(state, its derivative, growth, by how much later [s]) behind what is `hit` at a time."""
+    (way, state), (acting, hit) = ways, acts
+    flow = motion.rates(begun.arrays, acting, at, y)
+    now = motion.contacts(begun.arrays, at, y)
+    most = BEHIND * begun.length
+    short = jnp.where(hit, -safe_divide(now.depths, now.rates) + most, 0.0)
+    later = jnp.clip(jnp.max(short, initial=0.0), -begun.length, begun.length)
+    later = jnp.where(jnp.any(hit), jnp.max(jnp.where(hit, short, -begun.length)), 0.0)
+    y, at = y + later * flow, at + later
+    then = jnp.where(hit, 1 - acting, acting)
+    ways = way, jnp.zeros(()), state
+    found = saltation.passed(motion, (begun.arrays, at, y), ways, (acting, then), growth)
+    taken = then > acting
+    rates = motion.contacts(begun.arrays, at, y).rates
+    y = saltation.with_impact_speeds(motion.layout, y, taken, rates)
+    return y, found.state, found.growth, later
+
+
+def _gone(motion: Any, arrays: Any, shares: Any, time: Any, length: Any, y: Any) -> Any:
+    """The state after a time in which contacts act by these shares."""
+    nodes, weights = jnp.asarray(NODES), jnp.asarray(WEIGHTS)
+
+    def stage(carry, i):
+        total, slope = carry
+        node = nodes[i] * length
+        slope = motion.rates(arrays, shares, time + node, y + node * slope)
+        return (total + (length * weights[i]) * slope, slope), None
+
+    return jax.lax.scan(stage, (y, jnp.zeros_like(y)), np.arange(len(NODES)))[0][0]

@@ -1,0 +1,79 @@
+"""When a derivative through impacts is to be trusted, and nan where it is not.
+
+A loop carries zeros beside the state, whose derivatives tell how much touches move: impacts make
+derivatives grow, and with them what errors of the motion make of them.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.ground.tangents import derived, moved
+from jaxclear.integrators.checks import Check
+
+# What a second derivative through contacts is told.
+NO_SECOND = (
+    "a second derivative through contacts that open and close is not known: take differences of "
+    "first derivatives (jax.jvp, jax.jacfwd, jax.grad)."
+)
+# Of the derivative of a step its error estimate may be so large a share: beyond, steps that resolve
+# the motion do not resolve its neighbours (at rest they grow longer than a contact's period, and
+# derivatives with them).
+MOST_ERROR = 0.01
+# So many numbers tell how derivatives go: how many touches moved, by how much [s] the first few of
+# them and all of them did at most (`saltation`), whether a contact was over in too few steps; of
+# which share of the gap and of a speed the largest error of a step with a touch was; and how much
+# an indentation rose within a step, and in all [m].
+GROWTH = 7
+# Beyond this share of the largest indentation in one step an impact is that of the steps
+# (`Check.IMPACT_STEP`).
+RISE = Check.IMPACT_STEP.limit
+# A contact that rises by a share r of its largest indentation in a step leaves an error of so many
+# r^2 of the gap (rk4, a slider-crank and a bouncing journal).
+OF_A_RISE = 3e-3
+# Derivatives have grown too much where an error, times the square of their growth, is beyond this
+# share of the gap: beyond 1e-3 they were off by a tenth, within 6e-4 by a hundredth (a slider-crank
+# through 3 to 23 impacts, steps of 1 to 20 us).
+TRUSTED = 6e-4
+
+
+def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
+    """What was found of a run; its derivative is nan where touches move more than `limit` times as
+    much as the first of them did, and where a step did not resolve it.
+
+    `growth`: zeros, whose derivatives tell how many touches moved, by how much [s] the first few of
+    them and all of them did at most, and of which share the largest error of a step was."""
+
+    def judged(numbers, tangents):
+        (_, _, limit), (found, growth, _) = numbers, tangents
+        growth = moved(growth)
+        fine = (growth[2] <= limit * growth[1]) & (growth[3] <= MOST_ERROR)
+        return jax.tree.map(lambda each: jnp.where(fine, moved(each), jnp.nan), found)
+
+    return derived(lambda found, growth, limit: found, judged)(found, growth, constant(limit))
+
+
+def trusted_steps(found: Any, growth: Array) -> Any:
+    """What was found of a run; its derivative is nan where touches have moved so much more than the
+    first of them that the errors of the steps decide it, and where these do not resolve a contact.
+    """
+
+    def judged(numbers, tangents):
+        found, growth = tangents[0], moved(tangents[1])
+        _, first, most, lost, error, rise, largest = [growth[i] for i in range(GROWTH)]
+        share = safe_divide(rise, largest)
+        error = jnp.maximum(error, OF_A_RISE * share * share)
+        fine = (most * most * error <= TRUSTED * first * first) & (lost <= 0)
+        return jax.tree.map(lambda each: jnp.where(fine, moved(each), jnp.nan), found)
+
+    return derived(lambda found, growth: found, judged)(found, growth)
+
+
+def unknown_way(numbers: Any) -> Any:
+    """The numbers; their derivative is nan wherever it is asked for."""
+    lost = lambda numbers, tangents: jnp.full_like(moved(tangents[0]), jnp.nan)
+    return derived(lambda numbers: numbers, lost)(numbers)
