@@ -1,10 +1,12 @@
 """The explicit methods of `FixedStep`, and which contacts ask for its short steps."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
 
 from jaxclear.integrators import munthe_kaas
+from jaxclear.integrators.stepping import SLIVER
 
 # Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes,
 # weights).
@@ -34,3 +36,15 @@ def near_contacts(contacts: Any, last: Any, longest: Any) -> Any:
     growth = jnp.maximum(contacts.rates - before.rates, 0.0) / length
     falling = contacts.depths + (contacts.rates + 0.5 * growth * longest) * longest
     return near | (before.depths >= 0) | (falling > 0)
+
+
+def chosen_length(longest: Any, left: Any, shortest: Any) -> Callable[[Any, Any], Any]:
+    """How the length [s] of a step follows from contacts, where so much is `left`: the `shortest`
+    where one is near."""
+
+    def length(contacts, last):
+        near = jnp.any(near_contacts(contacts, last, longest))
+        h = jnp.where(near, shortest, longest)
+        return jnp.where(h > left * (1 - SLIVER), left, h)
+
+    return length

@@ -29,12 +29,11 @@ from jaxclear.integrators.explicit_methods import (
     ON_GROUPS,
     ORDERS,
     STABLE_DAMPING,
-    near_contacts,
+    chosen_length,
 )
 from jaxclear.integrators.mid_step import through_touches
 from jaxclear.integrators.state_group import state_group
 from jaxclear.integrators.stepping import (
-    SLIVER,
     arrived,
     contacts_met,
     counted,
@@ -145,7 +144,7 @@ class FixedStep(AbstractIntegrator):
 
         def plain(arrays, clock, y, last):
             (model, own), (time, longest, left) = eqx.combine(arrays, rest), clock
-            length = (lambda *_: longest) if left is None else own._choice(longest, *left)
+            length = (lambda *_: longest) if left is None else chosen_length(longest, *left)
             return own._step(model, time, length, longest, y, last)
 
         if not self._derived(model):
@@ -178,17 +177,6 @@ class FixedStep(AbstractIntegrator):
             rates = unknown_way(watch.events.rates)
             watch = watch._replace(events=watch.events._replace(rates=rates))
         return derived_once(NO_SECOND, trusted_steps((end, met, watch), last[2]))
-
-    def _choice(self, longest, left, shortest):
-        """Chooses the length [s] of a step by contacts, where so much is `left`, the
-        `shortest` where one is near."""
-
-        def length(contacts, last):
-            near = jnp.any(near_contacts(contacts, last, longest))
-            h = jnp.where(near, shortest, longest)
-            return jnp.where(h > left * (1 - SLIVER), left, h)
-
-        return length
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
