@@ -187,7 +187,8 @@ class Adaptive(AbstractIntegrator):
         formulation, through = self.formulation, self.through_contacts
         solver = stepped_by_hand(self.solver, size) or self.solver
         if not rest.system.bearings:
-            return solver if growth is None else FollowingErrors(solver, rest.layout, growth)
+            ends = rest.layout.coordinates, rest.layout.memory_start
+            return solver if growth is None else FollowingErrors(solver, ends, growth)
 
         def contacts(time, y, args):
             return formulation.contacts(eqx.combine(args[0], rest), time, y)

@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved, moving_with
-from jaxclear.multibody.state import Layout
 
 # All errors of a derivative together may be so large a share of the largest that it has been, and
 # so may those of single steps of its own size there.
@@ -36,14 +35,15 @@ def unfollowed() -> Followed:
 
 
 def followed(
-    layout: Layout, known: Followed, state: Array, error: Array, length: Scalar
+    ends: tuple[int, int], known: Followed, state: Array, error: Array, length: Scalar
 ) -> Followed:
-    """What is known behind a step of this length [s], whose state is wrong by `error`."""
+    """What is known behind a step of this length [s], whose state is wrong by `error`; `ends` of
+    the coordinates and of the speeds in a state."""
 
     def further(numbers, tangents):
         known, state, error = map(moved, tangents[:3])
         sums, largest, row, most = known
-        size, off = (_size(layout, each, numbers[3]) for each in (state, error))
+        size, off = (_size(ends, each, numbers[3]) for each in (state, error))
         row = jnp.where(off > MOST_ERROR * size, row + 1.0, 0.0)
         return jnp.stack([sums + off, jnp.maximum(largest, size), row, jnp.maximum(most, row)])
 
@@ -62,19 +62,19 @@ def resolved(state: Array, known: Followed) -> Array:
     return derived(lambda state, known: state, judged)(state, known)
 
 
-def _size(layout: Layout, numbers: Array, length: Scalar) -> Scalar:
+def _size(ends: tuple[int, int], numbers: Array, length: Scalar) -> Scalar:
     """Of a difference: of its places, and of the way that its speeds make in such a step."""
-    n, m = layout.coordinates, layout.memory_start
+    n, m = ends
     way = jnp.concatenate([numbers[:n], length * numbers[n:m]])
     return jnp.max(abs(way), initial=0.0)
 
 
 class FollowingErrors(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
     """`solver`, whose state between steps ends with what is `followed` of the errors of
-    derivatives, of states of this `layout`."""
+    derivatives, of states with such `ends`."""
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
-    layout: Layout = eqx.field(static=True)
+    ends: tuple[int, int] = eqx.field(static=True)
     known: Any = None
 
     @property
@@ -100,5 +100,5 @@ class FollowingErrors(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSol
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, known = solver_state
         y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
-        known = followed(self.layout, known, y1, error, t1 - t0)
+        known = followed(self.ends, known, y1, error, t1 - t0)
         return y1, error, dense, (own, known), result
