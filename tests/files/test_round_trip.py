@@ -102,6 +102,7 @@ OWN = {
     ("FromScipy", "table"): {"scores": [-1, 0, 1], "deviations": [-2, 0, 2], "slopes": [2, 2, 2]},
     ("ContactForce", "memory"): None,
     ("ContactForce", "dissipation"): {"kind": "LankaraniNikravesh", "restitution": 0.75},
+    ("SliderGuide", "guide_length"): 4.0,
     ("SliderGuide", "guide_wear"): {"law": {"kind": "Archard"}},
     ("SliderGuide", "slider_wear"): {"law": {"kind": "Archard"}},
     ("State", "motion"): None,
