@@ -181,7 +181,6 @@ def _passed(motion: Any, begun: Now, ways: tuple, at: Any, y: Any, acts: tuple, 
     now = motion.contacts(begun.arrays, at, y)
     most = BEHIND * begun.length
     short = jnp.where(hit, -safe_divide(now.depths, now.rates) + most, 0.0)
-    later = jnp.clip(jnp.max(short, initial=0.0), -begun.length, begun.length)
     later = jnp.where(jnp.any(hit), jnp.max(jnp.where(hit, short, -begun.length)), 0.0)
     y, at = y + later * flow, at + later
     then = jnp.where(hit, 1 - acting, acting)

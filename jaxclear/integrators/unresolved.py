@@ -17,11 +17,11 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved, moving_with
+from jaxclear.integrators.trust import MOST_ERROR
 
-# All errors of a derivative together may be so large a share of the largest that it has been, and
-# so may those of single steps of its own size there.
-MOST_ERROR = 0.01
-# Not of so many steps one behind the other: where something sets in, one step may be as coarse.
+# All errors of a derivative together may be as large a share of the largest that it has been as
+# that of one step may (`trust.MOST_ERROR`); such a step there may be.
+# Not so many steps one behind the other: where something sets in, one step may be as coarse.
 IN_A_ROW = 3
 
 # Of a derivative: the sum of its errors, the largest that it has been, how many steps up to now had

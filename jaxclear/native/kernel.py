@@ -171,10 +171,10 @@ def free_the_unused() -> None:
                 _LINGERING.append((place, engine))
 
 
-# JAX computes in the background: a program may have been dropped before its kernel has begun. So
-# many of the latest kernels [2 MB each] stay all the same.
+# JAX computes in the background: a program may have been dropped before its kernels have begun. So
+# those of so many of the latest programs [2 MB each kernel] stay all the same.
 LATEST = 8
-_LATEST: "collections.deque[Kernel]" = collections.deque(maxlen=LATEST)
+_LATEST: "collections.deque[list]" = collections.deque(maxlen=LATEST)
 # Two threads that compile the same loop share one kernel.
 _BUILDING = threading.RLock()
 _KERNELS: "weakref.WeakValueDictionary[int, Kernel]" = weakref.WeakValueDictionary()
@@ -210,5 +210,11 @@ def build(program: Program, lanes: int) -> Kernel:
             check(program, kernel.address)
             kernel.publish()
             _KERNELS[number] = kernel
-        _LATEST.append(kernel)
         return kernel
+
+
+def keep(kernel: Kernel, module: Any) -> None:
+    """The program that is being compiled, whose context this is, keeps a kernel."""
+    module.add_keepalive(kernel)
+    if not any(module.keepalives is each for each in _LATEST):
+        _LATEST.append(module.keepalives)

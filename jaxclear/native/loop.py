@@ -234,8 +234,7 @@ def _lower_on_cpu(ctx, *values, program, rank):
         return lower(ctx, *values, program=program, rank=rank, samples=samples)
     try:
         kernel = kernels.build(program, widest() if samples > 1 else 1)
-        # The compiled program keeps it.
-        ctx.module_context.add_keepalive(kernel)
+        kernels.keep(kernel, ctx.module_context)
         lower = mlir.lower_fun(_native, multiple_results=True)
         out = lower(ctx, *values, program=program, rank=rank, number=kernel.number)
         tell(ctx, None)

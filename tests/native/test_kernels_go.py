@@ -89,6 +89,23 @@ def test_another_kernel_takes_the_place_of_one_that_has_gone(monkeypatch):
     assert dispatch.size() == 2 and list(dispatch.TABLE[2:6]) == [third, 33, second, 22]
 
 
+def test_kernels_of_the_latest_program_all_stay_however_many_they_are():
+    """A derivative of a guide both of whose parts wear has more kernels than were kept, and lost
+    some before it had run."""
+    before = set(kernel._KERNELS)
+
+    def run(x):
+        for number in range(2 * kernel.LATEST):
+            turn = lambda s, number=number: (s[0] + 1, 0.5 * s[1] + 0.1 * number)
+            x = while_loop(lambda s: s[0] < 3, turn, (0, x))[1]
+        return x
+
+    jax.jit(run)(1.0)
+    del run
+    gc.collect()
+    assert len(set(kernel._KERNELS) - before) == 2 * kernel.LATEST
+
+
 class Code:
     """In the place of an engine: what holds the machine code."""
 
@@ -98,7 +115,7 @@ def test_the_code_of_a_kernel_goes_when_the_last_call_of_it_has_ended():
     turn = lambda s: (s[0] + 1.0, 0.5 * s[1] + 1.0)
     run = jax.jit(lambda x, most: while_loop(lambda s: s[0] < most, turn, (0.0, x))[1])
     run(0.0, 1.0)
-    own, code = kernel._LATEST[-1], Code()
+    own, code = kernel._LATEST[-1][-1], Code()
     place, held, found = dispatch._place(own.number), weakref.ref(code), []
     call = threading.Thread(target=lambda: found.append(float(run(0.0, 3e8))))
     call.start()
