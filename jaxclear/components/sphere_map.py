@@ -70,9 +70,8 @@ class SphereMap(AbstractWearMap):
         return depth_lost(volume, patch._replace(start=loss.start(depth)))[0]
 
     def deposit_in_turn(self, depth, reading, pressures, volume, features):
-        events = tuple(zip(volume, features, strict=True))
         loss = functools.partial(loss_of, self.wall)
-        shares, pressures = all_shared(loss, events, depth, pressures)
+        shares, pressures = all_shared(loss, depth, pressures, volume, features)
         # The gap reads the depths themselves.
         depth, reading = (taken_off(shares, pressures, each) for each in (depth, reading))
         return depth, reading, pressures

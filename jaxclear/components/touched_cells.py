@@ -99,14 +99,36 @@ class Share(NamedTuple):
     scale: Scalar
 
 
+def worn_in_turn(
+    loss_of: Callable[..., Loss],
+    read_anew: Callable[[Touched, Depth, Any], Any],
+    depth: Depth,
+    reading: Any,
+    pressures: Sequence[Depth],
+    volume: Float[Array, " events"],
+    features: Float[Array, "events n"],
+) -> tuple[Depth, Any, Sequence[Depth]]:
+    """(depth, its reading, pressures) after the loss of each event; the reading is made anew where
+    cells have been touched."""
+    shares, pressures = all_shared(loss_of, depth, pressures, volume, features)
+    depth = taken_off(shares, pressures, depth)
+    for touched, _ in shares:
+        reading = read_anew(touched, depth, reading)
+    return depth, reading, pressures
+
+
 def all_shared(
-    loss_of: Callable[..., Loss], events: Sequence, depth: Depth, pressures: Sequence[Depth]
+    loss_of: Callable[..., Loss],
+    depth: Depth,
+    pressures: Sequence[Depth],
+    volume: Float[Array, " events"],
+    features: Float[Array, "events n"],
 ) -> tuple[tuple[Share, ...], tuple[Depth, ...]]:
     """(the `Share`, the pressures) of the loss of each event (volume [m3], location features)."""
     found = []
-    for own, (volume, features) in zip(pressures, events, strict=True):
-        loss = lambda event=(volume, features): loss_of(*event)
-        found.append(_shared(loss, volume, depth, own))
+    for own, *event in zip(pressures, volume, features, strict=True):
+        loss = lambda event=event: loss_of(*event)
+        found.append(_shared(loss, event[0], depth, own))
     shares, pressures = zip(*found, strict=True)
     return shares, pressures
 

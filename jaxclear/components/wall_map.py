@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.components.contact_patch import depth_lost
-from jaxclear.components.touched_cells import all_shared, entry, taken_off, through, with_entry
+from jaxclear.components.touched_cells import entry, through, with_entry, worn_in_turn
 from jaxclear.components.wall_contact import Face, Wall, loss_of
 from jaxclear.components.wear_map import AbstractWearMap
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
@@ -83,13 +83,9 @@ class WallMap(AbstractWearMap):
         return jnp.where(jnp.arange(2)[:, None] == side, lost, 0.0)
 
     def deposit_in_turn(self, depth, reading, pressures, volume, features):
-        events = tuple(zip(volume, features, strict=True))
         loss = functools.partial(loss_of, self.wall)
-        shares, pressures = all_shared(loss, events, depth, pressures)
-        depth = taken_off(shares, pressures, depth)
-        for touched, _ in shares:
-            reading = self._read_anew(touched, depth, reading)
-        return depth, reading, pressures
+        worn = depth, reading, pressures
+        return worn_in_turn(loss, self._read_anew, *worn, volume, features)
 
     def _read_anew(self, touched, depth, reading):
         """The reading where these cells of a wall have changed."""

@@ -20,12 +20,11 @@ from jaxtyping import Array, Float
 from jaxclear.components.contact_patch import depth_lost, depth_of, square_width
 from jaxclear.components.cylinder_contact import Wall, loss_of
 from jaxclear.components.touched_cells import (
-    all_shared,
     entry,
-    taken_off,
     through,
     ways,
     with_entry,
+    worn_in_turn,
 )
 from jaxclear.ground.numerics import direction_angle, positive_part, safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
@@ -215,13 +214,9 @@ class CylinderMap(AbstractWearMap):
         return lost, (loss.reach(level) < REACH) | (volume == 0)
 
     def deposit_in_turn(self, depth, reading, pressures, volume, features):
-        events = tuple(zip(volume, features, strict=True))
         loss = functools.partial(loss_of, self.wall)
-        shares, pressures = all_shared(loss, events, depth, pressures)
-        depth = taken_off(shares, pressures, depth)
-        for touched, _ in shares:
-            reading = self._read_anew(touched, depth, reading)
-        return depth, reading, pressures
+        worn = depth, reading, pressures
+        return worn_in_turn(loss, self._read_anew, *worn, volume, features)
 
     def _read_anew(self, touched, depth, reading):
         """The reading where cells of these columns have changed."""

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.integrators.wrapped import AbstractAround
 from jaxclear.native import while_loop
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
@@ -31,7 +32,7 @@ OURS = ("step", "init", "func")
 ROUNDINGS = 100 * float(np.finfo(float).eps)
 
 
-class Stages(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
+class Stages(AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
     """`solver`, an explicit Runge-Kutta method, by its tableau. Its stages are a loop, so that the
     equations stand in the program once; or `written_out`, where weights that are 0 cost nothing.
 
@@ -43,18 +44,8 @@ class Stages(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
     written_out: bool = eqx.field(static=True)
 
     @property
-    def term_structure(self):
-        return self.solver.term_structure
-
-    @property
     def interpolation_cls(self):
         return self.solver.interpolation_cls
-
-    def order(self, terms):
-        return self.solver.order(terms)
-
-    def error_order(self, terms):
-        return self.solver.error_order(terms)
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)

@@ -21,6 +21,7 @@ from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.integrators.deepest import deepest
 from jaxclear.integrators.events import noted, nothing
 from jaxclear.integrators.saltation import Equations, Step
+from jaxclear.integrators.wrapped import AbstractAround
 
 
 class Judged(NamedTuple):
@@ -80,7 +81,9 @@ class EndingAtTouches(diffrax.AbstractAdaptiveStepSizeController):
         )
 
 
-class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
+class TakingImpactSpeeds(
+    AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
+):
     """`solver`, and after each of its steps the impact speeds of contacts that have closed or
     parted. Its controller is `EndingAtTouches`.
 
@@ -101,10 +104,6 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
     events: int = eqx.field(static=True, default=0)
 
     @property
-    def term_structure(self):
-        return self.solver.term_structure
-
-    @property
     def interpolation_cls(self):
         return self.solver.interpolation_cls
 
@@ -117,12 +116,6 @@ class TakingImpactSpeeds(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrapped
     def root_finder(self):
         """How an implicit solver finds its stages; diffrax asks."""
         return self.solver.root_finder
-
-    def order(self, terms):
-        return self.solver.order(terms)
-
-    def error_order(self, terms):
-        return self.solver.error_order(terms)
 
     def init(self, terms, t0, t1, y0, args):
         contacts = self.contacts(t0, y0, args)

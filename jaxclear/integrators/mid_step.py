@@ -26,12 +26,13 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import moved, moving_with, pushed
 from jaxclear.integrators import saltation
+from jaxclear.integrators.explicit_methods import CHAINS
 from jaxclear.integrators.trust import GROWTH, RISE
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.state import impact_speed_places
 
 # Within a step that is taken apart: the classic method of order 4.
-NODES, WEIGHTS = (0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+NODES, WEIGHTS = CHAINS["rk4"]
 # So far behind a touch [shares of the step] a part of a step ends, beyond what rounding leaves.
 BEHIND = 1e-6
 

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved, moving_with
 from jaxclear.integrators.trust import MOST_ERROR
+from jaxclear.integrators.wrapped import AbstractAround
 
 # All errors of a derivative together may be as large a share of the largest that it has been as
 # that of one step may (`trust.MOST_ERROR`); such a step there may be.
@@ -69,7 +70,9 @@ def _size(ends: tuple[int, int], numbers: Array, length: Scalar) -> Scalar:
     return jnp.max(abs(way), initial=0.0)
 
 
-class FollowingErrors(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
+class FollowingErrors(
+    AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
+):
     """`solver`, whose state between steps ends with what is `followed` of the errors of
     derivatives, of states with such `ends`."""
 
@@ -78,18 +81,8 @@ class FollowingErrors(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSol
     known: Any = None
 
     @property
-    def term_structure(self):
-        return self.solver.term_structure
-
-    @property
     def interpolation_cls(self):
         return self.solver.interpolation_cls
-
-    def order(self, terms):
-        return self.solver.order(terms)
-
-    def error_order(self, terms):
-        return self.solver.error_order(terms)
 
     def init(self, terms, t0, t1, y0, args):
         return self.solver.init(terms, t0, t1, y0, args), self.known

@@ -13,7 +13,8 @@ __all__ = ["Saving", "as_saving", "checked_saving"]
 class Saving:
     """What a run keeps: `at` is a number of equally spaced saving times, or the times [s];
     `events`: how many touches and releases of each contact are kept between two of them, for
-    `run.events()`; they have no part in derivatives."""
+    `run.events()`. Steps that know how touches move (`integrator.Adaptive`,
+    `FixedStep` by "rk4") give their instants derivatives."""
 
     at: Any = 501
     events: int = field(default=0, metadata={"at_least": 0})
