@@ -1,7 +1,7 @@
 """Random mechanisms, laws, rungs, speeds and loads: is any number wrong without a sentence?
 
     python -m benchmarks.attack [--quick] [--json FILE] [--only K ...] [--draws N] [--kept FILE]
-        [--case N]
+        [--first N] [--case N]
 
 Every case is a mechanism with numbers of its own. It is run by references, one ten times tighter
 than the other and one whose numbers are off in the fifth digit, and then as users run it. Every
@@ -54,10 +54,10 @@ class Row(NamedTuple):
         return self.found.verdict
 
 
-def attacked(structure: Structure, draws: int, kept: Path | None) -> list[Row]:
-    """All runs of the first so many cases of a structure, those that are kept taken from there."""
+def attacked(structure: Structure, draws: range, kept: Path | None) -> list[Row]:
+    """All runs of these cases of a structure, those that are kept taken from there."""
     found, rows = known(kept, Row), []
-    for draw in range(draws):
+    for draw in draws:
         key = str(_number(structure, draw))
         if key not in found:
             found[key] = attack(structure, draw)
@@ -174,6 +174,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--case", type=int, metavar="N", help="print all about one case")
     parser.add_argument("--only", type=int, nargs="*", metavar="K", help="these structures")
     parser.add_argument("--draws", type=int, metavar="N", help="draws of each structure")
+    parser.add_argument("--first", type=int, default=0, metavar="N", help="the first of these")
     parser.add_argument("--kept", type=Path, metavar="FILE", help="runs that are done, as lines")
     return parser.parse_args()
 
@@ -185,7 +186,8 @@ def main() -> None:
         return
     rows: list[Row] = []
     told = {"about": about("benchmarks.attack", options.json)}
-    draws = options.draws or (QUICK_DRAWS if options.quick else DRAWS)
+    draws = options.draws or (QUICK_DRAWS if options.quick else DRAWS - options.first)
+    draws = range(options.first, options.first + draws)
     for structure in chosen(options):
         begun = time.process_time()
         own = attacked(structure, draws, options.kept)

@@ -49,6 +49,8 @@ def errors(**given):
         (1.5, 0.0, 0.0, ("mean force",), Verdict.SAID),
         (1.5, 0.0, 0.0, ("worn depth",), Verdict.WRONG),
         (0.5, 0.0, 0.0, ("mean force",), Verdict.RIGHT),
+        (0.5, 0.4, 0.0, (), Verdict.RIGHT),
+        (0.5, 0.6, 0.0, (), Verdict.UNSAID),
         (2.0, 1.0, 0.0, (), Verdict.UNSAID),
         (2.0, 1.0, 0.0, ("mean force",), Verdict.UNDECIDABLE),
         (9.0, 1.0, 0.0, (), Verdict.WRONG),

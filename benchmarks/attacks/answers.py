@@ -123,8 +123,7 @@ def _peaks_of_steps(run: jc.Trajectory, name: str) -> bool:
     `jaxclear.response.PeakContactForce` says; elsewhere it is that of the saving times."""
     if name not in run.mechanism.topology.clearances or run.formulation.forces_are_means:
         return False
-    guide = isinstance(run.mechanism.connections[name].joint, jc.clearance.SliderGuide)
-    return not guide and run.formulation.remembers(run.history.model())
+    return run.formulation.remembers(run.history.model())
 
 
 def _between_halves(forces: Any) -> Any:

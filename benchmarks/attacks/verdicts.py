@@ -111,7 +111,7 @@ def judged(
 
 
 def _alone(error: float, limit: float, doubt: float, moved: float) -> Verdict:
-    if doubt <= DECISIVE * limit and error <= limit + doubt:
+    if error + doubt <= limit or (doubt <= DECISIVE * limit and error <= limit + doubt):
         return Verdict.RIGHT
     unsure = max(doubt, moved)
     # A reference that is sure to a tenth still tells an error of ten times.

@@ -68,6 +68,18 @@ def _antenna(faster: float, wider: float, share: float) -> Question:
     return questions.antenna(wider * 0.2e-3, share * 0.1)
 
 
+def _flap(faster: float, wider: float, share: float) -> Question:
+    return questions.flap(wider * 1e-4, share)
+
+
+def _parallel_3rsr(usual: float, cycles: float) -> Callable[..., Question]:
+    def make(faster: float, wider: float, share: float) -> Question:
+        period = usual / faster
+        return questions.parallel_3rsr(period, share * cycles * period, wider * 5e-4)
+
+    return make
+
+
 def _ideal_antenna(faster: float, wider: float, share: float) -> Question:
     return questions.ideal_antenna(share)
 
@@ -86,6 +98,9 @@ SCENES: dict[str, Callable[[float, float, float], Question]] = {
     "guide, ideal": _varied(questions.ideal_guide, 5.0, None),
     "antenna": _antenna,
     "antenna, ideal": _ideal_antenna,
+    "flap": _flap,
+    "3RSR, quiet": _parallel_3rsr(questions.QUIET, 1 / 4),
+    "3RSR, rattling": _parallel_3rsr(questions.RATTLING, 1 / 3),
 }
 
 

@@ -1,6 +1,5 @@
 """Steps chosen by error control, on diffrax's solvers: the reference, and the fastest way to run
 one simulation.
-
 """
 
 from typing import ClassVar
@@ -13,10 +12,7 @@ import jax.numpy as jnp
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.ground.tangents import derived_once
-from jaxclear.integrators.base import (
-    AbstractIntegrator,
-    Advance,
-)
+from jaxclear.integrators.base import AbstractIntegrator, Advance
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.error_control import Solved, solve, stepped_by_hand
 from jaxclear.integrators.impacts import EndingAtTouches, TakingImpactSpeeds
@@ -104,6 +100,16 @@ class Adaptive(AbstractIntegrator):
     @property
     def usual_step(self):
         return 0.0
+
+    @property
+    def places_in_gaps(self):
+        return True
+
+    def with_finer_steps(self, share):
+        finer = share**FINER_TOLERANCE * LOOSEST / jnp.maximum(self.rtol, LOOSEST)
+        finer = jnp.minimum(1.0, jnp.maximum(finer, ROUNDING / self.rtol))
+        sizes = lambda own: (own.rtol, own.atol)
+        return eqx.tree_at(sizes, self, (finer * self.rtol, finer * self.atol))
 
     @property
     def in_kernels(self):

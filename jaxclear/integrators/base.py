@@ -105,8 +105,8 @@ class AbstractIntegrator(AbstractQuantified):
         return True
 
     def with_finer_steps(self, share: Scalar) -> "AbstractIntegrator | None":
-        """Itself with steps of this share of their length; None where it finds their length itself,
-        or where they are counted."""
+        """Itself with steps of this share of their length, or tolerances tighter by its fourth
+        power where it finds their length itself; None where they are counted."""
         return None
 
     @property

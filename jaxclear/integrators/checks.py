@@ -22,7 +22,7 @@ NEVER = (np.inf, Outcome.REACHED)
 @enum.unique
 class Check(enum.IntEnum):
     """A figure by which a run is judged: its `label` in tables, `unit`, `limit`, what the limit
-    `concerns` (motion, forces, peak forces, wear, worn depth, places in gaps), whose it is
+    `concerns` (motion, places, forces, peak forces, wear, worn depth, places in gaps), whose it is
     (`of`), and the `sentence` said beyond the limit. Beyond `ends_at` the run ends, by `outcome`.
     """
 
@@ -130,9 +130,21 @@ class Check(enum.IntEnum):
         0.03,
         "places in gaps",
         CONTACTS,
-        'with steps a quarter as long the parts of joint "{place}" are elsewhere in their gap by '
-        "{figure:.2g} of the clearance (limit {limit:g}), so places in it at an instant and wear "
-        "are off, though mean forces may be right: take shorter steps or integrator.Adaptive",
+        'with steps a quarter as long (tolerances 256 times tighter) the parts of joint "{place}" '
+        "are elsewhere in their gap by {figure:.2g} of the clearance (limit {limit:g}), so places "
+        "in it at an instant and wear are off, though mean forces may be right: take shorter steps "
+        "or a tight integrator.Adaptive",
+    )
+    BODY_PLACES = (
+        19,
+        "second look: places of bodies",
+        "1",
+        0.004,
+        "places",
+        WHOLE,
+        "with steps a quarter as long (tolerances 256 times tighter) bodies are elsewhere by "
+        "{figure:.2g} of their way (limit {limit:g}), so their places are off, though forces may "
+        "be right: take shorter steps or a tight integrator.Adaptive",
     )
     MEAN_FORCE = (
         13,
@@ -141,9 +153,9 @@ class Check(enum.IntEnum):
         0.05,
         "forces",
         CONTACTS,
-        'with steps a quarter as long the mean of the contact forces in joint "{place}" changes by '
-        "{figure:.2g} of the largest of all joints (limit {limit:g}), so forces are off: take "
-        "shorter steps or integrator.Adaptive",
+        "with steps a quarter as long (tolerances 256 times tighter) the mean of the contact "
+        'forces in joint "{place}" changes by {figure:.2g} of the largest of all joints (limit '
+        "{limit:g}), so forces are off: take shorter steps or a tight integrator.Adaptive",
     )
     # The same, where places in gaps say that paths have parted.
     PARTED_FORCE = (
@@ -153,9 +165,10 @@ class Check(enum.IntEnum):
         0.02,
         "forces",
         CONTACTS,
-        "with steps a quarter as long parts are elsewhere in their gaps, and with that the mean of "
-        'the contact forces in joint "{place}" changes by {figure:.2g} of the largest of all '
-        "joints (limit {limit:g}): take shorter steps or integrator.Adaptive",
+        "with steps a quarter as long (tolerances 256 times tighter) parts are elsewhere in their "
+        'gaps, and with that the mean of the contact forces in joint "{place}" changes by '
+        "{figure:.2g} of the largest of all joints (limit {limit:g}): take shorter steps or a "
+        "tight integrator.Adaptive",
     )
     FRICTION_LOSS = (
         16,
@@ -164,8 +177,9 @@ class Check(enum.IntEnum):
         0.05,
         "wear",
         WHOLE,
-        "with steps a quarter as long what friction takes changes by {figure:.2g} of itself (limit "
-        "{limit:g}), so friction loss and wear are off: take shorter steps or integrator.Adaptive",
+        "with steps a quarter as long (tolerances 256 times tighter) what friction takes changes "
+        "by {figure:.2g} of itself (limit {limit:g}), so friction loss and wear are off: take "
+        "shorter steps or a tight integrator.Adaptive",
     )
     # Largest rise of a contact's indentation within a step beside the largest that was met: of
     # steps in which a contact does the work of its law whatever their length.

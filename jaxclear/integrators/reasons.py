@@ -23,6 +23,9 @@ REASONS: dict[Check, str] = {
         "what a quarter of the step changes is nearly all that is wrong: somewhat less than the "
         "promised accuracy of places in gaps, 5 % of the clearance, as it looks at fifty instants"
     ),
+    Check.BODY_PLACES: (
+        "as of places in gaps: somewhat less than the accuracy of places that steps of rk4 promise"
+    ),
     Check.MEAN_FORCE: (
         "nearly all that is wrong, as of places in gaps: the accuracy of mean forces that steps "
         "of rk4 promise, half of that of implicit steps"

@@ -43,6 +43,7 @@ __getattr__ = nothing_else("jaxclear.response", __all__)
 # What is off in a run where one part of it is: forces follow the motion, wear follows forces.
 REACHES = {
     "motion": ("motion", "forces", "peak forces", "wear", "worn depth", "places in gaps"),
+    "places": ("motion", "places in gaps"),
     "forces": ("forces", "peak forces", "wear", "worn depth"),
     "peak forces": ("peak forces",),
     "swinging forces": ("peak forces", "wear", "worn depth"),

@@ -69,12 +69,16 @@ def apart_by_check(
     run: Trajectory, other: Trajectory, gaps: bool, doubts: bool
 ) -> dict[Check, tuple[np.ndarray, tuple[str, ...]]]:
     """By check how far two runs are apart, by place, and the names of these; `gaps`: whether places
-    in gaps count, `doubts`: whether a figure brings the run in doubt."""
+    in gaps count, and with them smaller differences of the places of bodies; `doubts`: whether a
+    figure brings the run in doubt."""
     found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
     sunk = run.checks.figures.get(Check.INDENTATION)
     if opens(run) or doubts:
         here, there = (whereabouts(each.history) for each in (run, other))
-        found[Check.HALVED_MOTION] = (np.array([_elsewhere(here, there)]), ("",))
+        elsewhere = _elsewhere(here, there)
+        found[Check.HALVED_MOTION] = (np.array([elsewhere]), ("",))
+        if gaps and elsewhere <= Check.HALVED_MOTION.limit:
+            found[Check.BODY_PLACES] = (np.array([elsewhere]), ("",))
     if opens(run) and gaps and sunk is not None:
         off = np.abs(np.asarray(here.places) - np.asarray(there.places)).max(axis=0)
         found[Check.PLACE_IN_GAP] = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)

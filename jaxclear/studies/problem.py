@@ -39,7 +39,7 @@ from jaxclear.simulation.dead_point import diagnosed, diagnosed_outcome
 from jaxclear.simulation.derivatives import backwards, guarded, refusal
 from jaxclear.simulation.loop import Extras
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
-from jaxclear.simulation.second_look import found_in_one, many_in_doubt
+from jaxclear.simulation.second_look import found_in_one, many_in_doubt, restitution_of
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
@@ -234,7 +234,8 @@ class Problem(AbstractProblem):
 
     def second_look(self, checks):
         seen = self.integrator.formulation.seen(self.mechanism)
-        if not many_in_doubt(checks, bool(seen.topology.clearances)):
+        kept = restitution_of(self.mechanism)
+        if not many_in_doubt(checks, bool(seen.topology.clearances), kept):
             return Checks()
 
         def again(integrator):

@@ -88,7 +88,6 @@ def test_runs_of_many_steps_and_steps_that_are_counted_are_not_gone_through_agai
     for one, integrator in (
         (dataclasses.replace(run, stats=stats), step),
         (run, counted),
-        (run, jc.integrator.Adaptive()),
         (dataclasses.replace(run, checks=Checks()), step),
     ):
         assert second_look.looked_at_again(one, integrator, again) is one

@@ -1,0 +1,91 @@
+"""Impacts that take little or no energy hand what they are off by on to the next ones: a second
+look comes sooner there, of `Adaptive` too."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from benchmarks.attacks.structures import structures
+from benchmarks.claims import extremes
+from jaxclear.integrators import Check, Checks
+from jaxclear.integrators.figures import Figure
+from jaxclear.results.response import concerned
+from jaxclear.simulation import second_look
+
+
+def beyond(run):
+    return {check for check, flag in run.checks.beyond().items() if flag}
+
+
+def across(run, joint):
+    """Offset in a joint beside its clearance."""
+    clearance = float(run.mechanism.connections[joint].joint.clearance)
+    return np.asarray(run.contact(joint).offset)[:, 0] / clearance
+
+
+@pytest.mark.parametrize(
+    ("restitution", "rise", "doubted"),
+    [(0.5, 0.09, False), (0.9, 0.09, False), (0.95, 0.09, True), (0.95, 0.04, False)],
+)
+def test_bouncy_impacts_are_in_doubt_sooner(restitution, rise, doubted):
+    contact = jc.contact.CarvalhoMartins(restitution=restitution)
+    bearing = jc.clearance.PlanarJournalBearing(contact, bearing_radius=0.01, clearance=1e-4)
+    rig = jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)}, {"B": jc.Connection(bearing, "ground", "journal")}
+    )
+    checks = Checks.of({Check.IMPACT_STEP: Figure(np.array([rise]), np.zeros(1), ("B",))})
+    compliant = jc.integrator.FixedStep().formulation
+    run = SimpleNamespace(mechanism=rig, formulation=compliant, checks=checks)
+    assert second_look._in_doubt(run) == doubted
+
+
+@pytest.mark.parametrize(
+    ("rtol", "tighter"), [(1e-7, 1 / 256), (3e-4, 1e-3 / 256), (1e-10, 1e-2), (1e-13, 1.0)]
+)
+def test_adaptive_is_looked_at_again_at_tighter_tolerances(rtol, tighter):
+    """Beside those that count where joints have clearance, and not within rounding."""
+    integrator = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol)
+    finer = second_look._finer(None, integrator)
+    assert float(finer.rtol) == pytest.approx(rtol * tighter)
+    assert float(finer.atol) == pytest.approx(1e-2 * rtol * tighter)
+
+
+def test_places_of_bodies_are_no_matter_of_a_force():
+    place, force = jc.response.FinalCoordinate("G"), jc.response.MeanContactForce("G")
+    concerns = Check.BODY_PLACES.concerns
+    assert concerned(place, concerns) and not concerned(force, concerns)
+
+
+@pytest.mark.slow
+def test_a_pendulum_off_in_its_gap_after_many_bouncy_impacts_is_said():
+    """Indentations rise by 3 % of the largest in a step, and restitution is 0.976."""
+    case = structures()[12].case(5)
+    exact, run = (
+        jc.simulate(case.mechanism, case.duration, integrator=integrator, save=201)
+        for integrator in (
+            jc.integrator.Adaptive(rtol=1e-10, atol=1e-12),
+            jc.integrator.FixedStep(),
+        )
+    )
+    assert np.abs(across(run, "B") - across(exact, "B")).max() > 0.03
+    assert beyond(run) == {Check.PLACE_IN_GAP}
+
+
+@pytest.mark.slow
+def test_where_a_slider_is_after_elastic_impacts_is_said_by_adaptive_too():
+    """A fortieth of the clearance off by `Adaptive`, two thirds by steps of rk4."""
+    case = extremes.JOINTS["guide"][0](extremes.USUAL | {"restitution": 1.0})
+    exact, default, fixed = (
+        jc.simulate(case.mechanism, case.duration, integrator=integrator, save=6)
+        for integrator in (
+            jc.integrator.Adaptive(rtol=1e-11, atol=1e-13),
+            jc.integrator.Adaptive(),
+            jc.integrator.FixedStep(),
+        )
+    )
+    off = [np.abs(across(run, "B") - across(exact, "B")).max() for run in (default, fixed)]
+    assert off[0] > 0.02 and off[1] > 0.3
+    assert beyond(default) == {Check.PLACE_IN_GAP}
+    assert {Check.PLACE_IN_GAP, Check.BODY_PLACES} <= beyond(fixed)
