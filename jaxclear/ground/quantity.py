@@ -37,7 +37,6 @@ __all__ = [
     "count",
     "inside",
     "numbers",
-    "parameters",
     "public_name",
     "quantity",
     "range_in_words",
@@ -234,19 +233,6 @@ def numbers(tree: Any, name: str = "") -> Iterator[tuple[str, Any, Mapping[str, 
     """(name, leaf, metadata of its field) of every number in a mechanism or any part of it, in
     definition order; `name` is what the tree itself is called."""
     return _numbers(tree, name, {})
-
-
-def parameters(tree: Any, name: str = "") -> list[dict[str, Any]]:
-    """Rows (name, value, unit, meaning) of every number."""
-    return [
-        {
-            "name": path,
-            "value": np.asarray(leaf).tolist(),
-            "unit": m.get("unit", "1"),
-            "meaning": m.get("meaning", ""),
-        }
-        for path, leaf, m in numbers(tree, name)
-    ]
 
 
 def inside(leaf: Any, metadata: Mapping[str, Any]) -> Any:

@@ -64,7 +64,7 @@ class Check(enum.IntEnum):
         0.1,
         "motion",
         SPEEDS,
-        'with steps of half the length the mean forces that move joint "{place}" change by '
+        'with steps of half the length the mean forces that move "{place}" change by '
         "{figure:.2g} of themselves (limit {limit:g}), so forces, and maybe the motion, are off: "
         "take shorter steps",
     )
@@ -96,7 +96,7 @@ class Check(enum.IntEnum):
         0.1,
         "swinging forces",
         SPEEDS,
-        'with steps of half the length the forces at an instant that move joint "{place}" change '
+        'with steps of half the length the forces at an instant that move "{place}" change '
         "by {figure:.2g} of themselves (limit {limit:g}), so forces at an instant and their peaks "
         "are off, and maybe friction loss and wear, though mean forces and the motion may be "
         "right: take shorter steps",

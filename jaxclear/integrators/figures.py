@@ -14,6 +14,9 @@ from jaxtyping import Array, Bool, Float
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.checks import Check
 
+# So large a figure is that of a run which grew without bound.
+RAN_AWAY = 1e6
+
 
 class Figure(eqx.Module):
     """The worst of a figure at each of its `places`, and at what `time` [s] its saving interval
@@ -109,11 +112,17 @@ class Checks(eqx.Module):
     @property
     def warnings(self) -> tuple[str, ...]:
         """A sentence for each figure beyond its limit; empty for a clean run."""
-        return tuple(
-            _sentence(check, worst, place)
-            for check, worst, place, _ in self.rows()
-            if worst > check.limit
-        )
+        return tuple(_sentence(*row) for row in self._told())
+
+    @property
+    def before_the_end(self) -> tuple[str, ...]:
+        """The warnings of a run that ended early but for those of figures that grew without bound
+        with it: what was beyond its limit before may tell why."""
+        return tuple(_sentence(*row) for row in self._told() if row[1] < RAN_AWAY)
+
+    def _told(self) -> list[tuple[Check, float, str]]:
+        """(check, worst figure, its place) of those beyond their limits."""
+        return [row[:3] for row in self.rows() if row[1] > row[0].limit]
 
     def table(self) -> Any:
         """A pandas table: figure, unit, limit, where and when [s] the worst was met, what it
@@ -137,15 +146,19 @@ class Checks(eqx.Module):
         )
 
     def __str__(self) -> str:
-        lines = [f"{'check':24}{'figure':>10}{'limit':>10}  {'joint':12}concerns"]
-        for check, worst, place, _ in self.rows():
-            label = check.label if check.unit == "1" else f"{check.label} [{check.unit}]"
+        rows = self.rows()
+        if not rows:
+            return "This run had nothing to check."
+        labels = [c.label if c.unit == "1" else f"{c.label} [{c.unit}]" for c, *_ in rows]
+        width, places = max(map(len, labels)), max(5, *(len(place) for _, _, place, _ in rows))
+        lines = [f"{'check':{width}}{'figure':>10}{'limit':>10}  {'joint':{places}}  concerns"]
+        for label, (check, worst, place, _) in zip(labels, rows, strict=True):
             mark = "  <- beyond" if worst > check.limit else ""
             lines.append(
-                f"{label:24}{worst:10.2g}{check.limit:10.2g}  {place or '-':12}"
+                f"{label:{width}}{worst:10.2g}{check.limit:10.2g}  {place or '-':{places}}  "
                 f"{check.concerns}{mark}"
             )
-        return "\n".join(lines) if len(lines) > 1 else "This run had nothing to check."
+        return "\n".join(lines)
 
 
 def _sentence(check: Check, worst: float, place: str) -> str:

@@ -12,6 +12,7 @@ import jax
 
 from jaxclear.components.body import Marker
 from jaxclear.ground.wording import described, public_name
+from jaxclear.multibody.own_numbers import slides, unit_along
 
 __all__ = ["in_words"]
 
@@ -23,8 +24,8 @@ def in_words(mechanism: Any) -> str:
     lines = []
     for part, entry in (
         ("bodies", lambda name, body: _numbers(body)),
-        ("connections", lambda name, connection: _connection(connection)),
-        ("loads", lambda name, load: f"{public_name(type(load))} {_numbers(load)}"),
+        ("connections", lambda name, connection: _connection(mechanism, connection)),
+        ("loads", lambda name, load: _load(mechanism, load)),
         ("start", lambda name, values: _coordinates(mechanism, name, values, "")),
         ("guess", lambda name, values: _coordinates(mechanism, name, values, "")),
         ("speeds", lambda name, values: _coordinates(mechanism, name, values, "/s")),
@@ -41,10 +42,14 @@ def in_words(mechanism: Any) -> str:
     return "\n".join(lines)
 
 
-def _connection(connection: Any) -> str:
+def _load(mechanism: Any, load: Any) -> str:
+    return f"{public_name(type(load))} {_numbers(load, slides(mechanism, load))}"
+
+
+def _connection(mechanism: Any, connection: Any) -> str:
     joint = connection.joint
     ends = f"{_marker(connection.parent)} to {_marker(connection.child)}"
-    parts = list(_fields(joint))
+    parts = list(_fields(joint, slides(mechanism, connection)))
     own = [text for name, text in parts if not isinstance(getattr(joint, name), eqx.Module)]
     laws = [
         f"{INDENT}{text}" for name, text in parts if isinstance(getattr(joint, name), eqx.Module)
@@ -61,22 +66,23 @@ def _marker(marker: Marker) -> str:
     return f'"{marker.body}"{place}{axis}{turned}'
 
 
-def _numbers(part: Any) -> str:
-    return ", ".join(text for _, text in _fields(part))
+def _numbers(part: Any, along: bool = False) -> str:
+    return ", ".join(text for _, text in _fields(part, along))
 
 
-def _fields(part: Any) -> Iterator[tuple[str, str]]:
-    """Every field that holds something, by name: numbers with units, parts by their kind."""
+def _fields(part: Any, along: bool = False) -> Iterator[tuple[str, str]]:
+    """Every field that holds something, by name: numbers with units, parts by their kind.
+    `along`: whether it is of a coordinate that slides."""
     for field in dataclasses.fields(part):
         value = getattr(part, field.name)
         if value is None:
             continue
-        unit = field.metadata.get("unit", "")
+        unit = unit_along(field.metadata, along)
         unit = "" if unit in ("", "1") else f" {unit}"
         if isinstance(value, Marker):
             yield field.name, f"{field.name} {_marker(value)}"
         elif isinstance(value, eqx.Module):
-            inner = _numbers(value)
+            inner = _numbers(value, along)
             yield field.name, f"{field.name} {type(value).__name__}{f'({inner})' if inner else ''}"
         elif isinstance(value, tuple):
             yield field.name, f"{field.name} {_tuple(value)}{unit}"

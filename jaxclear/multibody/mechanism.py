@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import numpy as np
 
 from jaxclear.components.body import Body, Connection
 from jaxclear.components.clearance import AbstractClearance
@@ -17,13 +18,14 @@ from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
 from jaxclear.ground.arguments import expect
-from jaxclear.ground.quantity import AbstractQuantified, as_number, parameters
+from jaxclear.ground.quantity import AbstractQuantified, as_number
 from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
 from jaxclear.multibody.exchange import exchanged, told_for_start, without_loads_on
 from jaxclear.multibody.in_words import in_words
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.magnitudes import warn_of_magnitudes
+from jaxclear.multibody.own_numbers import own_numbers
 from jaxclear.multibody.plane import check_plane
 from jaxclear.multibody.topology import Redundancy, Topology, grow
 
@@ -177,9 +179,16 @@ class Mechanism(AbstractQuantified):
         """All numbers of the mechanism with unit and meaning, as a pandas table."""
         import pandas
 
-        parts = ("bodies", "connections", "loads", "stabilisation")
         return pandas.DataFrame(
-            [row for part in parts for row in parameters(getattr(self, part), part)]
+            [
+                {
+                    "name": name,
+                    "value": np.asarray(leaf).tolist(),
+                    "unit": unit,
+                    "meaning": metadata.get("meaning", ""),
+                }
+                for name, leaf, metadata, unit in own_numbers(self)
+            ]
         )
 
 

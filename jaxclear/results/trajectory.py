@@ -107,17 +107,21 @@ class Trajectory(eqx.Module):
         sentence = Outcome(int(self.outcome)).sentence
         if not self.succeeded:
             told = f"The run ended early, after {float(self.ended):.6g} s. {sentence}"
-            if self.outcome != Outcome.SINGULAR_POSITION:
-                return told
-            return f"{told} {singular_position(self.history, self.ended)}"
+            if self.outcome == Outcome.SINGULAR_POSITION:
+                return f"{told} {singular_position(self.history, self.ended)}"
+            why = self.checks.before_the_end if self.outcome == Outcome.NOT_FINITE else ()
+            return " ".join([told, *why])
         if not self.warnings:
             return sentence
         return f"{sentence.removesuffix('.')}, with warnings: {' '.join(self.warnings)}"
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence for each of its `checks` beyond its limit; empty for a clean run."""
-        return self.checks.warnings
+        """A sentence for each of its `checks` beyond its limit; empty for a clean run. Of one that
+        ended early, those of boundless figures only where there is no other."""
+        if self.succeeded:
+            return self.checks.warnings
+        return self.checks.before_the_end or self.checks.warnings
 
     def __str__(self) -> str:
         if np.ndim(self.outcome) or is_traced(self.outcome):

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.ground.arguments import check_number, expect
-from jaxclear.ground.quantity import numbers
 from jaxclear.ground.wording import described, meant
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.own_numbers import own_numbers
 from jaxclear.studies.base import AbstractVariable, one_distribution
 from jaxclear.studies.distribution import AbstractDistribution
 
@@ -101,8 +101,7 @@ class Variable(AbstractMechanismVariable):
 
     def unit_in(self, mechanism):
         first = self.leaves(mechanism)[0]
-        known = ((leaf, metadata.get("unit", "1")) for _, leaf, metadata in numbers(mechanism))
-        return next((unit for leaf, unit in known if leaf is first), "1")
+        return next((unit for _, leaf, _, unit in own_numbers(mechanism) if leaf is first), "1")
 
     def put(self, mechanism, value):
         # Leaves that vary together move by the same amount.

@@ -30,6 +30,27 @@ def test_print_shows_a_start_in_the_units_of_its_joint():
     assert "clearance 0.0002 m" in shown and "speed 50 rad/s" in shown
 
 
+def test_numbers_along_a_sliding_joint_have_the_units_of_lengths_and_forces():
+    """They were N m/rad and rad, of a press and its spring."""
+    drive = jc.drive.Harmonic(0.1, frequency=3.0)
+    shown = str(
+        jc.Mechanism(
+            {"ram": jc.Body(1.0, 1.0), "tool": jc.Body(1.0, 1.0)},
+            {
+                "P": jc.Connection(jc.joint.Prismatic(drive=drive), "ground", "ram"),
+                "Q": jc.Connection(jc.joint.Prismatic(), "ram", "tool"),
+            },
+            {
+                "spring": jc.load.JointSpring("Q", 2e4, damping=3.0),
+                "push": jc.load.JointTorque("Q", 5.0),
+            },
+        )
+    )
+    assert "stiffness 20000 N/m, rest 0 m, damping 3 N s/m" in shown
+    assert shown.endswith("JointTorque connection Q, value 5 N")
+    assert "amplitude 0.1 m, frequency 3 Hz, phase 0 rad, offset 0 m" in shown
+
+
 @pytest.mark.slow
 def test_contact_table_labels_its_columns_with_units():
     run = jc.simulate(jc.scenes.four_bar(wear=False), 1e-3, save=3)

@@ -1,12 +1,13 @@
 """A run judges itself: what is wrong is said or ends, what is right is not accused."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.integrators import Check
+from jaxclear.integrators import Check, Outcome
 from jaxclear.simulation.simulate import run
 
 RPM = 2 * np.pi / 60
@@ -50,6 +51,18 @@ def test_checks_stand_in_a_table_with_the_joint_and_the_limit():
     assert drift.joint == "B" and drift.within and drift.concerns == "motion"
     assert drift.figure == pytest.approx(float(found.drift()["B"].max()) / 0.12, rel=1e-9)
     assert "loop drift" in str(found) and str(found).startswith(found.result)
+
+
+def test_a_run_that_grew_without_bound_says_what_was_beyond_its_limit_before():
+    """It said "inf of what friction takes", and where it became infinite nothing of why."""
+    rig = jc.scenes.slider_crank(crank_speed=500 * RPM)
+    integrator = jc.integrator.FixedStep(2e-4)
+    ended = jc.simulate(rig, 0.05, save=51, integrator=integrator, throw=False)
+    (warning,) = ended.warnings
+    assert not ended.succeeded and warning.startswith("Within a step the indentation")
+    assert len(ended.checks.warnings) > 5 and "inf of" in " ".join(ended.checks.warnings).lower()
+    infinite = eqx.tree_at(lambda run: run.outcome, ended, jnp.asarray(int(Outcome.NOT_FINITE)))
+    assert infinite.result.endswith(f"{Outcome.NOT_FINITE.sentence} {warning}")
 
 
 @pytest.mark.slow

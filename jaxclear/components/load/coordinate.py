@@ -84,7 +84,9 @@ class JointTorque(AbstractCoordinateLoad):
 
     connection: str = eqx.field(static=True)
     value: Scalar | Callable = quantity(
-        unit="N m", meaning="torque, or a function of time", converter=number_or_function
+        unit="N m",
+        meaning="torque (N for a sliding joint), or a function of time",
+        converter=number_or_function,
     )
 
     def __check_init__(self):

@@ -1,0 +1,36 @@
+"""Every number of a mechanism, in the unit of the joint it is of: a coordinate is in rad or m as
+its joint turns or slides.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from jaxclear.ground.quantity import numbers
+
+# What the meaning of a number says of its unit where the joint slides that it is of, or acts on.
+SLIDING = re.compile(r"\(([^()]+) for a sliding joint\)")
+
+
+def own_numbers(mechanism: Any) -> Iterator[tuple[str, Any, Mapping[str, Any], str]]:
+    """(name, value, metadata of its field, unit) of every number of a mechanism but those of its
+    start, in definition order."""
+    for part in ("bodies", "connections", "loads"):
+        for name, own in getattr(mechanism, part).items():
+            along = slides(mechanism, own)
+            for path, leaf, metadata in numbers(own, f'{part}["{name}"]'):
+                yield path, leaf, metadata, unit_along(metadata, along)
+    for path, leaf, metadata in numbers(mechanism.stabilisation, "stabilisation"):
+        yield path, leaf, metadata, unit_along(metadata, False)
+
+
+def slides(mechanism: Any, own: Any) -> bool:
+    """Whether a connection slides, or that on whose coordinate a load acts."""
+    connection = mechanism.connections.get(getattr(own, "connection", None), own)
+    return getattr(getattr(connection, "joint", None), "units", None) == ("m",)
+
+
+def unit_along(metadata: Mapping[str, Any], along: bool) -> str:
+    """The unit of a number by its field; `along`: whether it is of a coordinate that slides."""
+    found = SLIDING.search(metadata.get("meaning", "")) if along else None
+    return metadata.get("unit", "1") if found is None else found[1]
