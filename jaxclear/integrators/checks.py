@@ -170,6 +170,17 @@ class Check(enum.IntEnum):
         "{figure:.2g} of the largest of all joints (limit {limit:g}): take shorter steps or a "
         "tight integrator.Adaptive",
     )
+    DEEPEST = (
+        20,
+        "second look: deepest indentation",
+        "1",
+        0.13,
+        "peak forces",
+        CONTACTS,
+        "with steps a quarter as long (tolerances 256 times tighter) the deepest indentation in "
+        'joint "{place}" changes by {figure:.2g} of itself (limit {limit:g}), so peak forces are '
+        "off, though mean forces may be right: take shorter steps or a tight integrator.Adaptive",
+    )
     FRICTION_LOSS = (
         16,
         "second look: friction loss",

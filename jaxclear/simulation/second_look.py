@@ -48,6 +48,7 @@ FINDINGS = (
     Check.HALVED_WEAR,
     Check.HALVED_MOTION,
     Check.BODY_PLACES,
+    Check.DEEPEST,
 )
 # What speaks of steps too long for a contact, and is dropped where a run with steps a quarter as
 # long is within its limit and finds nothing off.
@@ -62,7 +63,7 @@ OF_WINDOWS = (Check.HALVED_MEAN_FORCES, Check.HALVED_CONTACT_FORCES, Check.HALVE
 DRIFTING = {Check.HALVED_MOTION: 0.005}
 # By how much, beside themselves, mean forces, what friction takes and what is worn may change there
 # (twice that left worn depths 13 % off), and the deepest indentations: peaks of forces by a fifth.
-LITTLE, DEEPEST = 0.02, 0.13
+LITTLE, DEEPEST = 0.02, Check.DEEPEST.limit
 # Figures from which on a run is in doubt: of mechanisms drawn at random every one whose places in
 # gaps were off by more than promised was beyond one of them (benchmarks/attack.py).
 DOUBTS = {
@@ -80,6 +81,10 @@ SAME_DEPTH = 0.01
 # impacts, in steps in which indentations rose by 0.03.
 BOUNCY, ELASTIC = 0.9, 0.99
 OF_IMPACTS = (Check.IMPACT_STEP, Check.CONTACT_STEP)
+# Steps, some fifty an impact where an error controls them, from which on so many impacts may have
+# followed each other that bouncy ones bring a run in doubt of whose impacts no figure tells: after
+# 150 of restitution 0.936 `Adaptive` was 9 % of the clearance off.
+BOUNCES = 5000
 # Steps of a run beyond which it is not gone through again: seconds in any mechanism.
 MOST_STEPS = 100_000
 
@@ -139,7 +144,10 @@ def _in_doubt(run: Trajectory) -> bool:
         rubs = run.history.balanced and bool(friction_loss(run) != 0)
         return opens(run) or rubs or bool(doubted(run.checks))
     kept = restitution_of(run.mechanism)
-    return kept >= ELASTIC or bool(doubted(run.checks, kept))
+    if kept >= ELASTIC or bool(doubted(run.checks, kept)):
+        return True
+    untold = not set(OF_IMPACTS) & set(run.checks.figures)
+    return untold and kept > BOUNCY and bool(run.accepted_steps > BOUNCES)
 
 
 def restitution_of(mechanism: Mechanism) -> float:
@@ -228,7 +236,7 @@ def _right_joints(run: Trajectory, other: Trajectory, worst: dict[Check, float])
     nothing in the run is beyond its limit; not where nothing tells of a joint's friction."""
     if Check.MEAN_FORCE not in worst or Check.INDENTATION not in run.checks.figures:
         return set()
-    if any(found > check.limit for check, found in worst.items()):
+    if any(found > check.limit for check, found in worst.items() if check != Check.DEEPEST):
         return set()
     if max(worst[Check.MEAN_FORCE], worst.get(Check.HALVED_WEAR, 0.0)) > LITTLE:
         return set()

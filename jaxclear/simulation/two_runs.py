@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.figures import Figure
 from jaxclear.multibody.state import ENERGIES
 from jaxclear.multibody.system import wear_maps
 from jaxclear.results.histories import contact_impulse
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.spot_checks import NO_WEAR
+from jaxclear.simulation.spot_checks import LEAST, NO_WEAR
 from jaxclear.simulation.ways import Whereabouts, whereabouts
 
 # What friction takes, beside the most of all energies of the balance that come in or go out, below
@@ -27,6 +28,27 @@ def deepest_apart(run: Trajectory, other: Trajectory, joint: str | None = None) 
     figures = [one.checks.figures[Check.INDENTATION] for one in (run, other)]
     own = [joint in (None, place) for place in figures[0].places]
     return share_of_largest(*(np.asarray(figure.worst)[own] for figure in figures))
+
+
+def _peaks_apart(run: Trajectory, other: Trajectory) -> dict[str, float]:
+    """By joint the change of its deepest indentation beside that, or beside `LEAST` of the deepest
+    of all."""
+    figures = [one.checks.figures[Check.INDENTATION] for one in (run, other)]
+    deepest = [
+        {name: max(_of_joint(figure, name)) for name in dict.fromkeys(figure.places)}
+        for figure in figures
+    ]
+    least = LEAST * max(max(each.values()) for each in deepest)
+    pairs = {name: (depth, deepest[1][name]) for name, depth in deepest[0].items()}
+    return {
+        name: abs(one - two) / max(one, two, least) if least > 0 else 0.0
+        for name, (one, two) in pairs.items()
+    }
+
+
+def _of_joint(figure: Figure, joint: str) -> list[float]:
+    worst = np.asarray(figure.worst)
+    return [float(x) for x, place in zip(worst, figure.places, strict=True) if place == joint]
 
 
 def share_of_largest(one: np.ndarray, other: np.ndarray) -> float:
@@ -82,6 +104,9 @@ def apart_by_check(
     if opens(run) and gaps and sunk is not None:
         off = np.abs(np.asarray(here.places) - np.asarray(there.places)).max(axis=0)
         found[Check.PLACE_IN_GAP] = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)
+    if opens(run) and sunk is not None:
+        changes = _peaks_apart(run, other)
+        found[Check.DEEPEST] = (np.array(list(changes.values())), tuple(changes))
     if opens(run):
         joints = tuple(run.mechanism.topology.clearances)
         one, two = (impulses(each, joints) for each in (run, other))

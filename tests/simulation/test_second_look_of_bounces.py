@@ -59,6 +59,41 @@ def test_places_of_bodies_are_no_matter_of_a_force():
 
 
 @pytest.mark.slow
+def test_a_peak_that_falls_between_steps_is_said():
+    """Of one impact of a pushed slider implicit steps saw a third of the peak force; its mean force
+    is right."""
+    case, run = structures()[22].case(7), {}
+    for name, integrator in (
+        ("exact", jc.integrator.Adaptive(rtol=1e-10, atol=1e-12)),
+        ("too long", jc.integrator.ImplicitStep(1.2e-4)),
+        ("short", jc.integrator.ImplicitStep(1e-5)),
+    ):
+        run[name] = jc.simulate(case.mechanism, case.duration, integrator=integrator, save=201)
+    peaks = {name: float(jc.response.PeakContactForce("G")(each)) for name, each in run.items()}
+    assert peaks["too long"] < 0.5 * peaks["exact"]
+    assert peaks["short"] == pytest.approx(peaks["exact"], rel=0.2)
+    assert Check.DEEPEST in beyond(run["too long"]) and Check.DEEPEST not in beyond(run["short"])
+
+
+@pytest.mark.slow
+def test_where_a_slider_is_after_a_hundred_bouncy_impacts_is_said_by_adaptive():
+    """No tolerance of double precision tells where it is: two a hundredfold apart disagree."""
+    case = structures()[22].case(9)
+    runs = [
+        jc.simulate(case.mechanism, case.duration, integrator=integrator, save=201)
+        for integrator in (
+            jc.integrator.Adaptive(rtol=1e-9, atol=1e-11),
+            jc.integrator.Adaptive(rtol=1e-11, atol=1e-13),
+            jc.integrator.Adaptive(),
+        )
+    ]
+    exact, default = across(runs[1], "G"), across(runs[2], "G")
+    assert np.abs(across(runs[0], "G") - exact).max() > 0.03
+    assert np.abs(default - exact).max() > 0.03
+    assert beyond(runs[2]) == {Check.PLACE_IN_GAP}
+
+
+@pytest.mark.slow
 def test_a_pendulum_off_in_its_gap_after_many_bouncy_impacts_is_said():
     """Indentations rise by 3 % of the largest in a step, and restitution is 0.976."""
     case = structures()[12].case(5)
