@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.integrators.checks import Check
 
 # So large a figure is that of a run which grew without bound.
@@ -27,7 +28,7 @@ class Figure(eqx.Module):
     places: tuple[str, ...] = eqx.field(static=True)
 
 
-class Checks(eqx.Module):
+class Checks(AbstractShown):
     """The figures by which a run is judged. `print` shows them as a table; `warnings` are the
     sentences of those beyond their limits. After `jax.vmap` every array has the samples in front:
     `beyond` and `any_beyond` stay arrays, the rest is for one run.

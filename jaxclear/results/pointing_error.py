@@ -14,6 +14,7 @@ from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.datasets import Column, dataset
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.multibody.chain import Chain
 from jaxclear.multibody.product_of_exponentials import TipError
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
@@ -28,7 +29,7 @@ PLACE, ACROSS = slice(0, 3), slice(3, 5)
 ROUNDING = 1e-15
 
 
-class PointingError(eqx.Module):
+class PointingError(AbstractShown):
     """Error of a tip over the saving times; twists [m, rad] of shape (time, 6), rows of
     `deviations` in the bearings' axes.
 

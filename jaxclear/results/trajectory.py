@@ -17,6 +17,7 @@ from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.integrators.events import Events
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
@@ -50,7 +51,7 @@ class RunStats(eqx.Module):
         return explain(np.max(self.verdict))
 
 
-class Trajectory(eqx.Module):
+class Trajectory(AbstractShown):
     """A simulated run. `history` holds the states; `worn` are depth maps [m] by joint and surface
     at the end, `outcome` tells how the run ended (an `Outcome`), `ended` when [s], `stats` what it
     cost, `checks` what it found out about its own numbers; `noted`: touches and releases, where

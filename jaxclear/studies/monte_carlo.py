@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_known, check_number
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.integrators import Checks, Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import chunk_size, evaluate_all
@@ -38,7 +39,7 @@ from jaxclear.studies.statistics.tolerance_interval import (
 from jaxclear.studies.warned import agreement, any_warning, counted, in_words, warned_of
 
 
-class MonteCarlo(eqx.Module):
+class MonteCarlo(AbstractShown):
     """Samples and their responses. Failed samples keep their row, with `nan` responses and a
     sentence; those that reached their end with warnings are counted beside them.
 
@@ -120,6 +121,10 @@ class MonteCarlo(eqx.Module):
             self.problem.remark(),
         )
         return " ".join(filter(None, told))
+
+    def __str__(self) -> str:
+        rows = self.summary().to_dict("records")
+        return "\n".join([self.sentence(), *map(_in_words, rows)])
 
     def _sentence(self, i):
         named = ", ".join(
@@ -245,6 +250,16 @@ class MonteCarlo(eqx.Module):
         limits = {} if limits is None else limits
         check_limits(limits, self.responses)
         return pandas.DataFrame([summary_row(self, name, limits) for name in self.responses])
+
+
+def _in_words(row: Mapping[str, Any]) -> str:
+    """A response of the summary, errors at 95 %."""
+    return (
+        f'"{row["response"]}" [{row["unit"]}]: mean {row["mean"]:.5g} ± {row["mean error"]:.2g}, '
+        f"standard deviation {row['standard deviation']:.4g} ± "
+        f"{row['standard deviation error']:.2g}; 5 % below {row['5 %']:.5g}, 5 % above "
+        f"{row['95 %']:.5g}."
+    )
 
 
 @answering

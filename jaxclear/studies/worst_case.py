@@ -20,6 +20,7 @@ import scipy
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
+from jaxclear.ground.shown import AbstractShown, in_rows
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
@@ -45,7 +46,7 @@ class Extreme(eqx.Module):
     first_order: float
 
 
-class WorstCase(eqx.Module):
+class WorstCase(AbstractShown):
     """The extremes of every response over the box from `low` to `high` (variables,), and its
     `nominal` values."""
 
@@ -56,6 +57,9 @@ class WorstCase(eqx.Module):
     least: dict[str, Extreme]
     largest: dict[str, Extreme]
     runs: int = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        return in_rows(self.table())
 
     def to_dataset(self) -> Any:
         """Everything as an xarray Dataset by response, end and variable, with provenance."""

@@ -127,6 +127,7 @@ def truth(problem, values):
 def test_the_recommended_setting_keeps_its_word(advice, accuracy):
     found = advice.at(accuracy)
     assert found.met and f"meets {100 * accuracy:g} %" in found.sentence()
+    assert str(found).startswith(found.sentence()) and "f64[" not in str(found)
     for values in advice.comparison.pilot.values:
         exact = truth(advice.asked, values)
         answer = evaluate_one(found.problem, jnp.asarray(values)).responses

@@ -12,6 +12,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.ground.arguments import check_number
+from jaxclear.ground.shown import AbstractShown, in_rows
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.studies import verdict
 from jaxclear.studies.advice.comparison import Comparison
@@ -22,7 +23,7 @@ from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.problem import Problem
 
 
-class Advice(eqx.Module):
+class Advice(AbstractShown):
     """What to take for the problem that was `asked` about. `recommended` is the integrator,
     `problem` the problem with it, `sentence()` the answer in words, `why_not()` what is wrong with
     the others, `table()` every trial; `jaxclear.plot.work_precision` draws it.
@@ -87,6 +88,9 @@ class Advice(eqx.Module):
         rest = "" if found.is_whole else f" of {found.pilot.whole:.3g} s"
         parts += [f"Seen on {seen}{rest}."]
         return " ".join(part for part in parts if part)
+
+    def __str__(self) -> str:
+        return f"{self.sentence()}\n{in_rows(self.table())}"
 
     def warnings(self) -> list[str]:
         """What the runs of the recommended setting and of the reference warn of, in sentences."""

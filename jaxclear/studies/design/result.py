@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_design
 from jaxclear.studies.design.abstract_limit import AbstractLimit
@@ -25,7 +26,7 @@ ENDINGS = {
 }
 
 
-class Design(eqx.Module):
+class Design(AbstractShown):
     """A design: `nominal` values and `tolerances` of all variables by name, its `cost`; of each
     limit the number found by new runs with its 95 % error and its price.
 

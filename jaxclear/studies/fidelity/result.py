@@ -7,12 +7,13 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from jaxclear.ground.shown import AbstractShown, in_rows
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_rows
 from jaxclear.studies.statistics.scrambled import Statistic
 
 
-class MultiFidelity(eqx.Module):
+class MultiFidelity(AbstractShown):
     """Statistics of a problem by its own runs and those of cheaper ones.
 
     `means` and `standard_deviations` are by response, with 95 % intervals. `used` names the models
@@ -99,6 +100,9 @@ class MultiFidelity(eqx.Module):
             f"{' and '.join(told)} failed in the pilot sample and tell nothing; "
             "jaxclear.monte_carlo of the cheaper problem says why."
         )
+
+    def __str__(self) -> str:
+        return f"{self.sentence()}\n{in_rows(self.table())}"
 
     def to_dataset(self) -> Any:
         """The table as an xarray Dataset by response, with provenance."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.simulation import progress
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.datasets import of_rows
@@ -25,7 +26,7 @@ from jaxclear.studies.store import Store
 from jaxclear.studies.texts import in_texts
 
 
-class WearLives(eqx.Module):
+class WearLives(AbstractShown):
     """Lives of a sample. `values` (samples, variables) are the varied numbers, `lives` the life of
     each sample, None for one without a first cycle, `failed` why, by its index; `seed` of the
     sample."""

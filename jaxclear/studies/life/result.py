@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.ground.datasets import provenance
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.integrators import Checks
 from jaxclear.results.response import concerned
 from jaxclear.results.saved_state import State
@@ -43,7 +44,7 @@ class Lifetime(NamedTuple):
         return self.sentence
 
 
-class WearLife(eqx.Module):
+class WearLife(AbstractShown):
     """The wear of a life. `stages` are the points at which cycles were run, `cells` say how depths
     stand in a row, `new` are the surfaces at its start; `asked` [cycles] and `tolerance` [1] as
     asked for; `ended` says why a life ended before its time, "" for one that did not; `simulated`

@@ -12,6 +12,7 @@ import numpy as np
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
@@ -42,7 +43,7 @@ from jaxclear.studies.problem import Problem
 SAME_PLACE = 1e-5
 
 
-class Settled(eqx.Module):
+class Settled(AbstractShown):
     """The settled cycle. `settling` holds all cycles that were run, `run` is the last of them,
     `worn` the surfaces on which each began; `tolerance` [1] as it was asked for.
     """

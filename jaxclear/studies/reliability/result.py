@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_reliability
 from jaxclear.studies.limit_state import AbstractLimitState
@@ -20,7 +21,7 @@ SAMPLED = ("importance", "subset")
 SMALL = 1e-3
 
 
-class Reliability(eqx.Module):
+class Reliability(AbstractShown):
     """Probability of failing by several methods.
 
     `estimates` are the methods' own answers by name. `points` are the design points, likeliest
@@ -141,6 +142,9 @@ class Reliability(eqx.Module):
             text += f" by {_named(self.method)}, whose error is not known: sample to know it"
         said = [f"{text}; {self.runs} runs in all.", *self._comparison(own), *self._lost(own)]
         return " ".join([*said, *self._refusals(), *self.notes])
+
+    def __str__(self) -> str:
+        return self.sentence()
 
     def _answers(self, name: str) -> bool:
         return name in self.estimates and np.isfinite(self.estimates[name].value)

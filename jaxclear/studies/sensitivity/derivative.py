@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.studies.datasets import of_derivatives
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.scrambled import skewed_half
@@ -85,7 +86,7 @@ class Derivative(eqx.Module):
     estimates: dict[str, Estimate]
 
 
-class Sensitivity(eqx.Module):
+class Sensitivity(AbstractShown):
     """Derivatives by (response, variable), and the sample behind them. Statistics other than means
     and widths of distributions go by their own names, "standard deviation of force", "tolerance of
     clearance"; `units` are theirs."""
@@ -100,6 +101,13 @@ class Sensitivity(eqx.Module):
         known = dict(zip(problem.names, problem.variable_units, strict=True)) | self.units
         above = self.units.get(response) or problem.units()[response]
         return f"({above})/({known[variable]})"
+
+    def __str__(self) -> str:
+        return "\n".join(
+            f"d({response})/d({variable}) = {found.value:.4g} ± {found.error:.2g} "
+            f"{self.unit(response, variable)}. {found.verdict}"
+            for (response, variable), found in self.derivatives.items()
+        )
 
     def to_dataset(self) -> Any:
         """Derivatives, their errors and every method's as an xarray Dataset by response and

@@ -21,6 +21,7 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags
+from jaxclear.ground.shown import AbstractShown, in_rows
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
@@ -42,7 +43,7 @@ TOGETHER = 1024
 Step = tuple[int, frozenset[int], float]
 
 
-class ShapleyEffects(eqx.Module):
+class ShapleyEffects(AbstractShown):
     """`effects` [1] by (response, variable), each with its 95 % interval; those of a response sum
     to 1. `runs` of the problem (of its surface, where one was given) and how many samples `failed`;
     `remark` says what a surface leaves out."""
@@ -52,6 +53,9 @@ class ShapleyEffects(eqx.Module):
     runs: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
     remark: str = eqx.field(static=True, default="")
+
+    def __str__(self) -> str:
+        return in_rows(self.table())
 
     def to_dataset(self) -> Any:
         """Effects with their intervals as an xarray Dataset by response and variable, with

@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags
+from jaxclear.ground.shown import AbstractShown, in_rows
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
@@ -27,7 +28,7 @@ from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
 
 
-class SobolIndices(eqx.Module):
+class SobolIndices(AbstractShown):
     """`first` and `total` indices [1] by (response, variable), each with its 95 % interval; `runs`
     that they took and how many of the base samples `failed`."""
 
@@ -36,6 +37,9 @@ class SobolIndices(eqx.Module):
     total: dict[tuple[str, str], Statistic]
     runs: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        return in_rows(self.table())
 
     def to_dataset(self) -> Any:
         """Both indices with their intervals as an xarray Dataset by response and variable, with

@@ -18,6 +18,7 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
+from jaxclear.ground.shown import AbstractShown, in_rows
 from jaxclear.integrators import Outcome
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_corrected
@@ -42,7 +43,7 @@ class CorrectedStatistic(NamedTuple):
     gain: float
 
 
-class Corrected(eqx.Module):
+class Corrected(AbstractShown):
     """Means, standard deviations and probabilities of failing from a surface and fresh runs.
 
     `means` and `deviations` are by response, `probabilities` by the names of the limits. `failed`
@@ -67,6 +68,9 @@ class Corrected(eqx.Module):
             text += f' "{name}": the surface has a leave-one-out R2 of '
             text += f"{self.surface.quality[name]:.2f} and is not used; its numbers are sampled."
         return text
+
+    def __str__(self) -> str:
+        return f"{self.sentence()}\n{in_rows(self.table())}"
 
     def to_dataset(self) -> Any:
         """Means and deviations by response and probabilities by limit as an xarray Dataset, with

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxclear.ground.arguments import check_known
+from jaxclear.ground.shown import AbstractShown, in_rows
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_surface
 from jaxclear.studies.surface.polynomials import Polynomials, products
@@ -16,7 +17,7 @@ from jaxclear.studies.surface.polynomials import Polynomials, products
 TRUSTED = 0.9
 
 
-class ResponseSurface(eqx.Module):
+class ResponseSurface(AbstractShown):
     """Polynomials in the variables that stand for responses: `surface(values)` takes one set of
     values (variables,) and gives the responses by name; JAX maps and differentiates it.
 
@@ -70,6 +71,9 @@ class ResponseSurface(eqx.Module):
             low = f", below {TRUSTED}: the surface does not stand for runs; sample instead."
             text += "." if self.trusted(name) else low
         return f"{text} {self.unreached}".rstrip()
+
+    def __str__(self) -> str:
+        return f"{self.sentence()}\n{in_rows(self.table())}"
 
     def to_dataset(self) -> Any:
         """Runs, coefficients and quality as an xarray Dataset, with provenance."""

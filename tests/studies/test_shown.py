@@ -1,0 +1,51 @@
+"""What `print` and a notebook show of an answer: sentences and numbers, not the arrays it is made
+of."""
+
+import pytest
+
+import jaxclear as jc
+
+ASKED = jc.FunctionProblem(
+    lambda a, b: {"fit": a - b, "area": a * b},
+    {n: jc.Dimension(2.0, jc.distribution.Normal(0.1)) for n in "ab"},
+    units={"fit": "mm", "area": "mm2"},
+)
+
+
+class Printer:
+    """What IPython hands to an object that shows itself."""
+
+    def text(self, shown):
+        self.shown = shown
+
+
+ANSWERS = {
+    "monte_carlo": (
+        lambda: jc.monte_carlo(ASKED, 64),
+        ("64 samples, 0 failed", '"area" [mm2]: mean 4.0', "5 % above"),
+    ),
+    "sensitivity": (
+        lambda: jc.sensitivity(ASKED, sample=64, difference_samples=32),
+        ("d(area)/d(b) = ", " ± ", "(mm2)/(m)", "Agreed by"),
+    ),
+    "surface": (lambda: jc.surface(ASKED), ("Surface of 2 variables", "leave-one-out R2", "mm2")),
+    "worst_case": (lambda: jc.worst_case(ASKED), ("least of first order", "mm2", "-0.6")),
+    "sobol_indices": (lambda: jc.sobol_indices(ASKED, 64), ("first order error", "fit", "total")),
+    "shapley_effects": (lambda: jc.shapley_effects(ASKED, 64), ("effect", "error (95 %)", "area")),
+    "reliability": (
+        lambda: jc.reliability(ASKED, jc.limit_state.Above("fit", 0.3)),
+        ("P(", "runs in all"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_an_answer_is_shown_in_words(name):
+    """`print` gave hundreds of lines of arrays."""
+    ask, words = ANSWERS[name]
+    answer, printer = ask(), Printer()
+    shown = str(answer)
+    assert all(word in shown for word in words), shown
+    assert "f64[" not in shown and len(shown.splitlines()) < 12
+    answer._repr_pretty_(printer, False)
+    assert printer.shown == shown
