@@ -29,7 +29,7 @@ from jaxclear.studies.statistics.scrambled import (
     jackknifed,
     quantile,
 )
-from jaxclear.studies.statistics.summary import summary_row
+from jaxclear.studies.statistics.summary import in_sentences, summary_row
 from jaxclear.studies.statistics.tolerance_interval import (
     SIDES,
     ToleranceInterval,
@@ -40,8 +40,8 @@ from jaxclear.studies.warned import agreement, any_warning, counted, in_words, w
 
 
 class MonteCarlo(AbstractShown):
-    """Samples and their responses. Failed samples keep their row, with `nan` responses and a
-    sentence; those that reached their end with warnings are counted beside them.
+    """Samples and their responses. Failed samples keep their row, with `nan` and a sentence; those
+    that reached their end with warnings are counted beside them.
 
     `values` (samples, variables) are the varied numbers, `responses` (samples,) by name, `checks`
     what each run found out about itself, `scrambling` (samples,) the independent part of the sample
@@ -102,8 +102,7 @@ class MonteCarlo(AbstractShown):
 
     def rerun(self, index: int) -> Any:
         """One sample alone, to look at one that failed or warned: a mechanism's run, bit for bit
-        that of the study; of a function what it gives, by name.
-        """
+        that of the study; of a function what it gives, by name."""
         return self.problem.rerun(jnp.asarray(self.values[index]), index, self.chunk)
 
     def sentence(self) -> str:
@@ -123,8 +122,7 @@ class MonteCarlo(AbstractShown):
         return " ".join(filter(None, told))
 
     def __str__(self) -> str:
-        rows = self.summary().to_dict("records")
-        return "\n".join([self.sentence(), *map(_in_words, rows)])
+        return "\n".join([self.sentence(), *in_sentences(self.summary())])
 
     def _sentence(self, i):
         named = ", ".join(
@@ -140,9 +138,7 @@ class MonteCarlo(AbstractShown):
         that these concern."""
         import pandas
 
-        columns: dict[str, Any] = {
-            name: self.values[:, i] for i, name in enumerate(self.problem.names)
-        }
+        columns: dict[str, Any] = dict(zip(self.problem.names, self.values.T, strict=True))
         columns |= self.responses
         sentences = self.failures()
         good = self.problem.ending(Outcome.REACHED, 0.0)
@@ -250,16 +246,6 @@ class MonteCarlo(AbstractShown):
         limits = {} if limits is None else limits
         check_limits(limits, self.responses)
         return pandas.DataFrame([summary_row(self, name, limits) for name in self.responses])
-
-
-def _in_words(row: Mapping[str, Any]) -> str:
-    """A response of the summary, errors at 95 %."""
-    return (
-        f'"{row["response"]}" [{row["unit"]}]: mean {row["mean"]:.5g} ± {row["mean error"]:.2g}, '
-        f"standard deviation {row['standard deviation']:.4g} ± "
-        f"{row['standard deviation error']:.2g}; 5 % below {row['5 %']:.5g}, 5 % above "
-        f"{row['95 %']:.5g}."
-    )
 
 
 @answering

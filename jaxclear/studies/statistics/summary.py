@@ -43,3 +43,14 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
     if study.problem.endless(name):
         row["infinite"] = int(np.isinf(values).sum())
     return row
+
+
+def in_sentences(summary: Any) -> list[str]:
+    """The rows of a summary, errors at 95 %."""
+    return [
+        f'"{row["response"]}" [{row["unit"]}]: mean {row["mean"]:.5g} ± {row["mean error"]:.2g}, '
+        f"standard deviation {row['standard deviation']:.4g} ± "
+        f"{row['standard deviation error']:.2g}; 5 % below {row['5 %']:.5g}, 5 % above "
+        f"{row['95 %']:.5g}."
+        for row in summary.to_dict("records")
+    ]
