@@ -12,7 +12,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.ground.arguments import check_number
-from jaxclear.ground.shown import AbstractShown, in_rows
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.studies import verdict
 from jaxclear.studies.advice.comparison import Comparison
@@ -90,7 +90,8 @@ class Advice(AbstractShown):
         return " ".join(part for part in parts if part)
 
     def __str__(self) -> str:
-        return f"{self.sentence()}\n{in_rows(self.table())}"
+        others = (f"Not {name}: {why}" for name, why in self.why_not().items())
+        return "\n".join([self.sentence(), *others])
 
     def warnings(self) -> list[str]:
         """What the runs of the recommended setting and of the reference warn of, in sentences."""
