@@ -2,6 +2,7 @@
 said."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,9 +12,10 @@ import pytest
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.studies import verdict
-from jaxclear.studies.advice import shortcomings
+from jaxclear.studies.advice import confirmation, shortcomings
 from jaxclear.studies.advice.choice import piloted
-from jaxclear.studies.advice.curve import REFERENCE
+from jaxclear.studies.advice.comparison import Comparison
+from jaxclear.studies.advice.curve import REFERENCE, Choice, Curve
 from jaxclear.studies.advice.pilot import Trial, describe, evaluate_one, measure, pilot_of
 from jaxclear.studies.work_precision import default_candidates, loosened, steps, tight_reference
 
@@ -382,6 +384,40 @@ def test_a_setting_that_passes_by_luck_is_not_taken():
         == 3
     )
     assert verdict.coarsest((trial(0.5), trial(0.001)), criteria) is None
+
+
+@pytest.mark.parametrize(
+    ("integrator", "times"),
+    [
+        (jc.integrator.Adaptive(), 300.0),
+        (jc.integrator.ImplicitStep(1e-5), 1.0),
+        (jc.integrator.FixedStep(1e-5), 1.0),
+        (jc.integrator.FixedStep(1e-5, contact_steps=20), 20.0),
+        (jc.integrator.FixedStep(steps_per_save=3), 1.0),
+    ],
+    ids=["Adaptive", "ImplicitStep", "FixedStep", "contact_steps", "steps_per_save"],
+)
+def test_steps_of_one_length_are_not_taken_for_dearer_where_the_reference_is(integrator, times):
+    """The flap's dampers made `Adaptive` 360 times as dear behind the pilot, and implicit steps,
+    81 times cheaper there, were not tried for that."""
+    known = SimpleNamespace(
+        trial=lambda choice: SimpleNamespace(integrator=integrator), cost_of=lambda choice: 0.2
+    )
+    assert confirmation._cost_over_whole(known, None, 300.0) == pytest.approx(0.2 * times)
+
+
+def test_nothing_dearer_than_the_reference_is_taken():
+    """Whose looser run shows how far it is right: fixed steps of 14 times its cost were taken."""
+    exact = np.array([1.0, 2.0, 3.0])
+    runs = lambda off: {"r": exact + off}
+    one = lambda off, cost: Trial(jc.integrator.FixedStep(), runs(off), np.ones(3), cost, 0.0, "")
+    curves = {
+        REFERENCE: Curve((one(9e-3, 1.0), one(0.0, 1.3)), ""),
+        "FixedStep": Curve((one(1e-4, 15.0), one(0.0, 30.0)), ""),
+    }
+    short = SimpleNamespace(values=np.zeros((3, 1)))
+    found = Comparison(0.01, short, curves, {}, ("r",), False, None)
+    assert found.choice == Choice(REFERENCE, 1) and found.met
 
 
 def test_means_are_compared_where_runs_do_not_repeat():

@@ -166,8 +166,7 @@ def _remark(found: Comparison, choice: Choice) -> str:
             for name, one in criteria.items()
         )
         return "leaves too little for copies that were not seen" if near else "too inaccurate"
-    first = verdict.coarsest(found.curves[choice.method].trials, criteria)
-    if first is None or choice.place < first:
+    if choice.place < min(found.shown(choice.method), default=np.inf):
         return "unconfirmed: its finer neighbour is missing or fails"
     return trial.warnings
 
@@ -175,7 +174,7 @@ def _remark(found: Comparison, choice: Choice) -> str:
 def _reason(found: Comparison, name: str, cost: float) -> str:
     """What is wrong with a method that is not recommended beside one of this cost [s/s]."""
     curve, criteria = found.curves[name], found.criteria
-    meet = [Choice(name, place) for place in verdict.shown(curve.trials, criteria)]
+    meet = [Choice(name, place) for place in found.shown(name)]
     finished = [trial for trial in curve.trials if not trial.failure]
     if meet:
         best = min(meet, key=found.cost_of)

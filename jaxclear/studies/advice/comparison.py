@@ -45,11 +45,7 @@ class Comparison(eqx.Module):
         """The recommended trial; the most accurate one where none passes."""
         criteria = self.criteria
         # Not the coarsest of each method: longer steps that are rejected may cost more.
-        passing = [
-            Choice(name, place)
-            for name, curve in self.curves.items()
-            for place in verdict.shown(curve.trials, criteria)
-        ]
+        passing = [Choice(name, place) for name in self.curves for place in self.shown(name)]
         if passing:
             timed = [choice for choice in passing if self.batch is None or self.gain(choice)]
             return min(timed or passing, key=self.cost_of)
@@ -58,6 +54,14 @@ class Comparison(eqx.Module):
             finished or [Choice(REFERENCE, 0)],
             key=lambda choice: verdict.worst(self.trial(choice), criteria)[1],
         )
+
+    def shown(self, name: str) -> list[int]:
+        """The trials of a method that meet the accuracy, and not by luck; of the reference the
+        tight one too, as its looser run has shown."""
+        trials, criteria = self.curves[name].trials, self.criteria
+        places = verdict.shown(trials, criteria)
+        tight = name == REFERENCE and verdict.passes(trials[-1], criteria)
+        return [*places, len(trials) - 1] if tight else places
 
     def _candidates(self) -> list[Choice]:
         return [
@@ -95,10 +99,9 @@ class Comparison(eqx.Module):
     @property
     def met(self) -> bool:
         """True where the recommended setting was shown to meet the accuracy, and not by luck."""
-        criteria, choice = self.criteria, self.choice
-        trials = self.curves[choice.method].trials
-        known = all(criterion.limit <= self.accuracy for criterion in criteria.values())
-        return known and choice.place in verdict.shown(trials, criteria)
+        choice = self.choice
+        known = all(criterion.limit <= self.accuracy for criterion in self.criteria.values())
+        return known and choice.place in self.shown(choice.method)
 
     @property
     def cost(self) -> float:

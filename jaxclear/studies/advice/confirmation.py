@@ -9,24 +9,24 @@ instants that count little in the end.
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.studies import verdict
 from jaxclear.studies.advice.comparison import Comparison
 from jaxclear.studies.advice.curve import PRESENT, REFERENCE, Choice, Curve
 from jaxclear.studies.advice.pilot import PilotSettings, Trial
-from jaxclear.studies.advice.trials import (
-    DEARER_THAN_REFERENCE,
-    NO_FINER,
-    TOO_DEAR,
-    once,
-    reference,
-)
+from jaxclear.studies.advice.trials import NO_FINER, once, reference
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.verdict import Criterion
 
 # A setting is worth a run over the whole where the pilot's error is at most this many times what
 # passes, and a method where it might save this share.
 NEARLY, WORTH = 4.0, 0.15
+# It is left where one of its settings is this many times as dear as what is right already, or as
+# the looser reference: finer ones are dearer still.
+DEARER = 1.5
+NOT_CHEAPER = "Finer settings would cost more than what meets the accuracy, or the reference."
 
 
 def confirmed(
@@ -45,15 +45,14 @@ def confirmed(
     except ValueError as error:
         return None, f"Over the whole {whole.whole:.3g} s nothing is shown: {error}"
     criteria = dataclasses.replace(first, pilot=whole, curves={REFERENCE: known}).criteria
-    run, most = once(whole, known.trials), DEARER_THAN_REFERENCE * known.trials[-1].cost
+    run = once(whole, known.trials)
     curves, best = {REFERENCE: known}, known.trials[0].cost
-    # A simulated second is dearer where there is more contact than in the pilot.
     dearer = best / first.curves[REFERENCE].trials[0].cost
-    for name, coarsest, start in _promising(first):
+    for name, coarsest, start in _promising(first, dearer):
         gain = first.gain(Choice(name, coarsest)) or 1.0
-        if dearer * first.cost_of(Choice(name, coarsest)) > (1 - WORTH) * best:
+        if _cost_over_whole(first, Choice(name, coarsest), dearer) > (1 - WORTH) * best:
             continue
-        found = _walk(run, ladders[name], (coarsest, start), criteria, most)
+        found = _walk(run, ladders[name], (coarsest, start), criteria, DEARER * best / gain)
         curves[name] = _as_in_batch(first, name, found)
         right = verdict.coarsest(found.trials, criteria)
         if right is not None:
@@ -61,9 +60,22 @@ def confirmed(
     return dataclasses.replace(first, pilot=whole, curves=curves), ""
 
 
-def _promising(first: Comparison) -> list[tuple[str, int, int]]:
+def _cost_over_whole(first: Comparison, choice: Choice, dearer: float) -> float:
+    """What a simulated second will cost over the whole [s/s], where one of the reference is so many
+    times `dearer` than in the pilot, since there is more contact: as many times for steps that find
+    their length, as many times as they grow shorter in contact for others, and the same for steps
+    of one length."""
+    integrator = first.trial(choice).integrator
+    step, counted = integrator.asked_step(), integrator.steps_between_saves is not None
+    most = 1.0 if counted else np.inf
+    if step is not None:
+        most = float(step / integrator.shortest_step())
+    return float(np.clip(dearer, 1 / most, most)) * first.cost_of(choice)
+
+
+def _promising(first: Comparison, dearer: float) -> list[tuple[str, int, int]]:
     """Methods with the coarsest setting that the pilot found nearly right and the one to begin
-    with, cheapest first."""
+    with, cheapest over the whole first; see `_cost_over_whole`."""
     criteria, found = first.criteria, []
     for name, curve in first.curves.items():
         near = [
@@ -74,7 +86,7 @@ def _promising(first: Comparison) -> list[tuple[str, int, int]]:
         if near and name not in (REFERENCE, PRESENT):
             right = verdict.coarsest(curve.trials, criteria)
             found.append((name, near[0], near[-1] if right is None else right))
-    return sorted(found, key=lambda one: first.cost_of(Choice(one[0], one[2])))
+    return sorted(found, key=lambda one: _cost_over_whole(first, Choice(one[0], one[2]), dearer))
 
 
 def _walk(
@@ -86,8 +98,9 @@ def _walk(
 ) -> Curve:
     """Trials of neighbours on a ladder.
 
-    From the second of `places` to finer ones until two are right or one is dearer than `most`
-    [s/s], then to coarser ones, down to the first of `places`, while these are right.
+    From the second of `places` to finer ones until two are right, or one that is not or stands
+    alone is dearer than `most` [s/s], then to coarser ones, down to the first of `places`, while
+    these are right.
     """
     coarsest, start = places
     trials: list[Trial] = []
@@ -98,7 +111,7 @@ def _walk(
             why = ""
             break
         if trials[-1].cost > most:
-            why = TOO_DEAR
+            why = NOT_CHEAPER
             break
     place = start
     while place > coarsest and verdict.passes(trials[0], criteria):
