@@ -49,7 +49,7 @@ def _worn(touching: Any) -> dict[str, Figure]:
         figures[f"wear_of_the_{surface}"] = plot.wear_unrolled(touching, "P", surface)
         lost = float(touching.worn_volume("P", surface)[-1])
         deepest = float(touching.worn_depth("P", surface).max())
-        print(f"the {surface} loses {1e9 * lost:.3g} mm3 a turn, {1e6 * deepest:.3g} um at most")
+        print(f"the {surface} loses {1e9 * lost:.3g} mm3 a turn, {1e9 * deepest:.3g} nm at most")
     return figures
 
 

@@ -26,5 +26,10 @@ def bar(shown: bool, label: str) -> Iterator[None]:
 
 def advance(share) -> None:
     """Moves the bar by a share of the whole."""
-    if _bars:
-        _bars[-1].update(min(float(share), 1.0 - _bars[-1].n))
+    if not _bars:
+        return
+    shown_bar = _bars[-1]
+    if shown_bar.n == 0:
+        # What is left is not told by how long the program took to be compiled.
+        shown_bar.unpause()
+    shown_bar.update(min(float(share), 1.0 - shown_bar.n))
