@@ -386,3 +386,19 @@ def test_designs_are_quick():
     begun = time.process_time()
     jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE)
     assert time.process_time() - begun < 20
+
+
+def test_a_design_whose_parts_cannot_be_made_does_not_hold():
+    """A clearance of 20 um with a tolerance of 40 um "held": the samples below 0 were left out."""
+    asked = jc.FunctionProblem(
+        lambda play: {"error": jnp.where(play > 0, play, jnp.nan)},
+        {"play": jc.Dimension(20e-6, tolerance=10e-6)},
+    )
+    cost, room = {"play": jc.cost.Reciprocal(1e-5)}, {"tolerance": {"play": (5e-6, 60e-6)}}
+    limit = jc.limit.Quantile("error", share=0.9, at_most=80e-6)
+    loose = jc.design(asked, cost, limit, **room)
+    assert not loose.holds and loose.tolerances["play"] > 30e-6
+    assert "new runs failed, such as that of play = -" in str(loose)
+    assert "limit.WorstCase" in str(loose) and "All limits hold" not in str(loose)
+    kept = jc.design(asked, cost, [limit, jc.limit.WorstCase("play", at_least=1e-6)], **room)
+    assert kept.holds and kept.tolerances["play"] == pytest.approx(19e-6, rel=1e-2)

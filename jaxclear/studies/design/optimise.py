@@ -21,6 +21,8 @@ KEPT = 1e-6
 # A limit or bound within this share is one that decides.
 ACTIVE = 1e-4
 STEPS, ACCURACY = 100, 1e-9
+# Excess of a limit that is wholly broken [1].
+WHOLLY = 1.0
 
 
 class Candidate(NamedTuple):
@@ -56,11 +58,14 @@ class Search(NamedTuple):
     high: np.ndarray
 
     def told(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Cost and excesses, (1 + limits,), and their slopes, (1 + limits, free)."""
+        """Cost and excesses, (1 + limits,), and their slopes, (1 + limits, free). A limit whose
+        response is no number for some parts is wholly broken."""
         found, slopes = told(self.question, self.model, self.points, jnp.asarray(place))
-        found = np.array(found)
+        found, slopes = np.array(found), np.array(slopes)
         found[1:] += self.shift
-        return found, np.asarray(slopes)
+        lost = np.isnan(found)
+        found[lost], slopes[lost] = WHOLLY, 0.0
+        return found, slopes
 
 
 @eqx.filter_jit

@@ -18,6 +18,8 @@ from jaxclear.studies.surface.response_surface import TRUSTED
 # Limits of lengths and angles below this are priced by the thousandth of a millionth, others by the
 # millionth [m, rad].
 SMALL = 1e-6
+# Of more new runs than this share that failed a design is not seen to hold.
+FEW_FAILED = 0.01
 ENDINGS = {
     "rounds": "The rounds that were allowed are used up.",
     "interrupted": "Interrupted: this is the best so far.",
@@ -72,8 +74,16 @@ class Design(AbstractShown):
 
     @property
     def holds(self) -> bool:
-        """Whether new runs found every limit kept, to within the accuracy asked for."""
-        return self.verified and bool(np.all(self.excess <= self.accuracy))
+        """Whether new runs found every limit kept, to within the accuracy asked for, and no more of
+        them failed than 1 %, or than the share that the rarest limit speaks of."""
+        return self.verified and bool(np.all(self.excess <= self.accuracy)) and not self._too_lost
+
+    @property
+    def _too_lost(self):
+        """Whether so many new runs failed that those which did not may not stand for the parts."""
+        check = self.rounds[-1].check
+        rarest = min(limit.rarest() for limit in self.limits)
+        return check is not None and check.failed > min(FEW_FAILED, rarest) * check.runs
 
     @property
     def distrusted(self) -> tuple[str, ...]:
@@ -102,6 +112,7 @@ class Design(AbstractShown):
             )
         else:
             broken = [self._broken(i) for i in np.flatnonzero(~(self.excess <= self.accuracy))]
+            broken += [self._lost()] if self._too_lost else []
             said.append(f"It does not hold: {'; '.join(broken)}.")
         said += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
         if self.failed:
@@ -129,6 +140,16 @@ class Design(AbstractShown):
         return (
             f"the {limit.words()} is {self.numbers[i]:.4g} +- {self.errors[i]:.2g}, "
             f"{'above' if limit.upper() else 'below'} {float(limit.bound()):.4g}"
+        )
+
+    def _lost(self):
+        check = self.rounds[-1].check
+        values = zip(self.question.freedom.names, check.lost, strict=True)
+        such = ", ".join(f"{name} = {value:.4g}" for name, value in values)
+        return (
+            f"{check.failed} of {check.runs} new runs failed, such as that of {such}: narrow what "
+            "may be chosen, or keep numbers within their range by a limit on them "
+            "(limit.WorstCase of a variable)"
         )
 
     def _priced(self, i):

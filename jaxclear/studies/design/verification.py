@@ -28,7 +28,8 @@ INSTEAD = "take limit.Quantile or limit.Probability"
 
 class Check(NamedTuple):
     """Limited numbers (limits,) and their 95 % errors, excesses (limits,) [1] and theirs, how many
-    runs told them and how many of these failed."""
+    runs told them and how many of these failed; `lost` (variables,): the values of the first of
+    these, if any."""
 
     numbers: np.ndarray
     errors: np.ndarray
@@ -36,6 +37,7 @@ class Check(NamedTuple):
     excess_errors: np.ndarray
     runs: int
     failed: int
+    lost: np.ndarray | None
 
 
 class Verifier(NamedTuple):
@@ -70,10 +72,11 @@ class Verifier(NamedTuple):
                 # A number that stands for infinite ones is none to be told.
                 rows.append([np.inf if number > largest else number, excess])
             found.append(rows)
-        return self._told(np.array(found), len(values), int((~good).sum()))
+        return self._told(np.array(found), len(values), values[~good])
 
-    def _told(self, found: np.ndarray, runs: int, failed: int) -> Check:
-        """`found` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each."""
+    def _told(self, found: np.ndarray, runs: int, failed: np.ndarray) -> Check:
+        """`found` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each;
+        `failed` (failed runs, variables)."""
         factor = student(GROUPS)
         known = np.where(np.isfinite(found), found, np.nan)
         errors = factor * np.sqrt((GROUPS - 1) * known[:, 1:].var(axis=1))
@@ -86,7 +89,8 @@ class Verifier(NamedTuple):
             found[:, 0, 1] / sizes,
             errors[:, 1] / sizes,
             runs,
-            failed,
+            len(failed),
+            failed[0] if len(failed) else None,
         )
 
     def _sampler(self, limit: AbstractLimit, place: Any, model: Any, values: Any, responses: Any):
