@@ -138,8 +138,9 @@ class PositionError(AbstractResponse):
         path = run.body(self.body).com
         if path.shape != self.reference.shape:
             raise ValueError(
-                f'the reference path of "{self.body}" has shape {self.reference.shape}, the run '
-                f"{path.shape}."
+                f'the reference path of "{self.body}" has {len(self.reference)} saving times, the '
+                f"run has {len(path)}: take it from a run over the same duration with "
+                f"save={len(path)}."
             )
         away = (path - self.reference)[:, np.array(self.axes)]
         return safe_sqrt(jnp.mean(jnp.sum(away * away, axis=-1)))

@@ -96,7 +96,7 @@ def test_peaks_of_a_guide_are_caught_between_the_saving_times():
         (jc.response.MeanContactForce("nothing"), 'no clearance joint "nothing"'),
         (
             jc.response.PositionError("journal", np.zeros((3, 3))),
-            'the reference path of "journal" has shape',
+            'the reference path of "journal" has 3 saving times, the run has 51: take it from',
         ),
     ],
 )
