@@ -2,7 +2,9 @@
 how fast they are."""
 
 import functools
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import equinox as eqx
@@ -26,6 +28,21 @@ NO_OPTION = "No such compile option"
 _unknown: set[str] = set()
 
 
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Within it Python does not look for cycles of garbage. Tracing makes objects by the million,
+    most of which stay for as long as it lasts: going through them again and again is an eighth of a
+    first run. Where two threads are within it, it ends with the one that came first."""
+    if not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
 def compiled_quickly(
     function: Callable[..., Any], options: dict[str, Any] = ONCE
 ) -> Callable[..., Any]:
@@ -47,7 +64,8 @@ def compiled_quickly(
             return plain(*arguments)
         while True:
             try:
-                return quick(frozenset(_unknown))(*arguments)
+                with uncollected():
+                    return quick(frozenset(_unknown))(*arguments)
             except jax.errors.JaxRuntimeError as error:
                 found = [name for name in options if f"{NO_OPTION}: '{name}'" in str(error)]
                 if not found:

@@ -2,19 +2,28 @@
 
 Two calls are alike when the trees of their arguments have the same shape, static fields and
 structural zeros. A group of alike calls becomes one `vmap`; small groups are unrolled, because a
-few fused scalars are cheaper than a short axis.
+few fused scalars are cheaper than a short axis. What several programs of a run ask for, or one
+program at several places, is traced at the first of them (`traced_once`, `by_form`).
 """
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-__all__ = ["SMALLEST_GROUP", "map_alike", "signature"]
+from jaxclear.ground.quantity import is_traced
+
+__all__ = ["SMALLEST_GROUP", "by_form", "map_alike", "signature", "traced_once"]
 
 # From this many alike pieces on, one mapped trace beats repeated ones in compile time.
 SMALLEST_GROUP = 4
+# Kinds of calls that are kept of a function that is traced once.
+LATEST = 64
+# Stands for a leaf that may vary.
+VARYING = object()
 
 
 def signature(tree: Any) -> tuple:
@@ -78,3 +87,72 @@ def _mapped(function, calls):
         arrays = iter([array[index] for array in mapped])
         filled = [next(arrays) if leaf is None else leaf for leaf in template["leaves"]]
         yield jax.tree.unflatten(template["structure"], filled)
+
+
+def traced_once(function: Callable) -> Callable:
+    """The function, traced once for all calls that are alike, in whatever program they are.
+
+    It must be pure, and close over no numbers; its result may contain structural integers, which
+    must not depend on array values. A call with a function among its arguments, which may close
+    over anything, is traced by itself.
+    """
+
+    @functools.lru_cache(maxsize=LATEST)
+    def alike(structure, kinds):
+        form: list = []
+
+        @jax.jit
+        def one(arrays):
+            arrays = iter(arrays)
+            leaves = [next(arrays) if kind is VARYING else kind[1] for kind in kinds]
+            out, whole = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+            form[:] = whole, [leaf if isinstance(leaf, int) else VARYING for leaf in out]
+            return [leaf for leaf in out if not isinstance(leaf, int)]
+
+        return one, form
+
+    @functools.wraps(function)
+    def call(*arguments):
+        leaves, structure = jax.tree.flatten(arguments)
+        if any(callable(leaf) for leaf in leaves) or not is_traced(leaves):
+            return function(*arguments)
+        # True is 1, but not alike.
+        kinds = tuple((type(x), x) if isinstance(x, int) else VARYING for x in leaves)
+        one, form = alike(structure, kinds)
+        found = iter(one([leaf for leaf in leaves if not isinstance(leaf, int)]))
+        whole, out = form
+        return jax.tree.unflatten(whole, [next(found) if x is VARYING else x for x in out])
+
+    return call
+
+
+def by_form(function: Callable) -> Callable:
+    """The function, asked once for all calls that are alike: what it says must hang on the form of
+    its arguments alone. It is shown no numbers, so JAX compiles none of its operations."""
+
+    @functools.lru_cache(maxsize=LATEST)
+    def asked(structure, kinds):
+        said: list = []
+        varying = [kind for own, kind in kinds if own is VARYING]
+
+        def shown(arrays):
+            arrays = iter(arrays)
+            leaves = [next(arrays) if own is VARYING else kind for own, kind in kinds]
+            said.append(function(*jax.tree.unflatten(structure, leaves)))
+
+        jax.eval_shape(shown, [jax.ShapeDtypeStruct(*kind) for kind in varying])
+        return said[0]
+
+    @functools.wraps(function)
+    def call(*arguments):
+        leaves, structure = jax.tree.flatten(arguments)
+        numbers = map(eqx.is_array, leaves)
+        kinds = tuple(
+            (VARYING, (x.shape, x.dtype)) if number else (type(x), x)
+            for x, number in zip(leaves, numbers, strict=True)
+        )
+        if any(callable(leaf) for leaf in leaves):
+            return asked.__wrapped__(structure, kinds)
+        return asked(structure, kinds)
+
+    return call

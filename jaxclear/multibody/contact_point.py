@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.grouping import traced_once
 from jaxclear.ground.numerics import rounded_norm, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody.counted_laws import laws_as_counted
@@ -129,6 +130,7 @@ def impact_speed_now(remembered: Any, rate: Any) -> Any:
     return jnp.where(remembered > 0, remembered, jnp.abs(rate))
 
 
+@traced_once
 def gap_function(
     joint: AbstractClearance, pose: Pose, worn: dict[str, Any]
 ) -> tuple[GapFunction, ...]:
@@ -251,10 +253,12 @@ def _indentations(joint, offset, axes, worn):
         return joint.indentations(*jax.tree.unflatten(structure, filled), worn)
 
     arrays = [leaves[i] for i in varying]
-    values = overlaps(arrays)
+    # All are gone through once, then backwards from each.
+    values, changes = jax.linearize(overlaps, arrays)
     gradients = []
     for k in range(len(values)):
-        found = jax.grad(lambda arrays, k=k: overlaps(arrays)[k])(arrays)
+        backwards = jax.linear_transpose(lambda moved, k=k: changes(moved)[k], arrays)
+        (found,) = backwards(jnp.ones_like(values[k]))
         slopes = [0] * len(leaves)
         for i, slope in zip(varying, found, strict=True):
             slopes[i] = slope

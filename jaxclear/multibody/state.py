@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from jaxclear.components.clearance import ContactCandidate, ContactLaws
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.grouping import by_form
 from jaxclear.multibody.contact_point import PointState, memory_template
 from jaxclear.multibody.system import Bearing, System, rubbing_joints
 
@@ -90,6 +91,7 @@ class Layout:
         raise KeyError(name)
 
 
+@by_form
 def lay_out(
     system: System, balance: bool = False, impulses: tuple[tuple[str, int], ...] = ()
 ) -> Layout:
@@ -180,6 +182,7 @@ def contact_components(system: System) -> tuple[tuple[str, int], ...]:
     )
 
 
+@by_form
 def components(system: System, bearing: Bearing) -> tuple[int, ...]:
     """By contact of a clearance joint, how many components its force has."""
     return tuple(map(component_count, bearing.contact_laws, probe(system, bearing)[3]))

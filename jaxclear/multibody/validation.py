@@ -65,11 +65,17 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
         )
     if isinstance(joint, AbstractClearance):
         try:
-            for laws in joint.contact_laws():
+            for laws in _in_numpy(joint).contact_laws():
                 fitted(laws.contact, laws.shape)
             check_followed(joint)
         except ValueError as error:
             raise ValueError(f'joint "{name}": {error}') from None
+
+
+def _in_numpy(tree: Any) -> Any:
+    """The same with numbers that NumPy computes with: JAX would compile each operation."""
+    known = lambda leaf: isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[()] if known(leaf) else leaf, tree)
 
 
 def _check_load(name: str, load: Any, bodies: dict, connections: dict) -> None:
