@@ -39,8 +39,8 @@ On its way a loop passes through these files:
   costs nothing and a sum of three numbers is two instructions.
 - `functions`: sine, cosine and angle for several samples at once.
 - `kernel`: the loop compiled by LLVM (`machine`); `call_frame`, `dispatch`: how XLA calls it.
-- `check`, with `by_numpy`: one turn of each new kernel on random numbers against NumPy, operation
-  by operation, before it is used.
+- `check`, with `by_numpy` and `numpy_indexing`: one turn of each new kernel on random numbers
+  against NumPy, operation by operation, before it is used.
 - `verdicts`: which loops became kernels, and why others did not.
 
 JAX's own loop is taken instead where a primitive has no rule, where the program is long, where the

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
+from jaxclear.native import numpy_indexing
 from jaxclear.native.calls import CALLS, called, is_an_error
 from jaxclear.native.program import scan_counts
 from jaxclear.native.writer import Unsupported
@@ -27,33 +28,6 @@ def _rounded(p):
     return (
         np.rint if int(p["rounding_method"]) == 1 else lambda a: np.trunc(a + np.copysign(0.5, a))
     )
-
-
-def _sliced(p):
-    strides = p["strides"] or (None,) * len(p["start_indices"])
-    return lambda a: np.asarray(a)[
-        tuple(map(slice, p["start_indices"], p["limit_indices"], strides))
-    ]
-
-
-def _dynamic_slice(p):
-    def cut(a, *starts):
-        firsts = [
-            min(max(int(s), 0), n - m)
-            for s, n, m in zip(starts, a.shape, p["slice_sizes"], strict=True)
-        ]
-        return a[tuple(slice(f, f + m) for f, m in zip(firsts, p["slice_sizes"], strict=True))]
-
-    return cut
-
-
-def _dynamic_update(a, update, *starts):
-    firsts = [
-        min(max(int(s), 0), n - m) for s, n, m in zip(starts, a.shape, update.shape, strict=True)
-    ]
-    out = np.array(a)
-    out[tuple(slice(f, f + m) for f, m in zip(firsts, update.shape, strict=True))] = update
-    return out
 
 
 def _broadcast(p):
@@ -92,6 +66,16 @@ PLAIN: dict[str, Callable] = {
     "nextafter": np.nextafter,
     "pow": np.power,
     "floor": np.floor,
+    "ceil": np.ceil,
+    "cbrt": np.cbrt,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "log1p": np.log1p,
+    "expm1": np.expm1,
+    "rsqrt": lambda a: 1 / np.sqrt(a),
+    "clamp": lambda low, a, high: np.minimum(np.maximum(a, low), high),
     "eq": np.equal,
     "ne": np.not_equal,
     "lt": np.less,
@@ -103,7 +87,7 @@ PLAIN: dict[str, Callable] = {
     "not": np.invert,
     "select_n": _select,
     "is_finite": np.isfinite,
-    "dynamic_update_slice": _dynamic_update,
+    "dynamic_update_slice": numpy_indexing.dynamic_update,
     "copy": np.asarray,
     "stop_gradient": np.asarray,
     # Equinox: what a single sample does.
@@ -111,6 +95,13 @@ PLAIN: dict[str, Callable] = {
     "nonbatchable": np.asarray,
     "select_if_vmap": lambda which, yes, no: yes,
 }
+
+
+def _counted(p):
+    rows = np.arange(p["shape"][p["dimension"]], dtype=p["dtype"])
+    return np.broadcast_to(
+        rows.reshape([-1 if i == p["dimension"] else 1 for i in range(len(p["shape"]))]), p["shape"]
+    )
 
 
 def _range(a: Any) -> tuple[Any, Any]:
@@ -130,9 +121,12 @@ WITH_PARAMETERS: dict[str, Callable] = {
     "stack": lambda p: lambda *a: np.stack(a, p["axis"]),
     "concatenate": lambda p: lambda *a: np.concatenate(a, p["dimension"]),
     "round": _rounded,
-    "slice": _sliced,
-    "dynamic_slice": _dynamic_slice,
+    "slice": numpy_indexing.sliced,
+    "dynamic_slice": numpy_indexing.dynamic_slice,
     "broadcast_in_dim": _broadcast,
+    "transpose": lambda p: lambda a: np.transpose(a, p["permutation"]),
+    "rev": lambda p: lambda a: np.flip(a, p["dimensions"]),
+    "iota": lambda p: lambda: _counted(p),
     "reduce_sum": lambda p: lambda a: np.sum(a, p["axes"]),
     "reduce_max": lambda p: lambda a: np.max(a, p["axes"], initial=_range(a)[0]),
     "reduce_min": lambda p: lambda a: np.min(a, p["axes"], initial=_range(a)[1]),
@@ -197,9 +191,6 @@ class _Slots:
 def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
     """What an equation does, and whether it gives a list."""
     name, p = equation.primitive.name, equation.params
-    if name == "iota":
-        places = [np.asarray(own) for own in _bound(equation, ())]
-        return lambda: places, True
     if name == "unstack":
         return lambda a: list(np.moveaxis(np.asarray(a), p["axis"], 0)), True
     if name in PLAIN:
@@ -232,6 +223,11 @@ def _operation(equation: Any, known: dict) -> tuple[Callable, bool]:
         return _set, False
     if name in CALLS:
         return evaluator(called(p), known), True
+    by_index = numpy_indexing.gather(p) if name == "gather" else None
+    if name in ("scatter", "scatter-add"):
+        by_index = numpy_indexing.scatter(p, add=name != "scatter")
+    if by_index is not None:
+        return by_index, False
     return lambda *inputs: [np.asarray(own) for own in _bound(equation, inputs)], True
 
 

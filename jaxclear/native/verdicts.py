@@ -104,7 +104,7 @@ def _sentence(words: list[str | None]) -> str:
 
 def _lower(context, _):
     words = context.module_context.cached_primitive_lowerings.get(PLACE, [])
-    return [mlir.ir_constant(jnp.int32(_number(_sentence(words))))]
+    return [mlir.ir_constant(np.int32(_number(_sentence(words))))]
 
 
 def _lower_lapack(context, *_):

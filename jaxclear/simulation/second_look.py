@@ -97,7 +97,7 @@ def looked_at_again(
     if is_traced((run.outcome, run.states)) or not run.succeeded:
         return run
     finer = _finer(run, integrator)
-    if finer is None or run.accepted_steps > MOST_STEPS or not _in_doubt(run):
+    if finer is None or int(run.accepted_steps) > MOST_STEPS or not _in_doubt(run):
         return run
     other = again(finer)
     if not other.succeeded:
@@ -255,6 +255,6 @@ def _right_joints(run: Trajectory, other: Trajectory, worst: dict[Check, float])
 
 def _worse(figure: Figure, known: Figure | None) -> Figure:
     """The one with the larger worst; a second look tells of fewer places than a run's windows."""
-    if known is None or np.max(figure.worst) > np.max(known.worst):
+    if known is None or np.asarray(figure.worst).max() > np.asarray(known.worst).max():
         return figure
     return known

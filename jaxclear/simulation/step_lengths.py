@@ -78,7 +78,7 @@ def _check_work(integrator: AbstractIntegrator, times: Any) -> None:
     step, shortest = concrete(integrator.asked_step()), concrete(integrator.shortest_step())
     if step is None or shortest is None or isinstance(times, jax.core.Tracer):
         return
-    duration = float(times[-1])
+    duration = float(np.asarray(times)[-1])
     # A number put into a built integrator may be 0.
     steps, shortest_steps = (duration / h if h > 0 else math.inf for h in (step, shortest))
     if steps > MOST_STEPS:
