@@ -77,15 +77,20 @@ def eliminate(equations: list[Any]) -> list[Any]:
     but for rounding the first is taken, always: in a batch XLA may ask twice. A pivot costs a
     select for every row below it, which is twenty times what `factor` takes: prefer that one.
     """
-    lines = list(equations)
-    n = len(lines)
-    for k in range(n):
-        _bring_up(lines, k)
-        lines[k] = lines[k] / lines[k][k]
-        lines[k + 1 :] = [line - line[k] * lines[k] for line in lines[k + 1 :]]
-    for k in range(n - 1, 0, -1):
-        lines[:k] = [line - line[k] * lines[k] for line in lines[:k]]
-    return [line[n] for line in lines]
+    lines, eliminated = list(equations), []
+    while lines:
+        # What is left of the lines: unknowns that are not yet eliminated, and the right-hand sides.
+        _bring_up(lines, 0)
+        first = lines[0][1:] / lines[0][0]
+        lines = [line[1:] - line[0] * first for line in lines[1:]]
+        eliminated.append(first)
+    found: list[Any] = []
+    for first in reversed(eliminated):
+        value = first[-1]
+        for k in range(len(found)):
+            value = value - first[len(found) - 1 - k] * found[k]
+        found.append(value)
+    return found[::-1]
 
 
 def _bring_up(lines: list[Any], k: int) -> list[Any]:

@@ -7,6 +7,7 @@ for each number. The rules stand in `arithmetic`, `elementary`, `shapes`, `reduc
 and `control`.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -104,12 +105,16 @@ def kinds_of(equation: Any) -> list[str]:
 
 def each(function: Callable, *arrays: np.ndarray) -> np.ndarray:
     """A function of single numbers over arrays of one shape (or scalars)."""
-    shape = np.broadcast_shapes(*[a.shape for a in arrays])
-    full = [np.broadcast_to(a, shape) for a in arrays]
-    out = np.empty(shape, object)
-    for index in np.ndindex(*shape):
-        out[index] = function(*[a[index] for a in full])
-    return out
+    shape = arrays[0].shape
+    if any(a.shape != shape for a in arrays):
+        shape = np.broadcast_shapes(*[a.shape for a in arrays])
+        arrays = tuple(np.broadcast_to(a, shape) for a in arrays)
+    if shape == ():
+        return array_of(function(*[a.item() for a in arrays]), ())
+    out = np.empty(math.prod(shape), object)
+    for k, numbers in enumerate(zip(*[a.ravel().tolist() for a in arrays], strict=True)):
+        out[k] = function(*numbers)
+    return out.reshape(shape)
 
 
 def known(*values: Any) -> bool:
