@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.simulation.simulate import FEW_CELLS, is_all_kernel
+from jaxclear.simulation.simulate import is_all_kernel
 
 RUN = """
 import json, os, sys
@@ -60,13 +60,13 @@ def test_flags_of_the_user_are_kept():
 
 
 def test_what_xla_goes_through_itself_is_optimised(monkeypatch):
-    """Large maps, counted steps and loops without kernels: XLA then does much of a run's work."""
+    """Counted steps and loops without kernels: XLA then does much of a run's work."""
     rungs, scene = jc.integrator, jc.scenes.flap()
     assert is_all_kernel(scene, rungs.Adaptive())
+    assert not is_all_kernel(scene, rungs.Adaptive(), told=True)
     assert not is_all_kernel(scene, rungs.FixedStep(1e-5, steps_per_save=10))
     assert not is_all_kernel(scene, rungs.Adaptive(diffrax.Kvaerno5()))
-    for cells in ((12, 12), (24, 24)):
-        rig = jc.scenes.parallel_3rsr(cells=cells)
-        assert is_all_kernel(rig, rungs.Adaptive()) == (cells[0] * cells[1] <= FEW_CELLS)
+    # Surfaces wear within the kernel.
+    assert is_all_kernel(jc.scenes.parallel_3rsr(cells=(96, 96)), rungs.Adaptive())
     monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", "1")
     assert not is_all_kernel(scene, rungs.Adaptive())

@@ -2,7 +2,6 @@
 saving time to the next (`loop`).
 """
 
-import math
 from typing import Any
 
 import jax
@@ -18,7 +17,6 @@ from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.topology import rubbing_in
 from jaxclear.native import has_kernels, stoppable
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
@@ -48,10 +46,8 @@ class SimulationError(RuntimeError):
         return self.args[0]
 
 
-# A worn surface of so many cells is updated by XLA's loop at every saving time: on 5760 cells three
-# times as long where that is not optimised, on 144 no more than a tenth longer. A mechanism with
-# more coordinates than these may be too long for a kernel.
-FEW_CELLS, FEW_COORDINATES = 200, 32
+# A mechanism with more coordinates than these may be too long for a kernel.
+FEW_COORDINATES = 32
 
 
 def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past):
@@ -122,16 +118,12 @@ def _check_compiling() -> None:
         )
 
 
-def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
-    """Whether next to all work of a run is that of its kernels, if it has any: then XLA need not
-    optimise the rest."""
-    topology = mechanism.topology
-    joints = [mechanism.connections[name].joint for name in topology.clearances]
-    joints += rubbing_in(mechanism.connections).values()
-    cells = sum(math.prod(own.cells) for joint in joints for own, _ in joint.maps().values())
-    small = cells <= FEW_CELLS and topology.coordinate_count <= FEW_COORDINATES
+def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator, told: bool = False) -> bool:
+    """Whether next to all work of a run is that of its kernels, if it has any and its progress is
+    not `told`: then XLA need not optimise the rest, of however many cells worn surfaces are."""
+    small = mechanism.topology.coordinate_count <= FEW_COORDINATES
     ready = has_kernels() and integrator.in_kernels
-    return small and ready and integrator.steps_between_saves is None
+    return small and ready and not told and integrator.steps_between_saves is None
 
 
 @answering
@@ -173,7 +165,7 @@ def simulate(
     with stoppable(), progress.bar(progress_bar, "simulating"):
         ready = mechanism, start.coordinates, start.speeds, begins + times
         extras = Extras(balance, progress_bar, saving.events)
-        runs = _run_soon if is_all_kernel(mechanism, integrator) else _run
+        runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run
         again = lambda finer: runs(*ready, finer, extras, past)
         trajectory = diagnosed(guarded(jax.block_until_ready(again(integrator)), integrator))
         trajectory = looked_at_again(trajectory, integrator, again)
