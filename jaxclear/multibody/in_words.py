@@ -12,7 +12,7 @@ import jax
 
 from jaxclear.components.body import Marker
 from jaxclear.ground.wording import described, public_name
-from jaxclear.multibody.own_numbers import slides, unit_along
+from jaxclear.multibody.own_numbers import acted_on, coordinate_units, slides, unit_along
 
 __all__ = ["in_words"]
 
@@ -24,7 +24,7 @@ def in_words(mechanism: Any) -> str:
     lines = []
     for part, entry in (
         ("bodies", lambda name, body: _numbers(body)),
-        ("connections", lambda name, connection: _connection(mechanism, connection)),
+        ("connections", lambda name, connection: _connection(mechanism, name)),
         ("loads", lambda name, load: _load(mechanism, load)),
         ("start", lambda name, values: _coordinates(mechanism, name, values, "")),
         ("guess", lambda name, values: _coordinates(mechanism, name, values, "")),
@@ -43,13 +43,14 @@ def in_words(mechanism: Any) -> str:
 
 
 def _load(mechanism: Any, load: Any) -> str:
-    return f"{public_name(type(load))} {_numbers(load, slides(mechanism, load))}"
+    return f"{public_name(type(load))} {_numbers(load, slides(mechanism, acted_on(load)))}"
 
 
-def _connection(mechanism: Any, connection: Any) -> str:
+def _connection(mechanism: Any, name: str) -> str:
+    connection = mechanism.connections[name]
     joint = connection.joint
     ends = f"{_marker(connection.parent)} to {_marker(connection.child)}"
-    parts = list(_fields(joint, slides(mechanism, connection)))
+    parts = list(_fields(joint, slides(mechanism, name)))
     own = [text for name, text in parts if not isinstance(getattr(joint, name), eqx.Module)]
     laws = [
         f"{INDENT}{text}" for name, text in parts if isinstance(getattr(joint, name), eqx.Module)
@@ -93,8 +94,7 @@ def _fields(part: Any, along: bool = False) -> Iterator[tuple[str, str]]:
 
 
 def _coordinates(mechanism: Any, name: str, values: tuple, rate: str) -> str:
-    connection = mechanism.connections.get(name)
-    units = () if connection is None else getattr(connection.joint, "units", ())
+    units = coordinate_units(mechanism, name)
     if set(units) == {"1"} and len(values) in (1, 3):
         return f"{_tuple(values)} rad{rate}"  # a rotation vector in place of a quaternion
     if len(units) != len(values) or "1" in units:

@@ -14,6 +14,7 @@ from typing import Any
 
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.ground.quantity import concrete, numbers
+from jaxclear.multibody.own_numbers import coordinate_units
 
 __all__ = ["UnusualMagnitude", "warn_of_magnitudes"]
 
@@ -127,9 +128,7 @@ def _radius(joint: Any) -> float:
 def _starts(mechanism: Any) -> Iterator[str]:
     """Angles of many turns."""
     for name, values in (*mechanism.start.items(), *mechanism.guess.items()):
-        connection = mechanism.connections.get(name)
-        units = () if connection is None else getattr(connection.joint, "units", ())
-        for value, unit in zip(values, units, strict=False):
+        for value, unit in zip(values, coordinate_units(mechanism, name), strict=False):
             angle = concrete(value)
             if unit == "rad" and angle is not None and abs(angle) > MOST_TURNS:
                 yield f'start of "{name}" is {angle:g} rad: is it in degrees? Angles are in rad.'

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from jaxclear.ground.quantity import numbers
+from jaxclear.multibody.topology import coordinate_joint
 
 # What the meaning of a number says of its unit where the joint slides that it is of, or acts on.
 SLIDING = re.compile(r"\(([^()]+) for a sliding joint\)")
@@ -17,17 +18,29 @@ def own_numbers(mechanism: Any) -> Iterator[tuple[str, Any, Mapping[str, Any], s
     start, in definition order."""
     for part in ("bodies", "connections", "loads"):
         for name, own in getattr(mechanism, part).items():
-            along = slides(mechanism, own)
+            along = slides(mechanism, name if part == "connections" else acted_on(own))
             for path, leaf, metadata in numbers(own, f'{part}["{name}"]'):
                 yield path, leaf, metadata, unit_along(metadata, along)
     for path, leaf, metadata in numbers(mechanism.stabilisation, "stabilisation"):
         yield path, leaf, metadata, unit_along(metadata, False)
 
 
-def slides(mechanism: Any, own: Any) -> bool:
-    """Whether a connection slides, or that on whose coordinate a load acts."""
-    connection = mechanism.connections.get(getattr(own, "connection", None), own)
-    return getattr(getattr(connection, "joint", None), "units", None) == ("m",)
+def coordinate_units(mechanism: Any, name: str) -> tuple[str, ...]:
+    """Units of the coordinates in which a joint or body is spoken of; none where there are none."""
+    try:
+        return coordinate_joint(name, mechanism.bodies, mechanism.connections).units
+    except (KeyError, ValueError):
+        return ()
+
+
+def acted_on(load: Any) -> str:
+    """The joint on whose coordinate a load acts; "" for none."""
+    return getattr(load, "connection", "")
+
+
+def slides(mechanism: Any, name: str) -> bool:
+    """Whether a joint has the one coordinate along which it slides."""
+    return coordinate_units(mechanism, name) == ("m",)
 
 
 def unit_along(metadata: Mapping[str, Any], along: bool) -> str:

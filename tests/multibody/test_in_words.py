@@ -51,6 +51,25 @@ def test_numbers_along_a_sliding_joint_have_the_units_of_lengths_and_forces():
     assert "amplitude 0.1 m, frequency 3 Hz, phase 0 rad, offset 0 m" in shown
 
 
+def test_start_and_loads_of_a_joint_with_clearance_have_the_units_of_its_coordinate():
+    """They were without a unit, and along a guide in N m/rad."""
+    law = jc.contact.Hertz(stiffness=1e9)
+    shown = str(
+        jc.Mechanism(
+            {"wheel": jc.Body(1.0, 1e-3), "slider": jc.Body(1.0, 1e-3)},
+            {
+                "B": jc.Connection(jc.clearance.PlanarJournalBearing(law), "ground", "wheel"),
+                "G": jc.Connection(jc.clearance.SliderGuide(law), "ground", "slider", axis="x"),
+            },
+            {"spring": jc.load.JointSpring("G", 2e4)},
+            start={"B": 0.25},
+            speeds={"B": 300.0, "G": 0.5},
+        )
+    )
+    assert "B  0.25 rad" in shown and "B  300 rad/s" in shown and "G  0.5 m/s" in shown
+    assert "stiffness 20000 N/m" in shown
+
+
 @pytest.mark.slow
 def test_contact_table_labels_its_columns_with_units():
     run = jc.simulate(jc.scenes.four_bar(wear=False), 1e-3, save=3)
