@@ -416,6 +416,7 @@ def test_trajectory_refuses(question, trajectory):
         ask(trajectory)
 
 
+@pytest.mark.filterwarnings("ignore:guess=.* has led to")
 @pytest.mark.parametrize(
     ("build", "rows"),
     [(lambda: four_bar(places=3), {"z"}), (over_driven, {"x", "y", "z"})],
