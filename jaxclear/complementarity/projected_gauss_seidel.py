@@ -8,8 +8,6 @@ Curnier 1991, doi:10.1016/0045-7825(91)90022-X (Newton). Plain operations on sma
 row at a time, so that a time loop with these iterations stays one kernel of machine code.
 """
 
-from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -17,14 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.complementarity.friction_cone import (
-    LinearisedLaw,
-    alart_curnier,
-    natural_map,
-    one_contact,
-    project_on_cone,
-)
+from jaxclear.complementarity.friction_cone import natural_map, one_contact, project_on_cone
 from jaxclear.complementarity.friction_contact import FrictionContact
+from jaxclear.complementarity.kept_states import (
+    REGULAR,
+    Scaled,
+    keep_states,
+    linearised,
+    scaled_contacts,
+)
 from jaxclear.complementarity.outcome import Outcome
 from jaxclear.complementarity.problem import AbstractSolver, Solution
 from jaxclear.complementarity.scaling import size_of
@@ -37,14 +36,6 @@ __all__ = ["Iterate", "ProjectedGaussSeidel"]
 # Sweeps between two tries of Newton's method, which a kernel leaves out beyond so many unknowns:
 # there its elimination is written out.
 SWEEPS, LARGEST_ELIMINATED = 2, 24
-# Added to scaled sticking rows in Newton's method, so that redundant contacts leave a regular
-# system.
-REGULAR = 1e-12
-# States are told apart by this share of the largest reaction where derivatives are taken: a contact
-# nearer to a corner stays in the state that `alart_curnier` names.
-CORNER = 1e-9
-# Singular values below this share of the largest are redundancy, not stiffness.
-REDUNDANT = 1e-11
 
 
 class Iterate(NamedTuple):
@@ -93,7 +84,7 @@ class ProjectedGaussSeidel(AbstractSolver):
         solved = jnp.where(found.residual <= self.tolerance, Outcome.SOLVED, Outcome.LIMIT)
         outcome = jnp.where(finite & jnp.isfinite(found.residual), solved, Outcome.NOT_FINITE)
         r = jnp.where(jnp.isfinite(found.z), found.z, 0.0)
-        r = _keep_states(r, outcome == Outcome.SOLVED, *data, problem.sizes)
+        r = keep_states(r, outcome == Outcome.SOLVED, *data, problem.sizes)
         v = jnp.stack(problem.delassus) @ r + problem.free_velocity
         return Solution(r, v, problem.residual(r, v), outcome, found.sweeps)
 
@@ -109,7 +100,7 @@ class ProjectedGaussSeidel(AbstractSolver):
     def _iterate(
         self, problem: FrictionContact, start: Array | None, in_kernel: bool, sweep: bool = False
     ) -> Iterate:
-        scaled = _scale(problem)
+        scaled = scaled_contacts(problem)
         unit = scaled.size / scaled.weight
         guess = [jnp.zeros(d) for d in problem.sizes]
         if start is not None:
@@ -120,45 +111,6 @@ class ProjectedGaussSeidel(AbstractSolver):
         )
         reaction = jnp.where(problem.acts, jnp.concatenate(found) * unit, 0.0)
         return Iterate(reaction, residual, sweeps)
-
-
-class Scaled(NamedTuple):
-    """A problem whose largest diagonal entry and largest velocity are 1, contact by contact:
-    v_i = rows_i r + free_i, `own` the block of the contact itself, r_i - rho_i v_i a sum of like
-    units. Reactions are r size / weight.
-    """
-
-    rows: list[list[Array]]
-    free: list[Array]
-    own: list[Array]
-    mu: Array
-    rho: list[Array]
-    weight: Array
-    size: Array
-
-    def velocity(self, i: int, flat: Array) -> Array:
-        """v of contact i."""
-        return jnp.stack([row @ flat for row in self.rows[i]]) + self.free[i]
-
-
-def _scale(problem: FrictionContact) -> Scaled:
-    starts, acts = problem.starts, problem.acts
-    spans = list(pairwise(starts))
-    diagonal = jnp.stack([row[k] for k, row in enumerate(problem.delassus)])
-    heaviest = jnp.max(jnp.where(acts, diagonal, 0.0))
-    weight = jnp.where(heaviest > 0, heaviest, 1.0)
-    largest = jnp.max(jnp.abs(jnp.where(acts, problem.free_velocity, 0.0)))
-    size = jnp.where(largest > 0, largest, 1.0)
-    # A contact that may not act stands there as an open one by itself.
-    eye, apart = np.eye(starts[-1]), np.isin(np.arange(starts[-1]), starts).astype(float)
-    rows = [
-        jnp.where(acts[k] & acts, row / weight, eye[k]) for k, row in enumerate(problem.delassus)
-    ]
-    free = jnp.where(acts, problem.free_velocity / size, apart)
-    own = [jnp.stack([row[a:b] for row in rows[a:b]]) for a, b in spans]
-    rho = [1 / jnp.max(jnp.stack([rows[k][k] for k in range(a, b)])) for a, b in spans]
-    blocks = [rows[a:b] for a, b in spans]
-    return Scaled(blocks, problem.split(free), own, problem.mu, rho, weight, size)
 
 
 def _residual(problem: Scaled, r: tuple) -> Array:
@@ -215,32 +167,11 @@ def _sweep_until(
     return found, left, sweeps
 
 
-def _linearised(
-    problem: Scaled, r: tuple, margin: Any, regular: float
-) -> tuple[list[LinearisedLaw], list[Array]]:
-    """(the laws of the contacts, rows of the Jacobian of F(r, rho (W r + b)) with respect to r),
-    with `regular` added to the rows of contacts that stick.
-    """
-    laws, lines, m, first = [], [], sum(map(len, r)), 0
-    for i, part in enumerate(r):
-        d, rho = len(part), problem.rho[i]
-        velocity = problem.velocity(i, jnp.concatenate(r))
-        law = alart_curnier(part, rho * velocity, problem.mu[i], margin)
-        for a in range(d):
-            through_v = sum(rho * law.of_s[a, b] * row for b, row in enumerate(problem.rows[i]))
-            direct = law.of_r[a] + regular * law.of_s[a]
-            padded = [jnp.zeros(first), direct, jnp.zeros(m - first - d)]
-            lines.append(through_v + jnp.concatenate(padded))
-        laws.append(law)
-        first += d
-    return laws, lines
-
-
 def _newton(problem: Scaled, r: tuple, in_kernel: bool) -> tuple:
     """A step of Newton's method for all contacts in the states they are in, brought back into their
     cones.
     """
-    laws, lines = _linearised(problem, r, 0.0, REGULAR)
+    laws, lines = linearised(problem, r, 0.0, REGULAR)
     value = jnp.concatenate([law.value for law in laws])
     if in_kernel:
         change = jnp.stack(eliminate([jnp.append(x, value[k]) for k, x in enumerate(lines)]))
@@ -251,35 +182,3 @@ def _newton(problem: Scaled, r: tuple, in_kernel: bool) -> tuple:
         project_on_cone(part - change[e - len(part) : e], problem.mu[i])
         for i, (part, e) in enumerate(zip(r, ends, strict=True))
     )
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(5,))
-def _keep_states(r, solved, matrix, offset, mu, sizes: tuple[int, ...]) -> Array:
-    """r unchanged, with the derivatives of the solution whose contacts keep their states; zero
-    where not `solved`, and of the least change of r where contacts are redundant.
-    """
-    return r
-
-
-@_keep_states.defjvp
-def _keep_states_jvp(sizes, primals, tangents):
-    r, solved, matrix, offset, mu = primals
-    _, _, d_matrix, d_offset, d_mu = tangents
-    out = _keep_states(*primals, sizes)
-    # What is not solved is made harmless before it is differentiated.
-    posed = FrictionContact(
-        jnp.where(solved, matrix, jnp.eye(len(r))), jnp.where(solved, offset, 0.0), mu, sizes
-    )
-    problem = _scale(posed)
-    scale = problem.size / problem.weight
-    blocks = tuple(posed.split(out / scale))
-    flat = jnp.concatenate(blocks)
-    s = [problem.rho[i] * problem.velocity(i, flat) for i in range(len(sizes))]
-    largest = jnp.maximum(jnp.max(jnp.abs(flat)), jnp.max(jnp.abs(jnp.concatenate(s))))
-    laws, lines = _linearised(problem, blocks, CORNER * jax.lax.stop_gradient(largest), 0.0)
-    moved = posed.split((d_matrix @ out + d_offset) / problem.size)
-    change = jnp.concatenate(
-        [law.of_s @ (problem.rho[i] * moved[i]) + law.of_mu * d_mu[i] for i, law in enumerate(laws)]
-    )
-    change = scale * jnp.where(solved, change, 0.0)
-    return out, -jnp.linalg.pinv(jnp.stack(lines), rtol=REDUNDANT) @ change

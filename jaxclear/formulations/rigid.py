@@ -9,7 +9,7 @@ doi:10.1007/978-3-7091-2624-0_1; Acary & Brogliato 2008, Numerical Methods for N
 Systems, ch. 10, doi:10.1007/978-3-540-75392-6.
 """
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -19,6 +19,7 @@ from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, middle_of
 from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
 from jaxclear.formulations.joint_reports import reports_of_means, rigid_reports
 from jaxclear.formulations.model import Model, State
+from jaxclear.formulations.moved_apart import Projected, project
 from jaxclear.formulations.permanent_reactions import (
     check_unique,
     touching,
@@ -39,9 +40,8 @@ from jaxclear.formulations.state_rate import Passive, link_accelerations, passiv
 from jaxclear.formulations.unilateral import (
     MoreauJeanSettings,
     Percussions,
-    Projected,
+    demands,
     percussions,
-    project,
     unilateral_contacts,
 )
 from jaxclear.ground import sparse as sp
@@ -51,6 +51,14 @@ from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import components, contact_components, unpack_motion
 from jaxclear.multibody.topology import rubbing_in
+
+
+class Strikes(NamedTuple):
+    """Which contacts strike in a step, and all indentations [m] and their rates [m/s] halfway."""
+
+    which: Any
+    depths: Any
+    rates: Any
 
 
 class RigidContact(AbstractFormulation):
@@ -104,6 +112,30 @@ class RigidContact(AbstractFormulation):
         count += sum(one.joint.components for one in touching(system))
         return jnp.zeros(model.layout.speeds + count + 1)
 
+    def strikes(
+        self,
+        model: Model,
+        time_step: TimeStep,
+        state: State,
+        last: Float[Array, " h"],
+        settings: MoreauJeanSettings,
+    ) -> Strikes:
+        """What strikes in a step, which begins with these numbers as `step` does."""
+        handed = [last[i] for i in range(len(last))]
+        entries, count = model.entries(state), model.layout.speeds
+        middle = middle_of_step(model, time_step, entries, handed[:count])
+        names = [name for name, own in model.system.bearings.items() for _ in own.contact_laws]
+        contacts = unilateral_contacts(middle.free_motion.contacts, names, handed[count:-1])
+        free = delassus_operator(middle.free_motion, []).free
+        gentle = settings._replace(gentle=True)
+        asked = demands(middle, contacts, free, time_step.length, gentle)
+        points = middle.free_motion.contacts
+        return Strikes(
+            asked.strikes,
+            sp.stack([point.gap_function.indentation for point in points]),
+            sp.stack([point.rates[0] for point in points]),
+        )
+
     def step(
         self,
         model: Model,
@@ -136,7 +168,7 @@ class RigidContact(AbstractFormulation):
             settings.theta * b + (1 - settings.theta) * a for a, b in zip(middle.v, v, strict=True)
         ]
         end = Projected(middle.end(model, mean, h), [0] * count, 0)
-        if settings.project and contacts:
+        if settings.project and contacts and not settings.gentle:
             before = (end.coordinates, v)
             end = project(model, time_step, middle, contacts, delassus, before, settings)
         after = [*end.coordinates, *v, *_memories(model, entries)]

@@ -143,7 +143,7 @@ def _problem(
     for own in joints:
         unknowns += own.unknowns()
     rows = [[_between(search.matrix, a, b) for b in unknowns] for a in unknowns]
-    lifted, mu, sizes, closed = ([], [], (), ()) if asked is None else asked
+    lifted, mu, sizes, closed = ([], [], (), ()) if asked is None else asked[:4]
     lifted, mu, guess, k = [*lifted], [*mu], [z[i] for i in range(first)], first
     for own in joints:
         count = len(own.axes)

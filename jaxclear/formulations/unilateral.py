@@ -21,35 +21,36 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxclear.complementarity import FrictionContact, ProjectedGaussSeidel
-from jaxclear.formulations import contact_rows
+from jaxclear.complementarity.kept_states import with_kept_states
 from jaxclear.formulations.contact_rows import (
     ContactJacobianRow,
     ContactPoint,
     MiddleOfStep,
-    TimeStep,
     split,
 )
 from jaxclear.formulations.delassus import DelassusOperator
 from jaxclear.formulations.impacts_in_turn import put_off
-from jaxclear.formulations.model import Model
-from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.laws.friction import AbstractSetValuedFriction
 from jaxclear.multibody.kinematics import along
-from jaxclear.multibody.state import unpack_motion
 
 
 class MoreauJeanSettings(NamedTuple):
     """How a step is made: weight `theta` of its end in the mean speed, share `gamma` of the step
     after which a contact counts as closed, most sweeps over the contacts and the residual at which
-    they end, whether overlaps are moved apart."""
+    they end, whether overlaps are moved apart.
+
+    Where derivatives are taken: `gentle`, whether what strikes is left out, and nothing is moved
+    apart; `striking`, whether something strikes in this step, whose overlap moves with it."""
 
     theta: Any
     gamma: Any
     most_sweeps: Any
     tolerance: Any
     project: bool
+    gentle: bool = False
+    striking: Any = None
 
     def solver(self) -> ProjectedGaussSeidel:
         """What finds the percussions."""
@@ -86,16 +87,6 @@ class Percussions(NamedTuple):
     changes: list
     multipliers: tuple
     residual: Any
-
-
-class Projected(NamedTuple):
-    """After projection: coordinates, by how much they were moved (in terms of speeds), energy that
-    this put in [J].
-    """
-
-    coordinates: list
-    moved: list
-    energy: Any
 
 
 def unilateral_contacts(
@@ -146,12 +137,13 @@ def _combined(rows: tuple[ContactJacobianRow, ...], weights: tuple) -> ContactJa
 class ContactDemands(NamedTuple):
     """What the contacts ask of the velocities at a step's end: `lifted`, those without percussions
     and what the law of impact adds to them, `mu` and how many rows each contact has, which of them
-    count as closed."""
+    count as closed; of a gentle step which of them are left out, as they strike."""
 
     lifted: list
     mu: list
     sizes: tuple[int, ...]
     closed: Any
+    strikes: Any = None
 
 
 def demands(
@@ -178,13 +170,18 @@ def demands(
         lifted += [normal + contact.restitution * u, *slips]
     closed = _forecast_closed(middle, opening, unhindered, h, settings)
     joints = [len(list(own)) for _, own in groupby(contact.joint for contact in contacts)]
+    if max(joints) == 1 and not settings.gentle:
+        return ContactDemands(lifted, mu, sizes, closed)
+    # What had a percussion in the step before does not strike, nor what loads press shut.
+    pressed = positive_part(opening - sp.stack([normal for normal, *_ in unhindered]))
+    apart = sp.stack([contact.last for contact in contacts]) <= 0
+    strikes = closed & apart & (-opening > pressed)
     if max(joints) > 1:
-        # What had a percussion in the step before does not strike, nor what loads press shut.
-        pressed = positive_part(opening - sp.stack([normal for normal, *_ in unhindered]))
-        apart = sp.stack([contact.last for contact in contacts]) <= 0
         depths = sp.stack([c.gap_function.indentation for c in middle.free_motion.contacts])
-        strikes = closed & apart & (-opening > pressed)
-        closed = closed & ~put_off(strikes, depths, -opening, h, joints)
+        waiting = put_off(strikes, depths, -opening, h, joints)
+        strikes, closed = strikes & ~waiting, closed & ~waiting
+    if settings.gentle:
+        return ContactDemands(lifted, mu, sizes, closed & ~strikes, strikes)
     return ContactDemands(lifted, mu, sizes, closed)
 
 
@@ -206,7 +203,8 @@ def percussions(
         asked.closed,
     )
     found = settings.solver().iterate(problem, jnp.concatenate(first_guess(contacts, last)))
-    flat = [found.z[i] for i in range(sum(asked.sizes))]
+    z = with_kept_states(problem, found.z)
+    flat = [z[i] for i in range(sum(asked.sizes))]
     by_contact = in_own_directions(contacts, flat)
     return Percussions(by_contact, *delassus.under(flat), found.residual)
 
@@ -252,44 +250,3 @@ def first_guess(contacts: list[UnilateralContact], last: list) -> list:
 
 def _size(slips: list) -> Any:
     return safe_sqrt(sp.total(sp.mul(slip, slip) for slip in slips) + 0.0)
-
-
-def project(
-    model: Model,
-    time_step: TimeStep,
-    middle: MiddleOfStep,
-    contacts: list[UnilateralContact],
-    delassus: DelassusOperator,
-    end: tuple[list, list],
-    settings: MoreauJeanSettings,
-) -> Projected:
-    """Coordinates at the `end` (q, v) of a step, moved apart in the metric of the masses until
-    contacts overlap by no more than they would leave or fall in a step: one at rest stays closed
-    whatever rounding and the turning of its normal do, and what strikes and rebounds undoes its
-    overlap itself; moving it would give it energy."""
-    (q, v), h = end, time_step.length
-    motion = unpack_motion(model.system, [*q, *v])
-    depths = contact_rows.indentations(model, time_step.end, *motion)
-    responses = split(delassus.responses, [len(contact.rows) for contact in contacts])
-    normals = DelassusOperator(
-        [contact.rows[0] for contact in contacts],
-        delassus.free,
-        delassus.multipliers,
-        [own[0] for own in responses],
-    )
-    change = middle.change_to(v)
-    opening = sp.stack([sp.add(c.velocities[0], along(c.rows[0], change)) for c in contacts])
-    # What a contact gains in closing speed within a step if nothing holds it.
-    pressed = h * sp.stack(
-        [positive_part(sp.neg(along(row, delassus.free))) for row in normals.rows]
-    )
-    wanted = zip(pressed, opening, depths, strict=True)
-    problem = FrictionContact(
-        [sp.stack(line) for line in normals.matrix()],
-        jnp.stack([h * (most + jnp.abs(u)) - depth for most, u, depth in wanted]),
-        jnp.zeros(len(contacts)),
-    )
-    shifts = settings.solver().iterate(problem).z
-    moved, _ = normals.under([shifts[i] for i in range(len(contacts))])
-    energy = sp.neg(sp.dot(middle.free_motion.right, moved))
-    return Projected(drift(model.system, q, q, moved, 1.0), moved, energy)

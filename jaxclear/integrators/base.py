@@ -17,6 +17,7 @@ from jaxclear.formulations.model import Model, State
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import Events
+from jaxclear.multibody.mechanism import Mechanism
 
 
 class Interval(NamedTuple):
@@ -88,6 +89,11 @@ class AbstractIntegrator(AbstractQuantified):
         """Whether forward-mode derivatives through its steps are those of the motion where contacts
         open and close too."""
         return False
+
+    def beyond_touches(self, mechanism: Mechanism) -> str:
+        """What its derivatives do not know of the contacts of a mechanism; "" where they are those
+        of the motion."""
+        return "" if self.through_contacts else "how the instants of touch move"
 
     @property
     def notes_events(self) -> bool:

@@ -5,11 +5,16 @@ from typing import ClassVar
 
 import equinox as eqx
 
+from jaxclear.formulations.closing import closed
 from jaxclear.formulations.rigid import RigidContact
 from jaxclear.formulations.unilateral import MoreauJeanSettings
 from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.mid_impact import nothing_moved, through_impacts
 from jaxclear.integrators.stepping import searching_steps
+from jaxclear.integrators.trust import NO_SECOND, trusted_impacts
+from jaxclear.multibody.topology import rubbing_in
 
 # Residual of the contact laws, relative to the largest velocity, beyond which they are not met.
 LOOSE = 0.1
@@ -40,9 +45,13 @@ class MoreauJean(AbstractIntegrator):
 
     Forces are impulses: `Trajectory.contact` gives the means over each saving interval.
     `most_sweeps` over the contacts at most, until the laws hold to `tolerance` of the largest
-    velocity; where they end far from that, the run ends and says so. Derivatives
-    would be those of the contacts' present states (an impact's instant does not move with them),
-    and are refused; see `jaxclear.sensitivity`.
+    velocity; where they end far from that, the run ends and says so.
+
+    First derivatives through contacts are those of the motion, as far as the steps resolve it
+    (`mid_impact`): they are off by as much as places are beside the gap, nan where impacts have
+    made that grow to a hundredth, or where contacts strike in one step that would not move alike.
+    Not where surfaces wear, nor where ideal joints rub beside contacts: `jaxclear.sensitivity` is
+    the way there.
 
     Source: Moreau 1988, in Nonsmooth Mechanics and Applications, 1; Jean 1999, Comput. Methods
     Appl. Mech. Eng. 177, 235.
@@ -87,15 +96,42 @@ class MoreauJean(AbstractIntegrator):
     def asked_step(self):
         return self.step
 
+    @property
+    def through_contacts(self):
+        return True
+
+    def beyond_touches(self, mechanism):
+        joints = [mechanism.connections[name].joint for name in mechanism.topology.clearances]
+        if any(joint.maps() for joint in joints):
+            return "how surfaces that wear move with impacts"
+        if rubbing_in(mechanism.connections):
+            return "how friction in ideal joints moves with impacts"
+        return ""
+
     def first_warm_start(self, model, start, state):
-        return self.formulation.warm_start(model)
+        warm_start = self.formulation.warm_start(model)
+        moves = bool(model.system.bearings)
+        return (warm_start, nothing_moved(state, warm_start)) if moves else warm_start
 
     def advance(self, model, interval, state, warm_start):
         settings = MoreauJeanSettings(
             self.theta, self.gamma, self.most_sweeps, self.tolerance, self.project
         )
 
-        def step(time_step, state, last):
-            return self.formulation.step(model, time_step, state, last, settings)
+        def step(model, settings, time_step, state, last):
+            end, last = self.formulation.step(model, time_step, state, last, settings)
+            return closed(model, time_step.end, end), last
 
-        return searching_steps(model, interval, self.step, step, (state, warm_start), LOOSE)
+        if not model.system.bearings:
+            plain = lambda *numbers: step(model, settings, *numbers)
+            return searching_steps(interval, self.step, plain, (state, warm_start), LOOSE)
+        arrays, rest = eqx.partition((model, settings), eqx.is_array)
+        known = through_impacts(step, self.formulation, rest)
+
+        def followed(time_step, state, last):
+            state, *last = known(arrays, tuple(time_step), state, *last)
+            return state, tuple(last)
+
+        found = searching_steps(interval, self.step, followed, (state, warm_start), LOOSE)
+        state = trusted_impacts(found.state, found.warm_start[1])
+        return found._replace(state=derived_once(NO_SECOND, state))

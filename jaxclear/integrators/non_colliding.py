@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
+from jaxclear.formulations.closing import closed
 from jaxclear.formulations.permanent import PermanentContact
 from jaxclear.formulations.permanent_friction import NonCollidingSettings
 from jaxclear.ground.quantity import Scalar, quantity
@@ -84,6 +85,7 @@ class NonColliding(AbstractIntegrator):
         )
 
         def step(time_step, state, last):
-            return self.formulation.step(model, time_step, state, last, settings)
+            end, last = self.formulation.step(model, time_step, state, last, settings)
+            return closed(model, time_step.end, end), last
 
-        return searching_steps(model, interval, self.step, step, (state, warm_start), LOOSE)
+        return searching_steps(interval, self.step, step, (state, warm_start), LOOSE)

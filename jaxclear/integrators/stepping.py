@@ -8,9 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxclear.formulations.closing import closed
 from jaxclear.formulations.contact_rows import TimeStep
-from jaxclear.formulations.model import Model
 from jaxclear.integrators.base import Advance, Interval
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import Watch
@@ -100,22 +98,24 @@ def arrived(
 
 
 def searching_steps(
-    model: Model, interval: Interval, longest: Any, step: Callable, carry: tuple, loose: float
+    interval: Interval, longest: Any, step: Callable, carry: tuple, loose: float
 ) -> Advance:
     """The answer of equal steps, each of which searches for percussions or friction.
 
     `longest`: length [s] that no step exceeds; `step`: (time step, state, last) -> (state, last);
-    `carry`: state and warm start. The last entry of the warm start is the largest residual with
-    which a search has ended, and beyond `loose` the laws are not met.
+    `carry`: state and warm start. The last entry of the warm start (of its first array) is the
+    largest residual with which a search has ended, and beyond `loose` the laws are not met.
     """
     steps, h = divide(interval, longest)
 
     def one(index, state, last):
-        end, last = step(TimeStep(interval.start + index * h, h), state, last)
-        return closed(model, interval.start + (index + 1) * h, end), last
+        return step(TimeStep(interval.start + index * h, h), state, last)
 
     state, warm_start = carry
-    end, warm_start = march(one, steps, state, warm_start.at[-1].set(0.0))
-    found = arrived(end, steps, warm_start)
-    failed = (found.outcome == Outcome.REACHED) & (found.warm_start[-1] > loose)
+    (first, *others), structure = jax.tree.flatten(warm_start)
+    begun = jax.tree.unflatten(structure, [first.at[-1].set(0.0), *others])
+    state, warm_start = march(one, steps, state, begun)
+    found = arrived(state, steps, warm_start)
+    residual = jax.tree.leaves(warm_start)[0][-1]
+    failed = (found.outcome == Outcome.REACHED) & (residual > loose)
     return found._replace(outcome=jnp.where(failed, Outcome.LAWS_NOT_MET, found.outcome))

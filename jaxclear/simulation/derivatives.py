@@ -4,11 +4,11 @@ Where contacts open and close, steps by themselves do not know how the instant o
 with a number, and the derivative of one finished run scatters about that of the motion: by a share
 after one bounce, by a multiple after a few (-3.0 for 0.24 after three lossless ones in steps of 20
 us), and nothing tells by how much. So it is refused while it is being traced, unless the derivative
-of the discrete run is what was asked for. Steps that end at touches know it (`saltation`), and
-those by rk4 whose derivatives are taken apart there (`mid_step`). Where
-nothing opens (ideal joints, permanent contact) the derivative of the discrete run converges to that
-of the motion, and passes: forwards through the steps, backwards as so many of these as numbers
-move.
+of the discrete run is what was asked for. Steps that end at touches know it (`saltation`),
+those by rk4 whose derivatives are taken apart there (`mid_step`), and those through rigid contact
+(`mid_impact`). Where nothing opens (ideal joints, permanent contact) the derivative of the discrete
+run converges to that of the motion, and passes: forwards through the steps, backwards as so many of
+these as numbers move.
 """
 
 import functools
@@ -49,14 +49,16 @@ def refusal(mechanism: Mechanism, integrator: AbstractIntegrator, discrete: bool
     `mechanism`: as its formulation sees it; `discrete`: derivatives of the discrete run.
     """
     joints = mechanism.topology.clearances
-    if not joints or (integrator.through_contacts and not discrete):
+    unknown = integrator.beyond_touches(mechanism)
+    if not joints or not (unknown or discrete):
         return ""
+    unknown = unknown or "how the instants of touch move"
     name = public_name(type(integrator))
     named = " and ".join(f'"{joint}"' for joint in joints[:2])
     some = f"joint {named}" if len(joints) == 1 else f"joints {named}{' …' * (len(joints) > 2)}"
     return (
         f"contacts in {some} open and close, and a derivative through the steps of {name} does not "
-        "know how the instants of touch move"
+        f"know {unknown}"
     )
 
 

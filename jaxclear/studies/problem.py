@@ -259,14 +259,15 @@ class Problem(AbstractProblem):
         return concerned(self.response[response], concerns)
 
     def pathwise_limits(self):
+        seen = self.integrator.formulation.seen(self.mechanism)
         if self.integrator.through_contacts and not self.integrator.pathwise:
-            return "", "steps that follow an error do not follow that of derivatives"
+            doubt = "nothing controls the error of derivatives"
+            return refusal(seen, self.integrator), doubt
         if not self.integrator.pathwise:
             return (
                 "derivatives of finished runs of this integrator are wrong near contact; use "
                 "integrator.Adaptive with an explicit solver, or one with fixed steps."
             ), ""
-        seen = self.integrator.formulation.seen(self.mechanism)
         return "", refusal(seen, self.integrator, discrete=True)
 
     def parts(self):

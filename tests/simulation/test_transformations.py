@@ -133,7 +133,8 @@ def assert_cell(joints, text, name, word, entry):
     found = jax.jit(lambda v: TRANSFORMATIONS[name](answer, v))(x)
     # Tangents of `Adaptive` are not in its error control; second differences lose digits.
     # Of equal steps through contacts those of the motion, which `Adaptive` follows.
-    steps = word == "right" and joints.startswith("opening") and text.startswith("FixedStep")
+    equal = text.startswith(("FixedStep", "MoreauJean"))
+    steps = word == "right" and joints.startswith("opening") and equal
     first = answer_of(problem(joints, "Adaptive()") if steps else asked, "evaluate", True)
     if name == "hessian":
         first = jax.jacfwd(first)

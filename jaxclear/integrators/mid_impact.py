@@ -1,0 +1,199 @@
+r"""Derivatives through impacts of rigid contact, which steps capture without locating them.
+
+A step in which a contact strikes takes its percussion wherever in the step that falls; the instant
+:math:`t^*` at which the gap closes moves with whatever a derivative is by, and the step does not
+know it. Its derivative here does: it is taken at times that move with the gap,
+
+.. math:: dt^* = -\frac{d\delta}{\dot\delta}, \qquad
+    dy_{k+1} = D\,(dy_k + f^- dt^*) - f^+ dt^*,
+
+with the indentation :math:`\delta` halfway through the step, the derivative :math:`D` of the
+discrete step, whose percussions keep their states (open, sticking, sliding), and the rates
+:math:`f^-` and :math:`f^+` before and behind it of a motion in which nothing strikes. A step
+without an impact has its own derivative.
+
+The motion itself goes the same way: that an impact is taken up to a step late is a difference in
+the motion, which grows with every impact. It is carried along, and tells to which share of the gap
+places are off, and to which share approach speeds are: as much are derivatives off (`trust`).
+
+None of this is in a program of which no derivative is asked. Source: as `saltation`.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array
+
+from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.model import Model, State
+from jaxclear.formulations.rigid import RigidContact, Strikes
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.quantity import Scalar
+from jaxclear.ground.tangents import moved, moving_with, pushed, where_wanted
+from jaxclear.integrators.saltation import FIRST
+from jaxclear.integrators.trust import IMPACT_FIGURES
+from jaxclear.multibody.reach import narrowest_gap, reaches
+from jaxclear.multibody.system import longest_arm
+
+# Contacts that strike in one step do so at once where their instants move alike, to this share.
+AT_ONCE = 1e-6
+# An instant moves where the gap does by more than rounding beside the state.
+ROUNDING = 1e-12
+
+
+def nothing_moved(state: State, warm_start: Array) -> Array:
+    """What is carried beside the motion, before the first step: figures of `trust`, then by how
+    much state and warm start are off."""
+    return jnp.zeros(IMPACT_FIGURES + len(state) + len(warm_start))
+
+
+class _Steps(NamedTuple):
+    """Functions of (arrays, (time [s], length [s]), state, last): `step`, with a first argument of
+    settings; `strikes`; and `rates` of the state where nothing strikes. `model(arrays)`."""
+
+    step: Callable
+    strikes: Callable
+    rates: Callable
+    model: Callable
+
+
+class _Way(NamedTuple):
+    """A derivative at the start of a step: of arrays, of time and length, of state and of `last`;
+    `late`: by what indentation it is off there all the same."""
+
+    arrays: Any
+    clock: Any
+    state: Any
+    last: Any
+    late: Any = 0.0
+
+
+def through_impacts(step: Callable, formulation: RigidContact, rest: Any) -> Callable:
+    """A step with its derivative, as a function of (arrays, clock, state, last, growth).
+
+    `step(model, settings, time step, state, last)`: (state, last). `arrays`: of model and settings,
+    of which this is the `rest`; `clock`: time [s] and length [s]. `growth`: zeros, whose
+    derivatives are carried along (`nothing_moved`)."""
+
+    def gone(how, arrays, clock, y, last):
+        model, settings = eqx.combine(arrays, rest)
+        return step(model, settings._replace(**how), TimeStep(*clock), y, last)
+
+    def strikes(arrays, clock, y, last):
+        model, settings = eqx.combine(arrays, rest)
+        return formulation.strikes(model, TimeStep(*clock), y, last, settings)
+
+    def rates(arrays, clock, y, last):
+        return (gone({"gentle": True}, arrays, clock, y, last)[0] - y) / clock[1]
+
+    steps = _Steps(gone, strikes, rates, lambda arrays: eqx.combine(arrays, rest)[0])
+
+    @jax.custom_jvp
+    def known(*numbers):
+        *here, growth = numbers
+        end, left = gone({}, *here)
+        return end, left, moving_with(end[0], growth)
+
+    def moving(numbers, tangents):
+        *here, growth = numbers
+        (end, left), gone_way, grown = _moved(steps, tuple(here), tangents)
+        return (end, left, moving_with(end[0], growth)), (*gone_way, grown)
+
+    known.defjvp(moving, symbolic_zeros=True)
+    return known
+
+
+def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Array]:
+    """((state, last) behind a step, their derivatives, what is carried along)."""
+    arrays, (time, h), y, _ = here
+    *given, grown = tangents
+    met = steps.strikes(*here)
+    wanted = jnp.any(met.which)
+    grown = moved(grown)
+    figures, off, off_last = jnp.split(grown, [IMPACT_FIGURES, IMPACT_FIGURES + len(y)])
+    still = jax.tree.map(SymbolicZero.from_primal_value, (arrays, (time, h)))
+    arrays_way, clock_way = still
+    ways = _Way(*given), _Way(arrays_way, clock_way, off, off_last, met.depths)
+
+    def before(carry):
+        states, _, figures = carry
+        flow = steps.rates(*here)
+        along = _along(steps, here, flow)
+        found = [_shift(steps, here, way, met, along) for way in ways]
+        late = abs(found[0].shift)
+        late = jnp.where(late * found[0].speed > ROUNDING * jnp.max(abs(states[0])), late, 0.0)
+        states = [state + one.shift * flow for state, one in zip(states, found, strict=True)]
+        return tuple(states), tuple(one.shift for one in found), _grown(figures, late, *found)
+
+    none = jnp.zeros(())
+    carry = (moved(ways[0].state), off), (none, none), figures
+    states, shifts, figures = where_wanted(wanted, before, carry)
+    striking = lambda *numbers: steps.step({"striking": wanted}, *numbers)
+    pairs = []
+    for way, state, shift in zip(ways, states, shifts, strict=True):
+        clock = moved(way.clock[0]) + shift, way.clock[1]
+        found, gone = pushed(striking, here, (way.arrays, clock, state, way.last))
+        pairs.append(gone)
+    (end, left), (gone, off) = found, pairs
+
+    def behind(carry):
+        (state, off), figures = carry
+        flow = steps.rates(arrays, (time + h, h), end, left)
+        off = off - shifts[1] * flow
+        return (state - shifts[0] * flow, off), _placed(figures, steps.model(arrays), off)
+
+    (state, ends), figures = where_wanted(wanted, behind, ((gone[0], off[0]), figures))
+    return (end, left), (state, gone[1]), jnp.concatenate([figures, ends, off[1]])
+
+
+class _Shift(NamedTuple):
+    """By how much later (its derivative) what strikes in a step does so, whether all of it does,
+    by how much faster [m/s]; and how fast it is [m/s]."""
+
+    shift: Scalar
+    alike: Any
+    faster: Scalar
+    speed: Scalar
+
+
+def _along(steps: _Steps, here: tuple, flow: Any) -> tuple:
+    """Rates of indentations and of their rates halfway through a step, where the state at its start
+    goes on."""
+    arrays, (time, h), y, last = here
+    depths = lambda time, y: steps.strikes(arrays, (time, h), y, last)[1:]
+    return jax.jvp(depths, (time, y), (jnp.ones_like(time), flow))[1]
+
+
+def _shift(steps: _Steps, here: tuple, way: _Way, met: Strikes, along: tuple) -> _Shift:
+    depths = lambda *numbers: steps.strikes(*numbers)[1:]
+    deeper, faster = pushed(depths, here, (way.arrays, way.clock, way.state, way.last))[1]
+    late = jnp.where(met.which, -safe_divide(deeper + way.late, along[0]), 0.0)
+    shift = jnp.sum(late) / jnp.sum(jnp.where(met.which, 1.0, 0.0))
+    apart = jnp.max(jnp.where(met.which, abs(late - shift), 0.0))
+    both = jnp.stack([abs(faster + shift * along[1]), met.rates])
+    faster, speed = jnp.max(jnp.where(met.which, both, 0.0), 1)
+    return _Shift(shift, apart <= AT_ONCE * abs(shift), faster, speed)
+
+
+def _grown(figures: Array, late: Scalar, found: _Shift, error: _Shift) -> Array:
+    """The figures before an impact that moves so, and is off by so much."""
+    count, first, most, unknown, place, speeds, speed = [figures[i] for i in range(IMPACT_FIGURES)]
+    count = count + jnp.where(late > 0, 1.0, 0.0)
+    first = jnp.where(count <= FIRST, jnp.maximum(first, late), first)
+    unknown = jnp.where(found.alike, unknown, 1.0)
+    most = jnp.maximum(most, late)
+    speed = jnp.maximum(speed, error.speed)
+    return jnp.stack([count, first, most, unknown, place, speeds + error.faster / speed, speed])
+
+
+def _placed(figures: Array, model: Model, off: Any) -> Array:
+    """The figures behind an impact, where the state is off by so much."""
+    place = figures[4]
+    system = model.system
+    ways = off[: model.layout.coordinates] * reaches(system, longest_arm(system))
+    share = jnp.max(abs(ways)) / narrowest_gap(system)
+    return figures.at[4].set(jnp.maximum(place, share))
