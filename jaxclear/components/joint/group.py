@@ -2,8 +2,9 @@
 orientation. Speeds are in the child's axes.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
 import jaxlie
 
@@ -20,6 +21,12 @@ from jaxclear.ground.pose import Pose, quaternion_rate, rotation_from_quaternion
 from jaxclear.ground.quantity import concrete
 
 NO_TURN = (1.0, 0.0, 0.0, 0.0)
+
+
+@jax.jit
+def _turned_by(x: Any, y: Any, z: Any) -> tuple:
+    """Quaternion of a rotation vector [rad]."""
+    return tuple(jaxlie.SO3.exp(jnp.stack([x, y, z])).wxyz)
 
 
 class Spherical(AbstractGroupJoint):
@@ -62,7 +69,7 @@ class Spherical(AbstractGroupJoint):
     def start(self, given):
         if len(given) in (1, 3):
             # A rotation vector [rad]; one number turns about z.
-            return tuple(jaxlie.SO3.exp(jnp.stack([*[0.0] * (3 - len(given)), *given])).wxyz)
+            return _turned_by(*[0.0] * (3 - len(given)), *given)
         return complete(self, _with_rotation(given))
 
 
