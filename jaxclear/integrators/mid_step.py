@@ -74,16 +74,18 @@ def through_touches(formulation: CompliantContact, rest: Any, plain: Callable) -
         here, ways = (arrays, clock, aware, last), (way, clock_way, state, last_way)
         (length, end, now), (longer, gone, left) = pushed(plain, here, ways)
         begun = Now(arrays[0], clock[0], aware, length, ContactMotion(*now[0]))
-        times = clock_way[0], longer if _moves(clock_way) else None
-        found = _taken_apart(motion, begun, end, (way[0], times, state), gone, (moved(grown), gap))
-        gone, grown = found
+        times = clock_way[0], longer if moves(clock_way) else None
+        apart = taken_apart(motion, begun, end, (way[0], times, state), moved(grown))
+        grown = judged(motion, begun, gap, apart, end)
+        gone = jnp.where(apart.wanted, apart.way, gone)
         return (length, end, now, moving_with(end[0], growth)), (longer, gone, left, grown)
 
     known.defjvp(moving, symbolic_zeros=True)
     return known
 
 
-def _moves(tree: Any) -> bool:
+def moves(tree: Any) -> bool:
+    """Whether any of these tangents is not 0."""
     return any(not isinstance(each, SymbolicZero) for each in jax.tree.leaves(tree))
 
 
@@ -113,9 +115,26 @@ def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Calla
     return both
 
 
-def _taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, gone: Any, judged: tuple) -> tuple:
-    """The derivatives of (state, growth) at the end of a step, from that of the step itself."""
-    (way, (time_way, longer), state), (growth, gap) = ways, judged
+class Apart(NamedTuple):
+    """A step taken apart, if that was `wanted`: the state at its end and its derivative, the growth
+    of derivatives, which contacts were closed `before` it, the `contacts` at the end of the step as
+    it is, and whether any has changed."""
+
+    wanted: Any
+    end: Any
+    way: Any
+    growth: Array
+    before: Any
+    contacts: ContactMotion
+    changed: Any
+
+
+def taken_apart(
+    motion: Any, begun: Now, end: Any, ways: tuple, growth: Array, always: bool = False
+) -> Apart:
+    """A step in which a contact is closed at either end (`always`: any), at whose end the state
+    is about `end`. `ways`: derivatives of arrays, of (time, length), and of the state."""
+    way, (time_way, longer), state = ways
     time, h = begun.time, begun.length
     before = saltation.closed(begun.contacts)
     contacts = motion.contacts(begun.arrays, time + h, end)
@@ -123,7 +142,7 @@ def _taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, gone: Any, judg
     path = (begun.contacts.depths, contacts.depths, h * begun.contacts.rates, h * contacts.rates)
     changed = before != after
     shares = passage(constant(path), 0.0, jnp.ones_like(before), jnp.any(changed))
-    wanted = jnp.any(changed | (before > 0))
+    wanted = jnp.any(changed | (before > 0)) | always
     turns = jnp.where(wanted, jnp.sum(changed.astype(int)) + 1, 0)
     if longer is not None:
         state = state - moved(time_way) * motion.rates(begun.arrays, before, time, begun.state)
@@ -134,7 +153,7 @@ def _taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, gone: Any, judg
         until = jnp.maximum(jnp.min(jnp.where(pending, shares, 1.0)), share)
         hit = pending & (shares <= until)
         length = (until - share) * h
-        go = lambda arrays, time, y: _gone(motion, arrays, acting, time, length, y)
+        go = lambda arrays, time, y: gone_on(motion, arrays, acting, time, length, y)
         at = time + share * h
         step_ = saltation.Step(begun.arrays, motion.contacts(begun.arrays, at, y), length, acting)
         ways = (way, None, None), (jnp.zeros(()), state), ()
@@ -148,29 +167,27 @@ def _taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, gone: Any, judg
 
     first = jnp.zeros((), int), jnp.zeros(()), begun.state, state, before, growth
     carry = jax.lax.while_loop(lambda carry: carry[0] < turns, turn, first)
-    _, _, apart, state, _, growth = carry
-    growth = _judged(motion, begun, gap, (before, contacts), (jnp.any(changed), apart, end), growth)
+    _, _, y, state, _, growth = carry
     if longer is not None:
         moves = moved(time_way) + moved(longer)
         state = state + moves * motion.rates(begun.arrays, after, time + h, end)
-    return jnp.where(wanted, state, gone), growth
+    return Apart(wanted, y, state, growth, before, contacts, jnp.any(changed))
 
 
-def _judged(motion: Any, begun: Now, gap: Any, seen: tuple, ends: tuple, growth: Array) -> Array:
-    """The growth behind a step that begins with such contacts closed and ends with those contacts;
-    `ends`: whether it was taken apart, and how it ended so and as it is."""
+def judged(motion: Any, begun: Now, gap: Any, apart: Apart, end: Any) -> Array:
+    """The growth behind a step that was taken apart, and ended so as it is."""
+    growth, contacts = apart.growth, apart.contacts
     met, first, most, lost, error, rise, largest = [growth[i] for i in range(GROWTH)]
-    (before, contacts), (parted, apart, end) = seen, ends
     n, m = motion.layout.coordinates, motion.layout.memory_start
-    off = abs(apart - end)
+    off = abs(apart.end - end)
     fast = jnp.max(abs(end[n:m]), initial=0.0)
     share = jnp.max(off[:n], initial=0.0) / gap + safe_divide(jnp.max(off[n:m], initial=0.0), fast)
-    error = jnp.where(parted, jnp.maximum(error, share), error)
+    error = jnp.where(apart.changed, jnp.maximum(error, share), error)
     depths = contacts.depths
     risen = jnp.minimum(depths, depths - begun.contacts.depths)
     rise = jnp.maximum(rise, jnp.max(risen, initial=0.0))
     largest = jnp.maximum(largest, jnp.max(depths, initial=0.0))
-    over = jnp.any((before > 0) & (depths < 0)) & (rise > RISE * largest)
+    over = jnp.any((apart.before > 0) & (depths < 0)) & (rise > RISE * largest)
     lost = jnp.where(over, 1.0, lost)
     return jnp.stack([met, first, most, lost, error, rise, largest])
 
@@ -193,8 +210,9 @@ def _passed(motion: Any, begun: Now, ways: tuple, at: Any, y: Any, acts: tuple, 
     return y, found.state, found.growth, later
 
 
-def _gone(motion: Any, arrays: Any, shares: Any, time: Any, length: Any, y: Any) -> Any:
-    """The state after a time in which contacts act by these shares."""
+def gone_on(motion: Any, arrays: Any, shares: Any, time: Any, length: Any, y: Any) -> Any:
+    """The state after a time in which contacts act by these shares (None: as their indentations
+    have it)."""
     nodes, weights = jnp.asarray(NODES), jnp.asarray(WEIGHTS)
 
     def stage(carry, i):

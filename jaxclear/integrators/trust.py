@@ -29,6 +29,8 @@ MOST_ERROR = 0.01
 # which share of the gap and of a speed the largest error of a step with a touch was; and how much
 # an indentation rose within a step, and in all [m].
 GROWTH = 7
+# Whether a contact was over in too few steps, among these.
+LOST = 3
 # Beyond this share of the largest indentation in one step an impact is that of the steps
 # (`Check.IMPACT_STEP`).
 RISE = Check.IMPACT_STEP.limit
@@ -95,7 +97,20 @@ def trusted_impacts(found: Any, growth: Array) -> Any:
     return derived(lambda found, growth: found, judged)(found, growth)
 
 
+def beside(found: Any, parted: Scalar) -> Any:
+    """What was found of a run; its derivative is nan where the motion of which it is the derivative
+    has `parted` from the run itself by too large a share of the gap."""
+
+    def judged(numbers, tangents):
+        found, parted = tangents[0], moved(tangents[1])
+        fine = parted <= Check.PLACE_IN_GAP.limit
+        return jax.tree.map(lambda each: jnp.where(fine, moved(each), jnp.nan), found)
+
+    return derived(lambda found, parted: found, judged)(found, parted)
+
+
 def unknown_way(numbers: Any) -> Any:
     """The numbers; their derivative is nan wherever it is asked for."""
-    lost = lambda numbers, tangents: jnp.full_like(moved(tangents[0]), jnp.nan)
+    unknown = lambda way: jnp.full_like(moved(way), jnp.nan)
+    lost = lambda numbers, tangents: jax.tree.map(unknown, tangents[0])
     return derived(lambda numbers: numbers, lost)(numbers)

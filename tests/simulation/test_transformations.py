@@ -133,7 +133,7 @@ def assert_cell(joints, text, name, word, entry):
     found = jax.jit(lambda v: TRANSFORMATIONS[name](answer, v))(x)
     # Tangents of `Adaptive` are not in its error control; second differences lose digits.
     # Of equal steps through contacts those of the motion, which `Adaptive` follows.
-    equal = text.startswith(("FixedStep", "MoreauJean"))
+    equal = text.startswith(("FixedStep", "MoreauJean", "ImplicitStep"))
     steps = word == "right" and joints.startswith("opening") and equal
     first = answer_of(problem(joints, "Adaptive()") if steps else asked, "evaluate", True)
     if name == "hessian":

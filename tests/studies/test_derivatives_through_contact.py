@@ -19,7 +19,7 @@ INTEGRATORS = {
     "explicit": jc.integrator.FixedStep(2e-5, "heun"),
     "explicit, reverse mode": jc.integrator.FixedStep(steps_per_save=50),
     "contact steps": jc.integrator.FixedStep(1e-4, "heun", contact_steps=10),
-    "implicit": jc.integrator.ImplicitStep(2e-5),
+    "implicit, reverse mode": jc.integrator.ImplicitStep(steps_per_save=50),
     "adaptive, implicit": jc.integrator.Adaptive(diffrax.Kvaerno5()),
 }
 
@@ -58,7 +58,7 @@ def fall_and_bounce(clearance):
 def test_a_raw_derivative_through_contacts_is_refused_while_traced(name):
     asked = problem(INTEGRATORS[name])
     answer = jax.jit(lambda values: asked.evaluate(values).responses["height"])
-    backward = name in ("adaptive, implicit", "explicit, reverse mode")
+    backward = name == "adaptive, implicit" or "reverse" in name
     derivative = jax.grad(answer) if backward else jax.jacfwd(answer)
     with pytest.raises(
         ValueError, match=r'is not to be trusted: .*joint "B".*jaxclear.sensitivity'
@@ -135,7 +135,9 @@ def test_pathwise_knows_that_a_longer_fall_strikes_faster(name):
     """-1.212 by differences of tight runs. Impact speeds are taken at the touch, so the tangent of
     the discrete run follows them (-1.268 when they relaxed to the approach speed); alone it is
     still refused, because nothing confirms it."""
-    asked = problem((INTEGRATORS | {"under error control": jc.integrator.Adaptive()})[name])
+    others = {"under error control": jc.integrator.Adaptive()}
+    others["implicit"] = jc.integrator.ImplicitStep(2e-5)
+    asked = problem((INTEGRATORS | others)[name])
     sample = jc.monte_carlo(asked, 32)
     answers = jc.sensitivity(
         asked, sample=sample, methods=("regression", "pathwise"), difference_samples=16
