@@ -64,7 +64,7 @@ def ran_under(angles, begin, way):
 @pytest.mark.parametrize(
     ("joint", "inner", "rung"),
     [
-        (journal, "journal", "compliant"),
+        pytest.param(journal, "journal", "compliant", marks=pytest.mark.slow),
         (ball, "ball", "permanent"),
         pytest.param(journal, "journal", "permanent", marks=pytest.mark.slow),
         pytest.param(journal, "journal", "rigid", marks=pytest.mark.slow),

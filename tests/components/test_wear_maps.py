@@ -102,7 +102,7 @@ def test_volume_is_conserved(wear_map, events):
 @pytest.mark.parametrize(
     "wear_map, events",
     [
-        (CYLINDER, cylinder_events()),
+        pytest.param(CYLINDER, cylinder_events(), marks=pytest.mark.slow),
         (SPHERE, sphere_places(sphere_events())),
         pytest.param(WALLS, wall_events(), marks=pytest.mark.slow),
     ],

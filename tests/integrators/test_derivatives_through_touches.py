@@ -166,12 +166,10 @@ CASES = {
         (0.01, 0.02),
     ),
 }
-QUICK = ("a drive that depends on time",)
 
 
-@pytest.mark.parametrize(
-    "name", [c if c in QUICK else pytest.param(c, marks=pytest.mark.slow) for c in CASES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
 def test_joints_friction_and_drives_have_the_derivatives_of_the_motion(name):
     rig, *case = CASES[name]
     assert_right(rig(), *case, within=6e-3)
@@ -300,6 +298,7 @@ def test_a_derivative_that_the_tolerance_no_longer_determines_is_nan():
     np.testing.assert_allclose(slope(0.03, 1e-10), slope(0.03, 1e-11), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_journal_at_rest_in_steps_longer_than_its_period_has_no_derivative():
     """Nothing moves, so steps grow; shorter ones have the derivative: it lies lower by as much as
     the clearance is larger."""

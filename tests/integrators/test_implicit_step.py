@@ -244,6 +244,7 @@ def test_derivatives_are_those_of_the_discrete_run():
     np.testing.assert_allclose(difference, slope, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_rest_is_finite_with_its_derivative():
     """Without slip, concentric, at the very touch, and pressed in."""
     friction = jc.friction.ThreeZone()

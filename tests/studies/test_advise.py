@@ -232,7 +232,7 @@ def test_each_kind_of_integrator_compiles_once():
         pilot=jc.PilotSettings(copies=2, whole=False),
         candidates=explicit("rk4", scale=200.0),
     )
-    assert len(found.comparison.curves["rk4"].trials) > 2
+    assert len(found.comparison.curves["rk4"].trials) > 1
     # One program for both references, one for the method and the problem's own.
     assert len(traced) == 2
     jc.advise(

@@ -396,9 +396,10 @@ def test_a_design_whose_parts_cannot_be_made_does_not_hold():
     )
     cost, room = {"play": jc.cost.Reciprocal(1e-5)}, {"tolerance": {"play": (5e-6, 60e-6)}}
     limit = jc.limit.Quantile("error", share=0.9, at_most=80e-6)
-    loose = jc.design(asked, cost, limit, **room)
+    quick = {"settings": jc.DesignSettings(rounds=2), **room}
+    loose = jc.design(asked, cost, limit, **quick)
     assert not loose.holds and loose.tolerances["play"] > 30e-6
     assert "new runs failed, such as that of play = -" in str(loose)
     assert "limit.WorstCase" in str(loose) and "All limits hold" not in str(loose)
-    kept = jc.design(asked, cost, [limit, jc.limit.WorstCase("play", at_least=1e-6)], **room)
+    kept = jc.design(asked, cost, [limit, jc.limit.WorstCase("play", at_least=1e-6)], **quick)
     assert kept.holds and kept.tolerances["play"] == pytest.approx(19e-6, rel=1e-2)

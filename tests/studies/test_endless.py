@@ -247,7 +247,7 @@ def test_a_share_is_told_beside_lives_that_are_smaller_and_no_infinite_error_is_
     found = np.ones((2, 1 + GROUPS, 2))
     found[0, 3, 0] = np.inf
     verifier = Verifier(question_of(lasting, share, share), None, None, False)
-    assert verifier._told(found, 64, 0).errors.tolist() == [np.inf, 0.0]
+    assert verifier._told(found, 64, np.zeros((0, 1))).errors.tolist() == [np.inf, 0.0]
 
 
 class Median(jc.limit.Quantile):
