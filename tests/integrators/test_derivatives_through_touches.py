@@ -114,7 +114,7 @@ def start_speed(rig):
     return rig.speeds["journal"][1]
 
 
-USUAL = ("Flores", "KelvinVoigt")
+USUAL = ("Flores",)
 
 
 @pytest.mark.parametrize(
@@ -249,6 +249,7 @@ def test_of_two_equal_bodies_one_takes_over_from_the_other():
     np.testing.assert_allclose(slope, (1.0, 0.0, end, 0.0), atol=np.pi / omega)
 
 
+@pytest.mark.slow
 def test_the_run_is_the_same_whether_it_is_differentiated():
     asked = problem(
         bouncing(LAWS["Flores"][0]), "journal", 1, (CLEARANCE,), jc.integrator.Adaptive()
