@@ -121,11 +121,7 @@ class RigidContact(AbstractFormulation):
         settings: MoreauJeanSettings,
     ) -> Strikes:
         """What strikes in a step, which begins with these numbers as `step` does."""
-        handed = [last[i] for i in range(len(last))]
-        entries, count = model.entries(state), model.layout.speeds
-        middle = middle_of_step(model, time_step, entries, handed[:count])
-        names = [name for name, own in model.system.bearings.items() for _ in own.contact_laws]
-        contacts = unilateral_contacts(middle.free_motion.contacts, names, handed[count:-1])
+        _, _, middle, contacts = _begun(model, time_step, state, last)
         free = delassus_operator(middle.free_motion, []).free
         gentle = settings._replace(gentle=True)
         asked = demands(middle, contacts, free, time_step.length, gentle)
@@ -147,11 +143,8 @@ class RigidContact(AbstractFormulation):
         """The state after a step, and what the next is handed as `last`: the free accelerations,
         the percussions in the state's order, then the largest residual of the contact laws so
         far."""
-        handed = [last[i] for i in range(len(last))]
-        entries, h, count = model.entries(state), time_step.length, model.layout.speeds
-        middle = middle_of_step(model, time_step, entries, handed[:count])
-        names = [name for name, own in model.system.bearings.items() for _ in own.contact_laws]
-        contacts = unilateral_contacts(middle.free_motion.contacts, names, handed[count:-1])
+        h, count = time_step.length, model.layout.speeds
+        entries, handed, middle, contacts = _begun(model, time_step, state, last)
         joints = joints_in_step(model, middle)
         rows = [row for contact in contacts for row in contact.rows]
         rows += [row for joint in joints for row in joint.rows]
@@ -179,6 +172,17 @@ class RigidContact(AbstractFormulation):
         flat += [] if over is None else [h * x for x in over.friction]
         residual = jnp.maximum(handed[-1], impact.residual)
         return sp.stack(after), sp.stack([*delassus.free, *flat, residual])
+
+
+def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, " h"]) -> tuple:
+    """(entries of the state, what the last step has handed on, the middle of the step, contacts
+    there)."""
+    entries, handed = model.entries(state), [last[i] for i in range(len(last))]
+    count = model.layout.speeds
+    middle = middle_of_step(model, time_step, entries, handed[:count])
+    names = [name for name, own in model.system.bearings.items() for _ in own.contact_laws]
+    contacts = unilateral_contacts(middle.free_motion.contacts, names, handed[count:-1])
+    return entries, handed, middle, contacts
 
 
 def _memories(model: Model, entries: list) -> list:

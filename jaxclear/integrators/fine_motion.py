@@ -29,8 +29,7 @@ from jaxclear.integrators import saltation
 from jaxclear.integrators.deepest import deepest as deeper_of
 from jaxclear.integrators.mid_step import Now, gone_on, judged, moves, taken_apart
 from jaxclear.integrators.trust import GROWTH, LOST
-from jaxclear.multibody.reach import narrowest_gap, reaches
-from jaxclear.multibody.system import System, longest_arm
+from jaxclear.multibody.reach import gaps_passed
 
 # A part of a step goes no further than by this angle of a contact's vibration [rad], and in it
 # friction brakes no more than this share of a slip.
@@ -91,7 +90,7 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
         ended = _parted(motion, remember, (arrays[0], clock, begun), ways, met_way[1], beside)
         there, gone, deeper, beside = ended
         away = there - end
-        share = _in_gaps(eqx.combine(arrays[0], rest).system, away)
+        share = gaps_passed(eqx.combine(arrays[0], rest).system, away)
         beside = beside._replace(away=away, parted=jnp.maximum(beside.parted, share))
         still = jax.tree.map(jnp.zeros_like, (now, rise))
         return found, (gone, still[0], (still[1], deeper), beside)
@@ -112,12 +111,6 @@ def so_far(beside: Beside) -> Beside:
     same = lambda numbers, tangents: jax.tree.map(moved, tangents[0])
     known = derived(zeros, same)(beside)
     return known._replace(deepest=jnp.zeros_like(known.deepest))
-
-
-def _in_gaps(system: System, away: Array) -> Scalar:
-    """By how much places are away at the most [1], beside the narrowest gap."""
-    arms = reaches(system, longest_arm(system))
-    return jnp.max(arms * abs(away[: len(arms)]), initial=0.0) / narrowest_gap(system)
 
 
 def _parted(

@@ -130,9 +130,7 @@ class ImplicitStep(AbstractIntegrator):
     def _stepped(self, model):
         """A step, as a function of (its start and length [s], state, last, met)."""
         arrays, rest = eqx.partition((model, self), eqx.is_array)
-        # Behind the accelerations a warm start holds the indentations.
-        first = 2 * model.layout.speeds
-        depths = slice(first, first + _contacts(model))
+        depths = _depths(model)
 
         def plain(arrays, clock, y, last, met):
             model, own = eqx.combine(arrays, rest)
@@ -178,8 +176,7 @@ class ImplicitStep(AbstractIntegrator):
         last, known = warm_start
         met = None
         if contacts:
-            first = 2 * model.layout.speeds
-            begun = positive_part(last[first : first + contacts])
+            begun = positive_part(last[_depths(model)])
             met = jnp.zeros_like(begun), begun
 
         def one(index, state, carried):
@@ -207,3 +204,9 @@ class ImplicitStep(AbstractIntegrator):
 def _contacts(model: Model) -> int:
     """How many contacts there may be."""
     return sum(len(kinds) for _, kinds in model.layout.memories)
+
+
+def _depths(model: Model) -> slice:
+    """Where a warm start holds the indentations: behind the accelerations."""
+    first = 2 * model.layout.speeds
+    return slice(first, first + _contacts(model))

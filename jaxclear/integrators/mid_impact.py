@@ -36,8 +36,7 @@ from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import moved, moving_with, pushed, where_wanted
 from jaxclear.integrators.saltation import FIRST
 from jaxclear.integrators.trust import IMPACT_FIGURES
-from jaxclear.multibody.reach import narrowest_gap, reaches
-from jaxclear.multibody.system import longest_arm
+from jaxclear.multibody.reach import gaps_passed
 
 # Contacts that strike in one step do so at once where their instants move alike, to this share.
 AT_ONCE = 1e-6
@@ -192,8 +191,4 @@ def _grown(figures: Array, late: Scalar, found: _Shift, error: _Shift) -> Array:
 
 def _placed(figures: Array, model: Model, off: Any) -> Array:
     """The figures behind an impact, where the state is off by so much."""
-    place = figures[4]
-    system = model.system
-    ways = off[: model.layout.coordinates] * reaches(system, longest_arm(system))
-    share = jnp.max(abs(ways)) / narrowest_gap(system)
-    return figures.at[4].set(jnp.maximum(place, share))
+    return figures.at[4].set(jnp.maximum(figures[4], gaps_passed(model.system, off)))

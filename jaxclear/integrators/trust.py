@@ -4,6 +4,7 @@ A loop carries zeros beside the state, whose derivatives tell how much touches m
 derivatives grow, and with them what errors of the motion make of them.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -59,13 +60,10 @@ def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
     `growth`: zeros, whose derivatives tell how many touches moved, by how much [s] the first few of
     them and all of them did at most, and of which share the largest error of a step was."""
 
-    def judged(numbers, tangents):
-        (_, _, limit), (found, growth, _) = numbers, tangents
-        growth = moved(growth)
-        fine = (growth[2] <= limit * growth[1]) & (growth[3] <= MOST_ERROR)
-        return jax.tree.map(lambda each: jnp.where(fine, moved(each), jnp.nan), found)
+    def fine(growth, limit):
+        return (growth[2] <= limit * growth[1]) & (growth[3] <= MOST_ERROR)
 
-    return derived(lambda found, growth, limit: found, judged)(found, growth, constant(limit))
+    return _where(fine, found, growth, limit)
 
 
 def trusted_steps(found: Any, growth: Array) -> Any:
@@ -73,40 +71,41 @@ def trusted_steps(found: Any, growth: Array) -> Any:
     first of them that the errors of the steps decide it, and where these do not resolve a contact.
     """
 
-    def judged(numbers, tangents):
-        found, growth = tangents[0], moved(tangents[1])
+    def fine(growth):
         _, first, most, lost, error, rise, largest = [growth[i] for i in range(GROWTH)]
         share = safe_divide(rise, largest)
         error = jnp.maximum(error, OF_A_RISE * share * share)
-        fine = (most * most * error <= TRUSTED * first * first) & (lost <= 0)
-        return jax.tree.map(lambda each: jnp.where(fine, moved(each), jnp.nan), found)
+        return (most * most * error <= TRUSTED * first * first) & (lost <= 0)
 
-    return derived(lambda found, growth: found, judged)(found, growth)
+    return _where(fine, found, growth)
 
 
 def trusted_impacts(found: Any, growth: Array) -> Any:
     """What was found of a run; its derivative is nan where errors of the motion, grown as impacts
     make them grow, decide it, and where an impact is not known to have one."""
 
-    def judged(numbers, tangents):
-        found, growth = tangents[0], moved(tangents[1])
+    def fine(growth):
         _, first, most, unknown, place, speeds, _ = [growth[i] for i in range(IMPACT_FIGURES)]
-        fine = ((place + speeds) * most <= TRUSTED_IMPACTS * first) & (unknown <= 0)
-        return jax.tree.map(lambda each: jnp.where(fine, moved(each), jnp.nan), found)
+        return ((place + speeds) * most <= TRUSTED_IMPACTS * first) & (unknown <= 0)
 
-    return derived(lambda found, growth: found, judged)(found, growth)
+    return _where(fine, found, growth)
 
 
 def beside(found: Any, parted: Scalar) -> Any:
     """What was found of a run; its derivative is nan where the motion of which it is the derivative
     has `parted` from the run itself by too large a share of the gap."""
+    return _where(lambda parted: parted <= Check.PLACE_IN_GAP.limit, found, parted)
+
+
+def _where(fine: Callable, found: Any, growth: Array, *numbers: Scalar) -> Any:
+    """What was found; its derivative is nan but where `fine(derivative of growth, *numbers)`."""
 
     def judged(numbers, tangents):
-        found, parted = tangents[0], moved(tangents[1])
-        fine = parted <= Check.PLACE_IN_GAP.limit
-        return jax.tree.map(lambda each: jnp.where(fine, moved(each), jnp.nan), found)
+        (_, _, *numbers), (found, growth, *_) = numbers, tangents
+        known = fine(moved(growth), *numbers)
+        return jax.tree.map(lambda each: jnp.where(known, moved(each), jnp.nan), found)
 
-    return derived(lambda found, parted: found, judged)(found, parted)
+    return derived(lambda found, *_: found, judged)(found, growth, *map(constant, numbers))
 
 
 def unknown_way(numbers: Any) -> Any:

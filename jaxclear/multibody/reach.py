@@ -14,7 +14,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST
 from jaxclear.ground.quantity import Scalar
 from jaxclear.multibody.contact_point import depths
-from jaxclear.multibody.system import System
+from jaxclear.multibody.system import System, longest_arm
 
 
 def turning(system: System) -> Bool[np.ndarray, " coordinates"]:
@@ -53,3 +53,9 @@ def rooms(system: System) -> Float[Array, " contacts"]:
 def narrowest_gap(system: System) -> Scalar:
     """Smallest of the `rooms` [m]; infinite without clearance."""
     return jnp.min(rooms(system)) if system.bearings else jnp.asarray(jnp.inf)
+
+
+def gaps_passed(system: System, way: Float[Array, " state"]) -> Scalar:
+    """By how much places move at the most where a state moves so [1], beside the narrowest gap."""
+    arms = reaches(system, longest_arm(system))
+    return jnp.max(arms * abs(way[: len(arms)]), initial=0.0) / narrowest_gap(system)
