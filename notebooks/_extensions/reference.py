@@ -21,7 +21,7 @@ from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from jaxclear.ground.quantity import parameters, range_in_words
+from jaxclear.ground.quantity import numbers, range_in_words
 
 DOI = re.compile(r"doi:\s?(10\.\d+/[^\s,;]*[^\s,;.)])")
 ROLE = re.compile(r":math:`([^`]*)`", re.DOTALL)
@@ -122,9 +122,10 @@ def built_table(function: Callable) -> list[str]:
     if not function.__module__.startswith("jaxclear.laws") or needed:
         return []
     lines = ["", "| number | default | unit | meaning |", "| --- | --- | --- | --- |"]
-    for row in parameters(function()):
-        name = row["name"].split(".")[-1]
-        cells = (f"`{name}`", f"{row['value']:g}", row["unit"], row["meaning"])
+    for path, leaf, metadata in numbers(function()):
+        name = path.split(".")[-1]
+        told = metadata.get("unit", "1"), metadata.get("meaning", "")
+        cells = (f"`{name}`", f"{float(leaf):g}", *told)
         lines.append("| " + " | ".join(text.replace("|", "\\|") for text in cells) + " |")
     return [*lines, ""] if len(lines) > 3 else []
 

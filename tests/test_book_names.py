@@ -1,0 +1,40 @@
+"""What the book asks of the package by name is there: building it is slow, and seldom done."""
+
+import ast
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+BOOK = Path(__file__).parents[1] / "notebooks"
+REFERENCE = re.compile(r"^```\{reference\} (\S+) ?(.*)$", re.MULTILINE)
+ASKED = [
+    (page.name, path, names.split())
+    for page in sorted((BOOK / "api").glob("*.md"))
+    for path, names in REFERENCE.findall(page.read_text())
+]
+
+
+@pytest.mark.parametrize("page", sorted({page for page, _, _ in ASKED}))
+def test_pages_of_the_api_name_what_there_is(page):
+    """A page named `Statistic` for long after it was `CorrectedStatistic`."""
+    for path, names in ((path, names) for own, path, names in ASKED if own == page):
+        first, *rest = path.split(".")
+        module = importlib.import_module(first)
+        for part in rest:
+            module = getattr(module, part, None) or importlib.import_module(path)
+        missing = [name for name in names if not hasattr(module, name)]
+        assert not missing, f"{path} has no {', '.join(missing)}"
+
+
+@pytest.mark.parametrize(
+    "script", sorted((BOOK / "_extensions").glob("*.py")), ids=lambda p: p.stem
+)
+def test_extensions_of_the_book_import_what_there_is(script):
+    """One asked for a function that was gone."""
+    for node in ast.walk(ast.parse(script.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("jaxclear"):
+            module = importlib.import_module(node.module)
+            missing = [name.name for name in node.names if not hasattr(module, name.name)]
+            assert not missing, f"{node.module} has no {', '.join(missing)}"
