@@ -94,7 +94,8 @@ def posed(mechanism: Mechanism, held: tuple[str, ...]) -> Posed:
         connections[name] = Connection(joint, connection.parent, connection.child)
     start, guess = (_free(mechanism.given[what], held) for what in ("start", "guess"))
     loads = at_rest_under(mechanism.loads, held)
-    bare = Mechanism(mechanism.bodies, connections, loads, start=start, guess=guess)
+    # What a run begins with says where the mechanism stands at one position only.
+    bare = Mechanism(mechanism.bodies, connections, loads, guess=start | guess)
     return Posed(bare, gaps, held)
 
 

@@ -21,6 +21,7 @@ from jaxclear.ground.numerics import positive_part, safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count
 from jaxclear.ground.wording import described
 from jaxclear.integrators.checks import Check
+from jaxclear.multibody.own_numbers import coordinate_units
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
@@ -57,6 +58,10 @@ class AbstractResponse(AbstractQuantified):
     """A number drawn from a run; `unit` is that of the number."""
 
     unit: eqx.AbstractVar[str]
+
+    def unit_in(self, mechanism: Any) -> str:
+        """The unit, of a number drawn from runs of this mechanism."""
+        return self.unit
 
     def drawn_from(self) -> str:
         """What of a run it needs to be right: its "motion", "forces", "peak forces", "wear",
@@ -172,10 +177,13 @@ class PointingAngle(AbstractResponse):
 class LostMotion(AbstractResponse):
     """Largest difference [rad, m] of a joint's coordinate under the loads and under reversed loads,
     over the positions of a `PositionProblem` with `both_ways=True`: how far its play lets it turn
-    while the drives stand still."""
+    or slide while the drives stand still. `unit`: by default that of the coordinate."""
 
     joint: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True, default="rad", kw_only=True)
+    unit: str = eqx.field(static=True, default="", kw_only=True)
+
+    def unit_in(self, mechanism):
+        return self.unit or coordinate_unit(mechanism, self.joint, 0)
 
     def drawn_from(self):
         return "motion"
@@ -239,13 +247,16 @@ def _deepest_force(run: Trajectory, joint: str) -> Scalar:
 
 
 class FinalCoordinate(AbstractResponse):
-    """A coordinate of a connection (or floating body) at the end of the run; give `unit="m"` for
-    one that slides.
+    """A coordinate of a connection (or floating body) at the end of the run. `unit`: by default
+    that of the coordinate.
     """
 
     connection: str = eqx.field(static=True)
     index: int = count(0, "number of the coordinate", at_least=0)
-    unit: str = eqx.field(static=True, default="rad", kw_only=True)
+    unit: str = eqx.field(static=True, default="", kw_only=True)
+
+    def unit_in(self, mechanism):
+        return self.unit or coordinate_unit(mechanism, self.connection, self.index)
 
     def drawn_from(self):
         return "motion"
@@ -267,6 +278,13 @@ def concerned(response: Any, concerns: str) -> bool:
     return needs == "anything" or needs in REACHES.get(concerns, (needs,))
 
 
-def unit_of(response: Any) -> str:
-    """Unit of a response; "1" for a plain function."""
-    return response.unit if isinstance(response, AbstractResponse) else "1"
+def unit_of(response: Any, mechanism: Any) -> str:
+    """Unit of a response of a mechanism; "1" for a plain function."""
+    return response.unit_in(mechanism) if isinstance(response, AbstractResponse) else "1"
+
+
+def coordinate_unit(mechanism: Any, name: str, index: int) -> str:
+    """Unit of a coordinate of a joint or floating body; "1" where there is none, which a run
+    refuses."""
+    units = coordinate_units(mechanism, name)
+    return units[index] if index < len(units) else "1"

@@ -69,8 +69,9 @@ def positions(
     """A mechanism at rest at positions of its drives, without time.
 
     `positions`: coordinates [rad, m] by joint, as many of each; every drive must be among them, and
-    enough joints that the loops determine the rest. Loads are quasi-static: they press each journal
-    against its bearing without friction and inertia. `both_ways`: also under reversed loads
+    enough joints that the loops determine the rest; `start` and `guess` of the mechanism choose
+    between ways to assemble. Loads are quasi-static: they press each journal against its bearing
+    without friction and inertia. `both_ways`: also under reversed loads
     (`.reversed`), for lost motion. Raises `ValueError` with a sentence for what cannot be asked or
     is out of reach.
     """

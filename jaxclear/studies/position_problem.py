@@ -103,7 +103,7 @@ class PositionProblem(AbstractProblem):
         return stacked([self.variables[n].nominal_in(self.mechanism) for n in self.names])
 
     def units(self):
-        return {name: unit_of(self.response[name]) for name in self.response_names}
+        return {n: unit_of(self.response[n], self.mechanism) for n in self.response_names}
 
     def positions(self, values: Float[Array, " variables"]) -> Positions:
         """The mechanism of one set of values at all positions; pure."""

@@ -156,7 +156,7 @@ class Problem(AbstractProblem):
 
     def units(self) -> dict[str, str]:
         """Unit of each response."""
-        return {name: unit_of(self.response[name]) for name in self.response_names}
+        return {n: unit_of(self.response[n], self.mechanism) for n in self.response_names}
 
     def with_values(self, values: Float[Array, " variables"]) -> Mechanism:
         """The mechanism with its variables set. Leaves that vary together move by the same

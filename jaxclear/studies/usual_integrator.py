@@ -73,10 +73,10 @@ def _longest(rates: dict[str, ContactRates], step: float) -> tuple[float, str]:
     rate = _stiffness(stiffest)
     friction = CAREFUL_SHARE / rate if rate * step > EXPLICIT_SHARE else math.inf
     if friction < impacts:
-        return friction, (
-            f'friction in joint "{place}" answers within {1 / rate:.2g} s under '
-            f"{stiffest.force:.3g} N"
-        )
+        within = f'in joint "{place}" answers within {1 / rate:.2g} s'
+        if stiffest.friction < stiffest.damping:
+            return friction, f"damping {within}"
+        return friction, f"friction {within} under {stiffest.force:.3g} N"
     # Half a vibration of the contact.
     lasts = math.pi * impacts / IMPACT_SHARE
     return impacts, f'an impact in joint "{name}" is over within {lasts:.2g} s'

@@ -103,3 +103,13 @@ def test_peaks_of_a_guide_are_caught_between_the_saving_times():
 def test_responses_that_do_not_exist_say_so(run, response, sentence):
     with pytest.raises(ValueError, match=sentence):
         response(run)
+
+
+def test_a_coordinate_has_the_unit_of_its_joint():
+    """Slides of metres were told in radians."""
+    rig = jc.scenes.slider_crank("ideal")
+    end = jc.response.FinalCoordinate
+    asked = {"turn": end("A"), "slide": end("G"), "told": end("G", unit="mm")}
+    problem = jc.Problem(rig, asked, {}, duration=0.01)
+    assert problem.units() == {"turn": "rad", "slide": "m", "told": "mm"}
+    assert jc.response.unit_of(jc.response.LostMotion("G"), rig) == "m"

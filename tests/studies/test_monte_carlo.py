@@ -202,6 +202,10 @@ def test_methods_that_disagree_say_so():
     assert not sure.trustworthy and abs(sure.value - 1.0) < 0.01
     assert sure.value - sure.error <= 0.99 and sure.value + sure.error >= 2.12 - 1e-12
     assert sure.error < 1.13
+    # What the steps of a run leave open is no disagreement.
+    steps = {"regression": Estimate(1.0, 1e-13), "differences": Estimate(1.0 + 1e-8, 1e-13)}
+    exact = confirmed("r", "v", steps)
+    assert exact.trustworthy and 5e-9 < exact.error < 2e-8 and "Agreed by" in exact.verdict
     vague = confirmed(
         "r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(5.0, 100.0)}
     )

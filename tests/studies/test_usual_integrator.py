@@ -124,6 +124,18 @@ def test_a_study_says_why_its_steps_are_implicit():
     assert chosen.why_integrator == ""
 
 
+def test_a_study_says_that_damping_sets_its_steps():
+    """It said that friction did, in a joint that has none."""
+    law = jc.contact.KelvinVoigt(stiffness=1e8, damping=1e6)
+    joint = jc.clearance.PlanarJournalBearing(law)
+    journal = {"journal": jc.Body(1.0, 1e-4)}
+    load = {"load": jc.load.Force(jc.Marker("journal"), (0.0, -500.0))}
+    rig = jc.Mechanism(journal, {"B": jc.Connection(joint, "ground", "journal")}, load)
+    # The damper's own rate, damping over mass.
+    asked = problem(rig)
+    assert 'damping in joint "B" answers within 1e-06 s,' in asked.why_integrator
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["LuGre", "Dahl"])
 def test_bristles_run_by_default(law):
