@@ -26,7 +26,7 @@ from benchmarks.attacks.answers import RESPONSES
 from benchmarks.attacks.attempts import Asked, Finding, attempt, find, judges
 from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.numbers import Draw
-from benchmarks.attacks.structures import DRAWS, NUMBERS, Structure, structures
+from benchmarks.attacks.structures import DRAWS, NUMBERS, ROOM, Structure, structures
 from benchmarks.attacks.verdicts import Verdict
 from benchmarks.measure import about, report
 from jaxclear.studies.advice.pilot import describe
@@ -67,7 +67,7 @@ def attacked(structure: Structure, draws: range, kept: Path | None) -> list[Row]
 
 
 def _number(structure: Structure, draw: int) -> int:
-    return structure.number * DRAWS + draw
+    return structure.number * ROOM + draw
 
 
 def attack(structure: Structure, draw: int) -> list[Row]:
@@ -151,11 +151,11 @@ def _off(found: Finding) -> str:
 
 def explain(number: int) -> None:
     """All about one case."""
-    structure = structures()[number // DRAWS]
-    case = structure.case(number % DRAWS)
+    structure = structures()[number // ROOM]
+    case = structure.case(number % ROOM)
     print(f"case {number}: {structure.name}, {case.duration:.4g} s")
     print(case.mechanism.parameters().to_string())
-    for row in attack(structure, number % DRAWS):
+    for row in attack(structure, number % ROOM):
         print(f"\n{row.rung}, {row.integrator}: {row.verdict} ({row.seconds:.2g} s CPU)")
         found = row.found
         for name in found.verdicts:

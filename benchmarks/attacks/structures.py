@@ -50,8 +50,10 @@ NOT_CYLINDERS = (
     bearings.ball_pendulum,
 )
 WITHOUT_WEAR = (bearings.rotating_guide, bearings.pushed_slider)
-# A draw's place in its structure, and the seeds of choices and of numbers.
-DRAWS, CHOICES, NUMBERS = 10, 1, 2
+# Draws of a structure that are made unasked, and room for all that may be, in the numbers of cases.
+DRAWS, ROOM = 10, 100
+# The seeds of choices and of numbers.
+CHOICES, NUMBERS = 1, 2
 MODULUS_OF_A_BALL = "ModifiedFlores"
 
 
