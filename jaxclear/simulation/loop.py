@@ -94,7 +94,7 @@ def run(
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     begun, whole = (state, read, warm_start), _whole(integrator, extras, worn)
     turn, shapes, unpack = turns_of(model, integrator, extras.report, begun, whole)
-    tally = nothing_yet(shapes, model, state, len(plan.windows))
+    tally = nothing_yet(shapes, model, state, len(plan.windows), means)
     first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), tally)
     if whole:
         pending = pending_wear(model.system, layout, state) if worn else None

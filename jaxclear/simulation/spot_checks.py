@@ -15,6 +15,7 @@ none at an instant, and no turns on.
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -28,7 +29,7 @@ from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.reach import driven_ways, reaches
 from jaxclear.multibody.system import longest_arm, wear_maps
 from jaxclear.native import has_kernels, once
-from jaxclear.simulation.tally import Tally
+from jaxclear.simulation.tally import Tally, compared
 from jaxclear.simulation.ways import STILL, Led, longest_way
 
 # Share of a run's steps that windows take; in a window steps are taken 1 + 2 times.
@@ -201,42 +202,40 @@ def _figures(
     of = lambda name: _rows(ends, plan.among_shadows(name))
     fine = of(FINE)
     coarse = _rows(states, plan.windows + 1) if plan.whole else of(COARSE)
-    speeds = slice(layout.coordinates, layout.memory_start)
     # What makes each speed one in m/s: the longest arm for those of turning.
     arm = longest_arm(model.system)
     scales = arm / speed_scales(model.system, arm)
-    # How fast each entry changes over the run: a window that is quiet beside that tells nothing.
-    usual = safe_divide(tally.way, plan.duration)
-    met = usual * jnp.sum(_durations(plan, FINE))
+    rough, close = (compared(layout, end - begin, not means) for end in (coarse, fine))
+    # How fast each changes over the run: a window that is quiet beside that tells nothing.
+    usual = jax.tree.map(lambda way: safe_divide(way, plan.duration), tally.way)
+    lasting = jnp.sum(_durations(plan, FINE))
+    met = jax.tree.map(lambda rate: rate * lasting, usual)
     # What is slower than this [m/s] stands still.
     slow = STILL * arm / plan.duration
     found = {
-        Check.HALVED_MEAN_FORCES: _difference(
-            coarse - begin, fine - begin, met, speeds, scales, slow
-        ),
+        Check.HALVED_MEAN_FORCES: _difference(rough.speeds, close.speeds, met.speeds, scales, slow),
         Check.HALVED_MOTION: _motion(model, plan, tally, coarse - fine, scales, led)[None],
     }
     if not means:
         fine_on, coarse_on = of(FINE_ON), of(COARSE_ON)
+        speeds = lambda change, name: safe_divide(
+            compared(layout, change).speeds, _durations(plan, name)
+        )
         found[Check.HALVED_FORCES] = _difference(
-            safe_divide(coarse_on - coarse, _durations(plan, COARSE_ON)),
-            safe_divide(fine_on - fine, _durations(plan, FINE_ON)),
-            usual * len(plan.windows),
-            speeds,
+            speeds(coarse_on - coarse, COARSE_ON),
+            speeds(fine_on - fine, FINE_ON),
+            usual.speeds * len(plan.windows),
             scales,
             slow / plan.duration,
         )
-        pressed = slice(layout.impulse_start, layout.energy_start)
         if layout.impulses:
             found[Check.HALVED_CONTACT_FORCES] = _difference(
-                coarse - begin, fine - begin, met, pressed, 1.0
+                rough.impulses, close.impulses, met.impulses
             )
     if layout.wear:
-        volumes = np.array([slot.start for slot in layout.wear])
-        share = safe_divide(jnp.sum(_durations(plan, FINE)), plan.duration)
-        least = share * jnp.stack(least_volumes(model))
+        least = safe_divide(lasting, plan.duration) * jnp.stack(least_volumes(model))
         found[Check.HALVED_WEAR] = _difference(
-            coarse - begin, fine - begin, met, volumes, 1.0, least
+            rough.volumes, close.volumes, met.volumes, 1.0, least
         )
     return found
 
@@ -284,13 +283,13 @@ def _rows(array: Array, places: np.ndarray) -> Array:
 
 
 def _difference(
-    coarse: Array, fine: Array, usual: Array, entries: Any, scales: Any, least: Any = 0.0
+    coarse: Array, fine: Array, usual: Array, scales: Any = 1.0, least: Any = 0.0
 ) -> Float[Array, " entries"]:
-    """Difference of some entries beside their size, both summed over the windows, or beside the
-    size that is `usual` in the run if that is more; entries that are small beside the largest
-    count as a tenth of it, and none as less than what is the `least` that counts."""
+    """Difference beside the size, both summed over the windows, or beside the size that is `usual`
+    in the run if that is more; entries that are small beside the largest count as a tenth of it,
+    and none as less than what is the `least` that counts."""
     met = jnp.sum(jnp.maximum(abs(coarse), abs(fine)), axis=0)
-    size = jnp.maximum(met, usual)[entries] * scales
-    off = jnp.sum(abs(fine - coarse)[:, entries], axis=0) * scales
+    size = jnp.maximum(met, usual) * scales
+    off = jnp.sum(abs(fine - coarse), axis=0) * scales
     counted = jnp.maximum(LEAST * jnp.max(size, initial=0.0), least)
     return safe_divide(off, jnp.maximum(size, counted))

@@ -5,6 +5,7 @@ A turn's figures are known at its end. Most are told by the worst that was met; 
 a saved state is judged by are kept for the states that are looked at.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -22,22 +23,44 @@ LENGTHS = (Check.FRICTION_STEP, Check.CREEP_STEP, Check.DAMPER_STEP)
 LOOKED_AT = (*LENGTHS, Check.INDENTATION)
 
 
+class Compared(NamedTuple):
+    """Of a state what windows compare, no more: every turn of a run pays for what is followed.
+    Speeds, impulses of contacts (none where forces are means), volumes that are worn off."""
+
+    speeds: Array
+    impulses: Array
+    volumes: Array
+
+
 class Tally(NamedTuple):
     """The `worst` of each figure at its places, and `when` [s] the first saving interval with it
-    ended; by how much each entry of the state has changed from one saving time to the next, all
-    taken together (`way`), and how far each coordinate has been from its start (`reach`); the
-    `squares` of the speeds at the saving times, added up. None: nobody asks."""
+    ended; by how much what windows compare has changed from one saving time to the next, all taken
+    together (`way`), and how far each coordinate has been from its start (`reach`); the `squares`
+    of the speeds at the saving times, added up. None: nobody asks."""
 
     worst: Figures
     when: Figures
-    way: State | None
+    way: Compared | None
     reach: Float[Array, " coordinates"]
     squares: Float[Array, " speeds"] | None
 
 
-def nothing_yet(shapes: dict[Check, Any], model: Model, state: State, windows: int) -> Tally:
+def compared(layout: Layout, states: Float[Array, "*times n"], impulses: bool = True) -> Compared:
+    """What windows compare of such states, with impulses or without."""
+    first = layout.impulse_start if impulses else layout.energy_start
+    volumes = [states[..., slot.start] for slot in layout.wear]
+    return Compared(
+        states[..., _speeds(layout)],
+        states[..., first : layout.energy_start],
+        jnp.stack(volumes, axis=-1) if volumes else states[..., :0],
+    )
+
+
+def nothing_yet(
+    shapes: dict[Check, Any], model: Model, state: State, windows: int, means: bool
+) -> Tally:
     """Before the first turn, of a run that begins with a state and has so many windows; `shapes`
-    are those of its figures."""
+    are those of its figures; whether forces are `means`."""
     layout = model.layout
     worst = {
         check: jnp.full(each.shape, -jnp.inf)
@@ -48,7 +71,7 @@ def nothing_yet(shapes: dict[Check, Any], model: Model, state: State, windows: i
     return Tally(
         worst,
         {check: jnp.zeros_like(each) for check, each in worst.items()},
-        jnp.zeros(layout.size) if windows else None,
+        jax.tree.map(jnp.zeros_like, compared(layout, state, not means)) if windows else None,
         jnp.zeros(layout.coordinates),
         speeds**2 if windows and not model.system.bearings else None,
     )
@@ -82,10 +105,16 @@ def followed(
     return Tally(
         worst,
         when,
-        None if tally.way is None else tally.way + told(abs(after - before)),
+        None if tally.way is None else _further(tally.way, layout, after - before, told),
         jnp.maximum(tally.reach, told(abs(after[:count] - start[:count]))),
         None if squares is None else squares + told(after[_speeds(layout)] ** 2),
     )
+
+
+def _further(way: Compared, layout: Layout, change: State, told: Callable) -> Compared:
+    """The way after one more change of the state, of which so much is `told`."""
+    changes = compared(layout, change, way.impulses.size > 0)
+    return jax.tree.map(lambda known, each: known + told(abs(each)), way, changes)
 
 
 def figures_of_a_look(figures: Figures, running: Bool[Array, ""]) -> Figures:
