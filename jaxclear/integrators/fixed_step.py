@@ -19,12 +19,13 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.ground.wording import unknown
-from jaxclear.integrators import munthe_kaas
+from jaxclear.integrators import munthe_kaas, vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.deepest import largest
 from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.explicit_methods import (
+    ANGLES,
     CHAINS,
     ON_GROUPS,
     ORDERS,
@@ -124,12 +125,14 @@ class FixedStep(AbstractIntegrator):
 
     def first_warm_start(self, model, start, state):
         """The contacts at the start of the last step, and its length [s]: a touch in it is found
-        where the next step begins. None where nothing looks at contacts."""
+        where the next step begins; None where nothing looks at contacts. How derivatives grow, and
+        vibrate."""
         seen = self.method not in ON_GROUPS or self.formulation.remembers(model)
         if not (seen and any(kinds for _, kinds in model.layout.memories)):
-            return None
+            return None, None, None, vibration.nothing(model, self)
         growth = jnp.zeros(GROWTH) if self._derived(model) else None
-        return self.formulation.contacts(model, start, state), jnp.ones(()), growth
+        contacts = self.formulation.contacts(model, start, state)
+        return contacts, jnp.ones(()), growth, vibration.nothing(model, self)
 
     def _derived(self, model):
         return self.through_contacts and model.system.bearings and not model.discrete
@@ -147,20 +150,19 @@ class FixedStep(AbstractIntegrator):
             length = (lambda *_: longest) if left is None else chosen_length(longest, *left)
             return own._step(model, time, length, longest, y, last)
 
-        if not self._derived(model):
+        through = through_touches(self.formulation, rest[0], plain)
 
-            def alone(clock, y, last):
-                h, y, now = plain(arrays, clock, y, None if last is None else last[:2])
-                return h, y, None if now is None else (*now, None)
+        def step(clock, y, last):
+            contacts, length, growth, vibrates = last
+            before = None if contacts is None else (contacts, length)
+            if self._derived(model):
+                h, end, now, growth = through(arrays, clock, y, before, growth)
+            else:
+                h, end, now = plain(arrays, clock, y, before)
+            vibrates = vibration.followed(model, ANGLES[self.method], vibrates, (y, end), h)
+            return h, end, (*(now or (None, None)), growth, vibrates)
 
-            return alone
-        step = through_touches(self.formulation, rest[0], plain)
-
-        def derived(clock, y, last):
-            h, y, now, growth = step(arrays, clock, y, last[:2], last[2])
-            return h, y, (*now, growth)
-
-        return derived
+        return step
 
     def _met(self, model, met, last, now):
         """What was met of the contacts, from their motion at the starts of two steps."""
@@ -171,6 +173,7 @@ class FixedStep(AbstractIntegrator):
 
     def _trusted(self, model, end, last, met, watch):
         """All that was found, where its derivative can be trusted; rates at events have none."""
+        end, met, watch = vibration.resolved((end, met, watch), last[3])
         if not self._derived(model):
             return end, met, watch
         if watch is not None:
@@ -294,4 +297,4 @@ class FixedStep(AbstractIntegrator):
 
 def _nothing_met(last: Any) -> Any:
     """What was met before the first step; None where nothing looks at contacts."""
-    return None if last is None else (jnp.zeros_like(last[0].depths),) * 2
+    return None if last[0] is None else (jnp.zeros_like(last[0].depths),) * 2

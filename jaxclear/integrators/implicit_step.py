@@ -12,6 +12,7 @@ from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, concrete, count, quantity
 from jaxclear.ground.tangents import derived_once
+from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import watch_from, watched
@@ -113,12 +114,12 @@ class ImplicitStep(AbstractIntegrator):
         return self.steps_per_save
 
     def first_warm_start(self, model, start, state):
-        """What warm-starts a step, and what is known of the motion beside the run; None where no
-        derivatives go through contacts."""
+        """What warm-starts a step; what is known of the motion beside the run, None where no
+        derivatives go through contacts; and how derivatives vibrate, None where they do."""
         last = self.formulation.warm_start(model, start, state)
         if not self._derived(model):
-            return last, None
-        return last, nothing_beside(model.layout.size, _contacts(model))
+            return last, None, vibration.nothing(model, self)
+        return last, nothing_beside(model.layout.size, _contacts(model)), None
 
     def _derived(self, model):
         return self.through_contacts and model.system.bearings and not model.discrete
@@ -143,19 +144,22 @@ class ImplicitStep(AbstractIntegrator):
 
             def alone(clock, y, last, met):
                 end, now, met = plain(arrays, clock, y, last[0], met)
-                return end, (now, None), met
+                how = model, vibration.SYMMETRIC, last[2]
+                return end, (now, None, vibration.followed(*how, (y, end), clock[1])), met
 
             return alone
         step = beside_steps(self.formulation, rest[0], plain)
 
         def derived(clock, y, last, met):
             end, now, met, known = step(arrays, clock, y, last[0], met, last[1])
-            return end, (now, known), met
+            return end, (now, known, None), met
 
         return derived
 
-    def _trusted(self, model, end, met, watch, known):
+    def _trusted(self, model, end, met, watch, last):
         """All that was found, where its derivative can be trusted; events have none."""
+        _, known, vibrates = last
+        end, met, watch = vibration.resolved((end, met, watch), vibrates)
         if not self._derived(model):
             return end, met, watch
         found = beside(trusted_steps((end, met), known.growth), known.parted)
@@ -173,7 +177,7 @@ class ImplicitStep(AbstractIntegrator):
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
         step, contacts = self._stepped(model), _contacts(model)
-        last, known = warm_start
+        last, known, vibrates = warm_start
         met = None
         if contacts:
             begun = positive_part(last[_depths(model)])
@@ -187,18 +191,18 @@ class ImplicitStep(AbstractIntegrator):
             return end, (last, met, watched(watch, model, time, h, end))
 
         known = None if known is None else so_far(known)
-        carried = (last, known), met, watch_from(model, interval.start, state)
+        carried = (last, known, vibrates), met, watch_from(model, interval.start, state)
         if self.steps_per_save is None:
-            end, (warm_start, met, watch) = march(one, steps, state, carried)
+            end, (last, met, watch) = march(one, steps, state, carried)
         else:
             turn = lambda index, carry: one(index, *carry)
-            end, (warm_start, met, watch) = counted(turn, self.steps_per_save, (state, carried))
-        end, met, watch = self._trusted(model, end, met, watch, warm_start[1])
+            end, (last, met, watch) = counted(turn, self.steps_per_save, (state, carried))
+        end, met, watch = self._trusted(model, end, met, watch, last)
         bias = (1 - self.rebound) / (1 + self.rebound)
         judged = {Check.CREEP_STEP: h * (1 + DAMPED * bias)}
         if contacts:
             judged[Check.REBOUND_STEP] = jnp.stack([h, jnp.asarray(self.rebound, float)])
-        return arrived(end, steps, warm_start, met, judged, watch=watch)
+        return arrived(end, steps, last, met, judged, watch=watch)
 
 
 def _contacts(model: Model) -> int:

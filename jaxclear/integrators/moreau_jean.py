@@ -10,6 +10,7 @@ from jaxclear.formulations.rigid import RigidContact
 from jaxclear.formulations.unilateral import MoreauJeanSettings
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.tangents import derived_once
+from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.mid_impact import nothing_moved, through_impacts
 from jaxclear.integrators.stepping import searching_steps
@@ -110,8 +111,8 @@ class MoreauJean(AbstractIntegrator):
 
     def first_warm_start(self, model, start, state):
         warm_start = self.formulation.warm_start(model)
-        moves = bool(model.system.bearings)
-        return (warm_start, nothing_moved(state, warm_start)) if moves else warm_start
+        moves = nothing_moved(state, warm_start) if model.system.bearings else None
+        return warm_start, moves, vibration.nothing(model, self)
 
     def advance(self, model, interval, state, warm_start):
         settings = MoreauJeanSettings(
@@ -122,16 +123,20 @@ class MoreauJean(AbstractIntegrator):
             end, last = self.formulation.step(model, time_step, state, last, settings)
             return closed(model, time_step.end, end), last
 
-        if not model.system.bearings:
-            plain = lambda *numbers: step(model, settings, *numbers)
-            return searching_steps(interval, self.step, plain, (state, warm_start), LOOSE)
         arrays, rest = eqx.partition((model, settings), eqx.is_array)
         known = through_impacts(step, self.formulation, rest)
 
         def followed(time_step, state, last):
-            state, *last = known(arrays, tuple(time_step), state, *last)
-            return state, tuple(last)
+            last, moves, vibrates = last
+            if moves is None:
+                end, last = step(model, settings, time_step, state, last)
+            else:
+                end, last, moves = known(arrays, tuple(time_step), state, last, moves)
+            how = model, vibration.SYMMETRIC, vibrates
+            return end, (last, moves, vibration.followed(*how, (state, end), time_step.length))
 
         found = searching_steps(interval, self.step, followed, (state, warm_start), LOOSE)
-        state = trusted_impacts(found.state, found.warm_start[1])
-        return found._replace(state=derived_once(NO_SECOND, state))
+        state = vibration.resolved(found.state, found.warm_start[2])
+        if model.system.bearings:
+            state = derived_once(NO_SECOND, trusted_impacts(state, found.warm_start[1]))
+        return found._replace(state=state)

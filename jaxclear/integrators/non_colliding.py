@@ -10,6 +10,7 @@ from jaxclear.formulations.closing import closed
 from jaxclear.formulations.permanent import PermanentContact
 from jaxclear.formulations.permanent_friction import NonCollidingSettings
 from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.stepping import searching_steps
 
@@ -77,7 +78,7 @@ class NonColliding(AbstractIntegrator):
         return self.step
 
     def first_warm_start(self, model, start, state):
-        return self.formulation.warm_start(model)
+        return self.formulation.warm_start(model), vibration.nothing(model, self)
 
     def advance(self, model, interval, state, warm_start):
         settings = NonCollidingSettings(
@@ -85,7 +86,11 @@ class NonColliding(AbstractIntegrator):
         )
 
         def step(time_step, state, last):
+            last, vibrates = last
             end, last = self.formulation.step(model, time_step, state, last, settings)
-            return closed(model, time_step.end, end), last
+            end = closed(model, time_step.end, end)
+            how = model, vibration.SYMMETRIC, vibrates
+            return end, (last, vibration.followed(*how, (state, end), time_step.length))
 
-        return searching_steps(interval, self.step, step, (state, warm_start), LOOSE)
+        found = searching_steps(interval, self.step, step, (state, warm_start), LOOSE)
+        return found._replace(state=vibration.resolved(found.state, found.warm_start[1]))
