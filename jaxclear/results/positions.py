@@ -19,6 +19,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.datasets import Column, dataset
 from jaxclear.ground.pose import quaternion_from_rotation
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import listed
 
 __all__ = ["Positions"]
@@ -33,7 +34,7 @@ class BodyPoses(eqx.Module):
     origin: Float[Array, "positions 3"]
 
 
-class Positions(eqx.Module):
+class Positions(AbstractShown):
     """A mechanism at rest at positions of its drives.
 
     `position` (positions, drives) are the drives' coordinates [rad, m] in the order of
@@ -51,6 +52,16 @@ class Positions(eqx.Module):
     # Numbers of each seat that are not zero by construction.
     moving: dict[str, tuple[int, ...]] = eqx.field(static=True)
     other: "Positions | None" = None
+
+    def __str__(self) -> str:
+        places = ", ".join(
+            f"{name} from {own.min():.4g} to {own.max():.4g} {self._unit(name)}"
+            for name, own in zip(self.scene.held, np.asarray(self.position).T, strict=True)
+        )
+        both = ", also under reversed loads" if self.other is not None else ""
+        lost = int(np.sum(~np.asarray(self.found)))
+        told = f" {lost} were not found." if lost else ""
+        return f"{len(self.position)} positions{both}: {places}.{told}"
 
     @property
     def reversed(self) -> "Positions":
@@ -111,9 +122,8 @@ class Positions(eqx.Module):
         scene, columns = self.scene, {}
         over, axis = ("position",), ("position", "axis")
         for name in scene.held:
-            own: Any = scene.mechanism.connections[name].joint
             values = self.coordinate(name)[:, 0]
-            columns[name] = Column(over, values, own.units[0], "coordinate of a drive")
+            columns[name] = Column(over, values, self._unit(name), "coordinate of a drive")
         for name in scene.mechanism.bodies:
             pose = self.body(name)
             columns[f"{name}.com"] = Column(axis, pose.com, "m", f"centre of mass of {name}")
@@ -129,6 +139,10 @@ class Positions(eqx.Module):
             "component": Column(("component",), ["w", "x", "y", "z"]),
         }
         return dataset(columns, coordinates, what="positions", mechanism=str(scene.mechanism))
+
+    def _unit(self, name: str) -> str:
+        joint: Any = self.scene.mechanism.connections[name].joint
+        return joint.units[0]
 
     def _over(self, one: Callable[[Standing], Any]) -> Any:
         def row(position, q, seats):

@@ -99,11 +99,12 @@ def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
     """(mechanism, its start) with every journal in its seat."""
     system = prepare(mechanism)
     connections = dict(mechanism.connections)
-    for name in mechanism.topology.clearances:
-        offset, slope, load = _pressed(first, mechanism, name)
-        share = _share(system, name, (offset, slope), load, read.get(name, {}))
-        moved = _moved(connections[name].parent, share * offset, share * slope)
-        connections[name] = Connection(connections[name].joint, moved, connections[name].child)
+    with warnings.catch_warnings(record=True) as doubts:
+        for name in mechanism.topology.clearances:
+            offset, slope, load = _pressed(first, mechanism, name)
+            share = _share(system, name, (offset, slope), load, read.get(name, {}))
+            moved = _moved(connections[name].parent, share * offset, share * slope)
+            connections[name] = Connection(connections[name].joint, moved, connections[name].child)
     with warnings.catch_warnings():
         # Its numbers have been looked at; where a journal lies is no length of a link.
         warnings.simplefilter("ignore", UnusualMagnitude)
@@ -118,14 +119,19 @@ def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
         known, start = ready(put)
     except ValueError:
         # The loops do not let every journal lie as its own reaction presses it.
-        known, start = _at_rest_together(first, mechanism, read)
+        return _at_rest_together(first, mechanism, read)
+    for doubt in doubts:
+        warnings.warn(doubt.message, stacklevel=2)
     return known, start
 
 
 def _at_rest_together(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
     """(mechanism, its start) where all journals rest under the reactions that they have while they
     touch. Raises `ValueError` where no such place is found."""
-    reactions = {name: _reaction(first, mechanism, name) for name in mechanism.topology.clearances}
+    with warnings.catch_warnings():
+        # Reactions that close the loops among themselves move nothing: any of them will do.
+        warnings.filterwarnings("ignore", message="the reaction of joint .* is not unique")
+        reactions = {n: _reaction(first, mechanism, n) for n in mechanism.topology.clearances}
     found = resting(mechanism, reactions, read)
     if found is None:
         raise ValueError(

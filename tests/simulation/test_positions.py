@@ -271,3 +271,8 @@ def test_what_a_run_starts_with_holds_no_position():
     ideal = 0.05 * np.cos(crank) + np.sqrt(0.12**2 - (0.05 * np.sin(crank)) ** 2)
     # The journal is off by its clearance of 0.1 mm at the most, and the rod leans.
     np.testing.assert_allclose(found.coordinate("G")[:, 0], ideal, atol=1.2e-4)
+
+
+def test_positions_are_shown_in_words():
+    found = jc.positions(four_bar(), {"O": ANGLES}, both_ways=True)
+    assert str(found) == "5 positions, also under reversed loads: O from 0.2 to 5.4 rad."

@@ -122,3 +122,36 @@ def test_where_a_journal_lies_is_not_taken_for_the_length_of_a_link():
     with warnings.catch_warnings():
         warnings.simplefilter("error", jc.UnusualMagnitude)
         jc.seated(rotor)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error")
+def test_a_door_sags_by_the_play_of_its_hinges():
+    """Hinges lean the other way than each other: twice the clearance over the distance of their
+    outer ends, times the width. It warned that the reactions of ideal hinges are not unique."""
+    width, height, length, rim = 0.8, 1.5, 0.03, 14e-3
+    clearance, axial = 0.2e-3, 0.1e-3
+    numbers = {"bearing_radius": 6e-3, "clearance": clearance, "length": length}
+    flange = jc.clearance.Flange(LAW, clearance=axial, radius=rim)
+    top = (0.0, 0.0, height)
+    hinges = {
+        "lower": jc.Connection(
+            jc.clearance.JournalBearing(LAW, flange=flange, **numbers), "ground", "door"
+        ),
+        "upper": jc.Connection(
+            jc.clearance.JournalBearing(LAW, **numbers),
+            jc.Marker("ground", top),
+            jc.Marker("door", top),
+        ),
+    }
+    door = {"door": jc.Body(20.0, (4.0, 5.0, 1.1), com=(width / 2, 0.0, height / 2))}
+    rig = jc.Mechanism(door, hinges, {"g": jc.load.Gravity((0.0, 0.0, -9.81))})
+    run = jc.simulate(rig, 1e-3, save=3, state=jc.seated(rig))
+    sag = -np.asarray(run.marker("door", (width, 0.0, 0.0)))[:, 2]
+    # The hinges' ends give under the moment, the collar under the weight; its rim leans with them.
+    weight = 20.0 * 9.81
+    give = lambda force: (force / 1e10) ** (2 / 3)
+    end = give(weight * (width / 2 - rim) / (height + length))
+    lean = 2 * (clearance + end) / (height + length)
+    wanted = lean * (width - rim) + axial + give(weight)
+    np.testing.assert_allclose(sag, wanted, rtol=2e-3)

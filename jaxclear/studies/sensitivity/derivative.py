@@ -174,7 +174,9 @@ def confirmed(response: str, variable: str, estimates: dict[str, Estimate]) -> D
         return answer(np.nan, np.nan, "none", f"No method has an answer.{why}")
     if len(order) == 1:
         best = estimates[order[0]]
-        verdict = f"Unconfirmed: only {order[0]} has an answer.{why}"
+        vague = [n for n, e in estimates.items() if n != order[0] and np.isfinite(e.value)]
+        unsure = f"Unconfirmed: the error of {' and '.join(vague)} is too large to tell.{why}"
+        verdict = unsure if vague else f"Unconfirmed: only {order[0]} has an answer.{why}"
         return answer(best.value, best.error, order[0], verdict)
     middle, spread = _covering([estimates[name] for name in order])
     if spread <= STEPS * abs(middle):
