@@ -33,6 +33,7 @@ from jaxclear.simulation import spot_checks, wear_by_saves
 from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.looks import looked_at
 from jaxclear.simulation.referee import refereed
+from jaxclear.simulation.shadows import in_memory, kept_of_shadows, where_shadows_go_on
 from jaxclear.simulation.spot_checks import COARSE_ON, ON, Plan
 from jaxclear.simulation.step_lengths import with_few_enough_steps
 from jaxclear.simulation.tally import nothing_yet
@@ -179,30 +180,28 @@ def _in_one_kernel(
         done, left = scan(alone, begun, turns, kept, (LONG, True))
         return _at_last(settled, done), Left(*left), None
 
+    part = lambda carry: (carry.state, carry.warm_start, carry.outcome)
+    names = "state", "warm_start", "outcome"
+    but = lambda carry, part: carry._replace(**dict(zip(names, part, strict=True)))
+    shadow, unpacked = in_memory(part(begun[0]))
+
     def one(carry, row):
-        # Of a shadow no more is carried than the next one needs: a step's registers are few.
         now, shadow, pending = carry
-        span, is_own, follows = row
+        span, is_own, follows, followed = row
         now, pending = settled(now, pending, follows)
-        begin = now
-        if goes_on.any():
-            state, warm_start, outcome = _choose(
-                follows, shadow, (now.state, now.warm_start, now.outcome)
-            )
-            begin = now._replace(state=state, warm_start=warm_start, outcome=outcome)
+        of_begin = where_shadows_go_on(follows, shadow, unpacked, part(now))
+        begin = but(now, of_begin) if goes_on.any() else now
         end, left = turn(begin, span)
-        shadow = end.state, end.warm_start, now.outcome
-        parts = [(each.state, each.warm_start, each.outcome) for each in (end, now)]
-        state, warm_start, outcome = _choose(is_own, *parts)
-        after = end._replace(state=state, warm_start=warm_start, outcome=outcome)
-        return (after, shadow if goes_on.any() else (), pending), (*left, _end(end))
+        if goes_on.any():
+            shadow = kept_of_shadows(followed, shadow, (*part(end)[:2], now.outcome))
+        after = but(end, _choose(is_own, part(end), part(now)))
+        return (after, shadow, pending), (*left, _end(end))
 
     shadows = np.where(own, np.sum(~own), np.cumsum(~own) - 1)
     kept.append(Kept(shadows, np.sum(~own)))
-    first, unsettled = begun
-    shadow = (first.state, first.warm_start, first.outcome) if goes_on.any() else ()
-    carry, rows = (first, shadow, unsettled), (turns, own, goes_on)
-    (last, _, pending), (*left, ends) = scan(one, carry, rows, kept, (LONG, False, True))
+    followed = np.append(goes_on[1:], False)
+    carry, rows = (begun[0], shadow, begun[1]), (turns, own, goes_on, followed)
+    (last, _, pending), (*left, ends) = scan(one, carry, rows, kept, (LONG, True, True))
     return _at_last(settled, (last, pending)), Left(*left), ends
 
 
