@@ -5,11 +5,14 @@ what a gradient in reverse mode keeps.
 Ratios are medians over turns of one process, in which the programs follow each other: others load
 the machine. `--json benchmarks/results/slopes.json` keeps rows of earlier calls beside those
 measured now. The response is a sum of coordinates at the end: it costs nothing, so the ratio is the
-loop's. Rungs whose derivatives through contacts are refused are measured as well: what they cost is
-that of their loops. The friction of the antenna's joints is three zones for compliant rungs,
-Coulomb's for the others.
+loop's. Of `ImplicitStep` slopes of the motion are measured, and discrete ones. Where run and motion
+have parted those of the motion are nan and cost little: in the slider-crank from its first impact
+on. In the bouncing journal they are known to the end. Rungs whose derivatives through contacts are
+refused are measured as well: what they cost is that of their loops. The friction of the antenna's
+joints is three zones for compliant rungs, Coulomb's for the others.
 """
 
+import functools
 import json
 from collections.abc import Callable
 from typing import Any
@@ -30,16 +33,36 @@ RUNGS = {
     "FixedStep(2e-5)": jc.integrator.FixedStep(STEP),
     "FixedStep(2e-5, 'semi_implicit')": jc.integrator.FixedStep(STEP, "semi_implicit"),
     "ImplicitStep(1e-4)": jc.integrator.ImplicitStep(1e-4),
+    "ImplicitStep(1e-4), discrete": jc.integrator.ImplicitStep(1e-4),
+    "ImplicitStep(1e-4, rebound=1.0)": jc.integrator.ImplicitStep(1e-4, rebound=1.0),
     "NonColliding(1e-4)": jc.integrator.NonColliding(1e-4),
     "MoreauJean(1e-4)": jc.integrator.MoreauJean(1e-4),
     "Adaptive()": jc.integrator.Adaptive(),
     "FixedStep(steps_per_save=250)": jc.integrator.FixedStep(steps_per_save=250),
 }
+
+
+def bouncing() -> jc.Mechanism:
+    """A journal that bounces in its bearing without rubbing, some six times in a run: its slopes
+    are known to the end."""
+    contact = jc.contact.Flores(stiffness=1e9, restitution=0.8)
+    bearing = jc.clearance.PlanarJournalBearing(contact, clearance=1e-3)
+    return jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)},
+        {"B": jc.Connection(bearing, "ground", "journal")},
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+        speeds={"journal": (0.0, -0.05, 0.0)},
+    )
+
+
 SCENES = {
     "slider-crank": jc.scenes.slider_crank,
     "four-bar": jc.scenes.four_bar,
     "antenna": jc.scenes.antenna,
+    "bouncing journal": bouncing,
 }
+# Of these rungs the discrete derivative is measured.
+DISCRETE = ("ImplicitStep(1e-4), discrete",)
 # Rungs whose contacts are rigid.
 RIGID = (jc.integrator.NonColliding, jc.integrator.MoreauJean)
 SLOPES = (1, 2, 4, 16)
@@ -63,17 +86,18 @@ def problem(
     return jc.Problem(rig, end, variables, duration=duration, integrator=integrator, save=saves)
 
 
-def with_slopes(asked: jc.Problem, count: int | str) -> Callable[..., Any]:
+def with_slopes(asked: jc.Problem, count: int | str, discrete: bool) -> Callable[..., Any]:
     """(response, its slopes along `count` directions) by values; by values alone for 0; with its
     gradient for `REVERSE`."""
     value = np.asarray(asked.nominal())
     numbers, rest = eqx.partition(asked, eqx.is_array)
+    started = functools.partial(jc.Problem.started, discrete=discrete)
 
     def function(numbers, values):
         whole = eqx.combine(numbers, rest)
 
         def answer(v):
-            _, _, run = backwards(jc.Problem.started, whole.integrator, whole, v)
+            _, _, run = backwards(started, whole.integrator, whole, v)
             return whole.response["response"](run)
 
         if count == 0:
@@ -87,12 +111,14 @@ def with_slopes(asked: jc.Problem, count: int | str) -> Callable[..., Any]:
     return lambda values: (function, numbers, values)
 
 
-def compiled(asked: jc.Problem, count: int | str, batch: int) -> tuple[Any, float, tuple]:
+def compiled(
+    asked: jc.Problem, count: int | str, batch: int, discrete: bool = False
+) -> tuple[Any, float, tuple]:
     """(compiled program of the run with slopes, CPU seconds to compile it, what it is given)."""
     value = asked.nominal()
     spread = 1 + 1e-3 * np.random.default_rng(1).normal(size=(max(batch, 1), len(value)))
     values = value * jnp.asarray(spread) if batch else value
-    function, numbers, given = with_slopes(asked, count)(values)
+    function, numbers, given = with_slopes(asked, count, discrete)(values)
     each = jax.vmap(function, (None, 0)) if batch else function
     return *seconds_to_compile(each, numbers, given), (numbers, given)
 
@@ -103,7 +129,7 @@ def measured(
     """One row: ratios of run and compilation, alone (`batch` 0) or in a batch."""
     cases, compiling = {}, {}
     for count in (0, *counts):
-        program, compiling[count], given = compiled(asked, count, batch)
+        program, compiling[count], given = compiled(asked, count, batch, name in DISCRETE)
         cases[str(count)] = lambda p=program, g=given: p(*g)
     cpu, ratios, turns = by_turns(cases, "0", seconds)
     row: dict[str, Any] = {"scene": scene, "rung": name, "samples": max(batch, 1)}

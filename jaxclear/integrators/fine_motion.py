@@ -2,10 +2,10 @@ r"""Derivatives of steps that do not resolve contacts: those of the motion besid
 
 A step that damps a contact, or goes through it at once, cannot tell how a number moves what is
 behind: its own derivative converges slowly, or to nothing. But where runs are to be differentiated
-the motion itself can go beside the steps, in parts of these that are as short as contacts ask for,
-each taken apart at touches and releases (`mid_step`). Derivatives are those of that motion, at its
+the motion itself can go beside the steps, in parts of these that are as short as contacts ask for
+and end at touches and releases (`motion_parts`). Derivatives are those of that motion, at its
 places. How far the run has parted from it is known at every step: where that is too far the
-derivative is not the run's, and nan (`trust.beside`).
+derivative is not the run's, and nan (`trust.beside`); the motion goes no further then.
 
 The motion is a derivative of zeros, which a loop carries: so none of it is in a program of which no
 derivative is asked.
@@ -18,24 +18,18 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
-from jaxclear.ground.tangents import derived, moved, pushed
-from jaxclear.integrators import saltation
-from jaxclear.integrators.deepest import deepest as deeper_of
-from jaxclear.integrators.mid_step import Now, gone_on, judged, moves, taken_apart
-from jaxclear.integrators.trust import GROWTH, LOST
+from jaxclear.ground.tangents import derived, moved
+from jaxclear.integrators.checks import Check
+from jaxclear.integrators.mid_step import moves
+from jaxclear.integrators.motion_parts import followed
+from jaxclear.integrators.saltation import closed, motion_of
+from jaxclear.integrators.stepping import SLIVER
+from jaxclear.integrators.trust import GROWTH
 from jaxclear.multibody.reach import gaps_passed
-
-# A part of a step goes no further than by this angle of a contact's vibration [rad], and in it
-# friction brakes no more than this share of a slip.
-ANGLE, BRAKED = 0.02, 0.2
-# A step has no more parts.
-MOST_PARTS = 64.0
 
 
 class Beside(NamedTuple):
@@ -61,7 +55,7 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
     `plain(arrays, clock, y, last, met)`: the state at its end, what it leaves to the next, and (the
     largest rise of each indentation in a step, the largest indentation) until then. `arrays`: of
     the model, and of all else; `clock`: its start and length [s]; `rest`: of the model."""
-    motion = saltation.motion_of(formulation, rest)
+    motion = motion_of(formulation, rest)
 
     def remember(arrays, y, contacts, length):
         """Contacts that are apart forget their impact speeds; those that begin closed have one."""
@@ -117,67 +111,20 @@ def _parted(
     motion: Any, remember: Callable, here: tuple, ways: tuple, deeper: Any, beside: Beside
 ) -> tuple:
     """(state, its derivative, that of the largest indentations, what is known) behind a step from
-    `here` (arrays, clock, state), in parts."""
+    `here` (arrays, clock, state). Where run and motion have parted nothing goes on."""
     arrays, (time, whole), y = here
     way, (time_way, longer), state = ways
-    count, lost = _parts(motion, *here)
-    h = whole / count
-
-    def turn(carry):
-        i, y, state, growth, deepest = carry
-        at, times = time + i * h, (jnp.zeros(()), None)
-        if longer is not None:
-            times = moved(time_way) + i / count * longer, longer / count
-        contacts = motion.contacts(arrays, at, y)
-        y = remember(arrays, y, contacts, h)
-        begun = Now(arrays, at, y, h, contacts)
-        end = gone_on(motion, arrays, None, at, h, y)
-        apart = taken_apart(motion, begun, end, (way, times, state), growth, always=True)
-        growth = judged(motion, begun, jnp.ones(()), apart, apart.end)
-        later = times[0] if longer is None else times[0] + times[1]
-        ends = (at, y), (at + h, apart.end)
-        motions = begun.contacts, motion.contacts(arrays, *ends[1])
-        larger = lambda arrays, *now: deeper_of(motion.contacts, arrays, now[:2], motions, now[2])
-        ways = way, (times[0], state), (later, apart.way), deepest[1]
-        deepest = pushed(larger, (arrays, *ends, deepest[0]), ways)
-        return i + 1, apart.end, apart.way, growth, deepest
-
-    first = jnp.zeros((), int), y, state, beside.growth, (beside.deepest, deeper)
-    found = jax.lax.while_loop(lambda carry: carry[0] < count, turn, first)
-    _, y, state, growth, (deepest, deeper) = found
-    growth = growth.at[LOST].set(jnp.maximum(growth[LOST], lost))
-    return y, state, deeper, beside._replace(growth=growth, deepest=deepest)
-
-
-def _parts(motion: Any, arrays: Any, clock: tuple, y: Any) -> tuple[Any, Any]:
-    """Into how many equal parts a step is divided, and 1 where as many as there may be do not
-    follow the contacts, otherwise 0. They are looked at where the step begins and where it would
-    end without them."""
-    time, h = clock
-    apart = jnp.zeros_like(motion.contacts(arrays, time, y).depths)
-    ahead = y + h * motion.rates(arrays, apart, time, y)
-    n, m = motion.layout.coordinates, motion.layout.memory_start
-    entries = np.arange(motion.layout.size)
-    places, moves = entries < n, (entries >= n) & (entries < m)
-
-    def pace(carry):
-        i, (time, y), fastest = carry
-        acting = saltation.closed(motion.contacts(arrays, time, y))
-        pushes = jax.jvp(lambda own: motion.rates(arrays, own, time, y), (apart,), (acting,))[1]
-        along = lambda way: jax.jvp(lambda y: motion.rates(arrays, acting, time, y), (y,), (way,))
-        resisted = along(jnp.where(moves, pushes, 0.0))[1]
-        returned = along(jnp.where(places, resisted, 0.0))[1]
-        size = lambda way: safe_sqrt(jnp.sum(jnp.where(moves, way * way, 0.0)))
-        damped = safe_divide(size(resisted), size(pushes))
-        vibrating = safe_sqrt(safe_divide(size(returned), size(pushes)))
-        wanted = jnp.maximum(vibrating / ANGLE, damped / BRAKED)
-        pace = jnp.stack([wanted, jnp.maximum(vibrating, 0.5 * damped)])
-        return i + 1, (time + h, ahead), jnp.maximum(fastest, pace)
-
-    ends = (time, y), (time + h, ahead)
-    near = jnp.max(jnp.stack([motion.contacts(arrays, *now).depths for now in ends])) >= 0
-    first = jnp.zeros((), int), ends[0], jnp.zeros(2)
-    looks = jnp.where(near, len(ends), 0)
-    fastest = jax.lax.while_loop(lambda carry: carry[0] < looks, pace, first)[2]
-    parts = jnp.clip(jnp.ceil(h * fastest[0]), 1.0, MOST_PARTS)
-    return parts, jnp.where(h * fastest[1] > parts, 1.0, 0.0)
+    moving = longer is not None
+    rates = lambda at, y: motion.rates(arrays, closed(motion.contacts(arrays, at, y)), at, y)
+    if moving:
+        state = state - moved(time_way) * rates(time, y)
+    aware = lambda y, contacts: remember(arrays, y, contacts, whole)
+    together = beside.parted <= Check.PLACE_IN_GAP.limit
+    known = together, y, beside.growth, (beside.deepest, deeper)
+    part = followed(motion, aware, (arrays, time, whole), (way, state), known)
+    y, state, (largest, deeper) = part.y, part.way, part.deepest
+    if moving:
+        state = state + (moved(time_way) + longer) * rates(time + whole, y)
+    ended = part.done >= whole * (1 - SLIVER)
+    parted = jnp.where(ended, beside.parted, jnp.inf)
+    return y, state, deeper, beside._replace(growth=part.growth, deepest=largest, parted=parted)

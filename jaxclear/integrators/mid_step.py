@@ -129,11 +129,9 @@ class Apart(NamedTuple):
     changed: Any
 
 
-def taken_apart(
-    motion: Any, begun: Now, end: Any, ways: tuple, growth: Array, always: bool = False
-) -> Apart:
-    """A step in which a contact is closed at either end (`always`: any), at whose end the state
-    is about `end`. `ways`: derivatives of arrays, of (time, length), and of the state."""
+def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, growth: Array) -> Apart:
+    """A step in which a contact is closed at either end, at whose end the state is about `end`.
+    `ways`: derivatives of arrays, of (time, length), and of the state."""
     way, (time_way, longer), state = ways
     time, h = begun.time, begun.length
     before = saltation.closed(begun.contacts)
@@ -142,7 +140,7 @@ def taken_apart(
     path = (begun.contacts.depths, contacts.depths, h * begun.contacts.rates, h * contacts.rates)
     changed = before != after
     shares = passage(constant(path), 0.0, jnp.ones_like(before), jnp.any(changed))
-    wanted = jnp.any(changed | (before > 0)) | always
+    wanted = jnp.any(changed | (before > 0))
     turns = jnp.where(wanted, jnp.sum(changed.astype(int)) + 1, 0)
     if longer is not None:
         state = state - moved(time_way) * motion.rates(begun.arrays, before, time, begun.state)
@@ -161,7 +159,9 @@ def taken_apart(
         y, state = pushed(go, (begun.arrays, at, y), (way, shift, state))
         at = time + until * h
         state = state - shift * motion.rates(begun.arrays, acting, at, y)
-        y, state, growth, later = _passed(motion, begun, (way, state), at, y, (acting, hit), growth)
+        y, state, growth, later = passed_within(
+            motion, begun, (way, state), at, y, (acting, hit), growth
+        )
         acting = jnp.where(hit, after, acting)
         return i + 1, until + later / h, y, state, acting, growth
 
@@ -192,7 +192,9 @@ def judged(motion: Any, begun: Now, gap: Any, apart: Apart, end: Any) -> Array:
     return jnp.stack([met, first, most, lost, error, rise, largest])
 
 
-def _passed(motion: Any, begun: Now, ways: tuple, at: Any, y: Any, acts: tuple, growth: Array):
+def passed_within(
+    motion: Any, begun: Now, ways: tuple, at: Any, y: Any, acts: tuple, growth: Array
+):
     """(state, its derivative, growth, by how much later [s]) behind what is `hit` at a time."""
     (way, state), (acting, hit) = ways, acts
     flow = motion.rates(begun.arrays, acting, at, y)

@@ -1,0 +1,222 @@
+r"""The motion and its derivative over a time, in parts that resolve contacts.
+
+In flight a part goes on to the end; in contact by a share of its vibration, and of the time in
+which friction stops a slip. Parts end where contacts touch and part: one that would pass such an
+instant is taken again, as long as Hermite's cubic says, and on until it ends there. Derivatives are
+taken at times that move with touches (`saltation`), so that no part of a derivative is that of a
+step across one.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage, summit
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.quantity import Scalar
+from jaxclear.ground.tangents import pushed, where_wanted
+from jaxclear.integrators import saltation
+from jaxclear.integrators.deepest import deepest
+from jaxclear.integrators.mid_step import Apart, Now, gone_on, judged, passed_within
+from jaxclear.integrators.stepping import SLIVER
+
+# A part in contact goes no further than by this angle of the contact's vibration [rad], and in it
+# friction brakes no more than this share of a slip.
+ANGLE, BRAKED = 0.05, 0.5
+# Near a touch or release stiffness and dampers change fast: a part goes no further than as deep
+# again, where a contact opens by no more than this share of what is left of it; by `EARLY` of the
+# usual length at the least.
+PARTING, EARLY = 0.1, 0.125
+# A time is divided into no more parts of contact, and they are followed no further: by so large an
+# angle of a vibration in one [rad].
+MOST_PARTS, WIDEST = 64.0, 1.0
+# So many parts are gone through at the most, those that were too long included.
+MOST_TURNS = 128
+# A part ends at a touch where it does to within this share of the whole time.
+AT_TOUCH = 1e-3
+
+
+class Part(NamedTuple):
+    """Where a motion is: what is `done` of the time [s] in so many `turns`, the state, its
+    derivative (`way`), the `growth` of derivatives (`trust`), (the largest indentations, their
+    derivatives), and how long the next part may be [s] so that the contacts that are `due` touch
+    or part at its end. nan is done where parts are too long for a contact."""
+
+    done: Scalar
+    turns: Any
+    y: Any
+    way: Any
+    growth: Array
+    deepest: tuple[Any, Any]
+    limit: Scalar
+    due: Any
+
+
+class _Gone(NamedTuple):
+    """A part gone through: where it began, its contacts that acted, the state at its end and its
+    derivative, the contacts there."""
+
+    begun: Now
+    acting: Any
+    end: Any
+    way: Any
+    contacts: ContactMotion
+
+
+def followed(motion: Any, remember: Callable, clock: tuple, ways: tuple, known: tuple) -> Part:
+    """A motion over a time, where it is `wanted`. `remember(state, contacts)`: the state as it
+    knows its impact speeds. `clock`: (arrays, start [s], length [s]), `ways`: the derivatives of
+    the arrays and of the state, at times that do not move; `known`: (wanted, the state, the growth,
+    (the largest indentations, their derivatives))."""
+    (_, _, whole), (way, state), (wanted, y, growth, largest) = clock, ways, known
+    nothing = jnp.zeros(())
+    first = Part(
+        done=nothing,
+        turns=jnp.zeros((), int),
+        y=y,
+        way=state,
+        growth=growth,
+        deepest=largest,
+        limit=jnp.asarray(jnp.inf),
+        due=jnp.zeros_like(largest[0]),
+    )
+    most = jnp.where(wanted, MOST_TURNS, 0)
+
+    def left(part):
+        return (part.done < whole * (1 - SLIVER)) & (part.turns < most)
+
+    return jax.lax.while_loop(
+        left, lambda part: _further(motion, remember, clock, way, part), first
+    )
+
+
+def _further(motion: Any, remember: Callable, clock: tuple, way: Any, part: Part) -> Part:
+    """A part further, or how long it may be."""
+    arrays, start, whole = clock
+    time = start + part.done
+    contacts = motion.contacts(arrays, time, part.y)
+    y, acting = remember(part.y, contacts), saltation.closed(contacts)
+    left = whole - part.done
+    begun = Now(arrays, time, y, left, contacts)
+    resolved, lost = _resolved(motion, begun, acting, (whole, left))
+    resolved = jnp.where(jnp.any(acting > 0), resolved, left)
+    length = jnp.minimum(jnp.minimum(resolved, part.limit), left)
+    gone = _through(motion, begun._replace(length=length), acting, (way, part.way))
+    landing = jnp.any(part.due > 0)
+    after, crossed, share = gone.contacts, *_crossed(gone)
+    hit = landing & ((part.due > 0) | (saltation.closed(after) != acting))
+    late = jnp.where(hit, -safe_divide(after.depths, after.rates), -jnp.inf)
+    late = jnp.where(landing, jnp.max(late), (share - 1) * length)
+    there = jnp.where(landing, abs(late) <= AT_TOUCH * whole, ~jnp.any(crossed))
+    fine = _at_end(motion, gone, whole, way, (hit, part))
+    fine = fine._replace(done=jnp.where(length < left, part.done + length, whole) + fine.done)
+    # What would pass the end after all touches no more.
+    again = (late + length < left) & (length > 0)
+    due = jnp.where(landing, part.due, jnp.where(crossed, 1.0, 0.0))
+    short = part._replace(
+        limit=jnp.where(again, late + length, jnp.inf), due=jnp.where(again, due, 0.0)
+    )
+    found = jax.tree.map(lambda a, b: jnp.where(there, a, b), fine, short)
+    done = jnp.where(lost, jnp.nan, found.done)
+    return found._replace(done=done, turns=part.turns + 1)
+
+
+def _through(motion: Any, begun: Now, acting: Any, ways: tuple) -> _Gone:
+    """A part in which the contacts act that did at its start."""
+    arrays, time, y, length, contacts = begun
+    way, state = ways
+    step = saltation.Step(arrays, contacts, length, acting)
+    ways = (way, None, None), (jnp.zeros(()), state), ()
+    state, _, shift = saltation.at_moving_time(motion, (step, (time, y), ()), ways)
+    go = lambda arrays, time, y: gone_on(motion, arrays, acting, time, length, y)
+    end, state = pushed(go, (arrays, time, y), (way, shift, state))
+    back = lambda state: state - shift * motion.rates(arrays, acting, time + length, end)
+    state = where_wanted(jnp.any(acting > 0), back, state)
+    return _Gone(begun, acting, end, state, motion.contacts(arrays, time + length, end))
+
+
+def _crossed(gone: _Gone) -> tuple[Any, Any]:
+    """Which contacts touch or part within a part, and at which share of it the first does."""
+    begun, after, length = gone.begun, gone.contacts, gone.begun.length
+    outwards = jnp.where(gone.acting > 0, -1.0, 1.0)
+    depths = begun.contacts.depths, after.depths
+    path: tuple = *depths, length * begun.contacts.rates, length * after.rates
+    path = (*(outwards * each for each in path),)
+    top = summit(path)
+    highest = cubic(path, top)[0]
+    last = jnp.where(highest > path[1], top, 1.0)
+    highest = jnp.maximum(highest, path[1])
+    crossed = (highest > 0) | ((highest >= 0) & (gone.acting <= 0))
+    shares = passage(path, 0.0, last, jnp.any(crossed))
+    share = jnp.min(jnp.where(crossed, shares, 1.0))
+    return crossed & (shares <= share), share
+
+
+def _at_end(motion: Any, gone: _Gone, whole: Any, way: Any, known: tuple) -> Part:
+    """Behind the end of a part, at which contacts are `hit`; `done` is by how much later [s]."""
+    (begun, acting, end, state, after), (hit, part) = gone, known
+    later = begun.time + begun.length
+    released = jnp.where(hit & (acting > 0), -abs(after.depths), after.depths)
+    judging = after._replace(depths=released)
+    apart = Apart(True, end, state, part.growth, acting, judging, jnp.zeros((), bool))
+    growth = judged(motion, begun, jnp.ones(()), apart, end)
+    ends, motions = ((begun.time, begun.state), (later, end)), (begun.contacts, after)
+    larger = lambda arrays, *now: deepest(motion.contacts, arrays, now[:2], motions, now[2])
+    ways = way, (jnp.zeros(()), part.way), (jnp.zeros(()), state), part.deepest[1]
+    largest = pushed(larger, (begun.arrays, *ends, part.deepest[0]), ways)
+
+    def behind(known):
+        state, y, growth, _ = known
+        at = begun._replace(length=whole)
+        y, state, growth, late = passed_within(
+            motion, at, (way, state), later, y, (acting, hit), growth
+        )
+        return state, y, growth, late
+
+    known = state, end, growth, jnp.zeros(())
+    state, y, growth, late = where_wanted(jnp.any(hit), behind, known)
+    none = jnp.zeros_like(acting)
+    return Part(late, part.turns, y, state, growth, largest, jnp.asarray(jnp.inf), none)
+
+
+def _resolved(motion: Any, begun: Now, acting: Any, clock: tuple) -> tuple[Any, Any]:
+    """How long a part may be [s], and whether its contacts cannot be followed; `clock`: the whole
+    time, and what is left of it [s]. Contacts are looked at where it begins; those that have closed
+    just now also where the time would end without them."""
+    arrays, time, y, _, (depths, rates) = begun
+    whole, left = clock
+    apart = jnp.zeros_like(acting)
+    n, m = motion.layout.coordinates, motion.layout.memory_start
+    entries = np.arange(motion.layout.size)
+    places, moves = entries < n, (entries >= n) & (entries < m)
+
+    def look(carry):
+        i, (time, y), fastest = carry
+        acting = saltation.closed(motion.contacts(arrays, time, y))
+        pushes = jax.jvp(lambda own: motion.rates(arrays, own, time, y), (apart,), (acting,))[1]
+        along = lambda way: jax.jvp(lambda y: motion.rates(arrays, acting, time, y), (y,), (way,))
+        resisted = along(jnp.where(moves, pushes, 0.0))[1]
+        returned = along(jnp.where(places, resisted, 0.0))[1]
+        size = lambda way: safe_sqrt(jnp.sum(jnp.where(moves, way * way, 0.0)))
+        damped = safe_divide(size(resisted), size(pushes))
+        vibrating = safe_sqrt(safe_divide(size(returned), size(pushes)))
+        wanted = jnp.maximum(vibrating / ANGLE, damped / BRAKED)
+        pace = jnp.stack([wanted, jnp.maximum(vibrating, 0.5 * damped)])
+        ahead = y + left * motion.rates(arrays, apart, time, y)
+        return i + 1, (time + left, ahead), jnp.maximum(fastest, pace)
+
+    deepens = (acting > 0) & (rates > 0)
+    new = jnp.any(deepens & (depths < left * EARLY * rates))
+    looks = jnp.where(jnp.any(acting > 0), jnp.where(new, 2, 1), 0)
+    first = jnp.zeros((), int), (time, y), jnp.zeros(2)
+    fastest = jax.lax.while_loop(lambda carry: carry[0] < looks, look, first)[2]
+    longest = 1 / jnp.maximum(fastest[0], EARLY / whole)
+    share = jnp.where(deepens, 1.0, PARTING)
+    ways = jnp.where(acting > 0, safe_divide(share * depths, abs(rates)), jnp.inf)
+    length = jnp.clip(jnp.min(ways), EARLY * longest, longest)
+    shortest = whole / MOST_PARTS
+    return jnp.maximum(length, shortest), shortest * fastest[1] > WIDEST
