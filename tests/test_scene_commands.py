@@ -164,6 +164,8 @@ def test_a_run_of_a_scene_is_kept_and_reported(here, capsys):
     table = pandas.read_csv(here / "first" / "joints.csv")
     mean = float(jc.response.MeanContactForce("pin")(again))
     np.testing.assert_allclose(table["mean normal force [N]"], mean)
+    peak = float(jc.response.PeakContactForce("pin")(again))
+    np.testing.assert_allclose(table["peak normal force of a contact [N]"], peak)
     main(["report", "first"])
     page = checked_page(here / "first" / "report.html")
     assert "The run reached its end." in page and "jaxclear_scene: 1" in page

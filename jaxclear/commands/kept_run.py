@@ -80,7 +80,7 @@ def joint_table(run: jc.Trajectory) -> pandas.DataFrame:
         row = {
             "joint": name,
             "mean normal force [N]": float(jc.response.MeanContactForce(name)(run)),
-            "peak normal force [N]": float(jc.response.PeakContactForce(name)(run)),
+            "peak normal force of a contact [N]": float(jc.response.PeakContactForce(name)(run)),
             "share of saves in contact [1]": (force > 0).mean(),
             "largest indentation [um]": 1e6 * float(np.asarray(contact.indentation).max()),
         }
