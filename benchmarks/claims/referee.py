@@ -49,9 +49,10 @@ IN_DOUBT: dict[str, tuple[Callable[[], Any], Any, float]] = {
 QUICK = ("slider-crank, FixedStep", "ideal slider-crank, Adaptive")
 # As `simulate` and `Problem` save.
 SAVES, STUDY_SAVES, BATCH = 501, 201, 64
-# The least of so many runs counts: of twenty, on a machine with other work on it, the ratio of runs
-# of 2 ms is off by a tenth.
-REPEATS = 300
+# The least of as many runs counts as take so many CPU seconds, with checks and without: of twenty
+# runs of 2 ms, on a machine with other work on it, their ratio is off by a tenth, and so it is of
+# nine batches.
+ENOUGH, REPEATS = 2.0, 300
 # Sample k starts with speeds of 1 + k SPREAD of the nominal ones: no two have the same motion.
 SPREAD = 1e-6
 
@@ -99,12 +100,16 @@ def program(case: str, saves: int, batch: int | None) -> Callable[[], Any]:
     return call
 
 
-def row(case: str, saves: int, batch: int | None, repeats: int) -> dict[str, Any]:
-    """Milliseconds of CPU a run with and without its checks."""
+def row(case: str, saves: int, batch: int | None, repeats: int | None) -> dict[str, Any]:
+    """Milliseconds of CPU a run with and without its checks; the least of so many `repeats`, or
+    (None) of `ENOUGH` seconds."""
     checked = program(case, saves, batch)
     with unchecked():
         bare = program(case, saves, batch)
     np.testing.assert_array_equal(checked().states, bare().states)
+    if repeats is None:
+        once = side_by_side({"without": bare}, 3)["without"][1]
+        repeats = int(0.5 * ENOUGH / once)
     spent = side_by_side({"with": checked, "without": bare}, repeats)
     share = 1e3 / (batch or 1)
     return {
@@ -153,8 +158,8 @@ def main() -> None:
     options = arguments(__doc__)
     rows = []
     for case in QUICK if options.quick else CASES:
-        rows.append(row(case, SAVES, None, 5 if options.quick else REPEATS))
-        rows.append(row(case, STUDY_SAVES, BATCH, 2 if options.quick else REPEATS // BATCH + 5))
+        rows.append(row(case, SAVES, None, 5 if options.quick else None))
+        rows.append(row(case, STUDY_SAVES, BATCH, 2 if options.quick else None))
     report("CPU time of a run with its checks and without", rows, options)
     doubted = [second_look_row(case, 3 if options.quick else REPEATS // 5) for case in IN_DOUBT]
     report("CPU time of a run in doubt", doubted, options)
