@@ -31,10 +31,10 @@ ROUNDING = 1e-9
 QUICK = ("implicit", "adaptive")
 
 
-def told(rung, saves=jc.Saving(7)):
+def told(rung, saves=jc.Saving(7), scene=jc.scenes.slider_crank):
     """States at the saving times, figures and events of a run, and its kernels."""
     integrator, built, build = RUNGS[rung], [], kernel.build
-    rig = integrator.formulation.seen(jc.scenes.slider_crank())
+    rig = integrator.formulation.seen(scene())
     times = saving_times(0.02, saves.at)
 
     def whole():
@@ -72,6 +72,27 @@ def test_a_run_is_one_kernel_and_keeps_its_numbers(rung, monkeypatch):
         assert one.shape == other.shape
         allowed = ROUNDING * (1e-9 + np.max(np.abs(other), initial=0.0))
         np.testing.assert_allclose(one, other, rtol=ROUNDING, atol=allowed)
+
+
+def pressed_journal():
+    """It falls on its bearing and bounces."""
+    bearing = jc.clearance.PlanarJournalBearing(jc.contact.Flores(), clearance=2e-5)
+    load = jc.load.Force(jc.Marker("journal"), (0.0, -500.0))
+    joints = {"B": jc.Connection(bearing, "ground", "journal")}
+    return jc.Mechanism({"journal": jc.Body(1.0, 1e-3)}, joints, {"load": load})
+
+
+def test_what_fills_its_saving_interval_goes_on_from_the_runs_own_turn(monkeypatch):
+    """Forces at the end of the run's own turn, beside those behind finer steps, are as they are
+    where windows are gone through after the run."""
+    saving = jc.Saving(jnp.linspace(0.0, 0.02, 101))
+    assert simulation.spot_checks.plan(saving.at, RUNGS["fixed"].usual_step).whole
+    (_, found, *_), _ = told("fixed", saving, pressed_journal)
+    monkeypatch.setattr(simulation, "_whole", lambda *_: False)
+    (_, wanted, *_), _ = told("fixed", saving, pressed_journal)
+    assert Check.HALVED_FORCES.name in wanted
+    for name, figure in wanted.items():
+        np.testing.assert_allclose(found[name], figure, rtol=1e-6, atol=1e-6, err_msg=name)
 
 
 @pytest.mark.slow
