@@ -33,8 +33,6 @@ def _cond(writer, equation, which, *arguments):
 @rule("scan", reads_memory=True)
 def _scan(writer, equation, *arguments):
     p = equation.params
-    if p["length"] > LONGEST_WRITTEN_OUT:
-        raise Unsupported("a long scan inside the loop")
     constants, carried = scan_counts(p)
     fixed, carry, rows = (
         arguments[:constants],
@@ -42,13 +40,13 @@ def _scan(writer, equation, *arguments):
         arguments[constants + carried :],
     )
     refuse_memory(*carry, *rows)
-    if (
-        p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT
-        and len(equation.outvars) == carried
-        and not p["reverse"]
-    ):
+    long = p["length"] > LONGEST_WRITTEN_OUT
+    as_a_loop = len(equation.outvars) == carried and not p["reverse"] and not (long and rows)
+    if as_a_loop and (long or p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT):
         kinds = [kind_of(a.dtype) for a in p["jaxpr"].in_avals]
         return _counted_loop(writer, p["jaxpr"], fixed, carry, rows, p["length"], kinds)
+    if long:
+        raise Unsupported("a long scan inside the loop")
     collected: list[list] = []
     turns = range(p["length"])
     for turn in reversed(turns) if p["reverse"] else turns:

@@ -17,7 +17,7 @@ FLOAT, WHOLE, TRUTH = "double", "i64", "i1"
 # elsewhere.
 STOP_FLAG = "STOP_FLAG"
 # Beyond this many instructions XLA's loops over arrays are the better program.
-MOST_INSTRUCTIONS = 60_000
+MOST_INSTRUCTIONS = 120_000
 # More turns than any loop takes.
 ENDLESS = 2**62
 # An array longer than this stays in memory and is read by index; shorter ones live in registers.

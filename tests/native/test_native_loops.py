@@ -91,6 +91,9 @@ STEPS = {
     "short scans": lambda x: jax.lax.scan(
         lambda c, a: (c * 0.5 + a, c.sum()), x, np.array([0.1, 0.2])
     )[0],
+    "many turns": lambda x: jax.lax.scan(
+        lambda c, _: (0.5 * c + 0.1 * jnp.sin(c[::-1]), None), x, length=30
+    )[0],
     "loops inside": lambda x: (
         0.1 * x + jax.lax.while_loop(lambda s: s[0] < 3.0, lambda s: jnp.abs(s) * 1.3 + 0.2, x)
     ),
