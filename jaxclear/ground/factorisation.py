@@ -14,6 +14,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import jax.scipy.linalg as jsl
+import numpy as np
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import OFF_THE_TIES
@@ -130,8 +131,5 @@ def to_array(rows: Rows) -> jnp.ndarray:
     if not places:
         return jnp.zeros(shape)
     i, j = zip(*places, strict=True)
-    return (
-        jnp.zeros(shape)
-        .at[jnp.array(i), jnp.array(j)]
-        .set(sp.stack([rows[a][b] for a, b in places]))
-    )
+    entries = sp.stack([rows[a][b] for a, b in places])
+    return jnp.zeros(shape).at[np.array(i), np.array(j)].set(entries, unique_indices=True)
