@@ -126,14 +126,17 @@ def test_slopes_through_the_one_kernel_are_those_by_saving_interval(rung, monkey
     def states(mass):
         other = eqx.tree_at(lambda m: m.bodies["rod"].mass, rig, mass)
         start = assemble_arrays(other)
-        return simulation.run(other, start.coordinates, start.speeds, times, integrator).states
+        at = other, start.coordinates, start.speeds, times, integrator
+        return simulation.run(*at, simulation.Extras(discrete=True)).states
 
     slopes = lambda: jax.jit(jax.jacfwd(states))(jnp.asarray(0.2))
     found = slopes()
     monkeypatch.setattr(simulation, "_whole", lambda *_: False)
     wanted = slopes()
-    assert np.all(np.isfinite(found)) and np.max(np.abs(found)) > 0
-    np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9 * np.max(np.abs(wanted)))
+    # From where impacts decide them, derivatives of rigid contact are nan.
+    assert np.all(np.isfinite(found[1])) and np.max(np.abs(found[1])) > 0
+    assert rung == "Moreau-Jean" or np.all(np.isfinite(found))
+    np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9 * np.nanmax(np.abs(wanted)))
 
 
 def worn(rung, mass):
@@ -143,7 +146,8 @@ def worn(rung, mass):
     other = integrator.formulation.seen(eqx.tree_at(lambda m: m.bodies["rod"].mass, rig, mass))
     start = assemble_arrays(other)
     times = saving_times(0.01, 7)
-    run = simulation.run(other, start.coordinates, start.speeds, times, integrator)
+    at = other, start.coordinates, start.speeds, times, integrator
+    run = simulation.run(*at, simulation.Extras(discrete=True))
     return run.states, run.worn
 
 
@@ -162,7 +166,9 @@ def test_surfaces_wear_within_the_one_kernel(rung, monkeypatch):
         alone = lambda mass: worn(rung, mass)
         slopes = jax.jit(jax.vmap(jax.jacfwd(lambda m: alone(m[0] + m[1]))))
         pairs = jnp.stack([masses, jnp.zeros(3)], axis=1)
-        return jax.jit(alone)(masses[0]), jax.jit(jax.vmap(alone))(masses), slopes(pairs)
+        values = jax.jit(alone)(masses[0]), jax.jit(jax.vmap(alone))(masses)
+        # Of rigid contact that wears they are refused.
+        return values if rung == "Moreau-Jean" else (*values, slopes(pairs))
 
     found = told()
     # Turns of six saving intervals and of a window (without forces at its end where they are
