@@ -19,7 +19,7 @@ if _SETS_ASIDE:
 
 # An option of XLA's CPU compiler, read when JAX first computes: loops over a state of up to 100 MB
 # (instead of 1 kB) become one kernel, where otherwise every operation of the body is dispatched by
-# itself. Steps of the four-bar are at least 7 times faster (benchmarks/claims/loops.py). Other
+# itself. Steps of the four-bar that XLA ran were at least 7 times faster by it. Other
 # xla_backend_extra_options, set by a user, are left alone; JAXCLEAR_PLAIN_XLA=1 switches it off.
 # (Its neighbour xla_cpu_use_multi_output_fusion is faster still, but aborts the process on some
 # differentiated programs of jaxlib 0.10.2 and never ends compiling others.)

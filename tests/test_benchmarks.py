@@ -71,23 +71,26 @@ def test_engine_agrees_with_both_hand_written_programs():
     assert max(differences.values()) < 1e-9, differences
 
 
-MEASURED = re.compile(r"```\{measured\} (\w+)(?: ([^\n]*))?\n")
+MEASURED = re.compile(r"```\{measured\} (\w+)(?: ([^\n]*))?\n(?::columns: ([^\n]*)\n)?")
 
 
-def shown() -> list[tuple[str, str, str]]:
-    """(page, file, beginning of a title) of every table that the book shows."""
+def shown() -> list[tuple[str, str, str, str]]:
+    """(page, file, beginning of a title, columns) of every table that the book shows."""
     return [
-        (page.name, name, title)
+        (page.name, *found)
         for page in sorted(BOOK.rglob("*.md"))
-        for name, title in MEASURED.findall(page.read_text())
+        for found in MEASURED.findall(page.read_text())
     ]
 
 
-@pytest.mark.parametrize(("page", "name", "title"), shown())
-def test_tables_of_the_book_are_in_the_files_of_results(page, name, title):
+@pytest.mark.parametrize(("page", "name", "title", "columns"), shown())
+def test_tables_of_the_book_are_in_the_files_of_results(page, name, title, columns):
     document = json.loads((RESULTS / f"{name}.json").read_text())
     assert set(document.pop("about")) - {"parts"} == {"command", "machine", "date"}
-    assert [rows for found, rows in document.items() if found.startswith(title)], page
+    tables = [rows for found, rows in document.items() if found.startswith(title)]
+    assert tables, page
+    wanted = {column.strip() for column in columns.split(";") if column}
+    assert all(wanted <= set(rows[0]) for rows in tables), page
 
 
 def refused(word):

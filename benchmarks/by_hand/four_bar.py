@@ -1,10 +1,10 @@
 """The four-bar with a spatial clearance joint, written by hand for JAX and for numba: the mark that
 jaxclear is measured against.
 
-Same mechanism, coordinates and laws as `four_bar_variants.build(FULL)`; simplified by hand: crank
-and coupler in the plane, the follower by its quaternion, gradients of the indentation worked out on
-paper. The kinematics are one source for both back-ends; the contact law has a branch-free form for
-JAX and one with branches for numba, which is what each does best.
+Same mechanism, coordinates and laws as `four_bar_variants.build(RUBBING)`; simplified by hand:
+crank and coupler in the plane, the follower by its quaternion, gradients of the indentation worked
+out on paper. The kinematics are one source for both back-ends; the contact law has a branch-free
+form for JAX and one with branches for numba, which is what each does best.
 """
 
 import math
@@ -22,12 +22,12 @@ SWING_INERTIA = FOLLOWER_MASS * FOLLOWER**2 / 3
 HALF_FOLLOWER = 0.5 * FOLLOWER * FOLLOWER_MASS
 HALF_COUPLER = 0.5 * COUPLER * COUPLER_MASS
 SLIP_ROUNDING = 1e-14
+# Entries of the state.
+STATE = 11
 
 
 class Parameters(NamedTuple):
-    """Numbers of the joint at B, SI units; `wear` is acceleration times k / H, `damping` the factor
-    d of the contact law.
-    """
+    """Numbers of the joint at B, SI units; `damping` is the factor d of the contact law."""
 
     clearance: Any
     radius: Any
@@ -39,7 +39,6 @@ class Parameters(NamedTuple):
     mu_kinetic: Any
     static_speed: Any
     kinetic_speed: Any
-    wear: Any
 
 
 def parameters(system: Any) -> Parameters:
@@ -50,34 +49,22 @@ def parameters(system: Any) -> Parameters:
         bearing.contact_laws[0].contact,
         bearing.contact_laws[0].friction,
     )
-    wearing = joint.bearing_wear
     return Parameters(
         joint.clearance,
         joint.bearing_radius,
         joint.length,
         contact.stiffness,
         0.75 * (1 - contact.restitution**2),
-        contact.slowest_impact,
+        contact.memory.slowest_impact,
         friction.mu_static,
         friction.mu_kinetic,
         friction.static_speed,
         friction.kinetic_speed,
-        wearing.acceleration * wearing.law.wear_coefficient / wearing.law.hardness,
     )
 
 
 def jax_laws():
-    """(square root, sine, cosine, worn depth and slope, indentation's law) without branches."""
-
-    def worn(table, x, y):
-        around = table.shape[0]
-        position = jnp.arctan2(y, x) * (around / (2 * math.pi)) - 0.5
-        nearest = jnp.round(position)
-        f = position - nearest
-        row = table[nearest.astype(int) % around]
-        return row[0] + f * (row[1] + f * row[2]), (row[1] + 2 * f * row[2]) * (
-            around / (2 * math.pi)
-        )
+    """(square root, sine, cosine, normal force, coefficient of friction) without branches."""
 
     def normal(p, delta, rate, memory):
         open_ = delta <= 0
@@ -93,27 +80,11 @@ def jax_laws():
             0.5 - 0.5 * jnp.cos(math.pi * share)
         )
 
-    def share(here, opposite):
-        below = here + jnp.maximum(-opposite, 0.0)
-        return jnp.where(below != 0, here / jnp.where(below != 0, below, 1.0), 0.0)
-
-    return jnp.sqrt, jnp.sin, jnp.cos, worn, normal, friction, share
+    return jnp.sqrt, jnp.sin, jnp.cos, normal, friction
 
 
 def numba_laws():
     """The same with branches: what does not touch costs nothing."""
-
-    @numba.njit(inline="always")
-    def worn(table, x, y):
-        around = table.shape[0]
-        position = math.atan2(y, x) * (around / (2 * math.pi)) - 0.5
-        nearest = np.rint(position)
-        f = position - nearest
-        i = int(nearest) % around
-        return (
-            table[i, 0] + f * (table[i, 1] + f * table[i, 2]),
-            (table[i, 1] + 2 * f * table[i, 2]) * (around / (2 * math.pi)),
-        )
 
     @numba.njit(inline="always")
     def normal(p, delta, rate, memory):
@@ -134,33 +105,25 @@ def numba_laws():
         share = (speed - p.static_speed) / (p.kinetic_speed - p.static_speed)
         return p.mu_static + (p.mu_kinetic - p.mu_static) * (0.5 - 0.5 * math.cos(math.pi * share))
 
-    @numba.njit(inline="always")
-    def share(here, opposite):
-        below = here + max(-opposite, 0.0)
-        return here / below if below != 0 else 0.0
-
-    return math.sqrt, math.sin, math.cos, worn, normal, friction, share
+    return math.sqrt, math.sin, math.cos, normal, friction
 
 
 def make_rate(laws: tuple, compiled: Any):
-    """rate(time, state as 19 scalars, parameters, two worn tables) -> 19 scalars."""
-    sqrt, sin, cos, worn, normal_law, friction_law, share_of = laws
+    """rate(time, state as 11 scalars, parameters) -> 11 scalars."""
+    sqrt, sin, cos, normal_law, friction_law = laws
 
     @compiled
-    def end(p, table, z, u, a, s, velocity, spin, turning, memory, other):
-        """One end of the bearing: force and torque on the journal, and the rates of what is
-        remembered and worn.
-        """
+    def end(p, z, u, a, s, velocity, spin, turning, memory):
+        """One end of the bearing: force and torque on the journal."""
         rise = z - u[2]
         cx, cy = u[0] + rise * s[0], u[1] + rise * s[1]
         r = sqrt(cx * cx + cy * cy)
         nx, ny = cx / r, cy / r
         lean = s[0] * nx + s[1] * ny
-        depth, slope = worn(table, nx, ny)
         bend = (p.radius - p.clearance) * lean
-        delta = r - p.clearance + 0.5 * bend * lean - depth
-        gx = nx + (bend * (s[0] - lean * nx) + slope * ny) / r
-        gy = ny + (bend * (s[1] - lean * ny) - slope * nx) / r
+        delta = r - p.clearance + 0.5 * bend * lean
+        gx = nx + bend * (s[0] - lean * nx) / r
+        gy = ny + bend * (s[1] - lean * ny) / r
         gz = -(gx * s[0] + gy * s[1])
         hx, hy = (rise * gx + bend * nx) / a[2], (rise * gy + bend * ny) / a[2]
         hz = -(hx * s[0] + hy * s[1])
@@ -179,25 +142,10 @@ def make_rate(laws: tuple, compiled: Any):
         mx = ay * tz - az * ty - force * (a[1] * hz - a[2] * hy)
         my = az * tx - ax * tz - force * (a[2] * hx - a[0] * hz)
         mz = ax * ty - ay * tx - force * (a[0] * hy - a[1] * hx)
-        volume = p.wear * force * speed
-        lower = u[0] + (other - u[2]) * s[0], u[1] + (other - u[2]) * s[1]
-        share = share_of(delta, lower[0] * nx + lower[1] * ny - p.clearance)
-        return (
-            fx,
-            fy,
-            fz,
-            mx,
-            my,
-            mz,
-            0.0,  # the impact speed stands still
-            volume,
-            volume * nx,
-            volume * ny,
-            volume * p.length * share,
-        )
+        return fx, fy, fz, mx, my, mz
 
     @compiled
-    def rate(time, y, p, lower, upper):
+    def rate(time, y, p):
         phi, q = SPEED * time, y[0]
         sphi, cphi, sq, cq = sin(phi), cos(phi), sin(q), cos(q)
         c, s = cphi * cq - sphi * sq, sphi * cq + cphi * sq
@@ -228,8 +176,8 @@ def make_rate(laws: tuple, compiled: Any):
             spin[0] * a[1] - spin[1] * a[0],
         )
         half = 0.5 * p.length
-        e = end(p, lower, -half, u, a, slope, velocity, spin, turning, y[9], half)
-        f = end(p, upper, half, u, a, slope, velocity, spin, turning, y[10], -half)
+        e = end(p, -half, u, a, slope, velocity, spin, turning, y[9])
+        f = end(p, half, u, a, slope, velocity, spin, turning, y[10])
         fx, fy, fz = e[0] + f[0], e[1] + f[1], e[2] + f[2]
         mx, my, mz = e[3] + f[3], e[4] + f[4], e[5] + f[5]
         # Coupler about A.
@@ -254,39 +202,28 @@ def make_rate(laws: tuple, compiled: Any):
             t1 / THIN,
             d2,
             d3,
-            e[6],
-            f[6],
-            e[7],
-            e[8],
-            e[9],
-            e[10],
-            f[7],
-            f[8],
-            f[9],
-            f[10],
+            0.0,  # impact speeds stand still
+            0.0,
         )
 
     return rate
 
 
 def jax_rate():
-    """The hand-written rate for JAX: scalars in, a tuple of scalars out; works on whole rows of
-    samples but for the table.
-    """
+    """The hand-written rate for JAX: scalars in, a tuple of scalars out."""
     return make_rate(jax_laws(), lambda function: function)
 
 
-def jax_batch(rate, layout: str = "rows"):
-    """rate over a batch: (times, states (19, n), clearances and stiffnesses (n), other parameters
+def jax_batch(rate):
+    """rate over a batch: (times, states (11, n), clearances and stiffnesses (n), other parameters
     shared).
     """
 
-    def one(time, y, p, lower, upper):
-        return jnp.stack(rate(time, y, p, lower, upper))
+    def one(time, y, p):
+        return jnp.stack(rate(time, y, p))
 
     shared = Parameters(*(None,) * len(Parameters._fields))._replace(clearance=0, stiffness=0)
-    axis = -1 if layout == "rows" else 0
-    return jax.vmap(one, in_axes=(None, axis, shared, None, None), out_axes=axis)
+    return jax.vmap(one, in_axes=(None, -1, shared), out_axes=-1)
 
 
 def numba_rate():
@@ -300,14 +237,14 @@ def numba_batch(parallel: bool = False):
     rate, loop = numba_rate(), numba.prange if parallel else range
 
     @numba.njit(parallel=parallel, error_model="numpy")
-    def batch(time, states, p, clearances, stiffnesses, lower, upper, out):
+    def batch(time, states, p, clearances, stiffnesses, out):
         for j in loop(states.shape[0]):
             own = Parameters(
                 clearances[j], p.radius, p.length, stiffnesses[j], p.damping, p.slowest,
-                p.mu_static, p.mu_kinetic, p.static_speed, p.kinetic_speed, p.wear,
+                p.mu_static, p.mu_kinetic, p.static_speed, p.kinetic_speed,
             )  # fmt: skip
-            slopes = rate(time, states[j], own, lower, upper)
-            for i in range(19):
+            slopes = rate(time, states[j], own)
+            for i in range(STATE):
                 out[j, i] = slopes[i]
 
     return batch
@@ -318,10 +255,10 @@ def numba_euler():
     rate = numba_rate()
 
     @numba.njit(error_model="numpy")
-    def run(steps, h, y, p, lower, upper):
+    def run(steps, h, y, p):
         for step in range(steps):
-            slopes = rate(step * h, y, p, lower, upper)
-            for i in range(19):
+            slopes = rate(step * h, y, p)
+            for i in range(STATE):
                 y[i] += h * slopes[i]
         return y
 
@@ -336,33 +273,33 @@ def numba_runge_kutta(parallel: bool = False):
     advance = _numba_step(rate)
 
     @numba.njit(parallel=parallel, error_model="numpy")
-    def batch(steps, h, states, p, clearances, stiffnesses, lower, upper):
+    def batch(steps, h, states, p, clearances, stiffnesses):
         for j in loop(states.shape[0]):
             own = Parameters(
                 clearances[j], p.radius, p.length, stiffnesses[j], p.damping, p.slowest,
-                p.mu_static, p.mu_kinetic, p.static_speed, p.kinetic_speed, p.wear,
+                p.mu_static, p.mu_kinetic, p.static_speed, p.kinetic_speed,
             )  # fmt: skip
-            advance(steps, h, states[j], own, lower, upper)
+            advance(steps, h, states[j], own)
 
     return batch
 
 
 def _numba_step(rate):
     @numba.njit(error_model="numpy")
-    def advance(steps, h, y, own, lower, upper):
-        total, inner = np.zeros(19), np.zeros(19)
+    def advance(steps, h, y, own):
+        total, inner = np.zeros(STATE), np.zeros(STATE)
         for step in range(steps):
-            for i in range(19):
+            for i in range(STATE):
                 total[i], inner[i] = 0.0, y[i]
             for stage in range(4):
                 node = 0.0 if stage == 0 else 1.0 if stage == 3 else 0.5
                 weight = 1 / 6 if stage == 0 or stage == 3 else 1 / 3
-                slopes = rate((step + node) * h, inner, own, lower, upper)
+                slopes = rate((step + node) * h, inner, own)
                 reach = h if stage == 2 else 0.5 * h
-                for i in range(19):
+                for i in range(STATE):
                     total[i] += weight * slopes[i]
                     inner[i] = y[i] + reach * slopes[i]
-            for i in range(19):
+            for i in range(STATE):
                 y[i] += h * total[i]
 
     return advance

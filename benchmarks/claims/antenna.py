@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import alone, arguments, report
+from benchmarks.measure import alone, arguments, report, sign
 from jaxclear.commands.antenna import friction_runs, friction_table
 from jaxclear.integrators import Outcome
 from jaxclear.scenes.antenna import BASE, HOLD, JOINTS, TIP, antenna
@@ -147,6 +147,7 @@ def main() -> None:
         table,
         options,
     )
+    sign("benchmarks.claims.antenna", options.json)
 
 
 if __name__ == "__main__":

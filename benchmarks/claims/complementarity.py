@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 import jaxclear  # noqa: F401  float64, and the compiler option
-from benchmarks.measure import arguments, report, side_by_side
+from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.complementarity import (
     LCP,
     FrictionContact,
@@ -180,6 +180,7 @@ def main() -> None:
     report("complementarity: CPU time of one LCP", rows, options)
     rows = [row for count in counts for row in contact_rows(count, alone, batch, repeats)]
     report("complementarity: CPU time of spatial contacts with friction", rows, options)
+    sign("benchmarks.claims.complementarity", options.json)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import report
+from benchmarks.measure import report, sign
 
 DURATION, QUICK_DURATION, SAVES = 20.0, 2.0, 401
 GAINS = (None, 1.0, 10.0, 50.0, 200.0, 1000.0, "projection")
@@ -120,6 +120,7 @@ def main() -> None:
             rows.append({"integrator": name, "alpha = beta [1/s]": label} | row)
             curves.append((name, label, t, size))
     report(f"drift of the ideal four-bar's loop in {duration:g} s", rows, asked)
+    sign("benchmarks.claims.drift", asked.json)
     if asked.figure is not None:
         draw(curves, asked.figure)
 

@@ -29,7 +29,7 @@ from benchmarks.claims.four_bar_variants import (
     start_of,
     without,
 )
-from benchmarks.measure import arguments, report, seconds_to_compile
+from benchmarks.measure import arguments, report, seconds_to_compile, sign
 from jaxclear.ground.pose import Pose, rotation_z
 from jaxclear.scenes.four_bar import KINDS, four_bar
 from jaxclear.simulation.simulate import run
@@ -200,6 +200,7 @@ def main() -> None:
     report("equations: variants of the four-bar", rows, options)
     report("equations: what is absent", absence_rows(), options)
     report("equations: a point carried through two turning frames", pose_rows(), options)
+    sign("benchmarks.claims.equations", options.json)
     print("\n".join(over_budget(rows)) or "\nwithin the budget")
 
 

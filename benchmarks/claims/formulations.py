@@ -18,8 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.claims.work_precision import slider_crank
-from benchmarks.measure import alone, arguments, report
+from benchmarks.measure import alone, arguments, report, sign
 from jaxclear.integrators import Outcome
 from jaxclear.scenes.antenna import BASE, JOINTS, TIP, antenna
 from jaxclear.scenes.four_bar import four_bar
@@ -65,7 +64,7 @@ def crank_scene(quick: bool) -> Scene:
     }
     variables = {"clearance": jc.Variable(clearances(("B",)), tolerance=1e-6)}
     turns = 1 if quick else 4
-    problem = jc.Problem(slider_crank(), responses, variables, duration=0.125664 * turns)
+    problem = jc.Problem(jc.scenes.slider_crank(), responses, variables, duration=0.125664 * turns)
     adaptive = lambda rtol: kinds.Adaptive(rtol=rtol, atol=1e-2 * rtol)
     ladders = {
         "Adaptive": Ladder(
@@ -285,6 +284,7 @@ def main() -> None:
             "statistics"
         )
         report(title, judge(scene, members, samples), options)
+    sign("benchmarks.claims.formulations", options.json)
 
 
 if __name__ == "__main__":

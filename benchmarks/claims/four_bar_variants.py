@@ -48,7 +48,7 @@ VARIANTS = (
         for wear in (False, True)
     ),
 )
-FULL = Variant("spatial", True, True)
+FULL, RUBBING = Variant("spatial", True, True), Variant("spatial", True, False)
 
 
 def bearing(variant: Variant, clearance: Any = CLEARANCE) -> Any:
@@ -125,7 +125,8 @@ class Field(eqx.Module):
     model: Model
 
     def __call__(self, time, state):
-        return CompliantContact().rate(self.model, time, state)[0]
+        # What checks ask for beside it is left out.
+        return CompliantContact().rate(self.model, time, state)[0][: self.model.layout.size]
 
 
 def field_of(mechanism: jc.Mechanism, read: dict | None = None) -> Field:

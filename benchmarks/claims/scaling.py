@@ -24,7 +24,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.claims.chain import chain
-from benchmarks.measure import arguments, report, seconds_to_compile, side_by_side
+from benchmarks.measure import arguments, report, seconds_to_compile, side_by_side, sign
 from jaxclear.simulation.simulate import run
 from jaxclear.studies.batch import evaluate_all
 
@@ -141,10 +141,10 @@ def chain_figures(joints: int, name: str, repeats: int) -> dict[str, Any]:
     times = jnp.linspace(0.0, CHAIN_TIME, 3)
     go, told = program(chain(joints), integrators(CHAIN_STEP, implicit=True)[name], times)
     _, steps, outcome = go()
-    wall, cpu = side_by_side({"run": go}, repeats)["run"]
+    _, cpu = side_by_side({"run": go}, repeats)["run"]
     share = 1e9 / int(steps)
-    figures = {"steps": int(steps), "wall [ns/step]": wall * share, "CPU [ns/step]": cpu * share}
-    figures["wall [ns/step/joint]"] = wall * share / joints
+    figures = {"steps": int(steps), "CPU [ns/step]": cpu * share}
+    figures["CPU [ns/step/joint]"] = cpu * share / joints
     reason = told.pop("reason")
     return told | figures | {"result": f"{_ended(outcome)} {reason}".strip()}
 
@@ -155,9 +155,8 @@ def chain_rows(quick: bool) -> list[dict[str, Any]]:
         "loop",
         "compile CPU [s]",
         "steps",
-        "wall [ns/step]",
         "CPU [ns/step]",
-        "wall [ns/step/joint]",
+        "CPU [ns/step/joint]",
     )
     rows: list[dict[str, Any]] = []
     for name in integrators(CHAIN_STEP, implicit=True):
@@ -238,7 +237,7 @@ def sample_rows(quick: bool) -> list[dict[str, Any]]:
                         size,
                         1 if quick or size > 256 else 5,
                     )
-                    expected = row["wall [ms/sample]"] / 1e3
+                    expected = row["CPU [ms/sample]"] / 1e3
                     first = first or expected
                     row["faster than one"] = first / expected
                 rows.append(row)
@@ -246,7 +245,7 @@ def sample_rows(quick: bool) -> list[dict[str, Any]]:
 
 
 SAMPLE_KEYS = (
-    "wall [ms/sample]",
+    "CPU [ms/sample]",
     "at no length [ms/sample]",
     "faster than one",
     "steps/sample",
@@ -275,10 +274,10 @@ def _samples(asked: jc.Problem, size: int, repeats: int) -> dict[str, Any]:
     }
     if isinstance(asked.integrator, jc.integrator.Adaptive):
         cases["alike"] = lambda: go("alike", asked, np.tile(nominal, (size, 1)))
-    walls = {key: wall for key, (wall, _) in side_by_side(cases, repeats).items()}
-    moving = {key: walls[key] - walls["starting"] for key in answers if key != "starting"}
+    spent_by = {key: cpu for key, (_, cpu) in side_by_side(cases, repeats).items()}
+    moving = {key: spent_by[key] - spent_by["starting"] for key in answers if key != "starting"}
     # A difference that is a small part of what is subtracted says nothing.
-    clear = {key: spent for key, spent in moving.items() if spent > CLEAR * walls["starting"]}
+    clear = {key: spent for key, spent in moving.items() if spent > CLEAR * spent_by["starting"]}
     each = {
         key: float(spent / np.sum(answers[key].responses["steps"]) * 1e9)
         for key, spent in clear.items()
@@ -288,8 +287,8 @@ def _samples(asked: jc.Problem, size: int, repeats: int) -> dict[str, Any]:
         answers["varied"].outcome == jc.integrator.Outcome.REACHED,
     )
     row = {
-        "wall [ms/sample]": 1e3 * walls["varied"] / size,
-        "at no length [ms/sample]": 1e3 * walls["starting"] / size,
+        "CPU [ms/sample]": 1e3 * spent_by["varied"] / size,
+        "at no length [ms/sample]": 1e3 * spent_by["starting"] / size,
     }
     row |= {
         "steps/sample": float(np.mean(steps)),
@@ -316,8 +315,8 @@ def duration_rows(quick: bool) -> list[dict[str, Any]]:
                 jnp.linspace(0.0, duration, round(duration / SAVING) + 1),
             )
             told[duration], cases[duration], loop[duration] = go()[1:], go, said["loop"]
-        walls = {
-            duration: wall for duration, (wall, _) in side_by_side(cases, 1 if quick else 5).items()
+        spent_by = {
+            duration: cpu for duration, (_, cpu) in side_by_side(cases, 1 if quick else 5).items()
         }
         for duration, before in zip(durations, (None, *durations), strict=False):
             steps, outcome = int(told[duration][0]), told[duration][1]
@@ -325,14 +324,14 @@ def duration_rows(quick: bool) -> list[dict[str, Any]]:
                 "integrator": name,
                 "loop": loop[duration],
                 "simulated [s]": duration,
-                "wall [s]": walls[duration],
-                "wall per simulated s [s]": walls[duration] / duration,
+                "CPU [s]": spent_by[duration],
+                "CPU per simulated s [s]": spent_by[duration] / duration,
                 "steps per simulated s": steps / duration,
-                "wall [ns/step]": walls[duration] / steps * 1e9,
+                "CPU [ns/step]": spent_by[duration] / steps * 1e9,
                 # Exponent of the time with which the cost grew since the line above: 1 is linear.
                 "exponent": "-"
                 if before is None
-                else math.log(walls[duration] / walls[before]) / math.log(duration / before),
+                else math.log(spent_by[duration] / spent_by[before]) / math.log(duration / before),
             }
             rows.append(row | {"result": _ended(outcome)})
     return rows
@@ -366,7 +365,7 @@ def _both_loops(
                 "asked for": "XLA" if plain else "own",
             }
             row |= dict.fromkeys(
-                ("loop", "compile CPU [s]", "wall [ns/step/sample]", "own is faster", "result"), "-"
+                ("loop", "compile CPU [s]", "CPU [ns/step/sample]", "own is faster", "result"), "-"
             )
             rows.append(row)
             key = (samples, plain)
@@ -380,17 +379,17 @@ def _both_loops(
             reason = told.pop("reason")
             row |= told | {"result": f"{_ended(outcome)} {reason}".strip()}
             cases[key], counts[key] = go, int(np.sum(np.asarray(steps)))
-    walls = {key: wall for key, (wall, _) in side_by_side(cases, repeats).items()}
+    spent_by = {key: cpu for key, (_, cpu) in side_by_side(cases, repeats).items()}
     for row in rows:
         samples, plain = row["samples"], row["asked for"] == "XLA"
-        if (samples, plain) in walls:
-            row["wall [ns/step/sample]"] = walls[samples, plain] / counts[samples, plain] * 1e9
-            if (samples, not plain) in walls and not plain:
+        if (samples, plain) in spent_by:
+            row["CPU [ns/step/sample]"] = spent_by[samples, plain] / counts[samples, plain] * 1e9
+            if (samples, not plain) in spent_by and not plain:
                 row["own is faster"] = (
-                    walls[samples, True]
+                    spent_by[samples, True]
                     / counts[samples, True]
                     * counts[samples, False]
-                    / walls[samples, False]
+                    / spent_by[samples, False]
                 )
     return rows
 
@@ -420,6 +419,7 @@ def main() -> None:
             found = [{"result": _sentence(error)}]
         report(title, found, options)
         print(f"({time.perf_counter() - begun:.0f} s)")
+    sign("benchmarks.claims.scaling", options.json)
 
 
 if __name__ == "__main__":

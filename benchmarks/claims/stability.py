@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report
+from benchmarks.measure import arguments, report, sign
 from jaxclear.studies.batch import evaluate_all
 
 MASS, INERTIA, GRAVITY = 1.0, 1e-2, 9.81
@@ -293,6 +293,7 @@ def main() -> None:
         f"{BOUNCE[-1]:g} s"
     )
     report(title, drift_rows(options.quick), options)
+    sign("benchmarks.claims.stability", options.json)
 
 
 if __name__ == "__main__":

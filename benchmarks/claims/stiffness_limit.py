@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report
+from benchmarks.measure import arguments, report, sign
 from benchmarks.peers.rig import (
     CLEARANCE,
     CRANK,
@@ -216,6 +216,7 @@ def main() -> None:
     report(
         f"stiffness limit: the four-bar over {SPAN:g} s, means over {MEMBERS} runs", rows, options
     )
+    sign("benchmarks.claims.stiffness_limit", options.json)
 
 
 if __name__ == "__main__":

@@ -5,11 +5,17 @@
 
 reads `benchmarks/results/peers.json`: {title: [rows]} as `--json` writes it, beside "about" with
 the command, the machine and the date, or these of its parts where they come from calls of their
-own. No number of a table is typed in the book.
+own. No number of a table is typed in the book. Of wide tables a page may show some columns, by
+their names:
+
+    ```{measured} peers alone
+    :columns: program; CPU [ms]
+    ```
 """
 
 import json
 from pathlib import Path
+from typing import ClassVar
 
 from docutils import nodes
 from docutils.statemachine import StringList
@@ -25,9 +31,9 @@ def cell(value: object) -> str:
     return text.replace("|", "\\|")
 
 
-def table(rows: list[dict]) -> list[str]:
-    """Markdown lines of a table; the first row names the columns."""
-    names = list(rows[0])
+def table(rows: list[dict], columns: list[str]) -> list[str]:
+    """Markdown lines of a table; the first row names the columns, unless some are asked for."""
+    names = columns or list(rows[0])
     lines = ["| " + " | ".join(map(cell, names)) + " |", "|" + " --- |" * len(names)]
     lines += ["| " + " | ".join(cell(row.get(name)) for name in names) + " |" for row in rows]
     return lines
@@ -49,21 +55,25 @@ class Measured(SphinxDirective):
     required_arguments = 1
     optional_arguments = 1
     final_argument_whitespace = True
+    option_spec: ClassVar = {"columns": lambda names: [name.strip() for name in names.split(";")]}
 
     def run(self) -> list[nodes.Node]:
         path = RESULTS / f"{self.arguments[0]}.json"
         self.env.note_dependency(str(path))
         document = json.loads(path.read_text())
         about = document.pop("about", {})
-        lines, said = [], ""
+        lines, said, columns = [], "", self.options.get("columns", [])
         wanted = self.arguments[1] if len(self.arguments) > 1 else ""
         chosen = {title: rows for title, rows in document.items() if title.startswith(wanted)}
         if not chosen:
             raise self.error(f"no table of {path.name} begins with {wanted!r}")
         for title, rows in chosen.items():
+            missing = [name for name in columns if name not in rows[0]]
+            if missing:
+                raise self.error(f"{path.name}, {title!r}: no column is named {missing[0]!r}")
             before, said = said, origin(about, title) if about else ""
             lines += [said, ""] if said != before else []
-            lines += [f"*{title}*", "", *table(rows), ""]
+            lines += [f"*{title}*", "", *table(rows, columns), ""]
         found = nodes.container(classes=["measured"])
         self.state.nested_parse(StringList(lines, str(path)), self.content_offset, found)
         return [found]
