@@ -11,7 +11,6 @@ The motion is a derivative of zeros, which a loop carries: so none of it is in a
 derivative is asked.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -22,22 +21,25 @@ from jaxtyping import Array
 
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar
-from jaxclear.ground.tangents import derived, moved
+from jaxclear.ground.tangents import derived, moved, zeros_with
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.mid_step import moves
 from jaxclear.integrators.motion_parts import followed
 from jaxclear.integrators.saltation import closed, motion_of
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.integrators.trust import GROWTH
+from jaxclear.integrators.vibration import FIGURES, Vibration
 from jaxclear.multibody.reach import gaps_passed
 
 
 class Beside(NamedTuple):
     """Zeros. Their derivatives are, of the motion beside a run: the `growth` of derivatives
-    (`trust`), how far its state is `away` from the run's, how far its places have `parted` from
-    these at most [1] of the narrowest gap, and the `deepest` indentation of each contact [m]."""
+    (`trust`) and how they vibrate (`vibration`), how far its state is `away` from the run's, how
+    far its places have `parted` from these at most [1] of the narrowest gap, and the `deepest`
+    indentation of each contact [m]."""
 
     growth: Array
+    vibrates: Vibration
     away: Array
     parted: Scalar
     deepest: Array
@@ -45,7 +47,8 @@ class Beside(NamedTuple):
 
 def nothing_beside(size: int, contacts: int) -> Beside:
     """Where a run begins, of which the state has this size."""
-    return Beside(jnp.zeros(GROWTH), jnp.zeros(size), jnp.zeros(()), jnp.zeros(contacts))
+    far = jnp.zeros(size), jnp.zeros(()), jnp.zeros(contacts)
+    return Beside(jnp.zeros(GROWTH), jnp.zeros(FIGURES), *far)
 
 
 def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
@@ -66,7 +69,7 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
 
     def step(arrays, clock, y, last, met, beside):
         end, *found = plain(arrays, clock, y, last, met)
-        return end, *found, jax.tree.map(functools.partial(_zeros, end[0]), beside)
+        return end, *found, zeros_with(end[0], beside)
 
     @jax.custom_jvp
     def known(*numbers):
@@ -93,15 +96,9 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
     return known
 
 
-def _zeros(number: Any, like: Array) -> Array:
-    """Zeros that move with a number (`moving_with`), as a compiler sees too: they cost nothing."""
-    never = (number > 0) & (number < 0)
-    return jnp.broadcast_to(jnp.where(never, number, 0.0), like.shape)
-
-
 def so_far(beside: Beside) -> Beside:
     """What is known where a saving interval begins, in which no indentation is the deepest yet."""
-    zeros = lambda beside: jax.tree.map(lambda each: _zeros(each, each), beside)
+    zeros = lambda beside: jax.tree.map(lambda each: zeros_with(each, each), beside)
     same = lambda numbers, tangents: jax.tree.map(moved, tangents[0])
     known = derived(zeros, same)(beside)
     return known._replace(deepest=jnp.zeros_like(known.deepest))
@@ -120,11 +117,12 @@ def _parted(
         state = state - moved(time_way) * rates(time, y)
     aware = lambda y, contacts: remember(arrays, y, contacts, whole)
     together = beside.parted <= Check.PLACE_IN_GAP.limit
-    known = together, y, beside.growth, (beside.deepest, deeper)
+    known = together, y, beside.growth, beside.vibrates, (beside.deepest, deeper)
     part = followed(motion, aware, (arrays, time, whole), (way, state), known)
     y, state, (largest, deeper) = part.y, part.way, part.deepest
     if moving:
         state = state + (moved(time_way) + longer) * rates(time + whole, y)
     ended = part.done >= whole * (1 - SLIVER)
     parted = jnp.where(ended, beside.parted, jnp.inf)
-    return y, state, deeper, beside._replace(growth=part.growth, deepest=largest, parted=parted)
+    found = {"growth": part.growth, "vibrates": part.vibrates, "deepest": largest}
+    return y, state, deeper, beside._replace(**found, parted=parted)

@@ -159,6 +159,7 @@ class ImplicitStep(AbstractIntegrator):
     def _trusted(self, model, end, met, watch, last):
         """All that was found, where its derivative can be trusted; events have none."""
         _, known, vibrates = last
+        vibrates = vibrates if known is None else known.vibrates
         end, met, watch = vibration.resolved((end, met, watch), vibrates)
         if not self._derived(model):
             return end, met, watch

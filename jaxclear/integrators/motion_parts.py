@@ -19,10 +19,11 @@ from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage, su
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import pushed, where_wanted
-from jaxclear.integrators import saltation
+from jaxclear.integrators import saltation, vibration
 from jaxclear.integrators.deepest import deepest
 from jaxclear.integrators.mid_step import Apart, Now, gone_on, judged, passed_within
 from jaxclear.integrators.stepping import SLIVER
+from jaxclear.integrators.vibration import Vibration
 
 # A part in contact goes no further than by this angle of the contact's vibration [rad], and in it
 # friction brakes no more than this share of a slip.
@@ -42,15 +43,17 @@ AT_TOUCH = 1e-3
 
 class Part(NamedTuple):
     """Where a motion is: what is `done` of the time [s] in so many `turns`, the state, its
-    derivative (`way`), the `growth` of derivatives (`trust`), (the largest indentations, their
-    derivatives), and how long the next part may be [s] so that the contacts that are `due` touch
-    or part at its end. nan is done where parts are too long for a contact."""
+    derivative (`way`), the `growth` of derivatives (`trust`) and how they vibrate (`vibration`),
+    (the largest indentations, their derivatives), and how long the next part may be [s] so that the
+    contacts that are `due` touch or part at its end. nan is done where parts are too long for a
+    contact."""
 
     done: Scalar
     turns: Any
     y: Any
     way: Any
     growth: Array
+    vibrates: Vibration
     deepest: tuple[Any, Any]
     limit: Scalar
     due: Any
@@ -71,8 +74,8 @@ def followed(motion: Any, remember: Callable, clock: tuple, ways: tuple, known: 
     """A motion over a time, where it is `wanted`. `remember(state, contacts)`: the state as it
     knows its impact speeds. `clock`: (arrays, start [s], length [s]), `ways`: the derivatives of
     the arrays and of the state, at times that do not move; `known`: (wanted, the state, the growth,
-    (the largest indentations, their derivatives))."""
-    (_, _, whole), (way, state), (wanted, y, growth, largest) = clock, ways, known
+    how derivatives vibrate, (the largest indentations, their derivatives))."""
+    (_, _, whole), (way, state), (wanted, y, growth, vibrates, largest) = clock, ways, known
     nothing = jnp.zeros(())
     first = Part(
         done=nothing,
@@ -80,6 +83,7 @@ def followed(motion: Any, remember: Callable, clock: tuple, ways: tuple, known: 
         y=y,
         way=state,
         growth=growth,
+        vibrates=vibrates,
         deepest=largest,
         limit=jnp.asarray(jnp.inf),
         due=jnp.zeros_like(largest[0]),
@@ -179,8 +183,10 @@ def _at_end(motion: Any, gone: _Gone, whole: Any, way: Any, known: tuple) -> Par
 
     known = state, end, growth, jnp.zeros(())
     state, y, growth, late = where_wanted(jnp.any(hit), behind, known)
-    none = jnp.zeros_like(acting)
-    return Part(late, part.turns, y, state, growth, largest, jnp.asarray(jnp.inf), none)
+    moves, clock = (part.way, gone.way), (begun.length, begun.length / whole)
+    vibrates = vibration.further(motion.layout, vibration.FOLLOWED[4], part.vibrates, moves, *clock)
+    figures = growth, vibrates, largest
+    return Part(late, part.turns, y, state, *figures, jnp.asarray(jnp.inf), jnp.zeros_like(acting))
 
 
 def _resolved(motion: Any, begun: Now, acting: Any, clock: tuple) -> tuple[Any, Any]:

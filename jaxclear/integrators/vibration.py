@@ -17,9 +17,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.model import Model
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved, zeros_with
 from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.multibody.state import Layout
 
 # An angle by which a vibration goes on in a step [rad], from which on a method of that order is off
 # by more than half a hundredth of it in each, x^(p + 1) / (p + 1)!; and one that is symmetric in
@@ -37,14 +39,15 @@ IN_A_ROW = 12
 # Of a derivative: sums of squares of its changes of speeds, times the step, and of places; the
 # largest that the first has been; the largest derivative; how many steps up to now have not
 # followed it, one behind the other, and how many at the most.
-Vibration = Float[Array, "6"]
+FIGURES = 6
+Vibration = Float[Array, f"{FIGURES}"]
 
 
 def nothing(model: Model, integrator: AbstractIntegrator) -> Vibration | None:
     """At the start of a run: zeros, of which only derivatives are ever anything else. None where
     derivatives are those of discrete steps, or go backwards through steps that are counted."""
     counted = integrator.steps_between_saves is not None
-    return None if counted or model.discrete or not model.layout.size else jnp.zeros(6)
+    return None if counted or model.discrete or not model.layout.size else jnp.zeros(FIGURES)
 
 
 def followed(
@@ -58,24 +61,37 @@ def followed(
     vibration the method follows it [rad]."""
     if known is None:
         return None
-    n, m = model.layout.coordinates, model.layout.memory_start
 
-    def further(numbers, tangents):
+    def gone_on(numbers, tangents):
         known, before, after = (moved(each) for each in (tangents[0], *tangents[1]))
-        h = numbers[2]
-        places, speeds = after[:n] - before[:n], h * (after[n:m] - before[n:m])
-        turned, gone, most, largest, row, longest = [known[i] for i in range(len(known))]
-        turned = KEPT * turned + jnp.sum(speeds * speeds)
-        gone = KEPT * gone + jnp.sum(places * places)
-        size = jnp.max(abs(jnp.concatenate([after[:n], h * after[n:m]])), initial=0.0)
-        largest = jnp.maximum(largest, size)
-        matters = (turned > most) | (turned > VISIBLE * VISIBLE * largest * largest)
-        row = jnp.where(matters & (turned > angle * angle * gone), row + 1.0, 0.0)
-        most, longest = jnp.maximum(most, turned), jnp.maximum(longest, row)
-        return jnp.stack([turned, gone, most, largest, row, longest])
+        return further(model.layout, angle, known, (before, after), numbers[2])
 
     same = lambda known, states, _: zeros_with(states[1][0], known)
-    return derived(same, further)(known, states, constant(length))
+    return derived(same, gone_on)(known, states, constant(length))
+
+
+def further(
+    layout: Layout,
+    angle: float,
+    known: Vibration,
+    ways: tuple[Array, Array],
+    length: Scalar,
+    share: Any = 1.0,
+) -> Vibration:
+    """What is known of a derivative behind a part of this length [s], and `share` of a step, at
+    whose start and end it has these values; `angle`: as of `followed`, in a part."""
+    n, m = layout.coordinates, layout.memory_start
+    before, after = ways
+    places, speeds = after[:n] - before[:n], length * (after[n:m] - before[n:m])
+    turned, gone, most, largest, row, longest = [known[i] for i in range(FIGURES)]
+    turned = KEPT**share * turned + safe_divide(jnp.sum(speeds * speeds), share)
+    gone = KEPT**share * gone + safe_divide(jnp.sum(places * places), share)
+    ahead = safe_divide(length, share) * after[n:m]
+    largest = jnp.maximum(largest, jnp.max(abs(jnp.concatenate([after[:n], ahead])), initial=0.0))
+    matters = (turned > most) | (turned > VISIBLE * VISIBLE * largest * largest)
+    row = jnp.where(matters & (turned > angle * angle * gone), row + share, 0.0)
+    most, longest = jnp.maximum(most, turned), jnp.maximum(longest, row)
+    return jnp.stack([turned, gone, most, largest, row, longest])
 
 
 def resolved(found: Any, known: Vibration | None) -> Any:

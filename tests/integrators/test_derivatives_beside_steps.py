@@ -73,6 +73,40 @@ def test_the_largest_force_of_a_lossless_bounce_has_the_derivatives_of_its_close
 
 
 @pytest.mark.slow
+def test_of_parts_too_long_for_a_spring_beside_contacts_it_is_no_number():
+    """A mass at rest on its spring, beside a journal that bounces in between: 1 - cos(omega t). At
+    1 rad in a step of 0.1 ms it was 1.0 for 0.004, beyond 2.83 rad it grew to 1e7 and 1e88."""
+    step, end, load = 1e-4, 0.03, 10.0
+    joint = {"G": jc.Connection(jc.joint.Prismatic(), "ground", "mass", axis="x")}
+
+    @jax.jit
+    def slope(angle):
+        stiffness = (angle / step) ** 2
+
+        def place(force):
+            rig = bouncing(jc.contact.Linear(stiffness=OMEGA**2))
+            loads = {
+                "spring": jc.load.JointSpring("G", stiffness=stiffness),
+                "force": jc.load.Force(jc.Marker("mass"), (force, 0.0)),
+            }
+            rig = jc.Mechanism(
+                {"mass": jc.Body(1.0, 1e-3), **rig.bodies},
+                {**joint, **rig.connections},
+                loads,
+                start={"G": load / stiffness},
+                speeds=rig.speeds,
+            )
+            how = {"integrator": jc.integrator.ImplicitStep(step, rebound=1.0), "throw": False}
+            run = jc.simulate(rig, end, save=3, state=jc.State(concentric=False), **how)
+            return run.coordinate("G")[-1].reshape(())
+
+        return stiffness * jax.jvp(place, (load,), (1.0,))[1]
+
+    np.testing.assert_allclose(slope(0.1), 1 - np.cos(0.1 * end / step), rtol=1e-3)
+    assert np.all(np.isnan([slope(angle) for angle in (1.0, 2.9, 4.0)]))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [1e9, 1e18])
 def test_a_journal_at_rest_lies_lower_by_what_its_clearance_is_larger(stiffness):
     """Where its vibration is resolved by 64 parts of a step; in a stiffer bearing nothing is
