@@ -50,6 +50,7 @@ from jaxclear.files.schema import scene_schema
 from jaxclear.ground import numerics, pose
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
+from jaxclear.ground.versions import installed
 from jaxclear.laws import contact, friction, material, stiffness, wear
 from jaxclear.laws.material import Material
 from jaxclear.multibody.assembly import assemble
@@ -95,6 +96,8 @@ from jaxclear.studies.variable import AbstractMechanismVariable, Variable
 from jaxclear.studies.worst_case import worst_case
 
 from jaxclear import scenes  # isort: skip
+
+__version__ = installed("jaxclear")
 
 # The name under which the laws of cylinders used to stand.
 conformal = contact

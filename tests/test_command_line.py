@@ -118,7 +118,8 @@ def test_command_line_answers_a_mistake_with_a_sentence(mistake, capsys):
 
 def test_command_line_tells_its_version(capsys):
     main(["--version"])
-    assert re.match(r"jaxclear \S+.*\(JAX \S+, Python \S+\)", capsys.readouterr().out)
+    said = re.match(r"jaxclear (\S+).*\(JAX \S+, Python \S+\)", capsys.readouterr().out)
+    assert said and said[1] == jc.__version__
 
 
 ENDS = {
