@@ -5,7 +5,7 @@ with fused multiply-adds; sine and cosine beyond 1e8 rad are left to the C libra
 in the last place of NumPy's (tests/native/test_native_loops.py).
 """
 
-from jaxclear.native.writer import FLOAT, WHOLE, Writer
+from jaxclear.native.writer import FLOAT, PURE, WHOLE, Writer
 
 # pi/2 as a sum of three numbers, each the remainder of the one before rounded to double precision.
 HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591833e-33)
@@ -96,8 +96,8 @@ def sincos(lanes: int) -> tuple[list[str], set[str]]:
     _give(w, s, c)
     w.start("far")
     _give(w, w.library("sin", "%x"), w.library("cos", "%x"))
-    body = [f"define internal {{{wide}, {wide}}} @jc.sincos({wide} %x) {{", "entry:", *w.lines, "}"]
-    return body, w.needs
+    head = f"define internal {{{wide}, {wide}}} @jc.sincos({wide} %x) {PURE} {{"
+    return [head, "entry:", *w.lines, "}"], w.needs
 
 
 def _give(w: Writer, sine, cosine):
@@ -138,8 +138,8 @@ def atan2(lanes: int) -> tuple[list[str], set[str]]:
     rest = _float(w, "fsub {type} {0}, {1}", 2 * HALF_PI[1], arc)
     arc = w.choose(negative, _float(w, "fadd {type} {0}, {1}", 2 * HALF_PI[0], rest), arc, FLOAT)
     w.say(f"ret {wide} {w.call('copysign', arc, '%y')}")
-    body = [f"define internal {wide} @jc.atan2({wide} %y, {wide} %x) {{", "entry:", *w.lines, "}"]
-    return body, w.needs
+    head = f"define internal {wide} @jc.atan2({wide} %y, {wide} %x) {PURE} {{"
+    return [head, "entry:", *w.lines, "}"], w.needs
 
 
 OWN = {"sincos": sincos, "atan2": atan2}

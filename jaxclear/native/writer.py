@@ -16,6 +16,9 @@ FLOAT, WHOLE, TRUTH = "double", "i64", "i1"
 # Stands in the text for the place of the flag that stops all kernels, which each process has
 # elsewhere.
 STOP_FLAG = "STOP_FLAG"
+# Of a function that does nothing but return a number: of two alike calls LLVM keeps one (of C's
+# functions too: nobody reads the error number that they may set).
+PURE = "nounwind willreturn memory(none)"
 # Beyond this many instructions XLA's loops over arrays are the better program.
 MOST_INSTRUCTIONS = 120_000
 # More turns than any loop takes.
@@ -172,7 +175,7 @@ class Writer:
 
     def library(self, name: str, *values: Any) -> str:
         """A function of the C mathematical library, called for each sample."""
-        self.needs.add(f"declare double @{name}({', '.join(['double'] * len(values))})")
+        self.needs.add(f"declare double @{name}({', '.join(['double'] * len(values))}) {PURE}")
         parts = []
         for lane in range(self.lanes):
             operands = ", ".join(f"double {self.lane(v, FLOAT, lane)}" for v in values)
