@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.attacks.answers import RESPONSES
 from jaxclear.integrators.checks import Check
-from jaxclear.results.response import REACHES
+from jaxclear.results.abstract_response import REACHES
 
 
 def _accuracy(

@@ -1,11 +1,11 @@
 """From a trajectory to a number: what a study asks of a mechanism. Any function of a trajectory is
-a response.
+a response; `FromFunction` says its unit.
 
 Those here are modules, so that a reference path or a threshold is a number that can change without
 compiling again.
 """
 
-from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -16,18 +16,21 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.answering import nothing_else
+from jaxclear.ground.arguments import check_known
 from jaxclear.ground.kinds import as_given
 from jaxclear.ground.numerics import positive_part, safe_sqrt
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, count
+from jaxclear.ground.quantity import Scalar, count
 from jaxclear.ground.wording import described
 from jaxclear.integrators.checks import Check
 from jaxclear.multibody.own_numbers import coordinate_units
+from jaxclear.results.abstract_response import REACHES, AbstractResponse, concerned, unit_of
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = [
     "AbstractResponse",
     "FinalCoordinate",
+    "FromFunction",
     "LostMotion",
     "MeanContactForce",
     "PeakContactForce",
@@ -40,38 +43,8 @@ __all__ = [
 ]
 __getattr__ = nothing_else("jaxclear.response", __all__)
 
-
-# What is off in a run where one part of it is: forces follow the motion, wear follows forces.
-REACHES = {
-    "motion": ("motion", "forces", "peak forces", "wear", "worn depth", "places in gaps"),
-    "places": ("motion", "places in gaps"),
-    "forces": ("forces", "peak forces", "wear", "worn depth"),
-    "peak forces": ("peak forces",),
-    "swinging forces": ("peak forces", "wear", "worn depth"),
-    "wear": ("wear", "worn depth"),
-    "worn depth": ("worn depth",),
-    "places in gaps": ("places in gaps", "wear", "worn depth"),
-}
-
-
-class AbstractResponse(AbstractQuantified):
-    """A number drawn from a run; `unit` is that of the number."""
-
-    unit: eqx.AbstractVar[str]
-
-    def unit_in(self, mechanism: Any) -> str:
-        """The unit, of a number drawn from runs of this mechanism."""
-        return self.unit
-
-    def drawn_from(self) -> str:
-        """What of a run it needs to be right: its "motion", "forces", "peak forces", "wear",
-        "worn depth", "places in gaps" (at an instant) or "anything". A warning that concerns
-        something else does not concern it."""
-        return "anything"
-
-    @abstractmethod
-    def __call__(self, run: Trajectory) -> Scalar:
-        """The response of a run."""
+# What a response may need of a run.
+DRAWN = {part for reached in REACHES.values() for part in reached}
 
 
 class PeakWornDepth(AbstractResponse):
@@ -271,16 +244,26 @@ class FinalCoordinate(AbstractResponse):
         return coordinates[-1, self.index]
 
 
-def concerned(response: Any, concerns: str) -> bool:
-    """Whether a warning that `concerns` a part of a run concerns a response; any does that of a
-    plain function."""
-    needs = response.drawn_from() if isinstance(response, AbstractResponse) else "anything"
-    return needs == "anything" or needs in REACHES.get(concerns, (needs,))
+class FromFunction(AbstractResponse):
+    """What a function of a run (or of positions) returns, one number, in `unit`: a plain function
+    will do, but has none, so that tables, figures and a design's prices show its number as it is.
 
+    `needs`: what of the run must be right for it, as `drawn_from` says; a warning that concerns
+    something else then does not concern it.
+    """
 
-def unit_of(response: Any, mechanism: Any) -> str:
-    """Unit of a response of a mechanism; "1" for a plain function."""
-    return response.unit_in(mechanism) if isinstance(response, AbstractResponse) else "1"
+    function: Callable[[Any], Any]
+    unit: str = eqx.field(static=True)
+    needs: str = eqx.field(static=True, default="anything")
+
+    def __check_init__(self):
+        check_known("part of a run", self.needs, ["anything", *sorted(DRAWN)], " to draw from")
+
+    def drawn_from(self):
+        return self.needs
+
+    def __call__(self, run):
+        return self.function(run)
 
 
 def coordinate_unit(mechanism: Any, name: str, index: int) -> str:

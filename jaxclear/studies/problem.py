@@ -66,7 +66,8 @@ LARGEST_ELSEWHERE = 4096
 class Problem(AbstractProblem):
     """A mechanism, the numbers in it that vary, how it is run, and the responses wanted of a run.
 
-    `response`: a function of a trajectory returning a number, or several by name. `duration` [s].
+    `response`: a function of a trajectory returning a number, or several by name; those of
+    `jaxclear.response` have units, a plain function gets one by its `FromFunction`. `duration` [s].
     `integrator`: by default steps of a fixed length, because equal work for every sample is what
     batches and derivatives want: `FixedStep()`, or an `ImplicitStep` where friction would answer
     faster than such steps resolve, or `Adaptive` where ideal joints rub; `why_integrator` says so.

@@ -31,6 +31,7 @@ def test_responses_are_what_their_names_say(run):
     saved = max(force.max(), pressed)
     assert saved <= float(jc.response.PeakContactForce("B")(run)) < 1.01 * saved
     covered = {type(response) for response in expected} | {
+        jc.response.FromFunction,
         jc.response.LostMotion,  # of positions: tests/simulation/test_positions.py
         jc.response.PeakContactForce,
         jc.response.PositionError,
@@ -47,6 +48,22 @@ def test_responses_are_what_their_names_say(run):
         )
     error = jc.response.PositionError("journal", np.zeros_like(com), axes=(1,))
     assert float(error(run)) == pytest.approx(np.sqrt((com[:, 1] ** 2).mean()))
+
+
+def test_a_function_has_the_unit_and_the_needs_that_it_is_given(run):
+    lift = jc.response.FromFunction(lambda run: 2 * run.body("journal").com[-1, 1], "m", "motion")
+    problem = jc.Problem(
+        touching_journal(),
+        {"lift": lift, "plain": lambda run: run.time[-1]},
+        {"clearance": jc.Variable(lambda m: m.connections["B"].joint.clearance, tolerance=1e-6)},
+        duration=0.05,
+    )
+    assert problem.units() == {"lift": "m", "plain": "1"}
+    assert float(lift(run)) == 2 * float(run.body("journal").com[-1, 1])
+    assert problem.concerned("lift", "motion") and not problem.concerned("lift", "peak forces")
+    assert problem.concerned("plain", "peak forces")
+    with pytest.raises(ValueError, match='no part of a run "force" to draw from; there are "any'):
+        jc.response.FromFunction(lambda run: run.time[-1], "s", needs="force")
 
 
 @pytest.mark.parametrize(
