@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
+from jaxclear.ground.shown import as_given
 from jaxclear.ground.wording import described, unknown
 
 __all__ = ["Above", "AbstractLimitState", "Below", "Parallel", "Series"]
@@ -64,7 +65,7 @@ class Above(AbstractLimitState):
         return (frozenset({0}),)
 
     def words(self):
-        return f"{self.response} above {float(self.threshold):.6g}"
+        return f"{self.response} above {as_given(self.threshold)}"
 
 
 class Below(AbstractLimitState):
@@ -86,7 +87,7 @@ class Below(AbstractLimitState):
         return (frozenset({0}),)
 
     def words(self):
-        return f"{self.response} below {float(self.threshold):.6g}"
+        return f"{self.response} below {as_given(self.threshold)}"
 
 
 class Series(AbstractLimitState):

@@ -50,11 +50,11 @@ class PositionProblem(AbstractProblem):
     wanted.
 
     `response`: a function of `jaxclear.positions`' result, or several by name; those of
-    `jaxclear.response` that read places serve, and `FromFunction` gives a function its unit. `positions`: coordinates [rad, m] by joint, as in
-    `jaxclear.positions`, `both_ways` too; `correlation` as in `Problem`. Each position of each
-    sample is sought from where the nominal mechanism stands there; a sample of which one is not
-    found has failed. Derivatives are exact, seats of the journals included. Raises `ValueError`
-    with a sentence for what cannot be asked.
+    `jaxclear.response` that read places serve, and `FromFunction` gives a function its unit.
+    `positions`: coordinates [rad, m] by joint, as in `jaxclear.positions`, `both_ways` too;
+    `correlation` as in `Problem`. Each position of each sample is sought from where the nominal
+    mechanism stands there; a sample of which one is not found has failed. Derivatives are exact,
+    seats of the journals included. Raises `ValueError` with a sentence for what cannot be asked.
     """
 
     mechanism: Mechanism

@@ -1,6 +1,7 @@
 """What `print` and a notebook show of an answer: sentences and numbers, not the arrays it is made
 of."""
 
+import numpy as np
 import pytest
 
 import jaxclear as jc
@@ -37,6 +38,23 @@ ANSWERS = {
         ("P(", "runs in all"),
     ),
 }
+
+
+def test_micrometres_beside_a_metre_are_seen():
+    """`print` told a mean of 1 m as "1 (1 to 1)", and a limit of 1.00002 m as 1."""
+    arm = jc.FunctionProblem(
+        lambda a, b: a + b,
+        {"a": jc.Dimension(0.7, tolerance=20e-6), "b": jc.Dimension(0.3, tolerance=5e-6)},
+    )
+    study = jc.monte_carlo(arm, 256)
+    one = study.quantile("response", 0.95)
+    told = [float(part.strip("(to)")) for part in str(one).split() if part != "to"]
+    assert np.allclose(told, [one.value, one.low, one.high], rtol=0, atol=0.1 * one.error)
+    assert f"5 % above {1 + 1.645 * 6.72e-6:.5f}" in str(study)
+    above = jc.limit.Probability("response", above=1.00002, at_most=1e-2)
+    assert above.words() == "share of response above 1.00002"
+    assert jc.limit_state.Above("response", 1.0000203).words() == "response above 1.0000203"
+    assert "1.000025" in str(jc.worst_case(arm))
 
 
 @pytest.mark.parametrize("name", ANSWERS)

@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.shown import AbstractShown, as_given, in_digits
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_design
 from jaxclear.studies.design.abstract_limit import AbstractLimit
@@ -136,16 +136,16 @@ class Design(AbstractShown):
         return self.limits[i].unit(units[self.limits[i].response])
 
     def _broken(self, i):
-        limit = self.limits[i]
+        limit, number = self.limits[i], in_digits(self.numbers[i], self.errors[i], least=4)
         return (
-            f"the {limit.words()} is {self.numbers[i]:.4g} +- {self.errors[i]:.2g}, "
-            f"{'above' if limit.upper() else 'below'} {float(limit.bound()):.4g}"
+            f"the {limit.words()} is {number} +- {self.errors[i]:.2g}, "
+            f"{'above' if limit.upper() else 'below'} {as_given(limit.bound())}"
         )
 
     def _lost(self):
         check = self.rounds[-1].check
         values = zip(self.question.freedom.names, check.lost, strict=True)
-        such = ", ".join(f"{name} = {value:.4g}" for name, value in values)
+        such = ", ".join(f"{name} = {value:.6g}" for name, value in values)
         return (
             f"{check.failed} of {check.runs} new runs failed, such as that of {such}: narrow what "
             "may be chosen, or keep numbers within their range by a limit on them "

@@ -19,6 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from jaxclear.ground.shown import in_digits
+
 # A 95 % interval leaves half of 5 % on each side.
 CONFIDENCE = 0.95
 # Contributions that differ by less than this share of themselves are one number.
@@ -41,7 +43,8 @@ class Statistic(NamedTuple):
         return max(self.high - self.value, self.value - self.low)
 
     def __str__(self) -> str:
-        return f"{self.value:.5g} ({self.low:.5g} to {self.high:.5g})"
+        numbers = (in_digits(own, self.error) for own in (self.value, self.low, self.high))
+        return "{} ({} to {})".format(*numbers)
 
 
 UNKNOWN = Statistic(np.nan, np.nan, np.nan)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxclear.ground.shown import in_digits
 from jaxclear.studies.statistics.limits import Limits
 from jaxclear.studies.statistics.scrambled import UNKNOWN, deviation, standard_error
 
@@ -47,10 +48,14 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
 
 def in_sentences(summary: Any) -> list[str]:
     """The rows of a summary, errors at 95 %."""
-    return [
-        f'"{row["response"]}" [{row["unit"]}]: mean {row["mean"]:.5g} ± {row["mean error"]:.2g}, '
-        f"standard deviation {row['standard deviation']:.4g} ± "
-        f"{row['standard deviation error']:.2g}; 5 % below {row['5 %']:.5g}, 5 % above "
-        f"{row['95 %']:.5g}."
-        for row in summary.to_dict("records")
-    ]
+    return [_in_a_sentence(row) for row in summary.to_dict("records")]
+
+
+def _in_a_sentence(row: Mapping[str, Any]) -> str:
+    spread = row["standard deviation"]
+    low, high = (in_digits(row[share], 0.1 * spread) for share in ("5 %", "95 %"))
+    return (
+        f'"{row["response"]}" [{row["unit"]}]: mean {in_digits(row["mean"], row["mean error"])} ± '
+        f"{row['mean error']:.2g}, standard deviation {spread:.4g} ± "
+        f"{row['standard deviation error']:.2g}; 5 % below {low}, 5 % above {high}."
+    )
