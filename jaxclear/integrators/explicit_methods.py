@@ -41,11 +41,14 @@ def near_contacts(contacts: Any, last: Any, longest: Any) -> Any:
     return near | (before.depths >= 0) | (falling > 0)
 
 
-def chosen_length(longest: Any, left: Any, shortest: Any) -> Callable[[Any, Any], Any]:
-    """How the length [s] of a step follows from contacts, where so much is `left`: the `shortest`
-    where one is near."""
+def chosen_length(longest: Any, rest: tuple | None) -> Callable[[Any, Any], Any]:
+    """How the length [s] of a step follows from contacts; `rest`: what is left of the time and the
+    shortest step, which it is where a contact is near. None: all are the longest."""
 
     def length(contacts, last):
+        if rest is None:
+            return longest
+        left, shortest = rest
         near = jnp.any(near_contacts(contacts, last, longest))
         h = jnp.where(near, shortest, longest)
         return jnp.where(h > left * (1 - SLIVER), left, h)

@@ -147,10 +147,10 @@ class FixedStep(AbstractIntegrator):
 
         def plain(arrays, clock, y, last):
             (model, own), (time, longest, left) = eqx.combine(arrays, rest), clock
-            length = (lambda *_: longest) if left is None else chosen_length(longest, *left)
-            return own._step(model, time, length, longest, y, last)
+            return own._step(model, time, chosen_length(longest, left), longest, y, last)
 
-        through = through_touches(self.formulation, rest[0], plain)
+        length = lambda clock, *seen: chosen_length(*clock[1:])(*seen)
+        through = through_touches(self.formulation, rest[0], plain, length)
 
         def step(clock, y, last):
             contacts, length, growth, vibrates = last

@@ -1,11 +1,11 @@
 """Derivatives through touches and releases that fall within a step of a given length.
 
-A step itself does not know that a contact closes within it. Its derivative here does: where a
-contact is closed at either end it is that of the motion, by a method of order 4, at times that move
-with touches (`saltation`): up to a touch, behind it, and on to the end. In flight it is that of the
-step. So it converges to that of the motion as steps become shorter. How fast hangs on the method:
-what goes along with the motion is large beside what is left of it behind a touch, and what a step
-departs from the motion by is as large.
+A step itself does not know that a contact closes within it. Its derivative here does: where one
+closes or parts it is that of the motion, by a method of order 4: up to a touch, behind it, and on
+to the end. Elsewhere it is that of the step, in contact at times that move with touches
+(`saltation`). So it converges to that of the motion as steps become shorter. How fast hangs on the
+method: what goes along with the motion is large beside what is left of it behind a touch, and what
+a step departs from the motion by is as large.
 
 None of this is in a program of which no derivative is asked.
 """
@@ -24,7 +24,7 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import ContactMotion, passage
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import moved, moving_with, pushed
+from jaxclear.ground.tangents import moved, moving_with, pushed, where_wanted
 from jaxclear.integrators import saltation
 from jaxclear.integrators.explicit_methods import CHAINS
 from jaxclear.integrators.trust import GROWTH, RISE
@@ -47,12 +47,15 @@ class Now(NamedTuple):
     contacts: ContactMotion
 
 
-def through_touches(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
+def through_touches(
+    formulation: CompliantContact, rest: Any, plain: Callable, length: Callable
+) -> Callable:
     """A step with its derivative, as a function of (arrays, clock, state, last, growth).
 
     `plain(arrays, clock, state, last)`: its length [s], the state at its end and what it leaves to
-    the next: the contacts at its start and its length. `arrays`: of the model, and of all else;
-    `clock`: begins with the time [s]. `growth`: of derivatives (`trust`)."""
+    the next: the contacts at its start and its length; `length(clock, contacts, last)`: the length
+    by these contacts. `arrays`: of the model, and of all else; `clock`: begins with the time [s].
+    `growth`: of derivatives (`trust`)."""
     motion = saltation.motion_of(formulation, rest)
 
     def step(arrays, clock, y, last, growth):
@@ -67,21 +70,40 @@ def through_touches(formulation: CompliantContact, rest: Any, plain: Callable) -
         arrays, clock, y, last, growth = numbers
         way, clock_way, state, last_way, grown = tangents
         remembering = _remembering(formulation, rest, motion)
-        aware, state = remembering(
+        contacts, aware, state = remembering(
             (arrays[0], clock[0], y, last), (way[0], clock_way[0], state, last_way)
         )
         gap = narrowest_gap(eqx.combine(arrays[0], rest).system)
-        here, ways = (arrays, clock, aware, last), (way, clock_way, state, last_way)
-        (length, end, now), (longer, gone, left) = pushed(plain, here, ways)
-        begun = Now(arrays[0], clock[0], aware, length, ContactMotion(*now[0]))
+        h = length(clock, contacts, last)
+        begun = Now(arrays[0], clock[0], aware, h, ContactMotion(*contacts))
+        shifted, ways, shift = _at_moving_time(motion, begun, (way[0], clock_way, state))
+        here, ways = (arrays, clock, aware, last), (way, ways, shifted, last_way)
+        (h, end, now), (longer, gone, left) = pushed(plain, here, ways)
+        gone = _at_fixed_time(motion, begun, end, gone, shift)
         times = clock_way[0], longer if moves(clock_way) else None
         apart = taken_apart(motion, begun, end, (way[0], times, state), moved(grown))
         grown = judged(motion, begun, gap, apart, end)
-        gone = jnp.where(apart.wanted, apart.way, gone)
-        return (length, end, now, moving_with(end[0], growth)), (longer, gone, left, grown)
+        gone = jnp.where(apart.changed, apart.way, gone)
+        return (h, end, now, moving_with(end[0], growth)), (longer, gone, left, grown)
 
     known.defjvp(moving, symbolic_zeros=True)
     return known
+
+
+def _at_moving_time(motion: Any, begun: Now, ways: tuple) -> tuple:
+    """The derivatives of (state, clock, shift) at a time that moves with touches (`saltation`)."""
+    way, (time, *others), state = ways
+    step = saltation.Step(begun.arrays, begun.contacts, begun.length)
+    ways = (way, None, None), (time, moved(state)), ()
+    state, _, shift = saltation.at_moving_time(motion, (step, (begun.time, begun.state), ()), ways)
+    return state, (moved(time) + shift, *others), shift
+
+
+def _at_fixed_time(motion: Any, begun: Now, end: Any, way: Any, shift: Any) -> Any:
+    """The derivative of the state at the end of a step that moved by a shift."""
+    acting, time = saltation.closed(begun.contacts), begun.time + begun.length
+    back = lambda way: way - shift * motion.rates(begun.arrays, acting, time, end)
+    return where_wanted(jnp.any(acting > 0), back, way)
 
 
 def moves(tree: Any) -> bool:
@@ -90,47 +112,47 @@ def moves(tree: Any) -> bool:
 
 
 def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Callable:
-    """The state with its impact speeds at the start of a step, and its derivative, from numbers and
-    tangents of (arrays, time, state, last): the derivative of a speed that was taken within the
-    last step is known since then."""
+    """The contacts at the start of a step, the state with its impact speeds there, and its
+    derivative, from numbers and tangents of (arrays, time, state, last): the derivative of a speed
+    that was taken within the last step is known since then."""
     places = impact_speed_places(motion.layout)
     wanted = any(place is not None for place in places)
 
     def aware(arrays, time, y, last):
         contacts = motion.contacts(arrays, time, y)
-        return formulation.remember(eqx.combine(arrays, rest), y, last[0], contacts, last[1])
+        known = formulation.remember(eqx.combine(arrays, rest), y, last[0], contacts, last[1])
+        return contacts, known
 
     def both(numbers, tangents):
         if not wanted:
-            return numbers[2], moved(tangents[2])
-        now, state = pushed(aware, numbers, tangents)
+            return motion.contacts(*numbers[:3]), numbers[2], moved(tangents[2])
+        (contacts, now), (_, state) = pushed(aware, numbers, tangents)
         y, before, known = numbers[2], numbers[3][0], moved(tangents[2])
         entries = [state[i] for i in range(len(state))]
         for i, place in enumerate(places):
             if place is not None:
                 taken = (y[place] <= 0) & (now[place] > 0) & (before.depths[i] < 0)
                 entries[place] = jnp.where(taken, known[place], entries[place])
-        return now, jnp.stack(entries)
+        return contacts, now, jnp.stack(entries)
 
     return both
 
 
 class Apart(NamedTuple):
-    """A step taken apart, if that was `wanted`: the state at its end and its derivative, the growth
-    of derivatives, which contacts were closed `before` it, the `contacts` at the end of the step as
-    it is, and whether any has changed."""
+    """A step taken apart, where a contact has `changed`: the state at its end and its derivative,
+    the growth of derivatives, which contacts were closed `before` it, and the `contacts` at the end
+    of the step as it is."""
 
-    wanted: Any
+    changed: Any
     end: Any
     way: Any
     growth: Array
     before: Any
     contacts: ContactMotion
-    changed: Any
 
 
 def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, growth: Array) -> Apart:
-    """A step in which a contact is closed at either end, at whose end the state is about `end`.
+    """A step in which a contact closes or parts, at whose end the state is about `end`.
     `ways`: derivatives of arrays, of (time, length), and of the state."""
     way, (time_way, longer), state = ways
     time, h = begun.time, begun.length
@@ -139,9 +161,9 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, growth: Array) -
     after = saltation.closed(contacts)
     path = (begun.contacts.depths, contacts.depths, h * begun.contacts.rates, h * contacts.rates)
     changed = before != after
-    shares = passage(constant(path), 0.0, jnp.ones_like(before), jnp.any(changed))
-    wanted = jnp.any(changed | (before > 0))
-    turns = jnp.where(wanted, jnp.sum(changed.astype(int)) + 1, 0)
+    any_changed = jnp.any(changed)
+    shares = passage(constant(path), 0.0, jnp.ones_like(before), any_changed)
+    turns = jnp.where(any_changed, jnp.sum(changed.astype(int)) + 1, 0)
     if longer is not None:
         state = state - moved(time_way) * motion.rates(begun.arrays, before, time, begun.state)
 
@@ -171,7 +193,7 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, growth: Array) -
     if longer is not None:
         moves = moved(time_way) + moved(longer)
         state = state + moves * motion.rates(begun.arrays, after, time + h, end)
-    return Apart(wanted, y, state, growth, before, contacts, jnp.any(changed))
+    return Apart(any_changed, y, state, growth, before, contacts)
 
 
 def judged(motion: Any, begun: Now, gap: Any, apart: Apart, end: Any) -> Array:

@@ -166,7 +166,7 @@ def _at_end(motion: Any, gone: _Gone, whole: Any, way: Any, known: tuple) -> Par
     later = begun.time + begun.length
     released = jnp.where(hit & (acting > 0), -abs(after.depths), after.depths)
     judging = after._replace(depths=released)
-    apart = Apart(True, end, state, part.growth, acting, judging, jnp.zeros((), bool))
+    apart = Apart(jnp.zeros((), bool), end, state, part.growth, acting, judging)
     growth = judged(motion, begun, jnp.ones(()), apart, end)
     ends, motions = ((begun.time, begun.state), (later, end)), (begun.contacts, after)
     larger = lambda arrays, *now: deepest(motion.contacts, arrays, now[:2], motions, now[2])
