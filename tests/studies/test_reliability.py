@@ -1,5 +1,7 @@
 """Probabilities of failing against closed forms, quadrature, OpenTURNS and published values."""
 
+import types
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from scipy import integrate, stats
 from scipy.special import ndtr
 
 import jaxclear as jc
+from jaxclear.studies.reliability.reach import Reach
 from tests.rigs.limit_states import CASES, case
 
 Normal = jc.distribution.Normal
@@ -145,6 +148,72 @@ def not_differentiable(a, b, c):
     form = lambda a, b, c: np.asarray(a + 0.5 * b + 0.05 * c**2 + 0.02 * a * b)
     shape = jax.ShapeDtypeStruct((), float)
     return jax.pure_callback(form, shape, a, b, c, vmap_method="broadcast_all")
+
+
+def test_a_limit_beyond_all_bounds_is_told_after_few_runs():
+    """It took 94 400 runs to say nothing of where the limit lies."""
+    names = [f"part {i}" for i in range(4)]
+    stack = jc.FunctionProblem(
+        lambda **parts: {"height": sum(parts.values())},
+        {name: jc.Dimension(10e-3, tolerance=20e-6) for name in names},
+    )
+    found = jc.reliability(stack, Above("height", 40.1e-3))
+    assert found.runs < 3000 and found.method == "none"
+    said = found.sentence()
+    assert "the limit (height above 0.0401) lies beyond everything seen" in said
+    nearest = float(said.split("height = ")[1].split(" m")[0])
+    # The worst case is the sum of all tolerances.
+    assert 0.9 * 80e-6 < nearest - 40e-3 <= 80e-6
+    assert "part 0 = 0.01001" in said or "part 0 = 0.01002" in said
+
+
+def bent(z):
+    return 4.5 - z[:, 1] - 0.3 * (z[:, 0] - 0.1) ** 2
+
+
+def branched(z):
+    along, across = (z[:, 0] + z[:, 1]) / np.sqrt(2), z[:, 0] - z[:, 1]
+    ends = 7 / np.sqrt(2) - abs(across)
+    return np.minimum(3 + 0.1 * across**2 - abs(along), ends)
+
+
+def corner(z):
+    """Three variables within bounds of 3 deviations, all near them: 8 of 9."""
+    return 8.0 - stats.truncnorm(-3, 3).ppf(ndtr(z)).sum(axis=1)
+
+
+REACHABLE = {
+    "plane of 20, 1e-7": (20, lambda z: 5.2 - z.sum(axis=1) / np.sqrt(20)),
+    "bent": (2, bent),
+    "four branches": (2, branched),
+    "two modes": (5, lambda z: np.minimum(8 - z[:, 0], 4 + z[:, 1])),
+    "both at once": (2, lambda z: np.maximum(3.2 - z[:, 0], 3.2 - z[:, 1])),
+    "sphere": (10, lambda z: 60 - (z**2).sum(axis=1)),
+    "corner of bounds": (3, corner),
+    "nearly flat before": (
+        2,
+        lambda z: 1 - 0.9 * np.tanh(z[:, 0]) - 0.5 * np.maximum(z[:, 0] - 4, 0),
+    ),
+    "an island": (2, lambda z: np.where(np.all(abs(z - 1.5) < 0.1, axis=1), -1.0, 1.0)),
+}
+
+
+class ByNumpy:
+    """A model whose margins are a function of standard normal numbers."""
+
+    def __init__(self, variables, margin):
+        self.problem = types.SimpleNamespace(names=tuple(range(variables)))
+        self.limit, self.runs, self.margin = Below("response", 0.0), 0, margin
+
+    def margins(self, normal):
+        return self.margin(normal)[:, None]
+
+
+@pytest.mark.parametrize("name", REACHABLE)
+def test_what_fails_seldom_is_not_called_beyond_reach(name):
+    """Probabilities of 1e-2 to 1e-7, in each of 10 searches."""
+    for seed in range(10):
+        assert Reach(ByNumpy(*REACHABLE[name]), seed).beyond() == ""
 
 
 def test_without_slopes_a_surface_searches_and_runs_correct_it():

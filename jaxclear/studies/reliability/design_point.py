@@ -11,6 +11,7 @@ Syst., 297 (merit); Der Kiureghian & Dakessian 1998, Struct. Saf. 20, 37,
 doi:10.1016/S0167-4730(97)00026-X (bulges).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -65,14 +66,18 @@ class _Bulge(NamedTuple):
 
 
 def design_points(
-    model: AbstractModel, cuts: tuple[frozenset[int], ...], variables: int, seed: int
+    model: AbstractModel,
+    cuts: tuple[frozenset[int], ...],
+    variables: int,
+    seed: int,
+    hopeless: Callable[[], bool] = lambda: False,
 ) -> list[DesignPoint]:
     """The design points of each cut set, likeliest first; none where nothing fails within
-    `FURTHEST`."""
+    `FURTHEST`. `hopeless`: asked where a first search finds none, whether others are in vain."""
     rng = np.random.default_rng([seed, 2])
     found: list[DesignPoint] = []
     for cut in cuts:
-        found += _of_cut(model, tuple(sorted(cut)), variables, rng)
+        found += _of_cut(model, tuple(sorted(cut)), variables, rng, hopeless)
     single: list[DesignPoint] = []
     for point in sorted(found, key=lambda own: own.beta):
         if all(_new(point, other) or point.cut != other.cut for other in single):
@@ -80,7 +85,7 @@ def design_points(
     return single
 
 
-def _of_cut(model, cut, variables, rng) -> list[DesignPoint]:
+def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
     found: list[DesignPoint] = []
     bulges: list[_Bulge] = []
     directions = rng.normal(size=(STARTS, variables))
@@ -94,6 +99,8 @@ def _of_cut(model, cut, variables, rng) -> list[DesignPoint]:
         if first is not None and (first.beta > 0) == safe:
             found.append(first)
             break
+        if hopeless():
+            return []
     flat = bool(found) and _plane(model, cut, found[0], directions[1])
     while 0 < len(found) < MOST_POINTS and safe and not flat:
         last = found[-1]

@@ -2,11 +2,14 @@
 
 Design points are found on the exact slopes of functions, else on a surface that is mended where
 parts fail. From there FORM and SORM answer at once, and importance sampling says how
-far they are right; where it does not reach the accuracy, subset simulation takes its place.
+far they are right; where it does not reach the accuracy, subset simulation takes its place. Where
+nothing that fails is found, a search of few runs says whether any is within reach.
 """
 
 from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
@@ -20,6 +23,7 @@ from jaxclear.studies.reliability.first_order import curvatures, form, sorm
 from jaxclear.studies.reliability.importance import importance
 from jaxclear.studies.reliability.models import AbstractModel, RunModel, SurfaceModel
 from jaxclear.studies.reliability.proposal import Proposal
+from jaxclear.studies.reliability.reach import Reach
 from jaxclear.studies.reliability.refinement import NO_SURFACE, surface_where_it_fails
 from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.reliability.subset import subset
@@ -50,8 +54,9 @@ def reliability(
     `limit`: of `jaxclear.limit_state`: `Above("response", threshold)`, `Below`, or several in
     `Series` or `Parallel`. `methods`: some of "form", "sorm", "importance" and "subset"; by default
     the first three, and the last where importance sampling does not reach the `accuracy` [1], a
-    coefficient of variation. `most_runs` bounds the runs of each sampling
-    (subset simulation begins with eight repetitions whatever they cost). `surface`: of
+    coefficient of variation. `most_runs` bounds the runs of each sampling (subset simulation begins
+    with eight repetitions whatever they cost, but not where a search of 2360 runs finds nothing
+    that fails: the limit is then told to lie beyond everything seen). `surface`: of
     `jaxclear.surface`, on which design points are then found, and which takes up what it explains
     of importance sampling; by default one is fitted where runs are dear or have no exact slopes.
     Raises `ValueError` for what cannot be asked.
@@ -63,23 +68,47 @@ def reliability(
     check_count("seed of reliability", seed, at_least=0)
     check_flags("reliability", progress_bar=progress_bar)
     model = RunModel(problem, limit, progress_bar)
-    points, own, notes = _searched(model, surface, wanted, seed)
+    reach = Reach(model, seed)
+    points, own, notes = _searched(model, surface, wanted, seed, reach)
     estimates = _from_points(model, own, points, wanted, notes)
     if "importance" in wanted:
-        trusted = own is not None and all(own.trusted(part.response) for part in limit.limits())
-        control = SurfaceModel(own, limit) if own is not None and trusted else None
-        estimates["importance"] = (
-            importance(model, control, Proposal.at(points), accuracy, most_runs, seed)
-            if points
-            else _none(notes)
-        )
+        asked = accuracy, most_runs, seed
+        estimates["importance"] = _about(model, own, points, asked) or _none(own, limit, notes)
     missed = "importance" in estimates and not estimates["importance"].variation <= accuracy
     if "subset" in wanted or (methods is None and missed):
-        estimates["subset"] = subset(model, accuracy, most_runs, seed)
+        if _seen_failing(estimates, points, own) or not reach.beyond():
+            estimates["subset"] = subset(model, accuracy, most_runs, seed)
+    if reach.sentence:
+        nothing = refused(reach.sentence, model.runs)
+        estimates = dict.fromkeys([*estimates, "subset"], nothing)
     counts = model.runs, model.failed
     return Reliability(
         problem, limit, estimates, tuple(points), own, *counts, accuracy, tuple(notes)
     )
+
+
+def _about(
+    model: RunModel,
+    own: ResponseSurface | None,
+    points: list[DesignPoint],
+    asked: tuple[float, int, int],
+) -> Probability | None:
+    """What importance sampling answers; None without a design point. `asked`: accuracy, most runs,
+    seed."""
+    if not points:
+        return None
+    limit = model.limit
+    trusted = own is not None and all(own.trusted(part.response) for part in limit.limits())
+    control = SurfaceModel(own, limit) if own is not None and trusted else None
+    return importance(model, control, Proposal.at(points), *asked)
+
+
+def _seen_failing(
+    estimates: dict[str, Probability], points: list[DesignPoint], own: ResponseSurface | None
+) -> bool:
+    """Whether something is known to fail: a design point of the runs themselves, or a sample."""
+    sampled = "importance" in estimates and bool(np.isfinite(estimates["importance"].value))
+    return sampled or (bool(points) and own is None)
 
 
 def _from_points(
@@ -94,28 +123,36 @@ def _from_points(
     search: AbstractModel = model if own is None else SurfaceModel(own, model.limit)
     found_in = model.runs
     if "form" in wanted:
-        estimates["form"] = Probability(form(points), runs=found_in) if points else _none(notes)
+        estimates["form"] = (
+            Probability(form(points), runs=found_in) if points else _none(own, model.limit, notes)
+        )
     if "sorm" in wanted:
         estimates |= _second_order(search, model, points, found_in)
     return estimates
 
 
 def _searched(
-    model: RunModel, surface: ResponseSurface | None, wanted: Sequence[str], seed: int
+    model: RunModel,
+    surface: ResponseSurface | None,
+    wanted: Sequence[str],
+    seed: int,
+    reach: Reach,
 ) -> tuple[list[DesignPoint], ResponseSurface | None, list[str]]:
     """Design points, the surface on which they were found (None: on runs), and sentences."""
     if set(wanted) <= {"subset"}:
         return [], None, []
     cuts, variables = model.limit.cut_sets(), len(model.problem.names)
+    hopeless = lambda: bool(reach.beyond())
     exact = not any(model.problem.pathwise_limits())
     if surface is None and exact and model.problem.most_together() >= CHEAP:
-        return design_points(model, cuts, variables, seed), None, []
+        return design_points(model, cuts, variables, seed, hopeless), None, []
     if surface is None:
         found, points, right = surface_where_it_fails(model, seed)
         if isinstance(found, str):
             return [], None, [found]
         if exact and not points:
-            return design_points(model, cuts, variables, seed), None, [found.sentence()]
+            points = design_points(model, cuts, variables, seed, hopeless)
+            return points, None, [found.sentence()]
     else:
         trusted = all(surface.trusted(own.response) for own in model.limit.limits())
         searched = SurfaceModel(surface, model.limit)
@@ -127,12 +164,16 @@ def _searched(
     return points, found, notes
 
 
-def _none(notes: list[str]) -> Probability:
+def _none(
+    surface: ResponseSurface | None, limit: AbstractLimitState, notes: list[str]
+) -> Probability:
     """What methods answer that have no design point."""
-    if not notes:
-        return refused("no design point is found.")
-    rough = not notes[0].startswith(NO_SURFACE)
-    return refused("the surface is too rough to search." if rough else "there is no surface.")
+    if surface is not None:
+        trusted = all(surface.trusted(own.response) for own in limit.limits())
+        why = "nothing fails on the surface" if trusted else "the surface is too rough to search"
+        return refused(f"{why}.")
+    none = bool(notes) and notes[0].startswith(NO_SURFACE)
+    return refused("there is no surface." if none else "no design point is found.")
 
 
 def _second_order(

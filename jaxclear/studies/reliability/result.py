@@ -127,6 +127,9 @@ class Reliability(AbstractShown):
         """The answer with its error and cost, where FORM and sampling disagree, and what is to be
         known of it."""
         if self.method == "none":
+            whys = {own.refusal for own in self.estimates.values()}
+            if len(whys) == 1:
+                return " ".join([f"No method has an answer: {whys.pop()}", *self.notes])
             return " ".join(["No method has an answer.", *self._refusals(), *self.notes])
         own = self.estimates[self.method]
         text = f"P({self.limit.words()}) = {own.value:.3g}"
@@ -181,7 +184,11 @@ class Reliability(AbstractShown):
         return [f"{text}; they count as failing, with next to nothing of the probability."]
 
     def _refusals(self) -> list[str]:
-        return [f"{_named(n)}: {e.refusal}" for n, e in self.estimates.items() if e.refusal]
+        methods: dict[str, list[str]] = {}
+        for name, own in self.estimates.items():
+            if own.refusal:
+                methods.setdefault(own.refusal, []).append(_named(name))
+        return [f"{' and '.join(names)}: {why}" for why, names in methods.items()]
 
 
 def _named(method: str) -> str:

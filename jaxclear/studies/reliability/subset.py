@@ -8,6 +8,9 @@ Papaioannou, Betz, Zwirglmaier & Straub 2015, Probab. Eng. Mech. 41, 89,
 doi:10.1016/j.probengmech.2015.06.006 (adaptive conditional sampling).
 """
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 
 from jaxclear.studies.limit_state import system_margin
@@ -38,8 +41,9 @@ def subset(model: RunModel, accuracy: float, most_runs: int, seed: int) -> Proba
     while True:
         new = MORE if len(values) else FIRST
         start, rng = model.runs, np.random.default_rng([seed, 5, level, len(values)])
-        own, lost = _repetitions(model, new, level, rng)
-        values, unknown = np.concatenate([values, own]), np.concatenate([unknown, lost])
+        own = repetitions(model, new, level, rng)
+        values = np.concatenate([values, own.shares])
+        unknown = np.concatenate([unknown, own.unknown])
         cost += model.runs - start
         mean = values.mean()
         single = _single(values, level)
@@ -51,7 +55,7 @@ def subset(model: RunModel, accuracy: float, most_runs: int, seed: int) -> Proba
             values, unknown, cost, level = np.zeros(0), np.zeros(0), 0, 2 * level
     runs, failed = model.runs - before, model.failed - failed
     if mean == 0.0:
-        nothing = f"subset simulation finds nothing that fails in {runs} runs"
+        nothing = f"nothing that fails is found in {runs} runs"
         endless = [model.problem.endless(own.response) for own in model.limit.limits()]
         if any(endless):
             why = f"infinite responses say nothing of how near they are ({' '.join(endless)})"
@@ -71,25 +75,44 @@ def _single(values: np.ndarray, level: int) -> float:
     return float(max(values.std(ddof=1) / mean, np.sqrt(levels * (1 - SHARE) / (SHARE * level))))
 
 
-def _repetitions(
-    model: RunModel, repetitions: int, count: int, rng
-) -> tuple[np.ndarray, np.ndarray]:
-    """Probabilities (repetitions,) of independent simulations with `count` samples a level, and how
-    much of them are runs that did not reach their end."""
+class Simulations(NamedTuple):
+    """What independent simulations say, (repetitions,) each [1]: the `shares` that fail, how much
+    of them are runs that did not reach their end (`unknown`), and the rarest parts that a
+    simulation `reached`."""
+
+    shares: np.ndarray
+    unknown: np.ndarray
+    reached: np.ndarray
+
+
+def repetitions(
+    model: RunModel,
+    number: int,
+    count: int,
+    rng,
+    see: Callable[[np.ndarray, np.ndarray], None] = lambda normal, margins: None,
+) -> Simulations:
+    """So many independent simulations with `count` samples a level. `see` is shown all samples
+    (samples, variables) with their margins (samples, limits)."""
     variables, cuts = len(model.problem.names), model.limit.cut_sets()
-    normal = rng.normal(size=(repetitions, count, variables))
+    normal = rng.normal(size=(number, count, variables))
     scales = np.ones(len(model.limit.limits()))
 
-    def worst(at):
-        flat = model.margins(at.reshape(-1, variables)) / scales
-        return _worst(flat, cuts).reshape(at.shape[:-1])
+    def seen(at):
+        flat = at.reshape(-1, variables)
+        margins = model.margins(flat)
+        see(flat, margins)
+        return margins
 
-    margins = model.margins(normal.reshape(-1, variables))
+    def worst(at):
+        return _worst(seen(at) / scales, cuts).reshape(at.shape[:-1])
+
+    margins = seen(normal)
     # Limits in one scale, so that a system's worst samples are not those of the largest unit.
     scales = np.array([_scale(own[np.isfinite(own)]) for own in margins.T])
-    margins = _worst(margins / scales, cuts).reshape(repetitions, count)
-    found, unknown, kept = np.zeros(repetitions), np.zeros(repetitions), int(SHARE * count)
-    share, open_ = np.ones(repetitions), np.ones(repetitions, bool)
+    margins = _worst(margins / scales, cuts).reshape(number, count)
+    found, unknown, kept = np.zeros(number), np.zeros(number), int(SHARE * count)
+    share, open_ = np.ones(number), np.ones(number, bool)
     for _ in range(MOST_LEVELS):
         order = np.argsort(margins, axis=1, kind="stable")
         level = np.take_along_axis(margins, order[:, kept - 1 : kept + 1], axis=1).mean(axis=1)
@@ -109,7 +132,7 @@ def _repetitions(
             np.take_along_axis(margins[open_], seeds, axis=1),
         )
         normal[open_], margins[open_] = _conditioned(worst, *chains, level[open_], rng)
-    return found, unknown
+    return Simulations(found, unknown, share)
 
 
 def _scale(finite: np.ndarray) -> float:
