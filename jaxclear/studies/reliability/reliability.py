@@ -75,9 +75,9 @@ def reliability(
         asked = accuracy, most_runs, seed
         estimates["importance"] = _about(model, own, points, asked) or _none(own, limit, notes)
     missed = "importance" in estimates and not estimates["importance"].variation <= accuracy
-    if "subset" in wanted or (methods is None and missed):
-        if _seen_failing(estimates, points, own) or not reach.beyond():
-            estimates["subset"] = subset(model, accuracy, most_runs, seed)
+    looked = "subset" in wanted or (methods is None and missed)
+    if looked and (_seen_failing(estimates, points, own) or not reach.beyond()):
+        estimates["subset"] = subset(model, accuracy, most_runs, seed)
     if reach.sentence:
         nothing = refused(reach.sentence, model.runs)
         estimates = dict.fromkeys([*estimates, "subset"], nothing)
