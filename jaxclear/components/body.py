@@ -14,6 +14,7 @@ import numpy as np
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.in_words import in_a_line, number_in_words
 from jaxclear.ground.pose import AXES, Pose, frame_with_axis, rotation_from_quaternion
 from jaxclear.ground.quantity import (
     AbstractQuantified,
@@ -150,6 +151,17 @@ class Marker(AbstractQuantified):
         else:
             rotation = AXES[self.named_axis]
         return Pose(rotation, sp.vec3(self.at))
+
+
+@in_a_line.register
+def _(marker: Marker, unit: Any = None) -> str:
+    """The body, and where on it: `"rod" at (0.12, 0) m along x`."""
+    place = "" if marker.at is None else f" at {number_in_words(marker.at)} m"
+    axis = f" along {marker.named_axis}" if marker.named_axis != "z" else ""
+    axis = axis if marker.axis is None else f" along {number_in_words(marker.axis)}"
+    turn = marker.quaternion
+    turned = "" if turn is None else f" turned by {number_in_words(turn)}"
+    return f'"{marker.body}"{place}{axis}{turned}'
 
 
 class Connection(AbstractQuantified):

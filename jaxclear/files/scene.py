@@ -71,6 +71,22 @@ class Scene(AbstractQuantified):
         by_name("variables", self.variables)
         expect(self.responses, Mapping, "responses of a Scene", "a dictionary from names")
 
+    def __str__(self) -> str:
+        """What it is of, how it is run, and what is asked of it."""
+        known = self.mechanism
+        lines = [f"Scene{f': {self.description}' if self.description else ''}"]
+        for part in ("bodies", "connections", "loads"):
+            lines += [f"  {part} {', '.join(getattr(known, part))}"] if getattr(known, part) else []
+        told = {
+            "duration": None if self.duration is None else f"{float(self.duration):.6g} s",
+            "positions of": self.positions and ", ".join(self.positions),
+            "integrator": self.integrator,
+            "state": self.state,
+            "variables": ", ".join(self.variables),
+            "responses": ", ".join(self.responses),
+        }
+        return "\n".join([*lines, *(f"  {what} {own}" for what, own in told.items() if own)])
+
     def simulate(
         self, *, balance: bool = False, progress_bar: bool = False, throw: bool = True
     ) -> Trajectory:

@@ -262,13 +262,17 @@ def reaction_through(
     return Reaction(force, sp.minus(torque, sp.cross(pose.translation, force)))
 
 
+class ReactionNotUnique(ValueError):
+    """Friction would hang on a reaction that is not unique."""
+
+
 def check_unique(system: System) -> None:
-    """Raises `ValueError` where friction would hang on a reaction that is not unique."""
+    """Raises `ReactionNotUnique` where friction would hang on a reaction that is not unique."""
     redundancy = system.topology.redundancy
     for held in touching(system):
         rubs = held.joint.friction is not None
         if redundancy is not None and rubs and held.name in redundancy.joints:
-            raise ValueError(
+            raise ReactionNotUnique(
                 f'friction in joint "{held.name}" follows its reaction, which is not unique: the '
                 f"loops are {redundancy} Leave its friction out, give another joint of this loop "
                 "more freedom, or take a compliant integrator such as ImplicitStep."

@@ -23,8 +23,10 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.answering import AnsweringMeta
 from jaxclear.ground.forking import check_not_forked
+from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.kinds import as_given, check_kinds, finite_and_within, range_in_words
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import described, public_name
 
 __all__ = [
@@ -173,12 +175,15 @@ def _field(default, unit, meaning, converter, kwargs, said):
     return eqx.field(converter=as_given(converter), metadata=metadata, **kwargs)
 
 
-class AbstractQuantified(eqx.Module, metaclass=AnsweringMeta):
+class AbstractQuantified(AbstractShown, metaclass=AnsweringMeta):
     """What has numbers with units. Building one raises `ValueError` for a field that holds what it
     may not, a number that is not finite or outside its range: `integrator.MoreauJean has gamma =
     -1; it must be at least 0.` What a class compares in a `__check_init__` of its own comes after
-    that.
+    that. `print` shows its numbers with their units.
     """
+
+    def __str__(self) -> str:
+        return part_in_words(self)
 
     def __check_init__(self):
         if "__check_init__" not in vars(type(self)):

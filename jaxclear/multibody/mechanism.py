@@ -19,7 +19,6 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, as_number
-from jaxclear.ground.shown import AbstractShown
 from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
 from jaxclear.multibody.exchange import exchanged, told_for_start, without_loads_on
@@ -56,7 +55,7 @@ def _by_name(what: str, given: Any, needed: bool = False) -> dict[str, Any]:
     return dict(given)
 
 
-class Mechanism(AbstractQuantified, AbstractShown):
+class Mechanism(AbstractQuantified):
     """Bodies held together by connections, under loads.
 
     `start` gives coordinates by connection, or by body (its place in the ground): 1 number, all of

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_flags, expect
@@ -61,6 +62,20 @@ class State(AbstractQuantified):
         if motion is not None:
             expect(motion, SavedMotion, "motion of a State", "that of a run, run.state().motion")
         self.worn, self.concentric, self.motion = worn, concentric, motion
+
+    def __str__(self) -> str:
+        if self.motion is not None:
+            many, when = len(self.motion.coordinates), float(self.motion.time)
+            where = f"State of a motion of {many} coordinates, at {when:.6g} s"
+        else:
+            where = "State: the mechanism's own start, "
+            where += "journals in the middle" if self.concentric else "only ideal loops closed"
+        deepest = [
+            f"{surface} of {joint} worn by {float(jnp.max(depths)):.6g} m at the most"
+            for joint, own in (self.worn or {}).items()
+            for surface, depths in own.items()
+        ]
+        return f"{'; '.join([where, *deepest])}."
 
 
 def _surfaces(joint: Any, depths: Any) -> Mapping:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxclear.components.body import Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.formulations import CompliantContact, model_of
+from jaxclear.formulations.permanent_reactions import ReactionNotUnique
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import expect
@@ -46,7 +47,8 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
     (`NonColliding`), as deep as its law carries that reaction, and resting in it.
 
     Loads, drives and inertia forces of the start count; friction leans a journal sideways. Journals
-    without a reaction stay in the middle. Where the loops do not let each journal lie as its own
+    without a reaction stay in the middle. Where reactions are not unique (a door on two hinges with
+    play) no friction leans a journal. Where the loops do not let each journal lie as its own
     reaction presses it (a spatial linkage whose ends stay in their planes), all rest together where
     their contacts carry the loads, without friction. `worn`: depths [m] by joint and surface, such
     as `run.worn`. Give the state to `simulate`, `settled`, `wear_life` or a `Problem`. What `start`
@@ -58,7 +60,7 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
     surfaces = worn_as_given(mechanism, worn)
     if not mechanism.topology.clearances:
         return State(surfaces)
-    first = simulate(mechanism, FIRST, save=2, integrator=NonColliding(FIRST))
+    first = _first_reactions(mechanism)
     read = {} if surfaces is None else readings(prepare(mechanism), surfaces)
     known, start = _put(first, mechanism, read)
     model = model_of(mechanism, CompliantContact())
@@ -74,6 +76,24 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
         known.topology.redundancy,
     )
     return State(surfaces, motion=motion)
+
+
+def _first_reactions(mechanism: Mechanism) -> Trajectory:
+    """A run so short that nothing moves, in which all journals touch; without friction where it
+    would hang on reactions that are not unique."""
+    asked: dict[str, Any] = {"save": 2, "integrator": NonColliding(FIRST)}
+    try:
+        return simulate(mechanism, FIRST, **asked)
+    except ReactionNotUnique:
+        return simulate(_without_friction(mechanism), FIRST, **asked)
+
+
+def _without_friction(mechanism: Mechanism) -> Mechanism:
+    for name, connection in mechanism.connections.items():
+        if getattr(connection.joint, "friction", None) is not None:
+            joint = eqx.tree_at(lambda own: own.friction, connection.joint, None)
+            mechanism = mechanism.with_joint(name, joint)
+    return mechanism
 
 
 def _pressed(

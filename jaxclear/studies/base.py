@@ -15,7 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground.in_words import in_a_line, number_in_words
 from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.ground.wording import public_name
 from jaxclear.integrators import Checks
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 from jaxclear.studies.inputs import Inputs, joint
@@ -70,6 +72,21 @@ class AbstractProblem(AbstractQuantified):
     response_names: eqx.AbstractVar[tuple[str, ...]]
     variable_units: eqx.AbstractVar[tuple[str, ...]]
     correlation: eqx.AbstractVar[Any]
+
+    def __str__(self) -> str:
+        """How it is asked, the responses and the variables with their units."""
+        units, nominal = self.units(), self.nominal()
+        lines = [f"{public_name(type(self))} {self.asked_how()}".rstrip(), "responses"]
+        lines += [f"  {name} [{units[name]}]" for name in self.response_names]
+        lines += ["variables"] if self.names else []
+        for name, unit, value in zip(self.names, self.variable_units, nominal, strict=True):
+            spread = in_a_line(self.variables[name].distribution)
+            lines.append(f"  {name} {number_in_words(value)} {unit}, {spread}")
+        return "\n".join(lines if self.correlation is None else [*lines, "correlated"])
+
+    def asked_how(self) -> str:
+        """What is done with a sample, such as "over 0.25 s"; "" for nothing to tell."""
+        return ""
 
     @property
     def inputs(self) -> Inputs:

@@ -166,6 +166,9 @@ class FunctionProblem(AbstractProblem):
     def pathwise_limits(self):
         return self.undifferentiated, ""
 
+    def asked_how(self):
+        return f"of {described(self.function)}"
+
     def parts(self):
         variables = {f'"{name}"': (v.nominal, v.unit) for name, v in self.variables.items()}
         return {"function": self.function, "units": self.response_units} | variables

@@ -17,6 +17,7 @@ from jaxclear.formulations.quasi_static import posed
 from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import inside, numbers
+from jaxclear.ground.wording import listed
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.positions import Positions
@@ -149,6 +150,9 @@ class PositionProblem(AbstractProblem):
             )
         said = Outcome(outcome).sentence
         return f"{said[0].lower()}{said[1:]}"
+
+    def asked_how(self):
+        return f"at {len(self.position)} positions of {listed(self.held)}"
 
     def parts(self):
         told = ("mechanism", "response", "position", "held", "both_ways")

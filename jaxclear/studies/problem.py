@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import expect
+from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import inside, numbers
 from jaxclear.integrators import AbstractIntegrator, Checks, Outcome
@@ -252,6 +253,10 @@ class Problem(AbstractProblem):
         if how == Outcome.REACHED or not how.began:
             return f"{said[0].lower()}{said[1:]}"
         return f"the run ended after {ended:.6g} s. {said}"
+
+    def asked_how(self):
+        lasts, saves = f"{float(self.duration):.6g} s", len(self.shares)
+        return f"over {lasts}, {saves} saved instants, by {part_in_words(self.integrator)}"
 
     def remark(self):
         return self.why_integrator
