@@ -34,19 +34,16 @@ FINER_TOLERANCE = 4
 # grow, and looser runs lost a journal's place in its gap for a few percent of time
 # (benchmarks/attack.py).
 LOOSEST = 3e-7
-# The same as a place, beside the narrowest gap: what a tolerance of coordinates allows a body must
-# be little in the gap, or where it touches is lost (the same runs, gaps of 16 to 100 um).
+# The same as a place, beside the narrowest gap: what it allows a body must be little in the gap, or
+# where it touches is lost (the same runs, gaps of 16 to 100 um).
 LOOSEST_IN_GAP = 4e-4
-# A step that ends at a touch ends so near, beside what the tolerance leaves a coordinate: a landing
-# must not be what errors come from. Not more than a share of the narrowest gap, whatever the
-# tolerance; not below what rounding leaves, beside the longest arm.
+# A step that ends at a touch ends so near, beside what the tolerance leaves a coordinate, lest
+# landing makes errors: at most a share of the narrowest gap, at least rounding beside all arms.
 LANDING, LANDING_IN_GAP = 0.1, 1e-4
 ROUNDING = 1e-12
-
 # Derivatives have grown too much where a place within the tolerance, grown as they have, is more
-# than this beside the narrowest gap: beyond, they were off by a tenth and more, and within by less
-# than a hundredth (slider-cranks with and without friction, rtol 1e-7 beside 1e-12; 3 hundredths at
-# 5000 rpm).
+# than this beside the narrowest gap: beyond, they were off by a tenth and more, within by less than
+# a hundredth (slider-cranks with and without friction, rtol 1e-7 beside 1e-12; 3 at 5000 rpm).
 TRUSTED = 8e-4
 
 
@@ -58,19 +55,18 @@ class Adaptive(AbstractIntegrator):
     joints have clearance both tolerances count as at rtol 3e-7 at the loosest (4e-4 of the
     narrowest gap beside the longest arm, where that is less): impacts make errors grow, and looser
     runs save next to no time. A step in which a contact closes or parts is repeated to end there;
-    steps end at saving times too, so saving more often than steps are long costs as many more.
-    `MuntheKaas`, implicit solvers and those with steps of their own run in diffrax's loop, and hand
-    on the mean of their steps. In a batch all samples wait for the slowest. First derivatives
-    through contacts are those of the motion (within 1.2 % at the usual tolerance, measured through
-    up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps end at touches and releases, and
-    know how these move (`saltation`). Their error is not controlled: tighten `rtol` to see it.
-    Where impacts have made them grow so much that the tolerance no longer determines them they are
-    nan, and where steps do not resolve them (at rest in a contact, or on a stiff spring, they
-    grow: hold `largest_step`); a tighter `rtol` goes further. Not with implicit solvers and
-    `MuntheKaas`, where `jaxclear.sensitivity` is the way. Stiff scenes (large friction over tiny
-    transition speeds) may prefer an implicit solver, best with a full Newton iteration:
-    diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)). `MuntheKaas` keeps
-    rotations on their group.
+    steps end at saving times too, so saving more often than steps are long costs as many more, and
+    none is so long that it would pass over what a load or drive does. Solvers that are no explicit
+    tableau run in diffrax's loop, and hand on the mean of their steps. In a batch all samples wait
+    for the slowest. First derivatives through contacts are those of the motion (within 1.2 % at the
+    usual tolerance, measured through up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps
+    end at touches and releases, and know how these move (`saltation`). Their error is not
+    controlled: tighten `rtol` to see it. Where impacts have made them grow so much that the
+    tolerance no longer determines them they are nan, and where steps do not resolve them (at rest
+    in a contact, or on a stiff spring, they grow: hold `largest_step`); a tighter `rtol` goes
+    further. Not with implicit solvers and `MuntheKaas` (it keeps rotations on their group), where
+    `jaxclear.sensitivity` is the way. Stiff scenes (large friction over tiny transition speeds) may
+    prefer diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)).
     """
 
     pathwise: ClassVar = False
@@ -110,6 +106,10 @@ class Adaptive(AbstractIntegrator):
         finer = jnp.minimum(1.0, jnp.maximum(finer, ROUNDING / self.rtol))
         sizes = lambda own: (own.rtol, own.atol)
         return eqx.tree_at(sizes, self, (finer * self.rtol, finer * self.atol))
+
+    def held(self, step):
+        step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
+        return eqx.tree_at(lambda own: own.largest_step, self, step, is_leaf=lambda x: x is None)
 
     @property
     def in_kernels(self):

@@ -115,6 +115,10 @@ class AbstractIntegrator(AbstractQuantified):
         power where it finds their length itself; None where they are counted."""
         return None
 
+    def held(self, step: Scalar) -> "AbstractIntegrator":
+        """Itself with no step longer than this [s], where it finds their length itself."""
+        return self
+
     @property
     def places_in_gaps(self) -> bool:
         """Whether it is meant to tell where in their gaps parts are at an instant."""

@@ -1,9 +1,8 @@
-"""By which figures a run is judged: each beside the limit up to which the run's numbers can be
-trusted, and the sentence that is said beyond.
+"""By which figures a run is judged: each beside the limit up to which numbers can be trusted, and
+the sentence that is said beyond.
 
 A figure is a number for each place (a joint, or the mechanism): the worst that was met. A run that
-lacks the thing has no figure for it and pays nothing. Beyond a limit the run carries a sentence;
-beyond `Check.ends_at` its numbers are certainly wrong and it ends.
+lacks the thing has none and pays nothing. Beyond `Check.ends_at` a run ends.
 """
 
 import enum
@@ -12,11 +11,12 @@ import numpy as np
 
 from jaxclear.integrators.outcome import Outcome
 
-# What a figure is told for.
+# What a figure is told for; "joints": those of whose contact forces the state keeps the impulse.
 LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
-# Joints of whose contact forces the state keeps the impulse.
-JOINTS = "joints"
+JOINTS, LOADS = "joints", "loads and drives"
 NEVER = (np.inf, Outcome.REACHED)
+AGAIN = "with steps a quarter as long (tolerances 256 times tighter)"
+TIGHTER = "take shorter steps or a tight integrator.Adaptive"
 
 
 @enum.unique
@@ -130,10 +130,9 @@ class Check(enum.IntEnum):
         0.03,
         "places in gaps",
         CONTACTS,
-        'with steps a quarter as long (tolerances 256 times tighter) the parts of joint "{place}" '
-        "are elsewhere in their gap by {figure:.2g} of the clearance (limit {limit:g}), so places "
-        "in it at an instant and wear are off, though mean forces may be right: take shorter steps "
-        "or a tight integrator.Adaptive",
+        f'{AGAIN} the parts of joint "{{place}}" are elsewhere in their gap by {{figure:.2g}} of '
+        "the clearance (limit {limit:g}), so places in it at an instant and wear are off, though "
+        f"mean forces may be right: {TIGHTER}",
     )
     BODY_PLACES = (
         19,
@@ -142,9 +141,8 @@ class Check(enum.IntEnum):
         0.004,
         "places",
         WHOLE,
-        "with steps a quarter as long (tolerances 256 times tighter) bodies are elsewhere by "
-        "{figure:.2g} of their way (limit {limit:g}), so their places are off, though forces may "
-        "be right: take shorter steps or a tight integrator.Adaptive",
+        f"{AGAIN} bodies are elsewhere by {{figure:.2g}} of their way (limit {{limit:g}}), so "
+        f"their places are off, though forces may be right: {TIGHTER}",
     )
     MEAN_FORCE = (
         13,
@@ -153,9 +151,8 @@ class Check(enum.IntEnum):
         0.05,
         "forces",
         CONTACTS,
-        "with steps a quarter as long (tolerances 256 times tighter) the mean of the contact "
-        'forces in joint "{place}" changes by {figure:.2g} of the largest of all joints (limit '
-        "{limit:g}), so forces are off: take shorter steps or a tight integrator.Adaptive",
+        f'{AGAIN} the mean of the contact forces in joint "{{place}}" changes by {{figure:.2g}} '
+        f"of the largest of all joints (limit {{limit:g}}), so forces are off: {TIGHTER}",
     )
     # The same, where places in gaps say that paths have parted.
     PARTED_FORCE = (
@@ -165,10 +162,9 @@ class Check(enum.IntEnum):
         0.02,
         "forces",
         CONTACTS,
-        "with steps a quarter as long (tolerances 256 times tighter) parts are elsewhere in their "
-        'gaps, and with that the mean of the contact forces in joint "{place}" changes by '
-        "{figure:.2g} of the largest of all joints (limit {limit:g}): take shorter steps or a "
-        "tight integrator.Adaptive",
+        f"{AGAIN} parts are elsewhere in their gaps, and with that the mean of the contact forces "
+        'in joint "{place}" changes by {figure:.2g} of the largest of all joints (limit '
+        f"{{limit:g}}): {TIGHTER}",
     )
     DEEPEST = (
         20,
@@ -177,9 +173,8 @@ class Check(enum.IntEnum):
         0.13,
         "peak forces",
         CONTACTS,
-        "with steps a quarter as long (tolerances 256 times tighter) the deepest indentation in "
-        'joint "{place}" changes by {figure:.2g} of itself (limit {limit:g}), so peak forces are '
-        "off, though mean forces may be right: take shorter steps or a tight integrator.Adaptive",
+        f'{AGAIN} the deepest indentation in joint "{{place}}" changes by {{figure:.2g}} of itself '
+        f"(limit {{limit:g}}), so peak forces are off, though mean forces may be right: {TIGHTER}",
     )
     FRICTION_LOSS = (
         16,
@@ -188,9 +183,8 @@ class Check(enum.IntEnum):
         0.05,
         "wear",
         WHOLE,
-        "with steps a quarter as long (tolerances 256 times tighter) what friction takes changes "
-        "by {figure:.2g} of itself (limit {limit:g}), so friction loss and wear are off: take "
-        "shorter steps or a tight integrator.Adaptive",
+        f"{AGAIN} what friction takes changes by {{figure:.2g}} of itself (limit {{limit:g}}), so "
+        f"friction loss and wear are off: {TIGHTER}",
     )
     # Largest rise of a contact's indentation within a step beside the largest that was met: of
     # steps in which a contact does the work of its law whatever their length.
@@ -293,4 +287,14 @@ class Check(enum.IntEnum):
         'joint "{place}" creeps, held by friction, and its contact vibrates by {figure:.2g} rad '
         "in a step (limit {limit:g}; numerical damping counts as longer steps), so friction loss "
         "and wear may be off: take shorter steps and rebound=1.0",
+    )
+    LOAD_STEP = (
+        21,
+        "load step",
+        "1",
+        0.02,
+        "motion",
+        LOADS,
+        'steps pass over {figure:.2g} of the impulse of "{place}", a function of time that changes '
+        "within less than a step (limit {limit:g}), so the motion is off: take shorter steps",
     )

@@ -87,4 +87,8 @@ REASONS: dict[Check, str] = {
         "there on its loss is off by a few hundredths (where steps damp, by up to a tenth), as "
         "beside runs of Adaptive"
     ),
+    Check.LOAD_STEP: (
+        "mean forces and motion are off by what steps miss of an impulse; told from the function "
+        "alone, beside how far its impulse goes"
+    ),
 }

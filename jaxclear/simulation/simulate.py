@@ -26,6 +26,7 @@ from jaxclear.simulation.bristles import told_of_bristles
 from jaxclear.simulation.by_kernels import compiled_for_kernels
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import backwards, guarded
+from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.saving import checked_saving
 from jaxclear.simulation.second_look import looked_at_again
@@ -160,15 +161,15 @@ def simulate(
     times = saving_times(duration, saving.at)
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
-    state = State() if state is None else state
-    mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state)
+    integrator, passed = load_steps(mechanism, integrator, times, state)
+    mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state or State())
+    ready = mechanism, start.coordinates, start.speeds, begins + times
     with stoppable(), progress.bar(progress_bar, "simulating"):
-        ready = mechanism, start.coordinates, start.speeds, begins + times
         extras = Extras(balance, progress_bar, saving.events)
         runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run
         again = lambda finer: runs(*ready, finer, extras, past)
         trajectory = diagnosed(guarded(jax.block_until_ready(again(integrator)), integrator))
-        trajectory = looked_at_again(trajectory, integrator, again)
+        trajectory = judged_by(passed, looked_at_again(trajectory, integrator, again))
     if throw and isinstance(trajectory.outcome, jax.core.Tracer):
         raise ValueError(
             "simulate is being traced (by jax.jit, vmap or a derivative) and cannot raise: give "

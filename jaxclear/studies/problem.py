@@ -38,6 +38,7 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
 from jaxclear.simulation.dead_point import diagnosed, diagnosed_outcome
 from jaxclear.simulation.derivatives import backwards, guarded, refusal
+from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
 from jaxclear.simulation.second_look import found_in_one, many_in_doubt, restitution_of
@@ -126,8 +127,9 @@ class Problem(AbstractProblem):
         self.correlation = correlation_matrix(correlation, self.names)
         check_run(mechanism, self.integrator)
         check_steps(integrator, times)
-        seen = self.integrator.formulation.seen(mechanism)
         self.state = State() if state is None else state
+        self.integrator = self._load_steps().integrator
+        seen = self.integrator.formulation.seen(mechanism)
         self.past = past_of(seen, self.integrator.formulation, self.state)
         self.determined, motion = (), self.state.motion
         if motion is None:
@@ -206,9 +208,8 @@ class Problem(AbstractProblem):
         responses = {
             name: one_number(name, response(trajectory)) for name, response in self.response.items()
         }
-        possible = jnp.all(
-            jnp.stack([inside(leaf, metadata) for _, leaf, metadata in numbers(mechanism)])
-        )
+        kept = [jnp.all(inside(leaf, known)) for _, leaf, known in numbers(mechanism)]
+        possible = jnp.all(jnp.stack(kept))
         sound = is_sound(mechanism, start)
         outcome = jnp.where(sound, diagnosed_outcome(trajectory), Outcome.UNASSEMBLED)
         outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
@@ -234,18 +235,22 @@ class Problem(AbstractProblem):
         """The run of one sample, bit for bit as it ran in its chunk."""
         return diagnosed(sample_of_chunk(_run_chunk, self, values, index, chunk))
 
+    def _load_steps(self) -> LoadSteps:
+        return load_steps(self.mechanism, self.integrator, self.shares * self.duration, self.state)
+
     def second_look(self, checks):
         seen = self.integrator.formulation.seen(self.mechanism)
         kept = restitution_of(self.mechanism)
+        passed = self._load_steps().passed
         if not many_in_doubt(checks, bool(seen.topology.clearances), kept):
-            return Checks()
+            return checked_by(passed, Checks())
 
         def again(integrator):
             problem = eqx.tree_at(lambda own: own.integrator, self, integrator)
             return jax.block_until_ready(_run_alone(problem, self.nominal()))
 
         with stoppable():
-            return found_in_one(self.integrator, again)
+            return checked_by(passed, found_in_one(self.integrator, again))
 
     def ending(self, outcome, ended):
         how = Outcome(outcome)

@@ -1,0 +1,237 @@
+"""Whether steps see what loads and drives do in time. A push that is shorter than a step passes
+between the instants at which a step looks, and nothing in a run's numbers tells of it.
+
+So functions of time are looked at alone, before a run: what steps of that length make of their
+impulse, by Simpson's rule over each, beside the impulse as it is. Steps that find their own length
+(`Adaptive`) are held to one that sees them.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.components.drive import AbstractDrive
+from jaxclear.components.function_of_time import AbstractFunctionOfTime
+from jaxclear.components.joint.base import drive_of
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.quantity import concrete, is_traced
+from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.checks import Check
+from jaxclear.integrators.figures import Checks, Figure
+from jaxclear.integrators.stepping import SLIVER
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.results.saved_state import State
+from jaxclear.results.trajectory import Trajectory
+
+# Instants at which a function is looked at: so many in a step, and in the whole run at least and at
+# most. Of more steps than these nothing is said.
+IN_A_STEP, LEAST, MOST = 4, 2**13, 2**23
+# So many at once, whatever their number, so that nothing is compiled anew.
+TOGETHER = 2**13
+# So many steps at most a run is made to take by holding them.
+MOST_HELD = 10**6
+
+
+def functions_of_time(mechanism: Mechanism) -> dict[str, Any]:
+    """Of a mechanism the functions of time of loads, and drives, by name of the load or joint."""
+    values = {
+        name: getattr(load, field.name)
+        for name, load in mechanism.loads.items()
+        for field in dataclasses.fields(load)
+        if callable(getattr(load, field.name))
+    }
+    joints = ((name, each.joint) for name, each in mechanism.connections.items())
+    drives = ((name, drive_of(joint)) for name, joint in joints)
+    return values | {name: drive for name, drive in drives if drive is not None}
+
+
+def _changes(function: Any) -> bool:
+    """Whether a drive or function is more than a constant speed."""
+    return not isinstance(function, AbstractDrive) or not sp.is_zero(function.motion(0.0)[2])
+
+
+def passed_over(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, float]:
+    """By name the share of what each gives that steps with these ends [s] pass over: the largest
+    error of its impulse, beside how far the impulse goes. Of what never changes that is 0."""
+    count = len(edges) - 1
+    parts = 2 * max(IN_A_STEP // 2, -(-LEAST // (2 * count)))
+    if count * parts > MOST:
+        return {}
+    steps = np.diff(edges)
+    times = edges[:-1, None] + steps[:, None] * np.arange(parts) / parts
+    times = np.append(times.ravel(), edges[-1])
+    rates, impulses = _sampled(dict(functions), times)
+    return {
+        name: max(
+            (
+                _share(_missed(rate, impulse, steps, parts), impulse)
+                for rate, impulse in zip(rates[name], impulses[name], strict=True)
+            ),
+            default=0.0,
+        )
+        for name in functions
+    }
+
+
+def _missed(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int) -> np.ndarray:
+    """By the end of each step what Simpson's rule over all of them is off by."""
+    begin, middle, end = rate[:-1:parts], rate[parts // 2 :: parts], rate[parts::parts]
+    seen = np.cumsum(steps * (begin + 4 * middle + end) / 6)
+    return seen - (impulse[parts::parts] - impulse[0])
+
+
+def _share(missed: np.ndarray, impulse: np.ndarray) -> float:
+    # What the next step makes up for is nothing that a body feels.
+    lasting = np.minimum(np.abs(missed), np.abs(np.append(missed[1:], missed[-1])))
+    largest, whole = lasting.max(), np.ptp(impulse)
+    rounding = len(impulse) * np.finfo(float).eps * np.abs(impulse).max()
+    return float(largest / whole) if whole > rounding and np.isfinite(largest) else 0.0
+
+
+@eqx.filter_jit
+def _values(functions: dict[str, Any], times: jax.Array) -> dict[str, tuple]:
+    """Of each function its rates, and their integrals where these are known, at these times."""
+    return {
+        name: jax.vmap(lambda t, own=own: _at(own, t))(times) for name, own in functions.items()
+    }
+
+
+def _at(function: Any, time: Any) -> tuple[list, list | None]:
+    if isinstance(function, AbstractDrive):
+        _, speed, acceleration = function.motion(time)
+        return [jnp.asarray(acceleration, float)], [jnp.asarray(speed, float)]
+    known = function.integral(time) if isinstance(function, AbstractFunctionOfTime) else None
+    return _columns(function(time)), None if known is None else _columns(known)
+
+
+def _columns(found: Any) -> list:
+    return [x for leaf in jax.tree.leaves(found) for x in jnp.ravel(jnp.asarray(leaf, float))]
+
+
+def _sampled(functions: dict[str, Any], times: np.ndarray) -> tuple[dict, dict]:
+    """By name the rates and impulses of each function at these times, a list of histories."""
+    padded = np.append(times, np.full(-len(times) % TOGETHER, times[-1]))
+    rows = jnp.asarray(padded.reshape(-1, TOGETHER))
+    found = [jax.device_get(_values(functions, row)) for row in rows]
+    joined = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *found)
+    rates = {name: rate for name, (rate, _) in joined.items()}
+    impulses = {
+        name: [_integrated(each, times) for each in rate] if known is None else known
+        for name, (rate, known) in joined.items()
+    }
+    return rates, impulses
+
+
+def _integrated(rate: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The integral of a rate from the first time to each, by Simpson's rule over pairs of parts."""
+    h = np.diff(times)[::2]
+    begin, middle, end = rate[:-1:2], rate[1::2], rate[2::2]
+    found = np.zeros(len(times))
+    found[2::2] = np.cumsum(h * (begin + 4 * middle + end) / 3)
+    found[1::2] = found[:-1:2] + h * (5 * begin + 8 * middle - end) / 12
+    return found
+
+
+def step_ends(times: np.ndarray, step: float | None, fixed: int | None = None) -> np.ndarray | None:
+    """Ends [s] of steps no longer than `step` [s] between saving times, or of the `fixed` number;
+    None where they are more than anybody looks at."""
+    intervals = np.diff(times)
+    if fixed is None:
+        counts = np.maximum(np.ceil(intervals / step * (1 - SLIVER)), 1)
+    else:
+        counts = np.full(intervals.shape, fixed)
+    if np.sum(counts) * IN_A_STEP > MOST:
+        return None
+    pairs = zip(times[:-1], intervals, counts.astype(int), strict=True)
+    inside = [begin + length * np.arange(count) / count for begin, length, count in pairs]
+    return np.append(np.concatenate(inside), times[-1])
+
+
+class LoadSteps(NamedTuple):
+    """The `integrator` with which a run sees what its loads and drives do in time, and by name the
+    shares that its steps pass over (`passed`)."""
+
+    integrator: AbstractIntegrator
+    passed: dict[str, float]
+
+
+def checked_by(passed: dict[str, float], known: Checks) -> Checks:
+    """What is known of a run with what its loads and drives are judged by, where it has any."""
+    if not passed:
+        return known
+    names, shares = tuple(passed), jnp.array(list(passed.values()))
+    figure = Figure(shares, jnp.zeros(len(names)), names)
+    return Checks.of(known.figures | {Check.LOAD_STEP: figure})
+
+
+def judged_by(passed: dict[str, float], run: Trajectory) -> Trajectory:
+    """The run with it."""
+    return dataclasses.replace(run, checks=checked_by(passed, run.checks)) if passed else run
+
+
+def load_steps(
+    mechanism: Mechanism, integrator: AbstractIntegrator, times: Any, state: State | None = None
+) -> LoadSteps:
+    """How a run that begins with a state, and is saved at these times [s] from then on, sees what
+    its loads and drives do. Nothing is said of numbers that are being traced."""
+    functions = functions_of_time(mechanism)
+    times = times if state is None or state.motion is None else state.motion.time + times
+    if not functions or is_traced((functions, integrator, times)):
+        return LoadSteps(integrator, {})
+    step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
+    length, passed = _seen(_Question(functions, np.asarray(times), step, fixed))
+    return LoadSteps(integrator if length is None else integrator.held(length), passed)
+
+
+class _Question:
+    """What steps are asked of functions of time, as a key: runs ask the same again and again."""
+
+    def __init__(self, *asked: Any):
+        leaves, structure = jax.tree.flatten(asked)
+        self.asked = asked
+        self.key = (
+            structure,
+            *(np.asarray(x).tobytes() if eqx.is_array_like(x) else x for x in leaves),
+        )
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: Any) -> bool:
+        return self.key == other.key
+
+
+@functools.lru_cache(maxsize=64)
+def _seen(question: _Question) -> tuple[float | None, dict[str, float]]:
+    """The length [s] to which steps that find it themselves are to be held (None: they need not
+    be), and by name the shares that steps pass over."""
+    everything, times, step, fixed = question.asked
+    functions = {name: each for name, each in everything.items() if _changes(each)}
+    if step is not None or fixed is not None:
+        edges = step_ends(times, step, fixed)
+        return None, {} if edges is None else passed_over(functions, edges)
+    passed: dict[str, float] = {}
+    for halvings, (length, passed) in enumerate(_halved(functions, times)):
+        if max(passed.values(), default=0.0) <= Check.LOAD_STEP.limit:
+            return length if halvings else None, passed
+    return None, passed
+
+
+def _halved(
+    functions: dict[str, Any], times: np.ndarray
+) -> Iterator[tuple[float, dict[str, float]]]:
+    """Steps [s] from the longest between saving times on, each half as long as the one before, with
+    what they pass over."""
+    length = np.diff(times).max()
+    while times[-1] - times[0] <= MOST_HELD * length:
+        edges = step_ends(times, length)
+        if edges is None:
+            return
+        yield length, passed_over(functions, edges)
+        length = 0.5 * length
