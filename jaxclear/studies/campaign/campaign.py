@@ -29,7 +29,7 @@ from jaxclear.studies.texts import in_texts
 __all__ = ["campaign", "open_campaign"]
 
 # What a campaign takes beside the arguments that it names.
-SAMPLED = ("sampling", "scramblings", "accuracy")
+SAMPLED = ("sampling", "scramblings", "accuracy", "chunk")
 
 
 @answering
@@ -40,7 +40,6 @@ def campaign(
     folder: str | Path,
     study: Callable | None = None,
     seed: int | None = None,
-    chunk: int | None = None,
     client: Any = None,
     progress_bar: bool = False,
     **settings: Any,
@@ -59,7 +58,8 @@ def campaign(
     `samples`, `seed`, and in `settings` also `sampling`, `scramblings` and `accuracy`, as in
     `monte_carlo`, whose samples these are: a sample has the same values and, on one kind of
     machine, the same responses to the last bit in whatever chunks and threads it is computed.
-    `chunk`: samples in a file, rounded up to whole batches; an older folder keeps its own.
+    `settings` may hold `chunk`, samples in a file, rounded up to whole batches; an older folder
+    keeps its own.
     `client`: a `dask.distributed.Client`, whose workers compute and write the chunks, in a folder
     that all of them see. `progress_bar` shows rate, time left, failures.
 
@@ -72,11 +72,12 @@ def campaign(
     """
     check_flags("campaign", progress_bar=progress_bar)
     if study is not None:
-        given = {"samples": samples, "seed": seed, "chunk": chunk, "client": client}
+        given = {"samples": samples, "seed": seed, "client": client}
+        given["chunk"] = settings.pop("chunk", None)
         given["progress_bar"] = progress_bar or None
         return kept_study(study, problem, folder, given, settings)
     samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
-    asked = _asked(problem, samples, seed, chunk, settings)
+    asked = _asked(problem, samples, seed, settings)
     checked_folder(folder)
     try:
         with _by(problem, client) as work:
@@ -106,7 +107,7 @@ def _by(problem: AbstractProblem, client: Any) -> AbstractWork:
     return Workers(problem, client)
 
 
-def _asked(problem: Any, samples: Any, seed: Any, chunk: Any, sampled: dict[str, Any]) -> Wanted:
+def _asked(problem: Any, samples: Any, seed: Any, sampled: dict[str, Any]) -> Wanted:
     """What is asked, with its plan. Raises `ValueError` or `TypeError` with a sentence."""
     for name in sampled:
         if name not in SAMPLED:
@@ -122,6 +123,7 @@ def _asked(problem: Any, samples: Any, seed: Any, chunk: Any, sampled: dict[str,
     first = samples if accuracy is None else min(samples, FIRST_SAMPLES)
     parts = checked_scramblings("campaign", first, sampled.get("scramblings"))
     first = first if accuracy is None else first_of(first, parts)
+    chunk = sampled.get("chunk")
     if chunk is not None:
         check_count("chunk of campaign", chunk)
     drawn = first, seed, sampling, parts
