@@ -57,9 +57,8 @@ def campaign(
 
     `samples`, `seed`, and in `settings` also `sampling`, `scramblings` and `accuracy`, as in
     `monte_carlo`, whose samples these are: a sample has the same values and, on one kind of
-    machine, the same responses to the last bit in whatever chunks and threads it is computed.
-    `settings` may hold `chunk`, samples in a file, rounded up to whole batches; an older folder
-    keeps its own.
+    machine, the same responses to the last bit in whatever chunks and threads it is computed; and
+    `chunk`, samples in a file, rounded up to whole batches (an older folder keeps its own).
     `client`: a `dask.distributed.Client`, whose workers compute and write the chunks, in a folder
     that all of them see. `progress_bar` shows rate, time left, failures.
 
@@ -73,8 +72,7 @@ def campaign(
     check_flags("campaign", progress_bar=progress_bar)
     if study is not None:
         given = {"samples": samples, "seed": seed, "client": client}
-        given["chunk"] = settings.pop("chunk", None)
-        given["progress_bar"] = progress_bar or None
+        given |= {"chunk": settings.pop("chunk", None), "progress_bar": progress_bar or None}
         return kept_study(study, problem, folder, given, settings)
     samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
     asked = _asked(problem, samples, seed, settings)
