@@ -29,6 +29,11 @@ def in_rows(table: Any) -> str:
     return table.to_string(float_format="{:.7g}".format)
 
 
+def left_out(failed: int, samples: str) -> list[str]:
+    """A sentence for samples that failed; none where none did."""
+    return [f"{failed} {samples} failed and are left out."] if failed else []
+
+
 def as_given(number: Any) -> str:
     """A number that a user gave, such as a limit, with all that anybody writes of it."""
     return f"{float(number):.{GIVEN_DIGITS}g}"

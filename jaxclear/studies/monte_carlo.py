@@ -169,7 +169,7 @@ class MonteCarlo(AbstractShown):
         Raises `ValueError` where the response has infinite values, as lives may."""
         values, group = self.good(response)
         refuse_endless(self.problem, {response: values}, "mean or deviation")
-        return jackknifed(function, values, group)
+        return jackknifed(function, values, group, skewed=function is not np.mean)
 
     def mean(self, response: str) -> Statistic:
         """Mean of a response."""

@@ -1,6 +1,7 @@
 """What `print` and a notebook show of an answer: sentences and numbers, not the arrays it is made
 of."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -67,3 +68,24 @@ def test_an_answer_is_shown_in_words(name):
     assert "f64[" not in shown and len(shown.splitlines()) < 12
     answer._repr_pretty_(printer, False)
     assert printer.shown == shown
+
+
+def test_failed_samples_are_told_with_every_answer():
+    """Of 1024 samples 22 failed, and derivatives and indices said nothing."""
+    root = jc.FunctionProblem(
+        lambda a, b: jax.numpy.sqrt(a) + b,
+        {n: jc.Dimension(1.0, jc.distribution.Normal(0.5), unit="1") for n in "ab"},
+    )
+    study = jc.monte_carlo(root, 256)
+    failed = len(study.failed)
+    told = str(jc.sensitivity(root, "a", sample=study, difference_samples=32))
+    assert failed > 0 and f"{failed} of 256 samples failed and are left out: that a var" in told
+    for answer in (jc.sobol_indices(root, 64), jc.shapley_effects(root, 64)):
+        assert f"{answer.failed} " in str(answer).splitlines()[-1]
+        assert "failed and are left out." in str(answer).splitlines()[-1]
+
+
+def test_a_tolerance_interval_is_a_sentence():
+    found = jc.monte_carlo(ASKED, 1024).tolerance_interval("fit", 0.9, 0.95, side="upper")
+    words = f"90 % of all parts are below {found.high}, with a confidence of 95 %"
+    assert str(found) == words

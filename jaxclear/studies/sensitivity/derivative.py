@@ -105,11 +105,18 @@ class Sensitivity(AbstractShown):
         return f"({above})/({known[variable]})"
 
     def __str__(self) -> str:
-        return "\n".join(
+        lines = [
             f"d({response})/d({variable}) = {found.value:.4g} ± {found.error:.2g} "
             f"{self.unit(response, variable)}. {found.verdict}"
             for (response, variable), found in self.derivatives.items()
-        )
+        ]
+        failed, count = len(self.sample.failed), self.sample.count
+        if failed:
+            lines.append(
+                f"{failed} of {count} samples failed and are left out: that a variable moves which "
+                "of them fail is not in its derivatives."
+            )
+        return "\n".join(lines)
 
     def to_dataset(self) -> Any:
         """Derivatives, their errors and every method's as an xarray Dataset by response and

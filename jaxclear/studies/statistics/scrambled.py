@@ -60,25 +60,42 @@ def standard_error(
 ) -> tuple[float, int]:
     """Standard error of a statistic of `values` (samples,) whose scramblings are `group`
     (samples,), and how many scramblings tell it."""
+    parts = _contributions(statistic, values, group)
+    count = len(parts)
+    return float(parts.std(ddof=1) / np.sqrt(count)) if count > 1 else np.nan, count
+
+
+def _contributions(
+    statistic: Callable[[np.ndarray], float], values: np.ndarray, group: np.ndarray
+) -> np.ndarray:
+    """What each scrambling contributes to a statistic, (scramblings,): pseudovalues."""
     present = np.unique(group)
     count = len(present)
     if count < 2:
-        return np.nan, count
+        return np.full(count, float(statistic(values)))
     without = np.array([statistic(values[group != own]) for own in present])
-    pseudo = count * statistic(values) - (count - 1) * without
-    return float(pseudo.std(ddof=1) / np.sqrt(count)), count
+    return count * statistic(values) - (count - 1) * without
 
 
 def jackknifed(
-    statistic: Callable[[np.ndarray], float], values: np.ndarray, group: np.ndarray
+    statistic: Callable[[np.ndarray], float],
+    values: np.ndarray,
+    group: np.ndarray,
+    skewed: bool = False,
 ) -> Statistic:
-    """A smooth function of means over the sample, with its interval."""
+    """A smooth function of means over the sample, with its interval; `skewed`: of no mean, so that
+    contributions may be."""
     if len(values) < 2:
         return UNKNOWN
-    value = float(statistic(values))
-    error, count = standard_error(statistic, values, group)
-    half = student(count) * error if np.isfinite(error) else np.inf
-    return Statistic(value, value - half, value + half)
+    value, parts = float(statistic(values)), _contributions(statistic, values, group)
+    if len(parts) < 2 or not np.all(np.isfinite(parts)):
+        return Statistic(value, -np.inf, np.inf)
+    half = student(len(parts)) * float(parts.std(ddof=1)) / np.sqrt(len(parts))
+    if not skewed:
+        return Statistic(value, value - half, value + half)
+    far, upwards = skewed_half(parts), np.mean((parts - parts.mean()) ** 3) > 0
+    low, high = (half, far) if upwards else (far, half)
+    return Statistic(value, value - low, value + high)
 
 
 def skewed_half(parts: np.ndarray) -> float:

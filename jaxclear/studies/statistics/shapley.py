@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags
-from jaxclear.ground.shown import AbstractShown, in_rows
+from jaxclear.ground.shown import AbstractShown, in_rows, left_out
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
@@ -55,7 +55,7 @@ class ShapleyEffects(AbstractShown):
     remark: str = eqx.field(static=True, default="")
 
     def __str__(self) -> str:
-        return in_rows(self.table())
+        return "\n".join([in_rows(self.table()), *left_out(self.failed, "samples")])
 
     def to_dataset(self) -> Any:
         """Effects with their intervals as an xarray Dataset by response and variable, with

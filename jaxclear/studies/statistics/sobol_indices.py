@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags
-from jaxclear.ground.shown import AbstractShown, in_rows
+from jaxclear.ground.shown import AbstractShown, in_rows, left_out
 from jaxclear.integrators import Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
@@ -39,7 +39,7 @@ class SobolIndices(AbstractShown):
     failed: int = eqx.field(static=True)
 
     def __str__(self) -> str:
-        return in_rows(self.table())
+        return "\n".join([in_rows(self.table()), *left_out(self.failed, "base samples")])
 
     def to_dataset(self) -> Any:
         """Both indices with their intervals as an xarray Dataset by response and variable, with

@@ -26,6 +26,12 @@ class ToleranceInterval(NamedTuple):
     content: float
     confidence: float
 
+    def __str__(self) -> str:
+        ends = {"above": self.low, "below": self.high}
+        sides = [f"{side} {end}" for side, end in ends.items() if np.isfinite(end.value)]
+        share, sure = f"{100 * self.content:g} %", f"{100 * self.confidence:g} %"
+        return f"{share} of all parts are {' and '.join(sides)}, with a confidence of {sure}"
+
 
 @functools.lru_cache(maxsize=256)
 def normal_factor(samples: int, content: float, confidence: float, both: bool) -> float:
@@ -55,7 +61,7 @@ def normal_interval(
     """Of a normal response."""
     factor = normal_factor(len(values), content, confidence, side == "both")
     limit = lambda sign: jackknifed(
-        lambda own: own.mean() + sign * factor * deviation(own), values, group
+        lambda own: own.mean() + sign * factor * deviation(own), values, group, skewed=True
     )
     return _sided(limit(-1.0), limit(1.0), content, confidence, side)
 
