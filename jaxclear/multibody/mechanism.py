@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.body import Body, Connection
@@ -104,6 +106,8 @@ class Mechanism(AbstractQuantified):
         self.order = tuple(dict.fromkeys([*self.start, *self.speeds, *self.guess]))
         validation.check_parts(self.bodies, self.connections, self.loads)
         validation.check_finite("the mechanism", self.given)
+        parts = (self.bodies, self.connections, self.loads)
+        self.bodies, self.connections, self.loads = _unshared(parts)
         self.topology = grow(self.bodies, self.connections)
         usual = isinstance(stabilisation, str) and stabilisation == "default"
         self.stabilisation = Baumgarte() if usual else stabilisation  # type: ignore[assignment]
@@ -190,6 +194,26 @@ class Mechanism(AbstractQuantified):
                 for name, leaf, metadata, unit in own_numbers(self)
             ]
         )
+
+
+def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
+    """Parts whose numbers are each their own: of one bearing given to two joints a study may vary
+    one clearance and leave the other."""
+    seen: set[int] = set()
+
+    def own(leaf):
+        if isinstance(leaf, jax.core.Tracer) or not isinstance(leaf, jax.Array):
+            return leaf
+        first = id(leaf) not in seen
+        seen.add(id(leaf))
+        return leaf if first else jnp.array(leaf)
+
+    def told_apart(part):
+        new = [own(leaf) for leaf in jax.tree.leaves(part)]
+        kept = all(a is b for a, b in zip(new, jax.tree.leaves(part), strict=True))
+        return part if kept else jax.tree.unflatten(jax.tree.structure(part), new)
+
+    return tuple({name: told_apart(part) for name, part in one.items()} for one in parts)
 
 
 def ungiven(mechanism: Mechanism) -> Mechanism:

@@ -152,7 +152,8 @@ class PositionProblem(AbstractProblem):
         return f"{said[0].lower()}{said[1:]}"
 
     def asked_how(self):
-        return f"at {len(self.position)} positions of {listed(self.held)}"
+        many = len(self.position)
+        return f"at {many} position{'s' if many > 1 else ''} of {listed(self.held)}"
 
     def parts(self):
         told = ("mechanism", "response", "position", "held", "both_ways")

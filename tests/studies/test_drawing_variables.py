@@ -158,3 +158,32 @@ def test_a_boom_on_an_oval_bore_tips_most_across_its_wide_side():
 def test_a_heating_of_no_body_is_refused_with_a_sentence():
     with pytest.raises(ValueError, match="expansion of a Heating is empty; it must hold"):
         jc.Heating({})
+
+
+def test_one_bearing_given_to_two_joints_has_numbers_of_its_own_in_each():
+    """Clearances of a bearing given twice were one number: two variables were refused, and a kept
+    study could not tell which of them varied."""
+    bearing = jc.clearance.PlanarJournalBearing(
+        jc.contact.LankaraniNikravesh(restitution=0.8), clearance=1e-4
+    )
+    link = jc.Body(0.1, 1e-4, com=(0.05, 0.0))
+    rig = jc.Mechanism(
+        {"b": link, "a": link},
+        {
+            "P": jc.Connection(bearing, "ground", "b"),
+            "Q": jc.Connection(bearing, "b", "a", at=(0.1, 0.0)),
+        },
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+    )
+    where = {name: lambda rig, n=name: rig.connections[n].joint.clearance for name in "PQ"}
+    problem = jc.Problem(
+        rig,
+        jc.response.MeanContactForce("Q"),
+        {name: jc.Variable(own, tolerance=1e-5) for name, own in where.items()},
+        duration=0.01,
+    )
+    varied = problem.with_values(jnp.array([2e-4, 3e-4]))
+    assert [float(own(varied)) for own in where.values()] == [2e-4, 3e-4]
+    told = problem.parts()
+    assert "'P'" in told['what "P" points at'] and "'Q'" in told['what "Q" points at']
+    assert list(rig.bodies) == ["b", "a"] and rig.bodies["a"].mass is not rig.bodies["b"].mass
