@@ -72,7 +72,7 @@ class Check(enum.IntEnum):
         11,
         "halved steps: motion",
         "1",
-        0.02,
+        0.015,
         "motion",
         WHOLE,
         "with steps of half the length or less bodies would be elsewhere by {figure:.2g} of their "
@@ -138,7 +138,7 @@ class Check(enum.IntEnum):
         19,
         "second look: places of bodies",
         "1",
-        0.004,
+        0.001,
         "places",
         WHOLE,
         f"{AGAIN} bodies are elsewhere by {{figure:.2g}} of their way (limit {{limit:g}}), so "
@@ -159,7 +159,7 @@ class Check(enum.IntEnum):
         17,
         "second look: mean force of parted paths",
         "1",
-        0.02,
+        0.01,
         "forces",
         CONTACTS,
         f"{AGAIN} parts are elsewhere in their gaps, and with that the mean of the contact forces "
@@ -170,7 +170,7 @@ class Check(enum.IntEnum):
         20,
         "second look: deepest indentation",
         "1",
-        0.13,
+        0.1,
         "peak forces",
         CONTACTS,
         f'{AGAIN} the deepest indentation in joint "{{place}}" changes by {{figure:.2g}} of itself '
@@ -254,7 +254,7 @@ class Check(enum.IntEnum):
         1,
         "friction step",
         "1",
-        0.015,
+        0.0125,
         "motion",
         CONTACTS,
         '{figure:.2g} of what friction takes in joint "{place}" is taken where it stops slip '
@@ -292,7 +292,7 @@ class Check(enum.IntEnum):
         21,
         "load step",
         "1",
-        0.02,
+        0.005,
         "motion",
         LOADS,
         'steps pass over {figure:.2g} of the impulse of "{place}", a function of time that changes '

@@ -34,8 +34,9 @@ from jaxclear.results.trajectory import Trajectory
 IN_A_STEP, LEAST, MOST = 4, 2**13, 2**23
 # So many at once, whatever their number, so that nothing is compiled anew.
 TOGETHER = 2**13
-# So many steps at most a run is made to take by holding them.
-MOST_HELD = 10**6
+# Share of an impulse up to which steps under error control see what changes, and so many steps at
+# most a run is made to take by holding them.
+SEEN, MOST_HELD = 0.02, 10**6
 
 
 def functions_of_time(mechanism: Mechanism) -> dict[str, Any]:
@@ -218,8 +219,8 @@ def _seen(question: _Question) -> tuple[float | None, dict[str, float]]:
         return None, {} if edges is None else passed_over(functions, edges)
     passed: dict[str, float] = {}
     for halvings, (length, passed) in enumerate(_halved(functions, times)):
-        if max(passed.values(), default=0.0) <= Check.LOAD_STEP.limit:
-            return length if halvings else None, passed
+        if max(passed.values(), default=0.0) <= SEEN:
+            return length if halvings else None, {}
     return None, passed
 
 

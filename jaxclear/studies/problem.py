@@ -36,12 +36,13 @@ from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
+from jaxclear.simulation.bounciness import restitution_of
 from jaxclear.simulation.dead_point import diagnosed, diagnosed_outcome
 from jaxclear.simulation.derivatives import backwards, guarded, refusal
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
-from jaxclear.simulation.second_look import found_in_one, many_in_doubt, restitution_of
+from jaxclear.simulation.second_look import found_in_one, many_in_doubt
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
@@ -240,8 +241,7 @@ class Problem(AbstractProblem):
 
     def second_look(self, checks):
         seen = self.integrator.formulation.seen(self.mechanism)
-        kept = restitution_of(self.mechanism)
-        passed = self._load_steps().passed
+        kept, passed = restitution_of(self.mechanism, checks), self._load_steps().passed
         if not many_in_doubt(checks, bool(seen.topology.clearances), kept):
             return checked_by(passed, Checks())
 

@@ -34,7 +34,7 @@ def test_adaptive_does_not_pass_over_a_push_far_shorter_than_its_steps():
     assert speed(run) == pytest.approx(FORCE * LASTS / MASS, rel=1e-5) and not run.warnings
 
 
-@pytest.mark.parametrize("step", [1e-4, 2e-6])
+@pytest.mark.parametrize("step", [1e-4, 5e-7])
 def test_steps_longer_than_a_push_say_so(step):
     run = jc.simulate(pushed(PULSE), 0.1, save=6, integrator=jc.integrator.FixedStep(step))
     right = speed(run) == pytest.approx(FORCE * LASTS / MASS, rel=0.02)
@@ -52,10 +52,31 @@ def test_what_vibrates_faster_than_steps_is_told(frequency, said):
 def test_what_changes_slowly_leaves_adaptive_as_it_is():
     """And so does a drive of constant speed, of which nothing is told."""
     integrator, times = jc.integrator.Adaptive(), np.linspace(0.0, 0.1, 6)
-    slow = load_steps(pushed(lambda time: 5 * jnp.sin(20 * time)), integrator, times, jc.State())
-    assert slow.integrator is integrator and slow.passed["push"] < 1e-4
+    slow = pushed(lambda time: 5 * jnp.sin(20 * time))
+    assert load_steps(slow, integrator, times) == (integrator, {})
+    assert load_steps(slow, jc.integrator.FixedStep(), times).passed["push"] < 1e-9
     driven = jc.scenes.slider_crank("ideal")
     assert load_steps(driven, integrator, times, jc.State()) == (integrator, {})
+
+
+@pytest.mark.parametrize(("step", "said"), [(2e-4, True), (2e-6, False)])
+def test_steps_that_meet_a_stop_midway_say_so(step, said):
+    """A cart pushed against an elastic stop leaves it with the speed at which it came, and is back
+    where it began after twice the time it took, and half a vibration of the stop."""
+    mass, push, way, stiffness = 1.0, 50.0, 0.01, 1e8
+    along = {end: jc.Marker(end, axis="x") for end in ("ground", "cart")}
+    rig = jc.Mechanism(
+        {"cart": jc.Body(mass, 1.0)},
+        {"G": jc.Connection(jc.joint.Prismatic(), *along.values())},
+        {
+            "push": jc.load.JointTorque("G", push),
+            "stop": jc.load.JointStop("G", upper=way, stiffness=stiffness),
+        },
+    )
+    there, swing = (2 * way * mass / push) ** 0.5, np.pi * (mass / stiffness) ** 0.5
+    duration = 4 * (2 * there + swing)
+    run = jc.simulate(rig, duration, save=6, integrator=jc.integrator.FixedStep(step))
+    assert (abs(run.coordinate("G")[-1, 0]) > 0.02 * way) == said == bool(run.warnings)
 
 
 @pytest.mark.slow

@@ -3,6 +3,8 @@ look comes sooner there, of `Adaptive` too."""
 
 from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from jaxclear.integrators import Check, Checks
 from jaxclear.integrators.figures import Figure
 from jaxclear.results.response import concerned
 from jaxclear.simulation import second_look
+from jaxclear.simulation.bounciness import restitution_at
 
 
 def beyond(run):
@@ -42,22 +45,49 @@ def test_bouncy_impacts_are_in_doubt_sooner(restitution, rise, doubted):
 
 
 @pytest.mark.parametrize(
-    ("joints", "steps", "restitution", "doubted"),
-    [(1, 1500, 0.95, False), (2, 1500, 0.95, True), (2, 900, 0.95, False), (2, 1500, 0.9, False)],
+    ("steps", "restitution", "doubted"),
+    [(950, 0.95, False), (1050, 0.95, True), (1050, 0.9, False)],
 )
-def test_bouncy_impacts_of_several_joints_are_in_doubt_sooner(joints, steps, restitution, doubted):
+def test_many_bouncy_impacts_are_in_doubt(steps, restitution, doubted):
+    """Steps that end at saving times tell of no impact."""
     contact = jc.contact.CarvalhoMartins(restitution=restitution)
     bearing = jc.clearance.PlanarJournalBearing(contact, bearing_radius=0.01, clearance=1e-4)
-    ends = ["ground", "upper", "lower"]
     rig = jc.Mechanism(
-        {name: jc.Body(1.0, 1e-4) for name in ends[1 : joints + 1]},
-        {f"B{k}": jc.Connection(bearing, ends[k], ends[k + 1]) for k in range(joints)},
+        {"journal": jc.Body(1.0, 1e-4)}, {"B": jc.Connection(bearing, "ground", "journal")}
     )
-    compliant = jc.integrator.Adaptive().formulation
     run = SimpleNamespace(
-        mechanism=rig, formulation=compliant, checks=Checks(), accepted_steps=steps
+        mechanism=rig,
+        formulation=jc.integrator.Adaptive().formulation,
+        checks=Checks(),
+        accepted_steps=steps,
+        time=np.zeros(201),
     )
     assert second_look._in_doubt(run) == doubted
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        jc.contact.AdamsImpact(stiffness=1.6e9, damping=25.6),
+        jc.contact.AdamsImpact(stiffness=1e9, damping=200.0),
+        jc.contact.KelvinVoigt(stiffness=1e8, damping=300.0),
+        jc.contact.MarhefkaOrin(stiffness=1e9, loss_per_speed=0.3),
+    ],
+)
+def test_restitution_of_laws_that_prescribe_none_is_that_of_their_impacts(law):
+    """Of a mass that strikes a wall, in 20 000 steps of symplectic Euler. Losses as if at the speed
+    of an elastic impact: to second order, a hundredth at 0.8."""
+    mass, speed, step = 0.24, 0.6, 5e-8
+
+    def move(carry, _):
+        depth, rate, deepest = carry
+        rate = rate - step * law.normal_force(depth, rate, speed) / mass
+        depth = depth + step * rate
+        return (depth, rate, jnp.maximum(deepest, depth)), None
+
+    (_, rate, deepest), _ = jax.lax.scan(move, (0.0, speed, 0.0), None, 20_000)
+    found = restitution_at(law, float(deepest), mass)
+    assert found == pytest.approx(-float(rate) / speed, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -163,3 +193,37 @@ def test_where_a_slider_is_after_elastic_impacts_is_said_by_adaptive_too():
     assert off[0] > 0.02 and off[1] > 0.3
     assert beyond(default) == {Check.PLACE_IN_GAP}
     assert {Check.PLACE_IN_GAP, Check.BODY_PLACES} <= beyond(fixed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("integrator", ["Adaptive", "FixedStep", "ImplicitStep"])
+def test_a_lightly_damped_journal_that_is_elsewhere_in_its_gap_says_so(integrator):
+    """Its law prescribes no restitution, which is 0.98. Implicit steps of any length wear off twice
+    what is right."""
+    case = structures()[2].case(14)
+    rungs = {
+        "Adaptive": jc.integrator.Adaptive(),
+        "FixedStep": jc.integrator.FixedStep(),
+        "ImplicitStep": jc.integrator.ImplicitStep(1.6e-5),
+    }
+    exact, run = (
+        jc.simulate(case.mechanism, case.duration, integrator=own, save=201)
+        for own in (jc.integrator.Adaptive(rtol=1e-10, atol=1e-12), rungs[integrator])
+    )
+    worn = [float(one.worn_volume("B", "bearing")[-1]) for one in (exact, run)]
+    assert np.abs(across(run, "B") - across(exact, "B")).max() > 0.3
+    assert abs(worn[1] / worn[0] - 1) > 0.04
+    said = Check.PLACE_IN_GAP if integrator != "ImplicitStep" else Check.HALVED_WEAR
+    assert said in beyond(run)
+
+
+@pytest.mark.slow
+def test_a_journal_that_its_friction_whirls_about_is_looked_at_again():
+    """Its mean force is 65 % off; no figure of its own run is beyond its limit."""
+    case = structures()[3].case(15)
+    exact, run = (
+        jc.simulate(case.mechanism, case.duration, integrator=own, save=201)
+        for own in (jc.integrator.Adaptive(), jc.integrator.FixedStep())
+    )
+    means = [float(jc.response.MeanContactForce("B")(one)) for one in (exact, run)]
+    assert means[1] > 1.5 * means[0] and Check.MEAN_FORCE in beyond(run)

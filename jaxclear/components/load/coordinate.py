@@ -133,6 +133,9 @@ class JointStop(AbstractCoordinateLoad):
                 f"load.JointStop has lower {low:g} and upper {high:g}; lower must be below upper."
             )
 
+    def sets_in(self):
+        return True
+
     def force(self, time, position, speed):
         force, stored, dissipated = 0, 0, 0
         if self.upper is not None:
