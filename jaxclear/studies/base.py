@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.in_words import in_a_line, number_in_words
 from jaxclear.ground.quantity import AbstractQuantified
-from jaxclear.ground.wording import public_name
+from jaxclear.ground.wording import described, listed, public_name
 from jaxclear.integrators import Checks
 from jaxclear.studies.distribution import AbstractDistribution, TruncatedNormal
 from jaxclear.studies.inputs import Inputs, joint
@@ -81,7 +81,8 @@ class AbstractProblem(AbstractQuantified):
         lines += ["variables"] if self.names else []
         for name, unit, value in zip(self.names, self.variable_units, nominal, strict=True):
             spread = in_a_line(self.variables[name].distribution)
-            lines.append(f"  {name} {number_in_words(value)} {unit}, {spread}")
+            own = "" if unit == "1" else f" {unit}"
+            lines.append(f"  {name} {number_in_words(value)}{own}, {spread}")
         return "\n".join(lines if self.correlation is None else [*lines, "correlated"])
 
     def asked_how(self) -> str:
@@ -112,6 +113,18 @@ class AbstractProblem(AbstractQuantified):
         A derivative that is not that of the responses raises `ValueError`; `discrete_derivatives`
         passes on what the steps of a run have for one.
         """
+
+    def check_values(self, values: Any) -> None:
+        """Raises `ValueError` where these are not one number for each variable."""
+        shape = getattr(values, "shape", None)
+        if shape is None and isinstance(values, (list, tuple)):
+            shape = (len(values),)
+        if shape != (len(self.names),):
+            names = f", {listed(self.names)}" if self.names else ""
+            raise ValueError(
+                f"evaluate takes an array of {len(self.names)} values, one for each variable in "
+                f"order{names}; it is given {described(values)}."
+            )
 
     def endless(self, response: str) -> str:
         """What it says of a sample that a response is infinite, where that is an answer, as that

@@ -140,6 +140,7 @@ class FunctionProblem(AbstractProblem):
 
     def evaluate(self, values, *, discrete_derivatives=False):
         check_double_precision()
+        self.check_values(values)
         found = _by_name(self.function(**dict(zip(self.names, values, strict=True))))
         finite = jnp.all(jnp.isfinite(jnp.stack(list(found.values()))))
         outcome = jnp.where(finite, Outcome.REACHED, Outcome.NOT_FINITE)

@@ -114,6 +114,7 @@ class PositionProblem(AbstractProblem):
 
     def evaluate(self, values, *, discrete_derivatives=False):
         check_double_precision()
+        self.check_values(values)
         found = self.positions(values)
         responses = {n: one_number(n, self.response[n](found)) for n in self.response_names}
         mechanism = found.scene.mechanism, found.scene.gaps

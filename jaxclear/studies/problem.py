@@ -201,10 +201,10 @@ class Problem(AbstractProblem):
         on, as the derivative of the discrete run.
         """
         check_double_precision()
+        self.check_values(values)
         discrete = discrete_derivatives and self.integrator.pathwise
         started = functools.partial(Problem.started, discrete=discrete)
-        begun = backwards(started, self.integrator, self, values)
-        mechanism, start, trajectory = begun
+        mechanism, start, trajectory = backwards(started, self.integrator, self, values)
         trajectory = guarded(trajectory, self.integrator, discrete_derivatives)
         responses = {
             name: one_number(name, response(trajectory)) for name, response in self.response.items()

@@ -129,3 +129,14 @@ def test_a_function_without_a_derivative_is_sampled_and_its_tangent_refused():
     asked = jc.FunctionProblem(outside, {"a": jc.Dimension(1.0, tolerance=0.1)})
     assert jc.monte_carlo(asked, 8).responses["response"].mean() == pytest.approx(2.0, rel=0.1)
     assert asked.pathwise_limits()[0].startswith("JAX has no derivative")
+
+
+@pytest.mark.parametrize("values", [[1.0], np.zeros(3), "a", 1.0, {"a": 1.0}])
+def test_evaluate_says_how_many_values_it_takes(values):
+    """It said that the second argument of zip is shorter."""
+    problem = jc.FunctionProblem(
+        lambda a, b: a + b, {n: jc.Dimension(1.0, tolerance=0.1) for n in "ab"}
+    )
+    told = 'evaluate takes an array of 2 values, one for each variable in order, "a", "b"; it is'
+    with pytest.raises(ValueError, match=told):
+        problem.evaluate(values)

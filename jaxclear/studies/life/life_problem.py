@@ -132,6 +132,7 @@ class LifeProblem(AbstractProblem):
                 "a life chooses its own steps and is no compiled program: ask for it by surfaces, "
                 "samples or differences, and for slopes jaxclear.wear_life_derivatives."
             )
+        self.check_values(values)
         values = jnp.asarray(values)
         try:
             life = self.life(values)
