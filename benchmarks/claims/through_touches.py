@@ -40,6 +40,8 @@ LAWS: dict[str, tuple] = {
 RIGID = jc.contact.Rigid(restitution=RESTITUTION), lambda rig: JOINT(rig).contact.restitution
 RUNGS: dict[str, Any] = {
     "FixedStep": jc.integrator.FixedStep(),
+    "FixedStep, heun": jc.integrator.FixedStep(method="heun"),
+    "FixedStep, semi_implicit": jc.integrator.FixedStep(method="semi_implicit"),
     "ImplicitStep": jc.integrator.ImplicitStep(),
     "ImplicitStep, rebound 1": jc.integrator.ImplicitStep(rebound=1.0),
 }

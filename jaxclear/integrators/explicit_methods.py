@@ -1,11 +1,16 @@
 """The explicit methods of `FixedStep`, and which contacts ask for its short steps."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
+from jaxclear.formulations.model import Model
 from jaxclear.integrators import munthe_kaas
+from jaxclear.integrators.state_group import state_group
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.integrators.vibration import FOLLOWED, SYMMETRIC
 
@@ -54,3 +59,79 @@ def chosen_length(longest: Any, rest: tuple | None) -> Callable[[Any, Any], Any]
         return jnp.where(h > left * (1 - SLIVER), left, h)
 
     return length
+
+
+def explicit_step(
+    formulation: Any, method: str, model: Model, clock: tuple, y: Any, last: Any
+) -> tuple:
+    """The length and the end of a step, and what it leaves to the next. `clock`: its start and the
+    longest length [s], and of what `chosen_length` chooses it by the contacts at its start and what
+    the last step left. Stages are a loop: the equations stand in the program once."""
+    time, h, rest = clock
+    length = chosen_length(h, rest)
+    if method in ON_GROUPS:
+        looks = last is not None or rest is not None
+        return _step_on_group(
+            formulation, method, model, (time, h, length if looks else None), y, last
+        )
+    stages = np.arange(len(CHAINS[method][0]))
+    stage = functools.partial(_stage, formulation, method, model, (time, length))
+    (h, y, _, _, last), _ = jax.lax.scan(stage, (h, y, y, jnp.zeros_like(y), last), stages)
+    return h, y, last
+
+
+def _stage(
+    formulation: Any, method: str, model: Model, clock: tuple, carry: tuple, stage: Any
+) -> tuple:
+    """One stage of a step; its first one decides the step's length from the contacts it sees, and
+    sets impact speeds of contacts that have closed in the last one."""
+    (time, length), (h, y, total, slope, last) = clock, carry
+    nodes, weights = (jnp.asarray(part) for part in CHAINS[method])
+    slope, contacts = formulation.rate(
+        model, time + nodes[stage] * h, y + (h * nodes[stage]) * slope
+    )
+    opens = stage == 0
+    h = jnp.where(opens, length(contacts, last), h)
+    if last is not None:
+        if formulation.remembers(model):
+            aware = formulation.remember(model, y, last[0], contacts, last[1])
+            y, total = jnp.where(opens, aware, y), jnp.where(opens, aware, total)
+        last = jax.tree.map(lambda a, b: jnp.where(opens, a, b), (contacts, h), last)
+    total = total + (h * weights[stage]) * slope
+    if method == "semi_implicit":
+        n = model.layout.coordinates
+        kicked = jnp.concatenate([y[:n], total[n:]])
+        rates = formulation.coordinate_rates(model, kicked)
+        total = jnp.concatenate([y[:n] + h * rates, total[n:]])
+        total = _with_energies(formulation, model, (time, h), y, total)
+    y = jnp.where(stage == len(CHAINS[method][0]) - 1, total, y)
+    return (h, y, total, slope, last), None
+
+
+def _with_energies(formulation: Any, model: Model, clock: tuple, y: Any, after: Any) -> Any:
+    """The energies of the balance after a semi-implicit step, where they are asked for."""
+    layout = model.layout
+    if not layout.energies:
+        return after
+    n, m, first = layout.coordinates, layout.memory_start, layout.energy_start + 1
+    powers = formulation.energy_rates(model, clock[0], y, 0.5 * (y[n:m] + after[n:m]))
+    return jnp.concatenate([after[:first], y[first:] + clock[1] * powers])
+
+
+def _step_on_group(
+    formulation: Any, method: str, model: Model, clock: tuple, y: Any, last: Any
+) -> tuple:
+    """As `explicit_step`; the contacts are looked at beforehand, where something depends on
+    them."""
+    time, h, length = clock
+    if length is not None:
+        contacts = formulation.contacts(model, time, y)
+        h = length(contacts, last)
+        if last is not None:
+            y = formulation.remember(model, y, last[0], contacts, last[1])
+            last = contacts, h
+
+    def rate(time, y):
+        return formulation.rate(model, time, y)[0]
+
+    return h, munthe_kaas.fixed_step(state_group(model), rate, ON_GROUPS[method], time, h, y), last

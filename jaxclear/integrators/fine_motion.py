@@ -21,13 +21,14 @@ from jaxtyping import Array
 
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar
-from jaxclear.ground.tangents import derived, moved, zeros_with
+from jaxclear.ground.tangents import derived, derived_once, moved, zeros_with
+from jaxclear.integrators import vibration
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.mid_step import moves
 from jaxclear.integrators.motion_parts import followed
 from jaxclear.integrators.saltation import closed, motion_of
 from jaxclear.integrators.stepping import SLIVER
-from jaxclear.integrators.trust import GROWTH
+from jaxclear.integrators.trust import GROWTH, NO_SECOND, beside, trusted_steps, unknown_way
 from jaxclear.integrators.vibration import FIGURES, Vibration
 from jaxclear.multibody.reach import gaps_passed
 
@@ -102,6 +103,15 @@ def so_far(beside: Beside) -> Beside:
     same = lambda numbers, tangents: jax.tree.map(moved, tangents[0])
     known = derived(zeros, same)(beside)
     return known._replace(deepest=jnp.zeros_like(known.deepest))
+
+
+def trusted_beside(end: Any, met: Any, watch: Any, known: Beside) -> tuple:
+    """All that was found of a run, where the derivative of the motion beside it can be trusted;
+    events have none."""
+    end, met, watch = vibration.resolved((end, met, watch), known.vibrates)
+    found = beside(trusted_steps((end, met), known.growth), known.parted)
+    end, met = derived_once(NO_SECOND, found)
+    return end, met, unknown_way(watch) if watch is not None else None
 
 
 def _parted(

@@ -6,20 +6,17 @@ One loop of few small arrays, the stages a loop within it: on a CPU it becomes o
 own time.
 """
 
-import functools
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.ground.wording import unknown
-from jaxclear.integrators import munthe_kaas, vibration
+from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.deepest import largest
@@ -31,9 +28,15 @@ from jaxclear.integrators.explicit_methods import (
     ORDERS,
     STABLE_DAMPING,
     chosen_length,
+    explicit_step,
+)
+from jaxclear.integrators.fine_motion import (
+    beside_steps,
+    nothing_beside,
+    so_far,
+    trusted_beside,
 )
 from jaxclear.integrators.mid_step import through_touches
-from jaxclear.integrators.state_group import state_group
 from jaxclear.integrators.stepping import (
     arrived,
     contacts_met,
@@ -66,7 +69,10 @@ class FixedStep(AbstractIntegrator):
     those of the discrete run: where contacts open and close, by "rk4" without `steps_per_save`
     those of the motion (`mid_step`; within 1e-3 through six bounces of Hertzian laws in steps of
     20 us), nan where impacts have made them grow beyond what steps determine or a contact is over
-    in a few steps; else not those of the motion (`jaxclear.sensitivity` compares methods).
+    in a few steps. So are those of "heun", "semi_implicit" and "euler" without `steps_per_save` and
+    `contact_steps`: of the motion, which goes beside the run (`fine_motion`), nan where that has
+    parted from it by 3 % of the narrowest gap. Else they are not those of the motion
+    (`jaxclear.sensitivity` compares methods).
     """
 
     pathwise: ClassVar = True
@@ -125,13 +131,17 @@ class FixedStep(AbstractIntegrator):
 
     def first_warm_start(self, model, start, state):
         """The contacts at the start of the last step, and its length [s]: a touch in it is found
-        where the next step begins; None where nothing looks at contacts. How derivatives grow, and
-        vibrate."""
+        where the next step begins; None where nothing looks at contacts. How derivatives grow, or
+        what is known of the motion beside the run; and how they vibrate, None where that motion
+        tells."""
         seen = self.method not in ON_GROUPS or self.formulation.remembers(model)
         if not (seen and any(kinds for _, kinds in model.layout.memories)):
             return None, None, None, vibration.nothing(model, self)
-        growth = jnp.zeros(GROWTH) if self._derived(model) else None
         contacts = self.formulation.contacts(model, start, state)
+        if self._derived(model) and self._beside:
+            known = nothing_beside(model.layout.size, len(contacts.depths))
+            return contacts, jnp.ones(()), known, None
+        growth = jnp.zeros(GROWTH) if self._derived(model) else None
         return contacts, jnp.ones(()), growth, vibration.nothing(model, self)
 
     def _derived(self, model):
@@ -139,28 +149,52 @@ class FixedStep(AbstractIntegrator):
 
     @property
     def through_contacts(self):
-        return self.method == "rk4" and self.steps_per_save is None
+        alike = self.method in CHAINS and self.contact_steps is None
+        return self.steps_per_save is None and (self.method == "rk4" or alike)
+
+    @property
+    def _beside(self):
+        """Whether derivatives through contacts are those of the motion beside the steps."""
+        return self.method != "rk4"
 
     def _stepped(self, model):
-        """A step, as a function of ((time [s], lengths...), state, last)."""
+        """A step, as a function of ((time [s], lengths...), state, last, met)."""
         arrays, rest = eqx.partition((model, self), eqx.is_array)
 
         def plain(arrays, clock, y, last):
-            (model, own), (time, longest, left) = eqx.combine(arrays, rest), clock
-            return own._step(model, time, chosen_length(longest, left), longest, y, last)
+            model, own = eqx.combine(arrays, rest)
+            return explicit_step(own.formulation, own.method, model, clock, y, last)
 
+        if self._derived(model) and self._beside:
+            return self._stepped_beside(model, arrays, rest, plain)
         length = lambda clock, *seen: chosen_length(*clock[1:])(*seen)
         through = through_touches(self.formulation, rest[0], plain, length)
 
-        def step(clock, y, last):
-            contacts, length, growth, vibrates = last
-            before = None if contacts is None else (contacts, length)
+        def step(clock, y, last, met):
+            *before, growth, vibrates = last
+            before = None if before[0] is None else tuple(before)
             if self._derived(model):
                 h, end, now, growth = through(arrays, clock, y, before, growth)
             else:
                 h, end, now = plain(arrays, clock, y, before)
             vibrates = vibration.followed(model, ANGLES[self.method], vibrates, (y, end), h)
-            return h, end, (*(now or (None, None)), growth, vibrates)
+            now = *(now or (None, None)), growth, vibrates
+            return h, end, now, self._met(model, met, last, now)
+
+        return step
+
+    def _stepped_beside(self, model, arrays, rest, plain):
+        """As `_stepped`, with the derivative of the motion beside the step."""
+
+        def alone(arrays, clock, y, last, met):
+            _, end, now = plain(arrays, (*clock, None), y, last)
+            return end, now, contacts_met(met, last[0].depths, now[0].depths)
+
+        beside = beside_steps(self.formulation, rest[0], alone)
+
+        def step(clock, y, last, met):
+            end, now, met, known = beside(arrays, clock[:2], y, last[:2], met, last[2])
+            return clock[1], end, (*now, known, None), met
 
         return step
 
@@ -173,6 +207,8 @@ class FixedStep(AbstractIntegrator):
 
     def _trusted(self, model, end, last, met, watch):
         """All that was found, where its derivative can be trusted; rates at events have none."""
+        if self._derived(model) and self._beside:
+            return trusted_beside(end, met, watch, last[2])
         end, met, watch = vibration.resolved((end, met, watch), last[3])
         if not self._derived(model):
             return end, met, watch
@@ -191,11 +227,14 @@ class FixedStep(AbstractIntegrator):
         def turn(carry):
             index, y, last, met, watch = carry
             time = interval.start + index * h
-            _, y, now = step((time, h, None), y, last)
+            _, y, now, met = step((time, h, None), y, last, met)
             y = closed(model, time + h, y)
             watch = watched(watch, model, time, h, y)
-            return index + 1, y, now, self._met(model, met, last, now), watch
+            return index + 1, y, now, met, watch
 
+        if self._derived(model) and self._beside:
+            *begun, known, _ = warm_start
+            warm_start = *begun, so_far(known), None
         watch = watch_from(model, interval.start, state)
         first = (jnp.zeros((), int), state, warm_start, _nothing_met(warm_start), watch)
         if self.steps_per_save is None:
@@ -213,12 +252,12 @@ class FixedStep(AbstractIntegrator):
 
         def one(carry):
             time, steps, y, last, met, watch = carry
-            h, y, now = step((time, longest, (stop - time, shortest)), y, last)
+            h, y, now, met = step((time, longest, (stop - time, shortest)), y, last, met)
             # The step that was cut to what was left ends exactly at the end.
             begin, time = time, jnp.where(h == stop - time, stop, time + h)
             y = closed(model, time, y)
             watch = watched(watch, model, begin, h, y)
-            return time, steps + 1, y, now, self._met(model, met, last, now), watch
+            return time, steps + 1, y, now, met, watch
 
         met = _nothing_met(warm_start)
         watch = watch_from(model, interval.start, state)
@@ -232,67 +271,6 @@ class FixedStep(AbstractIntegrator):
         """What checks of friction and damping judge steps in contact of this length [s] by."""
         stable = STABLE_DAMPING[ORDERS[self.method]]
         return {Check.FRICTION_STEP: h, Check.DAMPER_STEP: h / stable}
-
-    def _step(self, model, time, length, h, y, last):
-        """The length and the end of a step, and what it leaves to the next. `length(contacts,
-        last)` chooses it [s] by the contacts at its start and what the last step left; `h` is the
-        longest. Stages are a loop: the equations stand in the program once.
-        """
-        if self.method in ON_GROUPS:
-            return self._step_on_group(model, time, length, h, y, last)
-        stages = np.arange(len(CHAINS[self.method][0]))
-        stage = functools.partial(self._stage, model, time, length)
-        (h, y, _, _, last), _ = jax.lax.scan(stage, (h, y, y, jnp.zeros_like(y), last), stages)
-        return h, y, last
-
-    def _stage(self, model, time, length, carry, stage):
-        """One stage of a step; its first one decides the step's `length` from the contacts it sees,
-        and sets impact speeds of contacts that have closed in the last one."""
-        h, y, total, slope, last = carry
-        nodes, weights = (jnp.asarray(part) for part in CHAINS[self.method])
-        slope, contacts = self.formulation.rate(
-            model, time + nodes[stage] * h, y + (h * nodes[stage]) * slope
-        )
-        opens = stage == 0
-        h = jnp.where(opens, length(contacts, last), h)
-        if last is not None:
-            if self.formulation.remembers(model):
-                aware = self.formulation.remember(model, y, last[0], contacts, last[1])
-                y, total = jnp.where(opens, aware, y), jnp.where(opens, aware, total)
-            last = jax.tree.map(lambda a, b: jnp.where(opens, a, b), (contacts, h), last)
-        total = total + (h * weights[stage]) * slope
-        if self.method == "semi_implicit":
-            n = model.layout.coordinates
-            kicked = jnp.concatenate([y[:n], total[n:]])
-            rates = self.formulation.coordinate_rates(model, kicked)
-            total = jnp.concatenate([y[:n] + h * rates, total[n:]])
-            total = self._with_energies(model, time, h, y, total)
-        y = jnp.where(stage == len(CHAINS[self.method][0]) - 1, total, y)
-        return (h, y, total, slope, last), None
-
-    def _with_energies(self, model, time, h, y, after):
-        """The energies of the balance after a semi-implicit step, where they are asked for."""
-        layout = model.layout
-        if not layout.energies:
-            return after
-        n, m, first = layout.coordinates, layout.memory_start, layout.energy_start + 1
-        powers = self.formulation.energy_rates(model, time, y, 0.5 * (y[n:m] + after[n:m]))
-        return jnp.concatenate([after[:first], y[first:] + h * powers])
-
-    def _step_on_group(self, model, time, length, h, y, last):
-        """As `_step`; the contacts are looked at beforehand, where something depends on them."""
-        if last is not None or self.contact_steps is not None:
-            contacts = self.formulation.contacts(model, time, y)
-            h = length(contacts, last)
-            if last is not None:
-                y = self.formulation.remember(model, y, last[0], contacts, last[1])
-                last = contacts, h
-
-        def rate(time, y):
-            return self.formulation.rate(model, time, y)[0]
-
-        order = ON_GROUPS[self.method]
-        return h, munthe_kaas.fixed_step(state_group(model), rate, order, time, h, y), last
 
 
 def _nothing_met(last: Any) -> Any:

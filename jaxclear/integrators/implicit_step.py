@@ -11,14 +11,17 @@ from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, concrete, count, quantity
-from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import watch_from, watched
-from jaxclear.integrators.fine_motion import beside_steps, nothing_beside, so_far
+from jaxclear.integrators.fine_motion import (
+    beside_steps,
+    nothing_beside,
+    so_far,
+    trusted_beside,
+)
 from jaxclear.integrators.stepping import arrived, contacts_met, counted, divide, march
-from jaxclear.integrators.trust import NO_SECOND, beside, trusted_steps, unknown_way
 
 # A journal that creeps is moved by the vibration of its contact too, which bias damps at every
 # turn: as steps longer by so many times the bias. With what `CREEP_STEP` allows, no loss of
@@ -159,13 +162,9 @@ class ImplicitStep(AbstractIntegrator):
     def _trusted(self, model, end, met, watch, last):
         """All that was found, where its derivative can be trusted; events have none."""
         _, known, vibrates = last
-        vibrates = vibrates if known is None else known.vibrates
-        end, met, watch = vibration.resolved((end, met, watch), vibrates)
-        if not self._derived(model):
-            return end, met, watch
-        found = beside(trusted_steps((end, met), known.growth), known.parted)
-        end, met = derived_once(NO_SECOND, found)
-        return end, met, unknown_way(watch) if watch is not None else None
+        if known is None:
+            return vibration.resolved((end, met, watch), vibrates)
+        return trusted_beside(end, met, watch, known)
 
     def _iterations(self, model: Model) -> int:
         """Iterations on the contact laws of a model."""

@@ -6,10 +6,10 @@ after one bounce, by a multiple after a few (-3.0 for 0.24 after three lossless 
 us), and nothing tells by how much. So it is refused while it is being traced, unless the derivative
 of the discrete run is what was asked for. Steps that end at touches know it (`saltation`), those by
 rk4 whose derivatives are taken apart there (`mid_step`), those through rigid contact
-(`mid_impact`), and implicit ones beside which the motion goes in finer parts where it is
-differentiated (`fine_motion`). Where nothing opens (ideal joints, permanent contact) the derivative
-of the discrete run converges to that of the motion, and passes: forwards through the steps,
-backwards as so many of these as numbers move.
+(`mid_impact`), and implicit ones and explicit ones of lower order, beside which the motion goes in
+finer parts where it is differentiated (`fine_motion`). Where nothing opens (ideal joints, permanent
+contact) the derivative of the discrete run converges to that of the motion, and passes: forwards
+through the steps, backwards as so many of these as numbers move.
 """
 
 import functools
@@ -72,7 +72,7 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
     if not why or (discrete and integrator.pathwise):
         return run
     ways = (
-        "take jaxclear.integrator.Adaptive() with an explicit solver, FixedStep() by rk4 or "
+        "take jaxclear.integrator.Adaptive() with an explicit solver, FixedStep() or "
         "ImplicitStep() without steps_per_save, which follow touches, or jaxclear.sensitivity, "
         "which compares methods and gives an error"
     )
