@@ -14,6 +14,8 @@ from jaxclear.multibody.system import System, prepare
 
 # Depths of an impact at which its loss is added up, by Gauss and Legendre.
 DEPTHS = 8
+# Restitution from which on what an impact is off by never dies out.
+ELASTIC = 0.99
 
 
 def restitution_of(mechanism: Mechanism, checks: Checks) -> float:

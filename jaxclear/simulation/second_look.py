@@ -23,7 +23,7 @@ from jaxclear.integrators.checks import Check
 from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.bounciness import restitution_of
+from jaxclear.simulation.bounciness import ELASTIC, restitution_of
 from jaxclear.simulation.friction_steps import rubbing
 from jaxclear.simulation.rebound import RESOLVED
 from jaxclear.simulation.two_runs import (
@@ -80,17 +80,16 @@ DOUBTS = {
 # Change of the deepest indentation up to which impacts are right, where indentations rise by no
 # more than `RESOLVED` and what is worn is right: at twice that, a peak of forces was a tenth off.
 SAME_DEPTH = 0.01
-# Restitution from which on what an impact is off by does not die out at the next ones. From the
-# first of these on it dies out so late that less rise of indentations brings a run in doubt, in
-# proportion to what an impact takes: at 0.976 a pendulum was 6 % of its clearance off after 17
-# impacts, in steps in which indentations rose by 0.03.
-BOUNCY, ELASTIC = 0.9, 0.99
+# Restitution from which on what an impact is off by dies out so late that less rise of indentations
+# brings a run in doubt, in proportion to what an impact takes: at 0.976 a pendulum was 6 % of its
+# clearance off after 17 impacts, in steps in which indentations rose by 0.03.
+BOUNCY = 0.9
 OF_IMPACTS = (Check.IMPACT_STEP, Check.CONTACT_STEP)
 # Steps beyond those that end at saving times, some fifty an impact where an error controls them,
 # from which on so many impacts may have followed each other that bouncy ones bring a run in doubt
 # of whose impacts no figure tells: of 20 of restitution 0.98 without friction each made errors grow
 # by a half, and `Adaptive` was 60 % of the clearance off; of a double pendulum 5 % after forty.
-BOUNCES = 800
+BOUNCES = 500
 # Steps of a run beyond which it is not gone through again: seconds in any mechanism.
 MOST_STEPS = 100_000
 

@@ -10,6 +10,7 @@ from jaxclear.multibody.state import ENERGIES
 from jaxclear.multibody.system import wear_maps
 from jaxclear.results.histories import contact_impulse
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.bounciness import ELASTIC, restitution_of
 from jaxclear.simulation.spot_checks import LEAST, NO_WEAR
 from jaxclear.simulation.ways import Whereabouts, whereabouts
 
@@ -98,17 +99,20 @@ def apart_by_check(
     difference of the places of bodies on these count (None: they do not, nor do places in gaps);
     `doubts`: whether a figure brings the run in doubt."""
     found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
-    sunk, inside = run.checks.figures.get(Check.INDENTATION), None
+    sunk: Figure | None = run.checks.figures.get(Check.INDENTATION)
+    inside: tuple[np.ndarray, tuple[str, ...]] = (np.zeros(0), ())
     if opens(run) or doubts:
         here, there = (whereabouts(each.history) for each in (run, other))
         elsewhere = _elsewhere(here, there)
         found[Check.HALVED_MOTION] = (np.array([elsewhere]), ("",))
         if gaps is not None and gaps < elsewhere <= Check.HALVED_MOTION.limit:
             found[Check.BODY_PLACES] = (np.array([elsewhere]), ("",))
-    if opens(run) and sunk is not None:
+    if opens(run):
+        bearings = run.history.model().system.bearings.items()
+        names = tuple(name for name, bearing in bearings for _ in bearing.radii)
         off = np.abs(np.asarray(here.places) - np.asarray(there.places)).max(axis=0)
-        inside = (off.reshape(len(sunk.places), -1).max(axis=1), sunk.places)
-    if inside is not None and gaps is not None:
+        inside = (off.reshape(len(names), -1).max(axis=1), names)
+    if opens(run) and sunk is not None and gaps is not None:
         found[Check.PLACE_IN_GAP] = inside
     if opens(run) and sunk is not None:
         changes = _peaks_apart(run, other)
@@ -119,8 +123,8 @@ def apart_by_check(
         largest = max(one.max(), two.max())
         shares = abs(one - two) / largest if largest > 0 else np.zeros(len(joints))
         found[Check.MEAN_FORCE] = (shares, joints)
-        told = found.get(Check.PLACE_IN_GAP)
-        if told is not None and np.max(told[0]) > Check.PLACE_IN_GAP.limit:
+        counts = Check.PLACE_IN_GAP in found or _elastic(run)
+        if counts and np.max(inside[0]) > Check.PLACE_IN_GAP.limit:
             found[Check.PARTED_FORCE] = (shares, joints)
     if run.history.balanced and any(friction_loss(each) != 0 for each in (run, other)):
         found[Check.FRICTION_LOSS] = (np.array([_friction_loss_apart(run, other)]), ("",))
@@ -129,6 +133,11 @@ def apart_by_check(
         wears |= _worn_by_chance(run, other, wears, inside)
         found[Check.HALVED_WEAR] = (np.array(list(wears.values())), tuple(wears))
     return found
+
+
+def _elastic(run: Trajectory) -> bool:
+    """Whether impacts take no energy: of parted paths no rung knows mean forces."""
+    return restitution_of(run.mechanism, run.checks) >= ELASTIC
 
 
 def _worn_apart(run: Trajectory, other: Trajectory) -> dict[str, float]:
@@ -152,13 +161,12 @@ def _worn_apart(run: Trajectory, other: Trajectory) -> dict[str, float]:
 
 
 def _worn_by_chance(
-    run: Trajectory, other: Trajectory, wears: dict[str, float], inside: tuple | None
+    run: Trajectory, other: Trajectory, wears: dict[str, float], inside: tuple
 ) -> dict[str, float]:
     """By joint how far wear is apart on the way and in place, where parts are elsewhere in their
     gap so far that what is worn in the end agrees by chance; `inside`: how far they are, by the
     names of contacts."""
-    offs, places = ((), ()) if inside is None else inside
-    far = {place for off, place in zip(offs, places, strict=True) if off > PARTED}
+    far = {place for off, place in zip(*inside, strict=True) if off > PARTED}
     return {
         joint: max(apart, *(_on_the_way(run, other, joint, name) for name in run.worn[joint]))
         for joint, apart in wears.items()
@@ -167,14 +175,11 @@ def _worn_by_chance(
 
 
 def _on_the_way(run: Trajectory, other: Trajectory, joint: str, surface: str) -> float:
-    """Largest difference of what a surface has lost at an instant, and share of it that is lost at
-    other places, beside what it loses in all."""
+    """Largest difference of what a surface has lost at an instant, beside what it loses in all, and
+    of the depth of a cell in the end, beside the deepest."""
     one, two = (np.asarray(each.worn_volume(joint, surface)) for each in (run, other))
     here, there = (np.asarray(each.worn[joint][surface]) for each in (run, other))
-    lost, deep = max(one[-1], two[-1]), here.sum() + there.sum()
-    if lost <= 0 or deep <= 0:
-        return 0.0
-    return float(max(np.abs(one - two).max() / lost, np.abs(here - there).sum() / deep))
+    return max(share_of_largest(one, two), share_of_largest(here, there))
 
 
 def _lost(run: Trajectory, joint: str, surface: str) -> Any:

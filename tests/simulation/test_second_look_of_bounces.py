@@ -46,7 +46,7 @@ def test_bouncy_impacts_are_in_doubt_sooner(restitution, rise, doubted):
 
 @pytest.mark.parametrize(
     ("steps", "restitution", "doubted"),
-    [(950, 0.95, False), (1050, 0.95, True), (1050, 0.9, False)],
+    [(650, 0.95, False), (750, 0.95, True), (750, 0.9, False)],
 )
 def test_many_bouncy_impacts_are_in_doubt(steps, restitution, doubted):
     """Steps that end at saving times tell of no impact."""

@@ -186,3 +186,26 @@ def test_bodies_that_drift_bring_rigid_steps_in_doubt(drift):
         checks=jc.integrator.Checks.of({Check.HALVED_MOTION: figure}),
     )
     assert second_look._in_doubt(run) == (drift > second_look.DOUBTS[Check.HALVED_MOTION])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("joint", "varied", "check"),
+    [
+        ("journal", {"clearance": 1e-5}, Check.HALVED_WEAR),
+        ("guide", extremes.CORNERS[3], Check.PARTED_FORCE),
+    ],
+)
+def test_what_two_parted_runs_agree_in_by_chance_is_said(joint, varied, check):
+    """Shorter and shorter steps of rigid contact go on to disagree in it by more than is promised:
+    in where a journal is deepest worn, in the mean force of impacts that take no energy."""
+    case = extremes.JOINTS[joint][0](extremes.USUAL | varied)
+    depth = lambda run: float(np.max(run.worn_depth("B", "bearing")))
+    mean = lambda run: float(jc.response.MeanContactForce("B")(run))
+    told = depth if check == Check.HALVED_WEAR else mean
+    runs = [
+        jc.simulate(case.mechanism, 0.05, save=6, integrator=jc.integrator.MoreauJean(step))
+        for step in (1e-4, 2.5e-5, 3e-6)
+    ]
+    answers = [told(run) for run in runs]
+    assert max(answers) > 1.03 * min(answers) and check in beyond(runs[0])
