@@ -103,6 +103,9 @@ def test_wear_that_hangs_on_the_saving_times_is_told(lived):
     ends = [np.asarray(each.worn()["B"]["bearing"]) for each in (life, other)]
     assert np.sqrt(np.mean((ends[1] - ends[0]) ** 2)) < told.max() * np.mean(ends[0])
     volumes = [each.over_life("volume")[-1] for each in (life, other)]
+    assert volumes == [each.at_end("volume") for each in (life, other)]
+    with pytest.raises(ValueError, match="cycles of this life is .*; it must be one finite number"):
+        life.over_life("volume", [0.0, 2 * life.cycles[-1]])
     np.testing.assert_allclose(*volumes, rtol=5e-3)
     assert list(life.table()["by saving times"]) == list(told)
 

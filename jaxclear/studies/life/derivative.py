@@ -135,7 +135,7 @@ def _along(life: WearLife, values: Any, most: int) -> WearLife:
 def _told(life: WearLife, quantity: str, limit: float | None) -> tuple[float, float]:
     """(what is differentiated, what noise leaves of it as a standard deviation)."""
     at = float(life.cycles[-1])
-    value = float(life.over_life(quantity)[-1])
+    value = life.at_end(quantity)
     if quantity in life.problem.response_names:
         noise = life.stages[-1].settled.responses()[quantity][1]
     else:

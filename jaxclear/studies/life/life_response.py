@@ -85,7 +85,7 @@ class LifeUntil(AbstractLifeResponse):
     def _outlived(self, life: WearLife) -> float:
         """Of a life in which the limit is not reached: infinite, unless it is to be sure and the
         error at the end may hide that it is."""
-        now = float(life.over_life(self.name)[-1])
+        now = life.at_end(self.name)
         off, limit = _error_at_end(life, self.name, now), float(self.limit)
         if not self.sure or abs(limit - now) > off:
             return np.inf
@@ -125,7 +125,7 @@ class LifeEnd(AbstractLifeResponse):
     def __call__(self, life):
         if life.ended:
             return np.nan
-        value = float(life.over_life(self.name)[-1])
+        value = life.at_end(self.name)
         return value + _error_at_end(life, self.name, value) if self.sure else value
 
     def unit_among(self, units):

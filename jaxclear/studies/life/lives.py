@@ -88,7 +88,7 @@ class WearLives(AbstractShown):
                 row["cycles"] = float(life.cycles[-1])
                 for name, unit in life.quantities.items():
                     label = name if unit == "1" else f"{name} [{unit}]"
-                    row[label] = float(life.over_life(name)[-1])
+                    row[label] = life.at_end(name)
                 row["error of depth"] = life.error
             warnings = " ".join(life.warnings) if life else ""
             rows.append(row | {"ended": ended.get(i, ""), "warnings": warnings})

@@ -129,8 +129,14 @@ class WearLife(AbstractShown):
         """A quantity at the stages, or after so many `cycles`."""
         check_known("quantity", name, self.quantities, " in this life")
         at = self.cycles if cycles is None else np.asarray(cycles, float)
+        for end in (at.min(initial=0.0), at.max(initial=0.0)):
+            self._within(end)
         function = self._function(name)
-        return np.array([function(self._within(one)) for one in at.ravel()]).reshape(at.shape)
+        return np.array([function(float(one)) for one in at.ravel()]).reshape(at.shape)
+
+    def at_end(self, name: str) -> float:
+        """A quantity after the last cycle."""
+        return float(self.over_life(name, self.cycles[-1]))
 
     def worn(self, cycles: float | None = None) -> Worn:
         """Depth of all surfaces [m] after so many cycles, by joint and surface; at the end without
@@ -210,7 +216,7 @@ class WearLife(AbstractShown):
     def sentence(self) -> str:
         """How far the life went, from how many cycles, how deep it has worn, and what limits the
         trust in it."""
-        reached, deepest = float(self.cycles[-1]), self.over_life(DEPTH)[-1]
+        reached, deepest = float(self.cycles[-1]), self.at_end(DEPTH)
         back = f", {self.rejected} steps taken back" if self.rejected else ""
         text = f"{reached:.4g} cycles of machine life from {self.simulated} simulated ones{back}: "
         known = [100 * own for own in (self.error, self.errors_of_volume[-1])]
