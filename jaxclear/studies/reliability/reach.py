@@ -15,7 +15,7 @@ from jaxclear.studies.limit_state import system_margin
 from jaxclear.studies.reliability.models import RunModel
 from jaxclear.studies.reliability.subset import repetitions
 
-# Samples of a level: of 27 limits (probabilities from 1e-3 to 1e-7, planes in up to 60 variables,
+# Samples of a level: of 31 limits (probabilities from 1e-3 to 1e-7, planes in up to 60 variables,
 # bent, rough and of several modes) none was missed in 100 searches each; by half as many one in six
 # of the rough ones was.
 PILOT = 200
