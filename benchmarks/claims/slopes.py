@@ -6,9 +6,10 @@ Ratios are medians over turns of one process, in which the programs follow each 
 the machine. `--json benchmarks/results/slopes.json` keeps rows of earlier calls beside those
 measured now. The response is a sum of coordinates at the end: it costs nothing, so the ratio is the
 loop's. Of `ImplicitStep` slopes of the motion are measured, and discrete ones. Where run and motion
-have parted those of the motion are nan and cost little: in the slider-crank from its first impact
-on. In the bouncing journal they are known to the end. Rungs whose derivatives through contacts are
-refused are measured as well: what they cost is that of their loops. The friction of the antenna's
+have parted those of the motion are nan and cost little: in the slider-crank from its first impacts
+on, of semi-implicit steps too. In the bouncing journal they are known to the end. Rungs whose
+derivatives through contacts are refused are measured as well: what they cost is that of their
+loops. The friction of the antenna's
 joints is three zones for compliant rungs, Coulomb's for the others.
 """
 
