@@ -182,7 +182,8 @@ def load_steps(
     """How a run that begins with a state, and is saved at these times [s] from then on, sees what
     its loads and drives do. Nothing is said of numbers that are being traced."""
     functions = functions_of_time(mechanism)
-    times = times if state is None or state.motion is None else state.motion.time + times
+    motion = getattr(state, "motion", None)
+    times = times if motion is None else motion.time + times
     if not functions or is_traced((functions, integrator, times)):
         return LoadSteps(integrator, {})
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
@@ -214,6 +215,8 @@ def _seen(question: _Question) -> tuple[float | None, dict[str, float]]:
     be), and by name the shares that steps pass over."""
     everything, times, step, fixed = question.asked
     functions = {name: each for name, each in everything.items() if _changes(each)}
+    if not functions:
+        return None, {}
     if step is not None or fixed is not None:
         edges = step_ends(times, step, fixed)
         return None, {} if edges is None else passed_over(functions, edges)
