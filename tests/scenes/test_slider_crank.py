@@ -19,7 +19,7 @@ def test_the_ideal_slider_moves_as_geometry_says(kind):
 def test_what_is_left_out_is_absent_and_what_is_given_is_there():
     bare = slider_crank(friction=False, gravity=None)
     joint = bare.connections["B"].joint
-    assert joint.friction == None is joint.bearing_wear and not bare.loads
+    assert joint.friction is None is joint.bearing_wear and not bare.loads
     drive, friction = jc.drive.RampUp(50.0, 0.02), jc.friction.Dahl()
     own = slider_crank(friction=friction, wear=True, drive=drive)
     joint = own.connections["B"].joint
