@@ -34,7 +34,7 @@ def left_out(failed: int, samples: str) -> list[str]:
     return [f"{failed} {samples} failed and are left out."] if failed else []
 
 
-def as_given(number: Any) -> str:
+def as_written(number: Any) -> str:
     """A number that a user gave, such as a limit, with all that anybody writes of it."""
     return f"{float(number):.{GIVEN_DIGITS}g}"
 

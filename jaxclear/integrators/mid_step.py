@@ -76,10 +76,12 @@ def through_touches(
         gap = narrowest_gap(eqx.combine(arrays[0], rest).system)
         h = length(clock, contacts, last)
         begun = Now(arrays[0], clock[0], aware, h, ContactMotion(*contacts))
-        shifted, ways, shift = _at_moving_time(motion, begun, (way[0], clock_way, state))
-        here, ways = (arrays, clock, aware, last), (way, ways, shifted, last_way)
+        acting = saltation.closed(begun.contacts)
+        shifted, shift = at_moving_time(motion, begun, acting, (way[0], clock_way[0], state))
+        clock_ways = moved(clock_way[0]) + shift, *clock_way[1:]
+        here, ways = (arrays, clock, aware, last), (way, clock_ways, shifted, last_way)
         (h, end, now), (longer, gone, left) = pushed(plain, here, ways)
-        gone = _at_fixed_time(motion, begun, end, gone, shift)
+        gone = at_fixed_time(motion, begun, acting, end, (gone, shift))
         times = clock_way[0], longer if moves(clock_way) else None
         apart = taken_apart(motion, begun, end, (way[0], times, state), moved(grown))
         grown = judged(motion, begun, gap, apart, end)
@@ -90,18 +92,20 @@ def through_touches(
     return known
 
 
-def _at_moving_time(motion: Any, begun: Now, ways: tuple) -> tuple:
-    """The derivatives of (state, clock, shift) at a time that moves with touches (`saltation`)."""
-    way, (time, *others), state = ways
-    step = saltation.Step(begun.arrays, begun.contacts, begun.length)
+def at_moving_time(motion: Any, begun: Now, acting: Any, ways: tuple) -> tuple:
+    """The derivative of the state where a step begins, at a time that moves with touches
+    (`saltation`), and by how much that does. `ways`: derivatives of (arrays, time, state)."""
+    way, time, state = ways
+    step = saltation.Step(begun.arrays, begun.contacts, begun.length, acting)
     ways = (way, None, None), (time, moved(state)), ()
     state, _, shift = saltation.at_moving_time(motion, (step, (begun.time, begun.state), ()), ways)
-    return state, (moved(time) + shift, *others), shift
+    return state, shift
 
 
-def _at_fixed_time(motion: Any, begun: Now, end: Any, way: Any, shift: Any) -> Any:
-    """The derivative of the state at the end of a step that moved by a shift."""
-    acting, time = saltation.closed(begun.contacts), begun.time + begun.length
+def at_fixed_time(motion: Any, begun: Now, acting: Any, end: Any, moves: tuple) -> Any:
+    """The derivative of the state where a step ends, at a fixed time. `moves`: (that at a time
+    which moves, by how much that does)."""
+    (way, shift), time = moves, begun.time + begun.length
     back = lambda way: way - shift * motion.rates(begun.arrays, acting, time, end)
     return where_wanted(jnp.any(acting > 0), back, way)
 
@@ -173,14 +177,10 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, growth: Array) -
         until = jnp.maximum(jnp.min(jnp.where(pending, shares, 1.0)), share)
         hit = pending & (shares <= until)
         length = (until - share) * h
-        go = lambda arrays, time, y: gone_on(motion, arrays, acting, time, length, y)
         at = time + share * h
-        step_ = saltation.Step(begun.arrays, motion.contacts(begun.arrays, at, y), length, acting)
-        ways = (way, None, None), (jnp.zeros(()), state), ()
-        state, _, shift = saltation.at_moving_time(motion, (step_, (at, y), ()), ways)
-        y, state = pushed(go, (begun.arrays, at, y), (way, shift, state))
+        part = Now(begun.arrays, at, y, length, motion.contacts(begun.arrays, at, y))
+        y, state = along(motion, part, acting, (way, state))
         at = time + until * h
-        state = state - shift * motion.rates(begun.arrays, acting, at, y)
         y, state, growth, later = passed_within(
             motion, begun, (way, state), at, y, (acting, hit), growth
         )
@@ -232,6 +232,16 @@ def passed_within(
     rates = motion.contacts(begun.arrays, at, y).rates
     y = saltation.with_impact_speeds(motion.layout, y, taken, rates)
     return y, found.state, found.growth, later
+
+
+def along(motion: Any, begun: Now, acting: Any, ways: tuple) -> tuple:
+    """(state, its derivative) at the end of a part of a motion in which contacts act by these
+    shares. `ways`: derivatives of (arrays, state)."""
+    way, state = ways
+    go = lambda arrays, time, y: gone_on(motion, arrays, acting, time, begun.length, y)
+    state, shift = at_moving_time(motion, begun, acting, (way, jnp.zeros(()), state))
+    end, state = pushed(go, (begun.arrays, begun.time, begun.state), (way, shift, state))
+    return end, at_fixed_time(motion, begun, acting, end, (state, shift))
 
 
 def gone_on(motion: Any, arrays: Any, shares: Any, time: Any, length: Any, y: Any) -> Any:

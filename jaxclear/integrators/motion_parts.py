@@ -21,7 +21,7 @@ from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import pushed, where_wanted
 from jaxclear.integrators import saltation, vibration
 from jaxclear.integrators.deepest import deepest
-from jaxclear.integrators.mid_step import Apart, Now, gone_on, judged, passed_within
+from jaxclear.integrators.mid_step import Apart, Now, along, judged, passed_within
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.integrators.vibration import Vibration
 
@@ -131,16 +131,9 @@ def _further(motion: Any, remember: Callable, clock: tuple, way: Any, part: Part
 
 def _through(motion: Any, begun: Now, acting: Any, ways: tuple) -> _Gone:
     """A part in which the contacts act that did at its start."""
-    arrays, time, y, length, contacts = begun
-    way, state = ways
-    step = saltation.Step(arrays, contacts, length, acting)
-    ways = (way, None, None), (jnp.zeros(()), state), ()
-    state, _, shift = saltation.at_moving_time(motion, (step, (time, y), ()), ways)
-    go = lambda arrays, time, y: gone_on(motion, arrays, acting, time, length, y)
-    end, state = pushed(go, (arrays, time, y), (way, shift, state))
-    back = lambda state: state - shift * motion.rates(arrays, acting, time + length, end)
-    state = where_wanted(jnp.any(acting > 0), back, state)
-    return _Gone(begun, acting, end, state, motion.contacts(arrays, time + length, end))
+    end, state = along(motion, begun, acting, ways)
+    contacts = motion.contacts(begun.arrays, begun.time + begun.length, end)
+    return _Gone(begun, acting, end, state, contacts)
 
 
 def _crossed(gone: _Gone) -> tuple[Any, Any]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_flags, expect
-from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.multibody.topology import Redundancy
 
 __all__ = ["SavedMotion", "State"]
@@ -62,6 +62,11 @@ class State(AbstractQuantified):
         if motion is not None:
             expect(motion, SavedMotion, "motion of a State", "that of a run, run.state().motion")
         self.worn, self.concentric, self.motion = worn, concentric, motion
+
+    @property
+    def begins(self) -> Scalar:
+        """Time [s] at which a run from it begins."""
+        return 0.0 if self.motion is None else self.motion.time
 
     def __str__(self) -> str:
         if self.motion is not None:

@@ -26,15 +26,16 @@ class Past(eqx.Module):
 
 
 def beginning(
-    mechanism: Mechanism, formulation: AbstractFormulation, state: State
+    mechanism: Mechanism, formulation: AbstractFormulation, state: State | None
 ) -> tuple[Mechanism, Start, Any, Past]:
     """A mechanism with numbers that knows its redundant rows, its consistent start, its time [s],
-    and what is taken over.
+    and what is taken over. `state`: None for the mechanism's own start.
     Raises `ValueError` with a sentence for what cannot be."""
+    state = State() if state is None else state
     past = past_of(mechanism, formulation, state)
     if state.motion is None:
-        return *ready(mechanism, state.concentric, past.worn), 0.0, past
-    return *ready_from(mechanism, *state.motion.moving), state.motion.time, past
+        return *ready(mechanism, state.concentric, past.worn), state.begins, past
+    return *ready_from(mechanism, *state.motion.moving), state.begins, past
 
 
 def past_of(mechanism: Mechanism, formulation: AbstractFormulation, begun: State) -> Past:

@@ -26,7 +26,6 @@ from jaxclear.integrators.checks import Check
 from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 
 # Instants at which a function is looked at: so many in a step, and in the whole run at least and at
@@ -176,14 +175,10 @@ def judged_by(passed: dict[str, float], run: Trajectory) -> Trajectory:
     return dataclasses.replace(run, checks=checked_by(passed, run.checks)) if passed else run
 
 
-def load_steps(
-    mechanism: Mechanism, integrator: AbstractIntegrator, times: Any, state: State | None = None
-) -> LoadSteps:
-    """How a run that begins with a state, and is saved at these times [s] from then on, sees what
-    its loads and drives do. Nothing is said of numbers that are being traced."""
+def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any) -> LoadSteps:
+    """How a run that is saved at these times [s], the first of which it begins at, sees what its
+    loads and drives do. Nothing is said of numbers that are being traced."""
     functions = functions_of_time(mechanism)
-    motion = getattr(state, "motion", None)
-    times = times if motion is None else motion.time + times
     if not functions or is_traced((functions, integrator, times)):
         return LoadSteps(integrator, {})
     step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves

@@ -161,9 +161,9 @@ def simulate(
     times = saving_times(duration, saving.at)
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
-    integrator, passed = load_steps(mechanism, integrator, times, state)
-    mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state or State())
+    mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state)
     ready = mechanism, start.coordinates, start.speeds, begins + times
+    integrator, passed = load_steps(mechanism, integrator, ready[-1])
     with stoppable(), progress.bar(progress_bar, "simulating"):
         extras = Extras(balance, progress_bar, saving.events)
         runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
-from jaxclear.ground.shown import as_given
+from jaxclear.ground.shown import as_written
 from jaxclear.ground.wording import described, unknown
 
 __all__ = ["Above", "AbstractLimitState", "Below", "Parallel", "Series"]
@@ -65,7 +65,7 @@ class Above(AbstractLimitState):
         return (frozenset({0}),)
 
     def words(self):
-        return f"{self.response} above {as_given(self.threshold)}"
+        return f"{self.response} above {as_written(self.threshold)}"
 
 
 class Below(AbstractLimitState):
@@ -87,7 +87,7 @@ class Below(AbstractLimitState):
         return (frozenset({0}),)
 
     def words(self):
-        return f"{self.response} below {as_given(self.threshold)}"
+        return f"{self.response} below {as_written(self.threshold)}"
 
 
 class Series(AbstractLimitState):

@@ -129,9 +129,9 @@ class Problem(AbstractProblem):
         check_run(mechanism, self.integrator)
         check_steps(integrator, times)
         self.state = State() if state is None else state
-        self.integrator = self._load_steps().integrator
         seen = self.integrator.formulation.seen(mechanism)
         self.past = past_of(seen, self.integrator.formulation, self.state)
+        self.integrator = self._load_steps().integrator
         self.determined, motion = (), self.state.motion
         if motion is None:
             self.determined, seen = determined(seen, self.state.concentric, self.past.worn)
@@ -181,12 +181,11 @@ class Problem(AbstractProblem):
         """The mechanism of one set of values as it is simulated, its start, and its run; pure.
         `discrete`: derivatives are those of the steps."""
         mechanism = self.seen(values)
-        times, motion = self.shares * self.duration, self.state.motion
+        times, motion = self.state.begins + self.shares * self.duration, self.state.motion
         if motion is None:
             start = assemble_arrays(mechanism, self.state.concentric, worn=self.past.worn)
         else:
             start = carried_on(mechanism, *motion.moving)
-            times = motion.time + times
         extras = Extras(events=self.events, discrete=discrete)
         found = run(mechanism, *start[:2], times, self.integrator, extras, self.past)
         return mechanism, start, found
@@ -237,7 +236,8 @@ class Problem(AbstractProblem):
         return diagnosed(sample_of_chunk(_run_chunk, self, values, index, chunk))
 
     def _load_steps(self) -> LoadSteps:
-        return load_steps(self.mechanism, self.integrator, self.shares * self.duration, self.state)
+        times = self.state.begins + self.shares * self.duration
+        return load_steps(self.mechanism, self.integrator, times)
 
     def second_look(self, checks):
         seen = self.integrator.formulation.seen(self.mechanism)

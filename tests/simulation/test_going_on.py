@@ -119,6 +119,7 @@ def test_what_does_not_belong_is_refused_by_name():
         (worn({"B": {"bearing": -one.worn["B"]["bearing"]}}), "below 0 m"),
         (worn(one), "worn of a State is a Trajectory"),
         (lambda: one, "state is a Trajectory"),
+        (dict, "state is "),
         (other.state, "another mechanism"),
         (lambda: one.state(0), "worn depths are known at the end of a run only"),
     ):

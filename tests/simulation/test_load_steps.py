@@ -56,7 +56,7 @@ def test_what_changes_slowly_leaves_adaptive_as_it_is():
     assert load_steps(slow, integrator, times) == (integrator, {})
     assert load_steps(slow, jc.integrator.FixedStep(), times).passed["push"] < 1e-9
     driven = jc.scenes.slider_crank("ideal")
-    assert load_steps(driven, integrator, times, jc.State()) == (integrator, {})
+    assert load_steps(driven, integrator, times) == (integrator, {})
 
 
 @pytest.mark.parametrize(("step", "said"), [(2e-4, True), (2e-6, False)])

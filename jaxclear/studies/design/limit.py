@@ -9,7 +9,7 @@ from jaxtyping import Array
 
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.ground.shown import as_given
+from jaxclear.ground.shown import as_written
 from jaxclear.studies.design.abstract_limit import AbstractLimit, Sample
 from jaxclear.studies.design.weighted import deviation, mean, quantile, share_above
 
@@ -184,8 +184,8 @@ class Probability(AbstractLimit):
         return tuple(end for end in (self.above, self.below) if end is not None)
 
     def words(self):
-        sides = [] if self.above is None else [f"above {as_given(self.above)}"]
-        sides += [] if self.below is None else [f"below {as_given(self.below)}"]
+        sides = [] if self.above is None else [f"above {as_written(self.above)}"]
+        sides += [] if self.below is None else [f"below {as_written(self.below)}"]
         return f"share of {self.response} {' or '.join(sides)}"
 
     def unit(self, of_response):

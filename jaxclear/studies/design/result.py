@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.shown import AbstractShown, as_given, in_digits
+from jaxclear.ground.shown import AbstractShown, as_written, in_digits
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_design
 from jaxclear.studies.design.abstract_limit import AbstractLimit
@@ -139,7 +139,7 @@ class Design(AbstractShown):
         limit, number = self.limits[i], in_digits(self.numbers[i], self.errors[i], least=4)
         return (
             f"the {limit.words()} is {number} +- {self.errors[i]:.2g}, "
-            f"{'above' if limit.upper() else 'below'} {as_given(limit.bound())}"
+            f"{'above' if limit.upper() else 'below'} {as_written(limit.bound())}"
         )
 
     def _lost(self):
