@@ -96,6 +96,12 @@ class AbstractIntegrator(AbstractQuantified):
         return "" if self.through_contacts else "how the instants of touch move"
 
     @property
+    def first_order_slopes(self) -> bool:
+        """Whether its derivatives through contacts are off by a share of the step that no figure of
+        the steps tells: they are compared with those in other steps."""
+        return False
+
+    @property
     def notes_events(self) -> bool:
         """Whether it notes touches and releases of contacts."""
         return False

@@ -50,8 +50,9 @@ class MoreauJean(AbstractIntegrator):
 
     First derivatives through contacts are those of the motion, as far as the steps resolve it
     (`mid_impact`): they are off by as much as places are beside the gap, nan where impacts have
-    made that grow to 2e-3, or where contacts strike in one step that would not move alike: they
-    want steps of a microsecond. A slope whose parts nearly cancel is off by more of itself.
+    made that grow to a hundredth, where those in other steps tell that they are off by more of
+    themselves, or where contacts strike in one step that would not move alike: they want steps of a
+    microsecond.
     Not where surfaces wear, nor where ideal joints rub beside contacts: `jaxclear.sensitivity` is
     the way there.
 
@@ -100,6 +101,10 @@ class MoreauJean(AbstractIntegrator):
 
     @property
     def through_contacts(self):
+        return True
+
+    @property
+    def first_order_slopes(self):
         return True
 
     def beyond_touches(self, mechanism):

@@ -30,6 +30,7 @@ from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.saving import checked_saving
 from jaxclear.simulation.second_look import looked_at_again
+from jaxclear.simulation.step_comparison import compared, is_compared, run_where_alike
 from jaxclear.simulation.step_lengths import check_steps
 
 
@@ -54,7 +55,17 @@ FEW_COORDINATES = 32
 def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past):
     """A run that can be differentiated forwards and backwards."""
     whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4])
-    return backwards(whole, integrator, mechanism, coordinates, speeds, times, past)
+    given = mechanism, coordinates, speeds, times, past
+    if not is_compared(mechanism, integrator):
+        return backwards(whole, integrator, *given)
+
+    def in_steps(share, integrator, *moving):
+        own = integrator if share is None else integrator.with_finer_steps(share)
+        return run(*moving[:4], own, extras, moving[4])
+
+    steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
+    known = compared(in_steps, run_where_alike, steps)
+    return backwards(known, integrator, integrator, *given)
 
 
 _run = compiled_quickly(_both_ways, AROUND_A_KERNEL)

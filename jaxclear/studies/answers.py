@@ -1,0 +1,68 @@
+"""What a problem answers for one set of values, with its derivatives.
+
+Where derivatives are compared with those in other steps (`step_comparison`), responses are what is
+compared: what nearly cancels in one is seen.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.ground.quantity import inside, numbers
+from jaxclear.integrators import Outcome
+from jaxclear.multibody.assembly import is_sound
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.dead_point import diagnosed_outcome
+from jaxclear.simulation.derivatives import backwards, guarded
+from jaxclear.simulation.step_comparison import compared, in_other_steps, is_compared, where_alike
+from jaxclear.studies.base import SampleResult
+from jaxclear.studies.responses import one_number
+
+
+def answers(problem: Any, values: Float[Array, " variables"], discrete: bool) -> SampleResult:
+    """Responses of a `Problem` for one set of values; `discrete`: derivatives of the discrete run
+    are wanted, where the integrator has them."""
+    integrator = problem.integrator
+    if is_compared(integrator.formulation.seen(problem.mechanism), integrator):
+        known = compared(_with_states, _alike, _steps)
+        return backwards(known, integrator, problem, values)[0]
+    own = discrete and integrator.pathwise
+    started = lambda problem, values: problem.started(values, own)
+    mechanism, start, run = backwards(started, integrator, problem, values)
+    return _taken(problem, mechanism, start, guarded(run, integrator, discrete))
+
+
+def _taken(problem: Any, mechanism: Any, start: Any, run: Trajectory) -> SampleResult:
+    responses = {
+        name: one_number(name, response(run)) for name, response in problem.response.items()
+    }
+    kept = [jnp.all(inside(leaf, known)) for _, leaf, known in numbers(mechanism)]
+    possible = jnp.all(jnp.stack(kept))
+    sound = is_sound(mechanism, start)
+    outcome = jnp.where(sound, diagnosed_outcome(run), Outcome.UNASSEMBLED)
+    outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
+    return SampleResult(responses, outcome, run.ended, run.checks)
+
+
+def _with_states(share: Any, problem: Any, values: Array) -> tuple[SampleResult, Array]:
+    """What is answered, and the states of the run."""
+    own = in_other_steps(problem, share)
+    mechanism, start, run = own.started(values)
+    return _taken(own, mechanism, start, run), run.history.states
+
+
+def _steps(problem: Any, _: Any) -> tuple[Any, Any]:
+    return problem.integrator.asked_step(), problem.shares * problem.duration
+
+
+def _alike(ways: tuple[SampleResult, Array], ratios: Array) -> tuple[SampleResult, Array]:
+    """Derivatives of what is answered; those of responses are nan where steps decide them."""
+    result, states = jax.tree.map(lambda each: each[0], ways)
+    largest = jnp.max(abs(ways[1]))
+    told = {
+        name: where_alike(way, ratios, abs(way[0]), largest)
+        for name, way in ways[0].responses.items()
+    }
+    return SampleResult(told, result.outcome, result.ended, result.checks), states

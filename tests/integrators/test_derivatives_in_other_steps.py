@@ -1,0 +1,80 @@
+"""Derivatives of rigid steps are nan where runs in other steps have others, and right where they
+are told: beside the closed form of a journal that bounces.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from benchmarks.claims import through_touches as bounces
+
+# One bounce [s]; its slope by clearance is off by half a hundredth in steps of 1 us, by three
+# hundredths in steps of 5 us.
+END = 0.025
+FINE, COARSE = 1e-6, 5e-6
+
+
+def asked(step, responses):
+    """By clearance, start speed and restitution."""
+    problem = bounces.asked(bounces.RIGID[0], jc.integrator.MoreauJean(step), *bounces.RIGID[1:])
+    rig, steps = problem.mechanism, problem.integrator
+    return jc.Problem(rig, responses, problem.variables, duration=END, integrator=steps, save=2)
+
+
+def height(run):
+    """[mm]."""
+    return 1e3 * run.body("journal").com[-1, 1]
+
+
+def of_the_motion(values):
+    return np.asarray(jax.jacfwd(bounces.by_hand)(values, END))
+
+
+def test_a_slope_is_refused_where_its_parts_nearly_cancel_in_a_response():
+    """What is left of the height is a hundredth of its slope, by no more than whose error it is
+    told: of that no state of the run knows."""
+    values = jnp.array([bounces.CLEARANCE, bounces.SPEED, bounces.RESTITUTION])
+    wanted = of_the_motion(values)
+    joint = lambda run: run.mechanism.connections["B"].joint
+    left = lambda run: height(run) - 0.99 * wanted[0] * joint(run).clearance
+    problem = asked(FINE, {"height": height, "left": left})
+    slopes = lambda way: jax.jvp(lambda v: problem.evaluate(v).responses, (values,), (way,))[1]
+    found = jax.jit(slopes)(jnp.array([1.0, 0.0, 0.0]))
+    np.testing.assert_allclose(found["height"], wanted[0], rtol=0.01)
+    assert np.isnan(found["left"])
+
+
+@pytest.mark.slow
+def test_slopes_of_coarse_steps_are_right_or_refused_both_ways():
+    problem = asked(COARSE, {"height": height})
+    values = problem.nominal()
+    wanted = of_the_motion(values)
+    answer = lambda values: problem.evaluate(values).responses["height"]
+    for way in (jax.jacfwd, jax.jacrev):
+        found = np.asarray(jax.jit(way(answer))(values))
+        assert np.isnan(found[0])
+        np.testing.assert_allclose(found[1:], wanted[1:], rtol=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("saves", [2, 26, 10001])
+def test_slopes_of_a_run_are_right_or_refused(saves):
+    """However often it is saved: twice in a step too, where other steps are shorter ones. On the
+    way a slope that passes through nothing is told beside what it has been."""
+    problem = asked(COARSE, {"height": height})
+    values = problem.nominal()
+
+    def heights(values):
+        rig, how = problem.with_values(values), jc.integrator.MoreauJean(COARSE)
+        run = jc.simulate(rig, END, integrator=how, save=saves, throw=False)
+        return 1e3 * run.body("journal").com[:, 1]
+
+    for way in (jax.jacfwd, jax.jacrev) if saves == 2 else (jax.jacfwd,):
+        found = np.asarray(way(heights)(values))
+        off = abs(found[-1] / of_the_motion(values) - 1)
+        assert not (off > 0.02).any() and not np.isnan(off[1:]).any()
+        assert np.isnan(found).mean() < 0.2
+    if saves == 2:
+        assert np.isnan(off[0])
