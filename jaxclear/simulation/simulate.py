@@ -30,7 +30,12 @@ from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.saving import checked_saving
 from jaxclear.simulation.second_look import looked_at_again
-from jaxclear.simulation.step_comparison import compared, is_compared, run_where_alike
+from jaxclear.simulation.step_comparison import (
+    compared,
+    in_other_steps,
+    is_compared,
+    run_where_alike,
+)
 from jaxclear.simulation.step_lengths import check_steps
 
 
@@ -60,8 +65,7 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past):
         return backwards(whole, integrator, *given)
 
     def in_steps(share, integrator, *moving):
-        own = integrator if share is None else integrator.with_finer_steps(share)
-        return run(*moving[:4], own, extras, moving[4])
+        return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4])
 
     steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
     known = compared(in_steps, run_where_alike, steps)

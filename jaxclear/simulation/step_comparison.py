@@ -45,10 +45,9 @@ def is_compared(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
     return integrator.first_order_slopes and opens and not refusal(mechanism, integrator)
 
 
-def in_other_steps(asked: Any, share: Any) -> Any:
-    """What has an `integrator`, its steps that share of their length (None: as they are)."""
-    finer = asked.integrator if share is None else asked.integrator.with_finer_steps(share)
-    return eqx.tree_at(lambda own: own.integrator, asked, finer)
+def in_other_steps(integrator: AbstractIntegrator, share: Any) -> AbstractIntegrator:
+    """The integrator in steps that share as long (None: as they are)."""
+    return integrator if share is None else integrator.with_finer_steps(share)
 
 
 def compared(function: Callable, judged: Callable, steps: Callable) -> Callable:

@@ -6,6 +6,7 @@ compared: what nearly cancels in one is seen.
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -48,7 +49,8 @@ def _taken(problem: Any, mechanism: Any, start: Any, run: Trajectory) -> SampleR
 
 def _with_states(share: Any, problem: Any, values: Array) -> tuple[SampleResult, Array]:
     """What is answered, and the states of the run."""
-    own = in_other_steps(problem, share)
+    steps = in_other_steps(problem.integrator, share)
+    own = eqx.tree_at(lambda known: known.integrator, problem, steps)
     mechanism, start, run = own.started(values)
     return _taken(own, mechanism, start, run), run.history.states
 
