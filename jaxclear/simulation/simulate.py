@@ -59,9 +59,9 @@ FEW_COORDINATES = 32
 
 def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past):
     """A run that can be differentiated forwards and backwards."""
-    whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4])
     given = mechanism, coordinates, speeds, times, past
     if not is_compared(mechanism, integrator):
+        whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4])
         return backwards(whole, integrator, *given)
 
     def in_steps(share, integrator, *moving):

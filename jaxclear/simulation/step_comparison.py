@@ -45,7 +45,7 @@ def is_compared(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
     return integrator.first_order_slopes and opens and not refusal(mechanism, integrator)
 
 
-def in_other_steps(integrator: AbstractIntegrator, share: Any) -> AbstractIntegrator:
+def in_other_steps(integrator: Any, share: Any) -> Any:
     """The integrator in steps that share as long (None: as they are)."""
     return integrator if share is None else integrator.with_finer_steps(share)
 
