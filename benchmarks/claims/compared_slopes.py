@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import equinox as eqx
 import jax
@@ -22,7 +23,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, sign
-from jaxclear.integrators import trust
+from jaxclear.integrators import moreau_jean, trust, vibration
 from jaxclear.simulation import step_comparison
 
 STEPS, REFERENCES = (1e-6, 5e-6, 2e-5, 1e-4), (1e-7, 2e-7)
@@ -39,7 +40,6 @@ RULES = {
     "growth alone": (math.inf, trust.TRUSTED_IMPACTS),
     "growth alone, a fifth of it": (math.inf, trust.TRUSTED_IMPACTS / 5),
 }
-EVERYTHING = math.inf, math.inf
 
 
 class Rig(NamedTuple):
@@ -202,16 +202,23 @@ def rigs() -> Iterator[Rig]:
 @contextmanager
 def refused_by(compared: float, grown: float) -> Iterator[None]:
     """Programs that are traced in here refuse slopes by these shares."""
-    before = step_comparison.TRUSTED, trust.TRUSTED_IMPACTS
-    step_comparison.TRUSTED, trust.TRUSTED_IMPACTS = compared, grown
-    try:
-        yield
-    finally:
-        step_comparison.TRUSTED, trust.TRUSTED_IMPACTS = before
+    with patch.multiple(step_comparison, TRUSTED=compared):
+        with patch.multiple(trust, TRUSTED_IMPACTS=grown):
+            yield
 
 
-def slopes(rig: Rig, rule: tuple[float, float], steps: tuple[float, ...]) -> np.ndarray:
-    """[step, end, coordinate or speed, variable], nan where they are refused by this rule."""
+@contextmanager
+def nothing_refused() -> Iterator[None]:
+    """Programs that are traced in here tell all slopes, known or not."""
+    with patch.multiple(step_comparison, TRUSTED=math.inf):
+        with patch.multiple(moreau_jean, trusted_impacts=lambda found, _: found):
+            with patch.multiple(vibration, nothing=lambda *_: None):
+                yield
+
+
+def slopes(rig: Rig, rule: Any, steps: tuple[float, ...]) -> np.ndarray:
+    """[step, end, coordinate or speed, variable], nan where they are refused by this rule, a context
+    of `refused_by` or `nothing_refused`."""
     topology = rig.mechanism.topology
     count = topology.coordinate_count + topology.speed_count
     asked = jc.Problem(
@@ -230,7 +237,7 @@ def slopes(rig: Rig, rule: tuple[float, float], steps: tuple[float, ...]) -> np.
         answer = lambda values: jnp.stack(list(own.evaluate(values).responses.values()))
         return jax.jacfwd(answer)(own.nominal())
 
-    with refused_by(*rule):
+    with rule:
         return np.stack([[np.asarray(found(end, step)) for end in rig.ends] for step in steps])
 
 
@@ -254,10 +261,10 @@ def main() -> None:
     chosen = list(rigs())[::6] if options.quick else list(rigs())
     errors: dict[tuple[str, float], list[np.ndarray]] = {}
     for number, rig in enumerate(chosen, 1):
-        references = slopes(rig, EVERYTHING, REFERENCES)
+        references = slopes(rig, nothing_refused(), REFERENCES)
         counted, wanted = known(references), references[0]
         for name, rule in RULES.items():
-            for step, own in zip(STEPS, slopes(rig, rule, STEPS), strict=True):
+            for step, own in zip(STEPS, slopes(rig, refused_by(*rule), STEPS), strict=True):
                 off = abs(own - wanted)[counted] / abs(wanted)[counted]
                 errors.setdefault((name, step), []).append(off)
         jax.clear_caches()
