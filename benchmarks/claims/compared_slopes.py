@@ -202,22 +202,26 @@ def rigs() -> Iterator[Rig]:
 @contextmanager
 def refused_by(compared: float, grown: float) -> Iterator[None]:
     """Programs that are traced in here refuse slopes by these shares."""
-    with patch.multiple(step_comparison, TRUSTED=compared):
-        with patch.multiple(trust, TRUSTED_IMPACTS=grown):
-            yield
+    with (
+        patch.multiple(step_comparison, TRUSTED=compared),
+        patch.multiple(trust, TRUSTED_IMPACTS=grown),
+    ):
+        yield
 
 
 @contextmanager
 def nothing_refused() -> Iterator[None]:
     """Programs that are traced in here tell all slopes, known or not."""
-    with patch.multiple(step_comparison, TRUSTED=math.inf):
-        with patch.multiple(moreau_jean, trusted_impacts=lambda found, _: found):
-            with patch.multiple(vibration, nothing=lambda *_: None):
-                yield
+    with (
+        patch.multiple(step_comparison, TRUSTED=math.inf),
+        patch.multiple(moreau_jean, trusted_impacts=lambda found, _: found),
+        patch.multiple(vibration, nothing=lambda *_: None),
+    ):
+        yield
 
 
 def slopes(rig: Rig, rule: Any, steps: tuple[float, ...]) -> np.ndarray:
-    """[step, end, coordinate or speed, variable], nan where they are refused by this rule, a context
+    """[step, end, coordinate or speed, variable], nan where this rule refuses them, a context
     of `refused_by` or `nothing_refused`."""
     topology = rig.mechanism.topology
     count = topology.coordinate_count + topology.speed_count

@@ -49,9 +49,8 @@ TRUSTED = 6e-4
 IMPACT_FIGURES = 7
 # Derivatives through impacts of rigid contact have grown too much where these shares, times their
 # growth, are beyond this. Slopes whose parts nearly cancel are off by more of themselves, which
-# slopes in other steps tell (`simulation.step_comparison`): with this and that none of 2393 told in
-# steps of 1 and 20 us was off by a fiftieth; twice this told 8 of 726 wrong by more in steps of
-# 20 us, by 0.04 at the most (journals, pendulums, links and slider-cranks in one bearing and two).
+# slopes in other steps tell (`simulation.step_comparison`): with this and that none of 3672 told in
+# steps of 1 to 20 us was off by a fiftieth (`benchmarks.claims.compared_slopes`).
 TRUSTED_IMPACTS = 1e-2
 
 
