@@ -21,6 +21,8 @@ LARGEST, MOST_VALUES, DEEPEST = 32_000_000, 1_000_000, 60
 LONGEST_NUMBER = 400
 # Longest place and sentence of a refusal [characters]: a name may be as long as a file.
 LONGEST_PLACE, LONGEST_SENTENCE = 300, 1500
+# So PyYAML (6.0.4 on) tells that lists open far deeper than that, before it hands them on.
+TOO_DEEP = "maximum nesting depth"
 YAML, JSON = (".yaml", ".yml"), (".json",)
 # YAML 1.2.2, section 10.3.2, https://yaml.org/spec/1.2.2/.
 NULLS = {"", "~", "null", "Null", "NULL"}
@@ -166,7 +168,10 @@ def _of_yaml(text: str) -> Node:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = "" if mark is None else f"line {mark.line + 1}: "
-        raise Misread(f"{line}{error.problem or error.context} (YAML).") from None
+        problem = error.problem or error.context
+        if TOO_DEEP in problem:
+            raise Misread(f"{line}is nested more than {DEEPEST} deep.") from None
+        raise Misread(f"{line}{problem} (YAML).") from None
     except yaml.YAMLError as error:
         raise Misread(f"{str(error).splitlines()[0].rstrip('.')} (YAML).") from None
     except RecursionError:
