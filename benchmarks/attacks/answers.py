@@ -36,10 +36,11 @@ GAPS = 100.0
 
 
 class Answers(eqx.Module):
-    """Places (bodies, time, 3) [m]; offsets (gaps, time, 3) and clearances of the joints [m]; mean
-    and peak forces by joint [N], and how far both, if they are of saved instants, differ between
-    every second saving time and the others (2, joints); energies lost in friction and turned over
-    [J]; worn volumes and depths by joint; drift and longest arm [m]."""
+    """Places (bodies, time, 3) [m]; offsets (gaps, time, 3) and clearances of the joints along
+    each axis (gaps, 3) [m]; mean and peak forces by joint [N], and how far both, if they are of
+    saved instants, differ between every second saving time and the others (2, joints); energies
+    lost in friction and turned over [J]; worn volumes and depths by joint; drift and longest arm
+    [m]."""
 
     place: Any
     offset: Any
@@ -71,7 +72,7 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
     rig = run.mechanism
     bodies = [run.body(name) for name in rig.bodies]
     gaps = tuple(run.formulation.contact_joints(rig))
-    offset, clearance = jnp.zeros((0, len(run.time), 3)), jnp.zeros(0)
+    offset, clearance = jnp.zeros((0, len(run.time), 3)), jnp.zeros((0, 3))
     if gaps:
         contacts = [run.contact(name) for name in gaps]
         forces = jnp.stack([jnp.sum(contact.normal_force, axis=-1) for contact in contacts])
@@ -82,7 +83,7 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
                 for contact, name in zip(contacts, gaps, strict=True)
             ]
         )
-        clearance = jnp.stack([jnp.asarray(_gap(rig, name)) for name in gaps])
+        clearance = jnp.stack([_gap(rig, name) for name in gaps])
     else:
         reactions = [run.reaction(name).force for name in rig.connections]
         forces = jnp.stack([jnp.sqrt(jnp.sum(force**2, axis=-1)) for force in reactions])
@@ -143,16 +144,25 @@ def sampling(answers: Answers) -> dict[str, float]:
     }
 
 
+def _collar(joint: Any) -> Any:
+    return getattr(joint, "flange", None)
+
+
 def _gap(rig: jc.Mechanism, name: str) -> Any:
-    """Clearance of a joint, also of one that its formulation sees as always touching."""
+    """Clearance of a joint along its three axes, also of one that its formulation sees as always
+    touching; along a bearing that of its collars."""
     joint = rig.connections[name].joint
-    return joint.clearance if isinstance(joint, AbstractClearance) else joint.gap.clearance
+    across = joint.clearance if isinstance(joint, AbstractClearance) else joint.gap.clearance
+    collar = _collar(joint)
+    return jnp.array([across, across, across if collar is None else collar.clearance])
 
 
 def _across(offset: Any, rig: jc.Mechanism, name: str) -> Any:
-    """The offset in those directions that the clearance bounds: all but along a guide."""
+    """The offset in those directions that a clearance bounds: not along a guide, nor along a bearing
+    without collars."""
     joint = rig.connections[name].joint
-    bounded = jnp.array([1.0, 1.0, 1.0 * isinstance(joint, jc.clearance.BallSocket)])
+    along = isinstance(joint, jc.clearance.BallSocket) or _collar(joint) is not None
+    bounded = jnp.array([1.0, 1.0, 1.0 * along])
     if isinstance(joint, jc.clearance.SliderGuide):
         bounded = jnp.array([1.0, 0.0, 0.0])
     return offset * bounded
@@ -172,7 +182,7 @@ def apart(one: Answers, other: Answers) -> dict[str, float]:
         "drift": float(one.drift / one.arm) if one.drift > 0 else np.nan,
     }
     if other.clearance.size:
-        gaps = other.clearance[:, None, None]
+        gaps = other.clearance[:, None, :]
         found["offset"] = _share(one.offset / gaps, other.offset / gaps, 1.0)
     if other.turnover > 0:
         loss = max(float(other.friction_loss), scale)

@@ -229,7 +229,8 @@ class Problem(AbstractProblem):
     def second_look(self, checks):
         seen = self.integrator.formulation.seen(self.mechanism)
         kept, passed = restitution_of(self.mechanism, checks), self._load_steps().passed
-        if not many_in_doubt(checks, bool(seen.topology.clearances), kept):
+        first_order = not self.integrator.places_in_gaps
+        if not many_in_doubt(checks, bool(seen.topology.clearances), kept, first_order):
             return checked_by(passed, Checks())
 
         def again(integrator):

@@ -41,7 +41,7 @@ def test_bouncy_impacts_are_in_doubt_sooner(restitution, rise, doubted):
     checks = Checks.of({Check.IMPACT_STEP: Figure(np.array([rise]), np.zeros(1), ("B",))})
     compliant = jc.integrator.FixedStep().formulation
     run = SimpleNamespace(mechanism=rig, formulation=compliant, checks=checks)
-    assert second_look._in_doubt(run) == doubted
+    assert second_look._in_doubt(run, jc.integrator.FixedStep()) == doubted
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_many_bouncy_impacts_are_in_doubt(steps, restitution, doubted):
         accepted_steps=steps,
         time=np.zeros(201),
     )
-    assert second_look._in_doubt(run) == doubted
+    assert second_look._in_doubt(run, jc.integrator.Adaptive()) == doubted
 
 
 @pytest.mark.parametrize(

@@ -130,9 +130,10 @@ def test_elastic_impacts_are_always_in_doubt(contact, doubted):
     rig = jc.Mechanism(
         {"journal": jc.Body(1.0, 1e-4)}, {"B": jc.Connection(bearing, "ground", "journal")}
     )
-    compliant = jc.integrator.FixedStep().formulation
-    run = SimpleNamespace(mechanism=rig, formulation=compliant, checks=jc.integrator.Checks())
-    assert second_look._in_doubt(run) == doubted
+    steps = jc.integrator.FixedStep()
+    checks = jc.integrator.Checks()
+    run = SimpleNamespace(mechanism=rig, formulation=steps.formulation, checks=checks)
+    assert second_look._in_doubt(run, steps) == doubted
 
 
 @pytest.mark.slow
@@ -179,13 +180,14 @@ def test_bodies_that_drift_bring_rigid_steps_in_doubt(drift):
     joint = jc.Connection(jc.joint.Revolute(), "ground", "arm")
     rig = jc.Mechanism({"arm": jc.Body(1.0, 1e-4)}, {"A": joint})
     figure = Figure(jnp.array([drift]), jnp.zeros(1), ("",))
+    steps = jc.integrator.NonColliding()
     run = SimpleNamespace(
         mechanism=rig,
-        formulation=jc.integrator.NonColliding().formulation,
+        formulation=steps.formulation,
         history=SimpleNamespace(balanced=False),
         checks=jc.integrator.Checks.of({Check.HALVED_MOTION: figure}),
     )
-    assert second_look._in_doubt(run) == (drift > second_look.DOUBTS[Check.HALVED_MOTION])
+    assert second_look._in_doubt(run, steps) == (drift > second_look.DOUBTS[Check.HALVED_MOTION])
 
 
 @pytest.mark.slow

@@ -1,0 +1,42 @@
+"""Steps of first order, and springs that throw bodies back many times, get a second look too."""
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from benchmarks.attacks.structures import structures
+from jaxclear.integrators import Check
+
+
+def run_of(structure, draw, integrator):
+    case = structures()[structure].case(draw)
+    return jc.simulate(
+        case.mechanism,
+        case.duration,
+        integrator=integrator,
+        save=201,
+        state=jc.State(concentric=case.concentric),
+        balance=True,
+    )
+
+
+def test_first_order_steps_whose_impacts_rise_little_are_looked_at_again():
+    """Symplectic Euler in 1.6 us: the mean force is 11 % off, and indentations rise by 0.085."""
+    steps = jc.integrator.FixedStep(1.63226e-06, method="semi_implicit")
+    found, exact = run_of(18, 18, steps), run_of(18, 18, jc.integrator.Adaptive(rtol=1e-9))
+    forces = [float(jc.response.MeanContactForce("B")(run)) for run in (found, exact)]
+    assert abs(forces[0] / forces[1] - 1) > 0.05
+    told = {check for check, beyond in found.checks.beyond().items() if beyond}
+    assert {Check.MEAN_FORCE, Check.HALVED_WEAR, Check.FRICTION_LOSS} <= told
+
+
+@pytest.mark.parametrize("rtol", [None, 3.5e-5], ids=["default", "loose"])
+def test_where_a_stiff_spring_throws_a_body_is_said(rtol):
+    """Some forty times: neighbouring ways part."""
+    steps = jc.integrator.Adaptive() if rtol is None else jc.integrator.Adaptive(rtol=rtol)
+    found, exact = run_of(30, 20, steps), run_of(30, 20, jc.integrator.Adaptive(rtol=1e-11))
+    places = [np.asarray(run.body("bob").com) for run in (found, exact)]
+    way = np.abs(places[1] - places[1][0]).max()
+    assert np.abs(places[0] - places[1]).max() > 0.02 * way
+    assert Check.HALVED_MOTION in found.checks.figures and found.warnings != ()
+    assert exact.warnings == ()
