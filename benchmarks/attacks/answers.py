@@ -158,8 +158,8 @@ def _gap(rig: jc.Mechanism, name: str) -> Any:
 
 
 def _across(offset: Any, rig: jc.Mechanism, name: str) -> Any:
-    """The offset in those directions that a clearance bounds: not along a guide, nor along a bearing
-    without collars."""
+    """The offset in those directions that a clearance bounds: not along a guide, nor along a
+    bearing without collars."""
     joint = rig.connections[name].joint
     along = isinstance(joint, jc.clearance.BallSocket) or _collar(joint) is not None
     bounded = jnp.array([1.0, 1.0, 1.0 * along])

@@ -36,10 +36,11 @@ from jaxclear.simulation.beginning import Past, past_of
 from jaxclear.simulation.bounciness import restitution_of
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import refusal
+from jaxclear.simulation.doubts import many_in_doubt
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
-from jaxclear.simulation.second_look import found_in_one, many_in_doubt
+from jaxclear.simulation.second_look import found_in_one
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.answers import answers

@@ -11,7 +11,7 @@ from benchmarks.attacks.structures import structures
 from jaxclear.integrators import Check, Checks
 from jaxclear.integrators.figures import Figure
 from jaxclear.results.response import concerned
-from jaxclear.simulation import second_look, two_runs
+from jaxclear.simulation import doubts, second_look, two_runs
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +70,8 @@ def test_what_hardly_wears_is_not_compared():
 
 def test_a_second_look_leaves_the_numbers_and_comes_only_in_doubt(pushed, monkeypatch):
     found = pushed(2e-5)
-    monkeypatch.setattr(second_look, "DOUBTS", {Check.IMPACT_STEP: 20.0})
-    monkeypatch.setattr(second_look, "ELASTIC", 1.0)
+    monkeypatch.setattr(doubts, "DOUBTS", {Check.IMPACT_STEP: 20.0})
+    monkeypatch.setattr(doubts, "ELASTIC", 1.0)
     once = pushed(2e-5)
     assert Check.PLACE_IN_GAP not in once.checks.figures
     np.testing.assert_array_equal(found.states, once.states)

@@ -14,7 +14,7 @@ from benchmarks.claims import extremes
 from jaxclear.integrators import Check, Checks
 from jaxclear.integrators.figures import Figure
 from jaxclear.results.response import concerned
-from jaxclear.simulation import second_look
+from jaxclear.simulation import doubts, second_look
 from jaxclear.simulation.bounciness import restitution_at
 
 
@@ -41,7 +41,7 @@ def test_bouncy_impacts_are_in_doubt_sooner(restitution, rise, doubted):
     checks = Checks.of({Check.IMPACT_STEP: Figure(np.array([rise]), np.zeros(1), ("B",))})
     compliant = jc.integrator.FixedStep().formulation
     run = SimpleNamespace(mechanism=rig, formulation=compliant, checks=checks)
-    assert second_look._in_doubt(run, jc.integrator.FixedStep()) == doubted
+    assert doubts.in_doubt(run, jc.integrator.FixedStep()) == doubted
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_many_bouncy_impacts_are_in_doubt(steps, restitution, doubted):
         accepted_steps=steps,
         time=np.zeros(201),
     )
-    assert second_look._in_doubt(run, jc.integrator.Adaptive()) == doubted
+    assert doubts.in_doubt(run, jc.integrator.Adaptive()) == doubted
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import jaxclear as jc
 from benchmarks.claims import extremes
 from jaxclear.integrators import Check
 from jaxclear.integrators.figures import Figure
-from jaxclear.simulation import second_look, two_runs
+from jaxclear.simulation import doubts, two_runs
 
 MASS, LOAD, PUSH, MU, SPEED = 1.0, 100.0, 9.0, 0.1, 1e-3
 
@@ -133,7 +133,7 @@ def test_elastic_impacts_are_always_in_doubt(contact, doubted):
     steps = jc.integrator.FixedStep()
     checks = jc.integrator.Checks()
     run = SimpleNamespace(mechanism=rig, formulation=steps.formulation, checks=checks)
-    assert second_look._in_doubt(run, steps) == doubted
+    assert doubts.in_doubt(run, steps) == doubted
 
 
 @pytest.mark.slow
@@ -187,7 +187,7 @@ def test_bodies_that_drift_bring_rigid_steps_in_doubt(drift):
         history=SimpleNamespace(balanced=False),
         checks=jc.integrator.Checks.of({Check.HALVED_MOTION: figure}),
     )
-    assert second_look._in_doubt(run, steps) == (drift > second_look.DOUBTS[Check.HALVED_MOTION])
+    assert doubts.in_doubt(run, steps) == (drift > doubts.DOUBTS[Check.HALVED_MOTION])
 
 
 @pytest.mark.slow

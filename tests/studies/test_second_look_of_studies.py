@@ -10,7 +10,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.integrators import Check, Checks
 from jaxclear.integrators.figures import Figure
-from jaxclear.simulation import second_look
+from jaxclear.simulation import doubts
 from jaxclear.studies import problem as problems
 from tests.rigs.bouncing_journal import CLEARANCE, LEFT_THERE, falling
 
@@ -48,7 +48,7 @@ def test_what_is_off_in_all_samples_is_said(study):
 
 def test_steps_that_are_right_say_nothing(study):
     found = jc.monte_carlo(bounces(3e-5), 32)
-    assert second_look.many_in_doubt(found.checks, opens=True)
+    assert doubts.many_in_doubt(found.checks, opens=True)
     assert found.doubts == () and found.sentence().startswith("32 samples, 0 failed")
     assert found.nominal.figures[Check.PLACE_IN_GAP].worst.max() < 0.03
 

@@ -1,0 +1,106 @@
+"""Which runs are in doubt, and get a second look.
+
+Those whose steps have a fixed length in which contacts rise or creep, or bodies drift, by more than
+a little (less where impacts take little energy, or steps are of first order); impacts that take
+none, whatever the steps; rigid contact, whose impacts leave nothing in a step that tells how long
+it is beside them; stops; and springs alone on which bodies go to and fro many times, of which no
+figure tells where an error controls the steps.
+"""
+
+import numpy as np
+
+from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.checks import Check
+from jaxclear.integrators.figures import Checks
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.bounciness import ELASTIC, restitution_of
+from jaxclear.simulation.two_runs import friction_loss, opens
+
+# Share of a study's samples in doubt from which on its nominal one is looked at.
+MANY = 0.1
+# Figures from which on a run is in doubt: of mechanisms drawn at random every one whose places in
+# gaps were off by more than promised was beyond one of them, and a journal whirled about by its
+# friction, whose mean force was 65 % off at a damper step of 0.45 (benchmarks/attack.py).
+DOUBTS = {
+    Check.IMPACT_STEP: 0.1,
+    Check.CONTACT_STEP: 0.05,
+    Check.CREEP_STEP: 0.01,
+    Check.HALVED_MOTION: 0.005,
+    Check.DAMPER_STEP: 0.3,
+}
+# Restitution from which on what an impact is off by dies out so late that less rise of indentations
+# brings a run in doubt, in proportion to what an impact takes: at 0.976 a pendulum was 6 % of its
+# clearance off after 17 impacts, in steps in which indentations rose by 0.03.
+BOUNCY = 0.9
+OF_IMPACTS = (Check.IMPACT_STEP, Check.CONTACT_STEP)
+# Share of these rises from which on explicit steps of first order are in doubt: at a rise of 0.085
+# a mean force was 11 % off by symplectic Euler, what friction took 39 %, a worn depth 78 %.
+FIRST_ORDER = 0.3
+# Steps beyond those that end at saving times, some fifty an impact where an error controls them,
+# from which on so many impacts may have followed each other that bouncy ones bring a run in doubt
+# of whose impacts no figure tells: of 20 of restitution 0.98 without friction each made errors grow
+# by a half, and `Adaptive` was 60 % of the clearance off; of a double pendulum 5 % after forty.
+BOUNCES = 500
+# And such steps on springs without contacts: a bob that a stiff one threw back some forty times was
+# half of its way off by a loose `Adaptive` (462 steps), 2 % by the default (1730).
+SWINGS = 200
+
+
+def in_doubt(run: Trajectory, integrator: AbstractIntegrator) -> bool:
+    """Whether a figure tells so. Rigid contact, which has none of these, always is, as is
+    friction that stops slip within a step, however long, where its loss is asked for, and what
+    keeps all that an impact is off by."""
+    if run.formulation.forces_are_means:
+        rubs = run.history.balanced and bool(friction_loss(run) != 0)
+        return opens(run) or rubs or bool(doubted(run.checks))
+    kept = restitution_of(run.mechanism, run.checks)
+    if kept >= ELASTIC or bool(doubted(run.checks, kept, not integrator.places_in_gaps)):
+        return True
+    untold = not set(OF_IMPACTS) & set(run.checks.figures)
+    return untold and kept > BOUNCY and _steps_beyond_saves(run) > BOUNCES
+
+
+def _steps_beyond_saves(run: Trajectory) -> int:
+    return int(run.accepted_steps) - len(run.time) + 1
+
+
+def swings_on(run: Trajectory, integrator: AbstractIntegrator) -> bool:
+    """Whether steps of which no figure tells have gone to and fro on springs alone."""
+    springs = any(
+        getattr(load, "stiffness", None) is not None for load in run.mechanism.loads.values()
+    )
+    alone = springs and not run.mechanism.topology.clearances
+    return alone and integrator.asked_step() is None and _steps_beyond_saves(run) > SWINGS
+
+
+def meets_stops(run: Trajectory, integrator: AbstractIntegrator) -> bool:
+    """Whether steps of a given length may meet a stop midway: of what they do there no figure
+    tells, and windows lie elsewhere."""
+    stops = any(load.sets_in() for load in run.mechanism.loads.values())
+    return stops and integrator.asked_step() is not None
+
+
+def doubted(checks: Checks, kept: float = 0.0, first_order: bool = False) -> np.ndarray:
+    """Whether a figure brings each run in doubt, of contacts with the restitution that is `kept`,
+    in steps that tell no place in a gap (`first_order`) or in better ones; samples stay in front.
+    """
+    known = checks.figures
+    less = min(FIRST_ORDER if first_order else 1.0, (1 - kept) / (1 - BOUNCY))
+    beyond = [
+        np.any(np.asarray(known[check].worst) > least * (less if check in OF_IMPACTS else 1), -1)
+        for check, least in DOUBTS.items()
+        if check in known
+    ]
+    return np.any(beyond, axis=0) if beyond else np.zeros((), bool)
+
+
+def many_in_doubt(
+    checks: Checks, opens: bool, kept: float = 0.0, first_order: bool = False
+) -> bool:
+    """Whether runs of a study are, by their `checks` (samples in front); `opens`: whether contacts
+    may open and close, with the restitution that is `kept`; `first_order`: as in `doubted`.
+    Of rigid contact that is where it wears; friction of joints that always touch, which brings one
+    run in doubt, does not here."""
+    if opens and Check.INDENTATION not in checks.figures:
+        return Check.HALVED_WEAR in checks.figures
+    return bool(np.mean(doubted(checks, kept, first_order)) >= MANY)
