@@ -17,8 +17,8 @@ from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 from jaxclear.native.calls import CALLS, called
 from jaxclear.native.program import Narrow, Program, avals_of, row_of, scan_counts
 
-# Tangents in one body: more of them outgrow the registers.
-SIDE_BY_SIDE = 2
+# Tangents in one body at the most: more of them gain little, and outgrow the registers.
+SIDE_BY_SIDE = 4
 # Samples that a kernel goes through at a time, where there is but one motion.
 LANES = 8
 
@@ -189,9 +189,11 @@ def bundled(
 
 def side_by_side(narrow: Narrow, samples: int) -> int:
     """How many of the tangents a kernel takes at once, which goes through so many samples: of one
-    alone the others are further samples."""
-    alone = -(-narrow.tangents // LANES)
-    return min(SIDE_BY_SIDE, narrow.tangents if samples > 1 else alone)
+    alone the others are further samples. All portions are about as large."""
+    if samples == 1:
+        return min(SIDE_BY_SIDE, -(-narrow.tangents // LANES))
+    portions = -(-narrow.tangents // SIDE_BY_SIDE)
+    return -(-narrow.tangents // portions)
 
 
 def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run: Any) -> list[Any]:

@@ -169,24 +169,28 @@ def test_what_is_forwards_only_says_so_backwards_and_is_itself_forwards():
         jax.grad(square)(1.0)
 
 
-def test_in_a_batch_the_motion_is_shared_by_tangents_as_well(monkeypatch):
-    """Two of four stand side by side in one body, whichever map comes first."""
+@pytest.mark.parametrize(("count", "together"), [(2, 2), (4, 4), (6, 3)])
+def test_in_a_batch_the_motion_is_shared_by_tangents_as_well(monkeypatch, count, together):
+    """Up to four stand side by side in one body, in even portions, whichever map comes first."""
     built, build = [], loop.kernels.build
     monkeypatch.setattr(
         loop.kernels, "build", lambda program, lanes: built.append(program) or build(program, lanes)
     )
+    directions = jnp.asarray(np.random.default_rng(1).normal(size=(count, 4)))
 
     def slopes(p):
         push = lambda t: jax.jvp(END(while_loop), (p,), (t,))
-        return jax.vmap(push, out_axes=(None, 0))(jnp.eye(4))
+        return jax.vmap(push, out_axes=(None, 0))(directions)
 
     batch = AT * jnp.linspace(0.9, 1.1, 11)[:, None]
     value, slope = jax.jit(jax.vmap(slopes))(batch)
+    plain = END(jax.lax.while_loop)
+    np.testing.assert_allclose(value, jax.vmap(plain)(batch), rtol=ROUNDING, atol=ROUNDING)
+    matrix = jax.vmap(jax.jacfwd(plain))(batch)
     np.testing.assert_allclose(
-        value, jax.vmap(END(jax.lax.while_loop))(batch), rtol=ROUNDING, atol=ROUNDING
+        slope, jnp.einsum("kp,sxp->skx", directions, matrix), rtol=1e-12, atol=1e-13
     )
-    assert slope.shape == (11, 4, 3)
     (program,) = built
     state = program.body.in_avals[program.body_constants :]
-    # Count, time, place, speed, largest value, and two tangents each of place and speed.
-    assert [a.shape for a in state] == [()] * 5 + [(2,)] * 2
+    # Count, time, place, speed, largest value, and the tangents of place and speed.
+    assert [a.shape for a in state] == [()] * 5 + [(together,)] * 2
