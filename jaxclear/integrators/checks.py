@@ -170,7 +170,7 @@ class Check(enum.IntEnum):
         20,
         "second look: deepest indentation",
         "1",
-        0.1,
+        0.07,
         "peak forces",
         CONTACTS,
         f'{AGAIN} the deepest indentation in joint "{{place}}" changes by {{figure:.2g}} of itself '

@@ -51,7 +51,7 @@ def functions_of_time(mechanism: Mechanism) -> dict[str, Any]:
     return values | {name: drive for name, drive in drives if drive is not None}
 
 
-def _changes(function: Any) -> bool:
+def changes(function: Any) -> bool:
     """Whether a drive or function is more than a constant speed."""
     return not isinstance(function, AbstractDrive) or not sp.is_zero(function.motion(0.0)[2])
 
@@ -209,7 +209,7 @@ def _seen(question: _Question) -> tuple[float | None, dict[str, float]]:
     """The length [s] to which steps that find it themselves are to be held (None: they need not
     be), and by name the shares that steps pass over."""
     everything, times, step, fixed = question.asked
-    functions = {name: each for name, each in everything.items() if _changes(each)}
+    functions = {name: each for name, each in everything.items() if changes(each)}
     if not functions:
         return None, {}
     if step is not None or fixed is not None:

@@ -30,7 +30,7 @@ def across(run, joint):
 
 @pytest.mark.parametrize(
     ("restitution", "rise", "doubted"),
-    [(0.5, 0.09, False), (0.9, 0.09, False), (0.95, 0.09, True), (0.95, 0.04, False)],
+    [(0.5, 0.04, False), (0.9, 0.04, False), (0.95, 0.04, True), (0.95, 0.02, False)],
 )
 def test_bouncy_impacts_are_in_doubt_sooner(restitution, rise, doubted):
     contact = jc.contact.CarvalhoMartins(restitution=restitution)
