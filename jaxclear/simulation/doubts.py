@@ -21,8 +21,8 @@ from jaxclear.simulation.two_runs import friction_loss, opens
 MANY = 0.1
 # Figures from which on a run is in doubt: of mechanisms drawn at random every one whose places in
 # gaps were off by more than promised was beyond one of them, and a journal whirled about by its
-# friction, whose mean force was 65 % off at a damper step of 0.45 (benchmarks/attack.py). At
-# a rise of 0.088 a journal was 15 % of its clearance off, in implicit steps 10 % at 0.022.
+# friction, whose mean force was 65 % off at a damper step of 0.45 (benchmarks/attack.py). At a
+# rise of 0.088 a journal was 15 % of its clearance off, in implicit steps 10 % at 0.022.
 DOUBTS = {
     Check.IMPACT_STEP: 0.05,
     Check.CONTACT_STEP: 0.02,
@@ -35,7 +35,7 @@ DOUBTS = {
 # clearance off after 17 impacts, in steps in which indentations rose by 0.03.
 BOUNCY = 0.9
 OF_IMPACTS = (Check.IMPACT_STEP, Check.CONTACT_STEP)
-# Share of these rises from which on explicit steps of first order are in doubt: at a rise of 0.085
+# Share of these rises from which on steps of first order are in doubt: at a rise of 0.085
 # a mean force was 11 % off by symplectic Euler, what friction took 39 %, a worn depth 78 %.
 FIRST_ORDER = 0.5
 # Steps beyond those that end at saving times, some fifty an impact where an error controls them,
@@ -71,10 +71,12 @@ def swings_on(run: Trajectory, integrator: AbstractIntegrator) -> bool:
     """Whether steps of which no figure tells have gone to and fro without contacts; what is driven
     evenly and has no springs goes as it is led."""
     rig = run.mechanism
+    asked = integrator.asked_step() is not None
+    if asked or rig.topology.clearances or _steps_beyond_saves(run) <= SWINGS:
+        return False
     springs = any(getattr(load, "stiffness", None) is not None for load in rig.loads.values())
     shaken = any(changes(function) for function in functions_of_time(rig).values())
-    swings = (springs or shaken or not rig.driven) and not rig.topology.clearances
-    return swings and integrator.asked_step() is None and _steps_beyond_saves(run) > SWINGS
+    return springs or shaken or not rig.driven
 
 
 def meets_stops(run: Trajectory, integrator: AbstractIntegrator) -> bool:

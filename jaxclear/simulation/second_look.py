@@ -59,7 +59,7 @@ OF_WINDOWS = (Check.HALVED_MEAN_FORCES, Check.HALVED_CONTACT_FORCES, Check.HALVE
 # Not where bodies may drift, of which nothing else tells.
 DRIFTING = {Check.HALVED_MOTION: 0.005}
 # By how much, beside themselves, mean forces, what friction takes and what is worn may change there
-# (twice that left worn depths 13 % off), and the deepest indentations: peaks of forces by a fifth.
+# (twice that left worn depths 13 % off), and the deepest indentations: peaks of forces by a tenth.
 LITTLE, DEEPEST = 0.02, Check.DEEPEST.limit
 # Change of the deepest indentation up to which impacts are right, where indentations rise by no
 # more than `RESOLVED` and what is worn is right: at twice that, a peak of forces was a tenth off.
@@ -76,9 +76,9 @@ def looked_at_again(
     if is_traced((run.outcome, run.states)) or not run.succeeded:
         return run
     finer = _finer(run, integrator)
-    untold = meets_stops(run, integrator) or swings_on(run, integrator)
     if finer is None or int(run.accepted_steps) > MOST_STEPS:
         return run
+    untold = meets_stops(run, integrator) or swings_on(run, integrator)
     if not (untold or in_doubt(run, integrator)):
         return run
     other = again(finer)

@@ -7,25 +7,17 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from benchmarks.attacks.structures import structures
 from jaxclear.integrators import Check, Checks
 from jaxclear.integrators.figures import Figure
 from jaxclear.results.response import concerned
 from jaxclear.simulation import doubts, second_look, two_runs
+from tests.rigs.attacked import run_of
 
 
 @pytest.fixture(scope="module")
 def pushed():
     """A slider pushed to and fro in its guide: forty impacts, each of them resolved."""
-    case = structures()[23].case(8)
-    return lambda step: jc.simulate(
-        case.mechanism,
-        case.duration,
-        integrator=jc.integrator.FixedStep(step),
-        save=201,
-        state=jc.State(concentric=case.concentric),
-        balance=True,
-    )
+    return lambda step: run_of(23, 8, jc.integrator.FixedStep(step), balance=True)
 
 
 def offset(run):
@@ -98,14 +90,7 @@ def test_runs_of_many_steps_and_steps_that_are_counted_are_not_gone_through_agai
 
 def test_impacts_that_a_second_look_finds_right_are_not_accused_of_their_steps():
     """Indentations rise by more than the limit within a step, and the few impacts are right."""
-    case = structures()[16].case(2)
-    run = jc.simulate(
-        case.mechanism,
-        case.duration,
-        integrator=jc.integrator.FixedStep(),
-        save=201,
-        state=jc.State(concentric=case.concentric),
-    )
+    run = run_of(16, 2, jc.integrator.FixedStep())
     assert run.warnings == () and Check.IMPACT_STEP not in run.checks.figures
     assert run.checks.figures[Check.PLACE_IN_GAP].worst.max() < 0.01
 
@@ -286,19 +271,12 @@ def test_impacts_are_right_only_where_their_peaks_are(pushed, deeper, dropped):
     assert (Check.IMPACT_STEP not in looked.checks.figures) == dropped
 
 
-def run_of(case, integrator):
-    """A run of a case of the attack."""
-    state = jc.State(concentric=case.concentric)
-    return jc.simulate(case.mechanism, case.duration, integrator=integrator, save=201, state=state)
-
-
 @pytest.mark.slow
 def test_mean_forces_that_hang_on_the_step_are_said():
     """A slider thrown between the walls of its guide: its impacts fall within steps that saving
     times have cut, and the mean force is off by a tenth. Only what a second look compares tells."""
-    case = structures()[22].case(2)
     with pytest.warns(UserWarning, match="shortened"):
-        run = run_of(case, jc.integrator.ImplicitStep(8.5e-4))
+        run = run_of(22, 2, jc.integrator.ImplicitStep(8.5e-4))
     told = {check for check, flag in run.checks.beyond().items() if flag}
     assert told == {Check.MEAN_FORCE, Check.DEEPEST}
     assert "mean of the contact forces" in run.result
@@ -307,6 +285,5 @@ def test_mean_forces_that_hang_on_the_step_are_said():
 @pytest.mark.slow
 def test_wear_of_rigid_contact_that_hangs_on_the_step_is_said():
     """The windows see nothing; the deepest wear is off by two fifths."""
-    case = structures()[14].case(0)
-    run = run_of(case, jc.integrator.MoreauJean(1e-4))
+    run = run_of(14, 0, jc.integrator.MoreauJean(1e-4))
     assert run.checks.beyond()[Check.HALVED_WEAR] and Check.PLACE_IN_GAP not in run.checks.figures

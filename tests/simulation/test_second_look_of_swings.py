@@ -1,29 +1,18 @@
-"""Steps of first order, and springs that throw bodies back many times, get a second look too."""
+"""Steps in which impacts rise little, and what swings many times, get a second look too."""
 
 import numpy as np
 import pytest
 
 import jaxclear as jc
-from benchmarks.attacks.structures import structures
 from jaxclear.integrators import Check
-
-
-def run_of(structure, draw, integrator):
-    case = structures()[structure].case(draw)
-    return jc.simulate(
-        case.mechanism,
-        case.duration,
-        integrator=integrator,
-        save=201,
-        state=jc.State(concentric=case.concentric),
-        balance=True,
-    )
+from tests.rigs.attacked import run_of
 
 
 def test_first_order_steps_whose_impacts_rise_little_are_looked_at_again():
     """Symplectic Euler in 1.6 us: the mean force is 11 % off, and indentations rise by 0.085."""
     steps = jc.integrator.FixedStep(1.63226e-06, method="semi_implicit")
-    found, exact = run_of(18, 18, steps), run_of(18, 18, jc.integrator.Adaptive(rtol=1e-9))
+    tight = jc.integrator.Adaptive(rtol=1e-9)
+    found, exact = (run_of(18, 18, each, balance=True) for each in (steps, tight))
     forces = [float(jc.response.MeanContactForce("B")(run)) for run in (found, exact)]
     assert abs(forces[0] / forces[1] - 1) > 0.05
     told = {check for check, beyond in found.checks.beyond().items() if beyond}
