@@ -54,11 +54,13 @@ from jaxclear.multibody.topology import rubbing_in
 
 
 class Strikes(NamedTuple):
-    """Which contacts strike in a step, and all indentations [m] and their rates [m/s] halfway."""
+    """Which contacts strike in a step, all indentations [m] and their rates [m/s] halfway, and
+    which contacts are in flight where it begins."""
 
     which: Any
     depths: Any
     rates: Any
+    flying: Any
 
 
 class RigidContact(AbstractFormulation):
@@ -130,6 +132,7 @@ class RigidContact(AbstractFormulation):
             asked.strikes,
             sp.stack([point.gap_function.indentation for point in points]),
             sp.stack([point.rates[0] for point in points]),
+            asked.flying,
         )
 
     def step(

@@ -137,13 +137,15 @@ def _combined(rows: tuple[ContactJacobianRow, ...], weights: tuple) -> ContactJa
 class ContactDemands(NamedTuple):
     """What the contacts ask of the velocities at a step's end: `lifted`, those without percussions
     and what the law of impact adds to them, `mu` and how many rows each contact has, which of them
-    count as closed; of a gentle step which of them are left out, as they strike."""
+    count as closed; of a gentle step which of them are left out, as they strike, and which are in
+    flight: faster than loads press them within a step, and not about to be carried by a contact."""
 
     lifted: list
     mu: list
     sizes: tuple[int, ...]
     closed: Any
     strikes: Any = None
+    flying: Any = None
 
 
 def demands(
@@ -181,7 +183,8 @@ def demands(
         waiting = put_off(strikes, depths, -opening, h, joints)
         strikes, closed = strikes & ~waiting, closed & ~waiting
     if settings.gentle:
-        return ContactDemands(lifted, mu, sizes, closed & ~strikes, strikes)
+        flying = (abs(opening) > pressed) & (apart | (opening > 0))
+        return ContactDemands(lifted, mu, sizes, closed & ~strikes, strikes, flying)
     return ContactDemands(lifted, mu, sizes, closed)
 
 

@@ -76,6 +76,18 @@ class AbstractIntegrator(AbstractQuantified):
         """The state at the end of an interval; `warm_start` is what the last interval left to this
         one."""
 
+    def known_states(
+        self,
+        model: Model,
+        times: Float[Array, " saves"],
+        states: Float[Array, "saves n"],
+        end: State,
+        warm_start: Any,
+    ) -> Float[Array, "saves n"]:
+        """The states of a run at its saving times [s], their derivatives nan where only the state
+        in which it has ended tells that they are not known; `warm_start`: what it has left."""
+        return states
+
     def asked_step(self) -> Scalar | None:
         """The longest step [s] that was asked for; None where nobody asked for one."""
         return None

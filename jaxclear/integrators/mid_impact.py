@@ -16,6 +16,10 @@ The motion itself goes the same way: that an impact is taken up to a step late i
 the motion, which grows with every impact. It is carried along, and tells to which share of the gap
 places are off, and to which share approach speeds are: as much are derivatives off (`trust`).
 
+At the end of a run an impact may be due that the run has not taken yet, or have been taken that is
+not due yet: then its derivative is that of another motion, in steps of any length that are as long
+beside what is left of it, and not known (`known_at_end`).
+
 None of this is in a program of which no derivative is asked. Source: as `saltation`.
 """
 
@@ -33,10 +37,11 @@ from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.rigid import RigidContact, Strikes
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar
-from jaxclear.ground.tangents import moved, moving_with, pushed, where_wanted
+from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
 from jaxclear.integrators.saltation import FIRST
 from jaxclear.integrators.trust import IMPACT_FIGURES
 from jaxclear.multibody.reach import gaps_passed
+from jaxclear.native import one_row
 
 # Contacts that strike in one step do so at once where their instants move alike, to this share.
 AT_ONCE = 1e-6
@@ -149,6 +154,33 @@ def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Arr
     return (end, left), (state, gone[1]), jnp.concatenate([figures, ends, off[1]])
 
 
+def known_at_end(
+    formulation: RigidContact, rest: Any, now: tuple, growth: Array, found: Array
+) -> Array:
+    """What was found at saving times, in rows; its derivative at the last one is nan where a
+    contact in flight overlaps there, by what the run is off: it has struck and should not have, or
+    not struck and should have.
+
+    `now`: (arrays, (time [s], length of a step [s]), state, last), as of `through_impacts`."""
+
+    def due(arrays, clock, y, last, *off):
+        model, settings = eqx.combine(arrays, rest)
+        met = lambda *here: formulation.strikes(model, TimeStep(*clock), *here, settings)
+        flying = met(y, last).flying
+        now, further = jax.jvp(lambda *here: met(*here)[1:3], (y, last), off)
+        depths = now[0] - 0.5 * clock[1] * now[1] + further[0]
+        return jnp.any(flying & (depths >= 0))
+
+    def judged(numbers, tangents):
+        now, *_ = numbers
+        growth, ways = map(moved, tangents[1:])
+        _, *off = jnp.split(growth, [IMPACT_FIGURES, IMPACT_FIGURES + len(now[2])])
+        unsure = one_row(due, *now, *off)
+        return ways.at[-1].set(jnp.where(unsure, jnp.nan, ways[-1]))
+
+    return derived(lambda now, growth, found: found, judged)(now, growth, found)
+
+
 class _Shift(NamedTuple):
     """By how much later (its derivative) what strikes in a step does so, whether all of it does,
     by how much faster [m/s]; and how fast it is [m/s]."""
@@ -163,12 +195,12 @@ def _along(steps: _Steps, here: tuple, flow: Any) -> tuple:
     """Rates of indentations and of their rates halfway through a step, where the state at its start
     goes on."""
     arrays, (time, h), y, last = here
-    depths = lambda time, y: steps.strikes(arrays, (time, h), y, last)[1:]
+    depths = lambda time, y: steps.strikes(arrays, (time, h), y, last)[1:3]
     return jax.jvp(depths, (time, y), (jnp.ones_like(time), flow))[1]
 
 
 def _shift(steps: _Steps, here: tuple, way: _Way, met: Strikes, along: tuple) -> _Shift:
-    depths = lambda *numbers: steps.strikes(*numbers)[1:]
+    depths = lambda *numbers: steps.strikes(*numbers)[1:3]
     deeper, faster = pushed(depths, here, (way.arrays, way.clock, way.state, way.last))[1]
     late = jnp.where(met.which, -safe_divide(deeper + way.late, along[0]), 0.0)
     shift = jnp.sum(late) / jnp.sum(jnp.where(met.which, 1.0, 0.0))

@@ -11,9 +11,9 @@ from jaxclear.formulations.unilateral import MoreauJeanSettings
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators import vibration
-from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.mid_impact import nothing_moved, through_impacts
-from jaxclear.integrators.stepping import searching_steps
+from jaxclear.integrators.base import AbstractIntegrator, Interval
+from jaxclear.integrators.mid_impact import known_at_end, nothing_moved, through_impacts
+from jaxclear.integrators.stepping import divide, searching_steps
 from jaxclear.integrators.trust import NO_SECOND, trusted_impacts
 from jaxclear.multibody.topology import rubbing_in
 
@@ -120,10 +120,23 @@ class MoreauJean(AbstractIntegrator):
         moves = nothing_moved(state, warm_start) if model.system.bearings else None
         return warm_start, moves, vibration.nothing(model, self)
 
-    def advance(self, model, interval, state, warm_start):
-        settings = MoreauJeanSettings(
+    @property
+    def _settings(self):
+        return MoreauJeanSettings(
             self.theta, self.gamma, self.most_sweeps, self.tolerance, self.project
         )
+
+    def known_states(self, model, times, states, end, warm_start):
+        if not model.system.bearings:
+            return states
+        last, moves, _ = warm_start
+        _, h = divide(Interval(times[-2], times[-1], end, True), self.step)
+        arrays, rest = eqx.partition((model, self._settings), eqx.is_array)
+        now = arrays, (times[-1], h), end, last
+        return known_at_end(self.formulation, rest, now, moves, states)
+
+    def advance(self, model, interval, state, warm_start):
+        settings = self._settings
 
         def step(model, settings, time_step, state, last):
             end, last = self.formulation.step(model, time_step, state, last, settings)

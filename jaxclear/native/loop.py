@@ -127,6 +127,8 @@ def _batch(values, dims, *, program, rank):
     bundle = bundled(program, values, dims, rank)
     if bundle is not None:
         return loop_p.bind(*bundle.values, program=bundle.program, rank=rank), bundle.axes
+    # The new axis stands behind those before it: what a function asks for within itself, such as
+    # runs in other steps, takes more or fewer turns, and lanes wait for each other.
     size = next(v.shape[d] for v, d in zip(values, dims, strict=True) if d is not None)
     # A long array that is the same for all samples is read where it is.
     fixed = len(values) - len(avals_of(program)[1])
@@ -140,18 +142,17 @@ def _batch(values, dims, *, program, rank):
     def moved(i, value, dim):
         if i in shared:
             return value
+        known = rank if i not in program.shared else 0
         if dim is None:
-            return jnp.broadcast_to(value, (size, *jnp.shape(value)))
-        ahead = jnp.moveaxis(value, dim, 0)
-        if i not in program.shared:
-            return ahead
-        shape = ahead.shape[1:]
-        ahead = ahead.reshape(size, *[1] * rank, *shape)
-        return jnp.broadcast_to(ahead, (size, *lead[:rank], *shape))
+            value, dim = jnp.broadcast_to(value, (size, *jnp.shape(value))), 0
+        inside = jnp.moveaxis(value, dim, known)
+        if known == rank:
+            return inside
+        return jnp.broadcast_to(inside, (*lead[:rank], *inside.shape))
 
     given = [moved(i, *pair) for i, pair in enumerate(zip(values, dims, strict=True))]
     out = loop_p.bind(*given, program=program._replace(shared=shared), rank=rank + 1)
-    return out, [0] * len(out)
+    return out, [rank] * len(out)
 
 
 batching.primitive_batchers[loop_p] = _batch

@@ -106,6 +106,7 @@ def run(
         done = forwards_only(NOT_THROUGH_SWEEPS, done)
     last, left, ends = done
     states, read = left.saved
+    states = integrator.known_states(seen, times, states, last.state, last.warm_start)
     noted, figures = unpack(left)
     history = StateHistory(mechanism, formulation, times, states, read, extras.balance)
     stats = RunStats(*last.steps, verdict(last.outcome))
