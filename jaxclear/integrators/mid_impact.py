@@ -49,10 +49,19 @@ AT_ONCE = 1e-6
 ROUNDING = 1e-12
 
 
-def nothing_moved(state: State, warm_start: Array) -> Array:
-    """What is carried beside the motion, before the first step: figures of `trust`, then by how
-    much state and warm start are off."""
-    return jnp.zeros(IMPACT_FIGURES + len(state) + len(warm_start))
+class Moves(NamedTuple):
+    """What is carried beside the motion: `figures` of `trust`, and by how much the `state` and what
+    a step hands to the next (`last`) are off, which is the same for all derivatives of a run. Zeros
+    but for their derivatives."""
+
+    figures: Array
+    state: State
+    last: Array
+
+
+def nothing_moved(state: State, last: Array) -> Moves:
+    """Before the first step."""
+    return Moves(jnp.zeros(IMPACT_FIGURES), jnp.zeros_like(state), jnp.zeros_like(last))
 
 
 class _Steps(NamedTuple):
@@ -80,8 +89,7 @@ def through_impacts(step: Callable, formulation: RigidContact, rest: Any) -> Cal
     """A step with its derivative, as a function of (arrays, clock, state, last, growth).
 
     `step(model, settings, time step, state, last)`: (state, last). `arrays`: of model and settings,
-    of which this is the `rest`; `clock`: time [s] and length [s]. `growth`: zeros, whose
-    derivatives are carried along (`nothing_moved`)."""
+    of which this is the `rest`; `clock`: time [s] and length [s]. `growth`: `Moves`."""
 
     def gone(how, arrays, clock, y, last):
         model, settings = eqx.combine(arrays, rest)
@@ -111,14 +119,13 @@ def through_impacts(step: Callable, formulation: RigidContact, rest: Any) -> Cal
     return known
 
 
-def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Array]:
+def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Moves]:
     """((state, last) behind a step, their derivatives, what is carried along)."""
-    arrays, (time, h), y, _ = here
+    arrays, (time, h), *_ = here
     *given, grown = tangents
     met = steps.strikes(*here)
     wanted = jnp.any(met.which)
-    grown = moved(grown)
-    figures, off, off_last = jnp.split(grown, [IMPACT_FIGURES, IMPACT_FIGURES + len(y)])
+    figures, off, off_last = map(moved, grown)
     still = jax.tree.map(SymbolicZero.from_primal_value, (arrays, (time, h)))
     arrays_way, clock_way = still
     ways = _Way(*given), _Way(arrays_way, clock_way, off, off_last, met.depths)
@@ -151,11 +158,11 @@ def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Arr
         return (state - shifts[0] * flow, off), _placed(figures, steps.model(arrays), off)
 
     (state, ends), figures = where_wanted(wanted, behind, ((gone[0], off[0]), figures))
-    return (end, left), (state, gone[1]), jnp.concatenate([figures, ends, off[1]])
+    return (end, left), (state, gone[1]), Moves(figures, ends, off[1])
 
 
 def known_at_end(
-    formulation: RigidContact, rest: Any, now: tuple, growth: Array, found: Array
+    formulation: RigidContact, rest: Any, now: tuple, growth: Moves, found: Array
 ) -> Array:
     """What was found at saving times, in rows; its derivative at the last one is nan where a
     contact in flight overlaps there, by what the run is off: it has struck and should not have, or
@@ -172,10 +179,8 @@ def known_at_end(
         return jnp.any(flying & (depths >= 0))
 
     def judged(numbers, tangents):
-        now, *_ = numbers
-        growth, ways = map(moved, tangents[1:])
-        _, *off = jnp.split(growth, [IMPACT_FIGURES, IMPACT_FIGURES + len(now[2])])
-        unsure = one_row(due, *now, *off)
+        _, growth, ways = tangents
+        unsure, ways = one_row(due, *numbers[0], *map(moved, growth[1:])), moved(ways)
         return ways.at[-1].set(jnp.where(unsure, jnp.nan, ways[-1]))
 
     return derived(lambda now, growth, found: found, judged)(now, growth, found)

@@ -157,5 +157,5 @@ class MoreauJean(AbstractIntegrator):
         found = searching_steps(interval, self.step, followed, (state, warm_start), LOOSE)
         state = vibration.resolved(found.state, found.warm_start[2])
         if model.system.bearings:
-            state = derived_once(NO_SECOND, trusted_impacts(state, found.warm_start[1]))
+            state = derived_once(NO_SECOND, trusted_impacts(state, found.warm_start[1].figures))
         return found._replace(state=state)
