@@ -2,6 +2,7 @@
 are told: beside the closed form of a journal that bounces.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,8 @@ from benchmarks.claims import through_touches as bounces
 # hundredths in steps of 5 us.
 END = 0.025
 FINE, COARSE = 1e-6, 5e-6
+# Steps [s] of which an impact is about one before the end.
+BEFORE_THE_END = 4e-6
 
 
 def asked(step, responses):
@@ -44,6 +47,26 @@ def test_a_slope_is_refused_where_its_parts_nearly_cancel_in_a_response():
     found = jax.jit(slopes)(jnp.array([1.0, 0.0, 0.0]))
     np.testing.assert_allclose(found["height"], wanted[0], rtol=0.01)
     assert np.isnan(found["left"])
+
+
+def test_a_slope_is_refused_where_a_run_ends_before_it_takes_an_impact_that_is_due():
+    """Steps take an impact in their second half one step later: a run that ends between is on the
+    other side of it, and runs in longer steps are too."""
+    problem = asked(BEFORE_THE_END, {"height": height})
+    values = problem.nominal()
+    speed = jnp.sqrt(bounces.SPEED**2 + 2 * bounces.GRAVITY * bounces.CLEARANCE)
+    impact = float(bounces.SPEED + speed) / bounces.GRAVITY
+
+    @jax.jit
+    def slopes(end):
+        own = eqx.tree_at(lambda known: known.duration, problem, end)
+        return jax.jacfwd(lambda values: own.evaluate(values).responses["height"])(values)
+
+    assert np.isnan(slopes(impact + 0.25 * BEFORE_THE_END)).all()
+    still_flying, end = impact - 0.25 * BEFORE_THE_END, impact + 1000 * BEFORE_THE_END
+    np.testing.assert_allclose(slopes(still_flying), [0.0, 1e3 * still_flying, 0.0], rtol=1e-9)
+    wanted = np.asarray(jax.jacfwd(bounces.by_hand)(values, end))
+    np.testing.assert_allclose(slopes(end), wanted, rtol=0.01)
 
 
 @pytest.mark.slow
