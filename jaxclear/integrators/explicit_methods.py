@@ -1,6 +1,5 @@
 """The explicit methods of `FixedStep`, and which contacts ask for its short steps."""
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -66,7 +65,8 @@ def explicit_step(
 ) -> tuple:
     """The length and the end of a step, and what it leaves to the next. `clock`: its start and the
     longest length [s], and of what `chosen_length` chooses it by the contacts at its start and what
-    the last step left. Stages are a loop: the equations stand in the program once."""
+    the last step left. Stages behind the first are a loop: however many, the equations stand in the
+    program twice, and what only the first decides is not worked out in the others."""
     time, h, rest = clock
     length = chosen_length(h, rest)
     if method in ON_GROUPS:
@@ -74,38 +74,45 @@ def explicit_step(
         return _step_on_group(
             formulation, method, model, (time, h, length if looks else None), y, last
         )
-    stages = np.arange(len(CHAINS[method][0]))
-    stage = functools.partial(_stage, formulation, method, model, (time, length))
-    (h, y, _, _, last), _ = jax.lax.scan(stage, (h, y, y, jnp.zeros_like(y), last), stages)
-    return h, y, last
-
-
-def _stage(
-    formulation: Any, method: str, model: Model, clock: tuple, carry: tuple, stage: Any
-) -> tuple:
-    """One stage of a step; its first one decides the step's length from the contacts it sees, and
-    sets impact speeds of contacts that have closed in the last one."""
-    (time, length), (h, y, total, slope, last) = clock, carry
+    h, y, slope, last = _first_stage(formulation, model, (time, length), y, last)
     nodes, weights = (jnp.asarray(part) for part in CHAINS[method])
-    slope, contacts = formulation.rate(
-        model, time + nodes[stage] * h, y + (h * nodes[stage]) * slope
-    )
-    opens = stage == 0
-    h = jnp.where(opens, length(contacts, last), h)
-    if last is not None:
-        if formulation.remembers(model):
-            aware = formulation.remember(model, y, last[0], contacts, last[1])
-            y, total = jnp.where(opens, aware, y), jnp.where(opens, aware, total)
-        last = jax.tree.map(lambda a, b: jnp.where(opens, a, b), (contacts, h), last)
-    total = total + (h * weights[stage]) * slope
+    end = y + (h * weights[0]) * slope
     if method == "semi_implicit":
-        n = model.layout.coordinates
-        kicked = jnp.concatenate([y[:n], total[n:]])
-        rates = formulation.coordinate_rates(model, kicked)
-        total = jnp.concatenate([y[:n] + h * rates, total[n:]])
-        total = _with_energies(formulation, model, (time, h), y, total)
-    y = jnp.where(stage == len(CHAINS[method][0]) - 1, total, y)
-    return (h, y, total, slope, last), None
+        end = _kicked(formulation, model, (time, h), y, end)
+
+    def further(carry, stage):
+        end, slope = carry
+        node = nodes[stage] * h
+        slope = formulation.rate(model, time + node, y + node * slope)[0]
+        return (end + (h * weights[stage]) * slope, slope), None
+
+    stages = np.arange(1, len(CHAINS[method][0]))
+    if len(stages):
+        end = jax.lax.scan(further, (end, slope), stages)[0][0]
+    return h, end, last
+
+
+def _first_stage(formulation: Any, model: Model, clock: tuple, y: Any, last: Any) -> tuple:
+    """The length [s] of a step that begins at a time, by the contacts there; the state with the
+    impact speeds of contacts that have closed in the last one; its rate; what is left to the
+    next step."""
+    time, length = clock
+    slope, contacts = formulation.rate(model, time, y)
+    h = length(contacts, last)
+    if last is None:
+        return h, y, slope, None
+    if formulation.remembers(model):
+        y = formulation.remember(model, y, last[0], contacts, last[1])
+    return h, y, slope, (contacts, h)
+
+
+def _kicked(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> Any:
+    """The end of a semi-implicit step, whose places move by the speeds at its end."""
+    h, n = clock[1], model.layout.coordinates
+    rates = formulation.coordinate_rates(model, jnp.concatenate([y[:n], end[n:]]))
+    return _with_energies(
+        formulation, model, clock, y, jnp.concatenate([y[:n] + h * rates, end[n:]])
+    )
 
 
 def _with_energies(formulation: Any, model: Model, clock: tuple, y: Any, after: Any) -> Any:

@@ -51,8 +51,8 @@ class MoreauJean(AbstractIntegrator):
     First derivatives through contacts are those of the motion, as far as the steps resolve it
     (`mid_impact`): they are off by as much as places are beside the gap, nan where impacts have
     made that grow to a hundredth, where those in other steps tell that they are off by more of
-    themselves, or where contacts strike in one step that would not move alike: they want steps of a
-    microsecond.
+    themselves, where contacts strike in one step that would not move alike, or where a run ends
+    before it takes an impact that is due: they want steps of a microsecond.
     Not where surfaces wear, nor where ideal joints rub beside contacts: `jaxclear.sensitivity` is
     the way there.
 
