@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.formulations.bristles_at_touches import has_bristles, put_right
 from jaxclear.formulations.model import Model
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.state_group import state_group
@@ -84,7 +85,7 @@ def _stage(
     formulation: Any, method: str, model: Model, clock: tuple, carry: tuple, stage: Any
 ) -> tuple:
     """One stage of a step; its first one decides the step's length from the contacts it sees, and
-    sets impact speeds of contacts that have closed in the last one."""
+    sets impact speeds of contacts that have closed in the last one, and deflections of bristles."""
     (time, length), (h, y, total, slope, last) = clock, carry
     nodes, weights = (jnp.asarray(part) for part in CHAINS[method])
     slope, contacts = formulation.rate(
@@ -96,6 +97,10 @@ def _stage(
         if formulation.remembers(model):
             aware = formulation.remember(model, y, last[0], contacts, last[1])
             y, total = jnp.where(opens, aware, y), jnp.where(opens, aware, total)
+        if has_bristles(model):
+            taken = (last[0], contacts), (last[1], CHAINS[method])
+            right = put_right(formulation, model, (time, y), *taken)
+            y, total = jnp.where(opens, right, y), jnp.where(opens, right, total)
         last = jax.tree.map(lambda a, b: jnp.where(opens, a, b), (contacts, h), last)
     total = total + (h * weights[stage]) * slope
     if method == "semi_implicit":

@@ -305,6 +305,17 @@ def test_impacts_are_right_only_where_their_peaks_are(pushed, deeper, dropped):
     assert (Check.IMPACT_STEP not in looked.checks.figures) == dropped
 
 
+@pytest.mark.parametrize(
+    ("wear", "promised", "said"),
+    [(0.03, True, True), (0.03, False, False), (0.01, True, False), (0.06, True, False)],
+)
+def test_wear_is_held_to_what_a_rung_promises(wear, promised, said):
+    """Beyond a twentieth another check tells."""
+    run = SimpleNamespace(history=SimpleNamespace(balanced=False))
+    found = two_runs._losses_apart(run, run, (np.array([0.0, wear]), ("A", "B")), promised)
+    assert set(found) == ({Check.FRICTION_LOSS} if said else set())
+
+
 @pytest.mark.slow
 def test_mean_forces_that_hang_on_the_step_are_said():
     """A slider thrown between the walls of its guide: its impacts fall within steps that saving
