@@ -91,12 +91,13 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
     if run.formulation.forces_are_means:
         forces = forces[:, 1:]
     unsampled, peaks = _between_halves(forces), jnp.max(forces, axis=1)
-    if gaps:  # the means are of impulses that the runs carry, peaks those of all steps
+    if gaps:  # the means are of impulses that the runs carry
         unsampled = unsampled.at[0].set(0.0)
-        every = np.array([_peaks_of_steps(run, name) for name in gaps])
-        asked = jnp.stack([jc.response.PeakContactForce(name)(run) for name in gaps])
-        peaks = jnp.where(every, asked, peaks)
-        unsampled = unsampled.at[1].set(jnp.where(every, 0.0, unsampled[1]))
+    if gaps and not run.formulation.forces_are_means:
+        peaks = jnp.stack([jc.response.PeakContactForce(name)(run) for name in gaps])
+        saved = jnp.stack([jnp.max(contact.normal_force) for contact in contacts])
+        # Beyond those of the saving times they are of all steps.
+        unsampled = unsampled.at[1].set(jnp.where(peaks > saved, 0.0, unsampled[1]))
     lost, turned = jnp.zeros(()), jnp.zeros(())
     if balance:
         energies = run.energy_balance()
@@ -117,14 +118,6 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
         jnp.max(jnp.array([*drifts, 0.0])),
         jnp.asarray(longest_arm(run.history.model().system)),
     )
-
-
-def _peaks_of_steps(run: jc.Trajectory, name: str) -> bool:
-    """Whether every rung knows the joint's peak force from all of its steps, as
-    `jaxclear.response.PeakContactForce` says; elsewhere it is that of the saving times."""
-    if name not in run.mechanism.topology.clearances or run.formulation.forces_are_means:
-        return False
-    return run.formulation.remembers(run.history.model())
 
 
 def _between_halves(forces: Any) -> Any:

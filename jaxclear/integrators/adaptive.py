@@ -51,7 +51,7 @@ class Adaptive(AbstractIntegrator):
     """A diffrax solver under error control: cost follows difficulty.
 
     Use as reference and for single runs. Local error per step below rtol |y| + atol in every
-    coordinate, speed and deflection of bristles; worn volumes and energies follow the motion. Where
+    coordinate and speed, less in short bristles; worn volumes and energies follow the motion. Where
     joints have clearance both tolerances count as at rtol 3e-7 at the loosest (4e-4 of the
     narrowest gap beside the longest arm, where that is less): impacts make errors grow, and looser
     runs save next to no time. A step in which a contact closes or parts is repeated to end there;

@@ -143,6 +143,11 @@ class AbstractIntegrator(AbstractQuantified):
         return False
 
     @property
+    def follows_impacts(self) -> bool:
+        """Whether its steps are of an order beyond 2: contacts may rise farther in each."""
+        return False
+
+    @property
     def usual_step(self) -> Scalar | None:
         """Length [s] of its steps, which heed `Interval.share`, so that a run can check itself with
         finer ones; 0 where it finds their length itself. None: it does neither, or its steps are

@@ -180,11 +180,11 @@ class Check(enum.IntEnum):
         16,
         "second look: friction loss",
         "1",
-        0.05,
+        0.02,
         "wear",
         WHOLE,
-        f"{AGAIN} what friction takes changes by {{figure:.2g}} of itself (limit {{limit:g}}), so "
-        f"friction loss and wear are off: {TIGHTER}",
+        f"{AGAIN} what friction takes or wears changes by {{figure:.2g}} of itself (limit "
+        f"{{limit:g}}), so friction loss and wear are off: {TIGHTER}",
     )
     # Largest rise of a contact's indentation within a step beside the largest that was met: of
     # steps in which a contact does the work of its law whatever their length.

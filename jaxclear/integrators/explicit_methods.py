@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxclear.formulations.bristles_at_touches import has_bristles, put_right
 from jaxclear.formulations.model import Model
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.state_group import state_group
@@ -74,7 +75,7 @@ def explicit_step(
         return _step_on_group(
             formulation, method, model, (time, h, length if looks else None), y, last
         )
-    h, y, slope, last = _first_stage(formulation, model, (time, length), y, last)
+    h, y, slope, last = _first_stage(formulation, method, model, (time, length), y, last)
     nodes, weights = (jnp.asarray(part) for part in CHAINS[method])
     end = y + (h * weights[0]) * slope
     if method == "semi_implicit":
@@ -92,10 +93,12 @@ def explicit_step(
     return h, end, last
 
 
-def _first_stage(formulation: Any, model: Model, clock: tuple, y: Any, last: Any) -> tuple:
+def _first_stage(
+    formulation: Any, method: str, model: Model, clock: tuple, y: Any, last: Any
+) -> tuple:
     """The length [s] of a step that begins at a time, by the contacts there; the state with the
-    impact speeds of contacts that have closed in the last one; its rate; what is left to the
-    next step."""
+    impact speeds of contacts that have closed in the last one, and with deflections of bristles for
+    their time in contact; its rate; what is left to the next step."""
     time, length = clock
     slope, contacts = formulation.rate(model, time, y)
     h = length(contacts, last)
@@ -103,6 +106,9 @@ def _first_stage(formulation: Any, model: Model, clock: tuple, y: Any, last: Any
         return h, y, slope, None
     if formulation.remembers(model):
         y = formulation.remember(model, y, last[0], contacts, last[1])
+    if has_bristles(model):
+        taken = (last[0], contacts), (last[1], CHAINS[method])
+        y = put_right(formulation, model, (time, y), *taken)
     return h, y, slope, (contacts, h)
 
 

@@ -2,9 +2,12 @@
 sliding grows without bound where a step slides farther, and the run is not a number.
 """
 
-import jax
-import numpy as np
+from typing import Any
 
+import jax
+import jax.numpy as jnp
+
+from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.wording import public_name
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.outcome import Outcome
@@ -25,8 +28,9 @@ def told_of_bristles(trajectory: Trajectory) -> str:
     lengths = {}
     for name in mechanism.topology.clearances:
         for laws in mechanism.connections[name].joint.contact_laws():
-            if laws.friction is not None and laws.friction.bristles:
-                lengths[name, public_name(type(laws.friction))] = _settling_length(laws.friction)
+            law = laws.friction
+            if law is not None and law.bristles:
+                lengths[name, public_name(type(law))] = float(settling_length(law))
     if not lengths:
         return trajectory.result
     (name, law), length = min(lengths.items(), key=lambda item: item[1])
@@ -37,7 +41,7 @@ def told_of_bristles(trajectory: Trajectory) -> str:
     )
 
 
-def _settling_length(law) -> float:
+def settling_length(law: Any) -> Scalar:
     """Sliding [m] within which a deflection settles, at 1 m/s."""
     rate = jax.grad(lambda z: law.tractions(1.0, (z,), (1.0,), 1.0)[1][0])(0.0)
-    return float(1 / np.maximum(-rate, 1e-300))
+    return 1 / jnp.maximum(-rate, 1e-300)

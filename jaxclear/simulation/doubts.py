@@ -1,10 +1,13 @@
 """Which runs are in doubt, and get a second look.
 
-Those whose steps have a fixed length in which contacts rise or creep, or bodies drift, by more than
-a little (less where impacts take little energy, or steps are of first order); impacts that take
-none, whatever the steps; rigid contact, whose impacts leave nothing in a step that tells how long
-it is beside them; stops; and what swings many times without contacts, of which no figure tells
-where an error controls the steps.
+Those whose steps have a given length and meet contacts, whatever their figures, where looking again
+takes next to no time: what a figure tells of an impact is a guess at how far off it is, and how
+that grows over further ones it cannot tell. Of longer ones those in which contacts rise or creep,
+or bodies drift, by more than a little (less where impacts take little energy, or steps are of low
+order), so that a long run which resolves its impacts costs no more than itself. And impacts that
+take no energy, whatever the steps; rigid contact, whose impacts leave nothing in a step that tells
+how long it is beside them; stops; and what swings many times without contacts, of which no figure
+tells where an error controls the steps.
 """
 
 import numpy as np
@@ -19,12 +22,16 @@ from jaxclear.simulation.two_runs import friction_loss, opens
 
 # Share of a study's samples in doubt from which on its nominal one is looked at.
 MANY = 0.1
-# Figures from which on a run is in doubt: of mechanisms drawn at random every one whose places in
-# gaps were off by more than promised was beyond one of them, and a journal whirled about by its
-# friction, whose mean force was 65 % off at a damper step of 0.45 (benchmarks/attack.py). At a
-# rise of 0.088 a journal was 15 % of its clearance off, in implicit steps 10 % at 0.022.
+# Steps times coordinates up to which steps of a given length are looked at again whatever their
+# figures: a second look takes four times as many, each about a microsecond, so a sixth of a second
+# where compiling the run took two to six. Of a four-bar in 200 steps of "heun" it tells the 32 % of
+# the clearance by which a journal is off, at a rise of indentations by 0.047.
+BRIEF = 40_000
+# Figures from which on a longer run is in doubt. By rk4 journals were 9 to 15 % of their clearance
+# off at rises of 0.066 and 0.088, none of 21 runs by more than 0.1 % below 0.045; a journal whirled
+# about by its friction had a mean force 65 % off at a damper step of 0.45 (benchmarks/attack.py).
 DOUBTS = {
-    Check.IMPACT_STEP: 0.05,
+    Check.IMPACT_STEP: 0.02,
     Check.CONTACT_STEP: 0.02,
     Check.CREEP_STEP: 0.01,
     Check.HALVED_MOTION: 0.005,
@@ -35,9 +42,11 @@ DOUBTS = {
 # clearance off after 17 impacts, in steps in which indentations rose by 0.03.
 BOUNCY = 0.9
 OF_IMPACTS = (Check.IMPACT_STEP, Check.CONTACT_STEP)
-# Share of these rises from which on steps of first order are in doubt: at a rise of 0.085
-# a mean force was 11 % off by symplectic Euler, what friction took 39 %, a worn depth 78 %.
-FIRST_ORDER = 0.5
+# Share of these rises from which on steps of order 1 and 2 are in doubt, implicit ones too. By
+# "heun" journals were 32 and 41 % of their clearance off at 0.047 and 0.044, in implicit steps 10 %
+# at 0.022; at 0.085 a mean force was 11 % off by symplectic Euler, what friction took 39 %, a worn
+# depth 78 %.
+LOW_ORDER = 0.5
 # Steps beyond those that end at saving times, some fifty an impact where an error controls them,
 # from which on so many impacts may have followed each other that bouncy ones bring a run in doubt
 # of whose impacts no figure tells: of 20 of restitution 0.98 without friction each made errors grow
@@ -45,7 +54,8 @@ FIRST_ORDER = 0.5
 BOUNCES = 500
 # And such steps without contacts: a bob that a stiff spring threw back some forty times was half of
 # its way off by a loose `Adaptive` (462 steps), 2 % by the default (1730); a pendulum on a slide
-# that is shaken fifteen times to and fro 12 % (114).
+# that is shaken fifteen times to and fro 12 % (114). Of steps of a given length windows, which tell
+# of drift, told 1e-5 where such a bob was 10 % of its way off by `ImplicitStep` (2200 steps).
 SWINGS = 100
 
 
@@ -57,7 +67,7 @@ def in_doubt(run: Trajectory, integrator: AbstractIntegrator) -> bool:
         rubs = run.history.balanced and bool(friction_loss(run) != 0)
         return opens(run) or rubs or bool(doubted(run.checks))
     kept = restitution_of(run.mechanism, run.checks)
-    if kept >= ELASTIC or bool(doubted(run.checks, kept, not integrator.places_in_gaps)):
+    if kept >= ELASTIC or bool(doubted(run.checks, kept, not integrator.follows_impacts)):
         return True
     untold = not set(OF_IMPACTS) & set(run.checks.figures)
     return untold and kept > BOUNCY and _steps_beyond_saves(run) > BOUNCES
@@ -67,12 +77,27 @@ def _steps_beyond_saves(run: Trajectory) -> int:
     return int(run.accepted_steps) - len(run.time) + 1
 
 
+def is_brief(run: Trajectory, integrator: AbstractIntegrator) -> bool:
+    """Whether steps of a given length have met contacts, and are so few that a second look takes
+    next to no time."""
+    depths = run.checks.figures.get(Check.INDENTATION)
+    if integrator.asked_step() is None or depths is None or not opens(run):
+        return False
+    return _are_few(run) and bool(np.max(np.asarray(depths.worst), initial=0.0) > 0)
+
+
+def _are_few(run: Trajectory) -> bool:
+    return int(run.accepted_steps) * run.mechanism.topology.coordinate_count <= BRIEF
+
+
 def swings_on(run: Trajectory, integrator: AbstractIntegrator) -> bool:
-    """Whether steps of which no figure tells have gone to and fro without contacts; what is driven
+    """Whether steps have gone to and fro without contacts: those of which no figure tells, where
+    they are many, those of a given length where a second look takes next to no time; what is driven
     evenly and has no springs goes as it is led."""
     rig = run.mechanism
     asked = integrator.asked_step() is not None
-    if asked or rig.topology.clearances or _steps_beyond_saves(run) <= SWINGS:
+    counts = _are_few(run) if asked else _steps_beyond_saves(run) > SWINGS
+    if rig.topology.clearances or not counts:
         return False
     springs = any(getattr(load, "stiffness", None) is not None for load in rig.loads.values())
     shaken = any(changes(function) for function in functions_of_time(rig).values())
@@ -86,12 +111,12 @@ def meets_stops(run: Trajectory, integrator: AbstractIntegrator) -> bool:
     return stops and integrator.asked_step() is not None
 
 
-def doubted(checks: Checks, kept: float = 0.0, first_order: bool = False) -> np.ndarray:
+def doubted(checks: Checks, kept: float = 0.0, low_order: bool = False) -> np.ndarray:
     """Whether a figure brings each run in doubt, of contacts with the restitution that is `kept`,
-    in steps that tell no place in a gap (`first_order`) or in better ones; samples stay in front.
+    in steps of order 1 or 2 (`low_order`) or in better ones; samples stay in front.
     """
     known = checks.figures
-    less = min(FIRST_ORDER if first_order else 1.0, (1 - kept) / (1 - BOUNCY))
+    less = min(LOW_ORDER if low_order else 1.0, (1 - kept) / (1 - BOUNCY))
     beyond = [
         np.any(np.asarray(known[check].worst) > least * (less if check in OF_IMPACTS else 1), -1)
         for check, least in DOUBTS.items()
@@ -100,13 +125,11 @@ def doubted(checks: Checks, kept: float = 0.0, first_order: bool = False) -> np.
     return np.any(beyond, axis=0) if beyond else np.zeros((), bool)
 
 
-def many_in_doubt(
-    checks: Checks, opens: bool, kept: float = 0.0, first_order: bool = False
-) -> bool:
+def many_in_doubt(checks: Checks, opens: bool, kept: float = 0.0, low_order: bool = False) -> bool:
     """Whether runs of a study are, by their `checks` (samples in front); `opens`: whether contacts
-    may open and close, with the restitution that is `kept`; `first_order`: as in `doubted`.
+    may open and close, with the restitution that is `kept`; `low_order`: as in `doubted`.
     Of rigid contact that is where it wears; friction of joints that always touch, which brings one
     run in doubt, does not here."""
     if opens and Check.INDENTATION not in checks.figures:
         return Check.HALVED_WEAR in checks.figures
-    return bool(np.mean(doubted(checks, kept, first_order)) >= MANY)
+    return bool(np.mean(doubted(checks, kept, low_order)) >= MANY)

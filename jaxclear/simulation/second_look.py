@@ -3,8 +3,9 @@ once more with steps a quarter as long, and what both end with is compared.
 
 What an impact is off by grows until the next, and every one adds its own: after a dozen a journal
 may be elsewhere in its gap though each was nearly right, and how fast that grows is the motion's
-own affair. So the run itself is asked, where `doubts` tells to. Runs of many steps are not gone
-through again; of a study, whose samples share doubts, the nominal one is.
+own affair. So the run itself is asked, where `doubts` tells to: wherever it takes next to no time,
+and else in doubt. Runs of many steps are not gone through again; of a study, whose samples share
+doubts, the nominal one is.
 """
 
 import dataclasses
@@ -20,7 +21,7 @@ from jaxclear.integrators.checks import Check
 from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.doubts import doubted, in_doubt, meets_stops, swings_on
+from jaxclear.simulation.doubts import doubted, in_doubt, is_brief, meets_stops, swings_on
 from jaxclear.simulation.friction_steps import rubbing
 from jaxclear.simulation.rebound import RESOLVED
 from jaxclear.simulation.two_runs import (
@@ -79,7 +80,7 @@ def looked_at_again(
     if finer is None or int(run.accepted_steps) > MOST_STEPS:
         return run
     untold = meets_stops(run, integrator) or swings_on(run, integrator)
-    if not (untold or in_doubt(run, integrator)):
+    if not (untold or is_brief(run, integrator) or in_doubt(run, integrator)):
         return run
     other = again(finer)
     if not other.succeeded:

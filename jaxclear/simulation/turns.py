@@ -23,9 +23,9 @@ from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import Events
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import closure_coordinates
-from jaxclear.multibody.state import Layout
 from jaxclear.native import scan
 from jaxclear.simulation import progress
+from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.spot_checks import Turns
 from jaxclear.simulation.tally import Tally, figures_of_a_look, followed
 from jaxclear.simulation.wear import (
@@ -108,7 +108,7 @@ def turns_of(
         return [jax.vmap(own)(packed) for own, packed in parts]
 
     number, running = jnp.zeros(()), jnp.ones((), bool)
-    ahead = Interval(number, number, _error_weights(model.layout), running, number)
+    ahead = Interval(number, number, error_weights(model), running, number)
     state, read, warm_start = begun
     done = jax.eval_shape(advance, arrays, read, ahead, state, warm_start)
     return turn, done.figures or {}, apart
@@ -148,7 +148,7 @@ def _motion(
     """One turn of the loop of a run that began with the state `start`, but for its worn surfaces:
     what it hands on, what these lose, and what it leaves."""
     running = (now.outcome == Outcome.REACHED).astype(bool)
-    ahead = Interval(turn.start, turn.stop, _error_weights(model.layout), running, turn.share)
+    ahead = Interval(turn.start, turn.stop, error_weights(model), running, turn.share)
     result = advance(ahead, now.state, now.warm_start)
     sound = jnp.all(jnp.isfinite(result.state))
     reached = closure_coordinates.anchored(model.system, model.layout, turn.stop, result.state)
@@ -174,11 +174,3 @@ def _motion(
     tally = followed(now.tally, model.layout, figures, own, turn.stop, path)
     after = Carry(state, now.worn, now.read, result.warm_start, outcome, ended, taken, tally)
     return after, lost, (result.events, figures_of_a_look(figures, running))
-
-
-def _error_weights(layout: Layout) -> Float[Array, " n"]:
-    """Weights of the state's entries in an error control: deflections of bristles are lengths, held
-    as places are (a hundred times looser, what a contact wore was 2 % off); what follows the motion
-    is not held."""
-    held = layout.memory_start + layout.memory_count
-    return jnp.asarray(np.repeat([1.0, 0.0], [held, layout.size - held]))

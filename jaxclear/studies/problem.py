@@ -230,8 +230,8 @@ class Problem(AbstractProblem):
     def second_look(self, checks):
         seen = self.integrator.formulation.seen(self.mechanism)
         kept, passed = restitution_of(self.mechanism, checks), self._load_steps().passed
-        first_order = not self.integrator.places_in_gaps
-        if not many_in_doubt(checks, bool(seen.topology.clearances), kept, first_order):
+        low_order = not self.integrator.follows_impacts
+        if not many_in_doubt(checks, bool(seen.topology.clearances), kept, low_order):
             return checked_by(passed, Checks())
 
         def again(integrator):

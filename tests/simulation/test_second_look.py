@@ -64,9 +64,43 @@ def test_a_second_look_leaves_the_numbers_and_comes_only_in_doubt(pushed, monkey
     found = pushed(2e-5)
     monkeypatch.setattr(doubts, "DOUBTS", {Check.IMPACT_STEP: 20.0})
     monkeypatch.setattr(doubts, "ELASTIC", 1.0)
+    monkeypatch.setattr(doubts, "BRIEF", 0)
     once = pushed(2e-5)
     assert Check.PLACE_IN_GAP not in once.checks.figures
     np.testing.assert_array_equal(found.states, once.states)
+
+
+def test_a_brief_run_is_looked_at_again_whatever_its_figures(pushed, monkeypatch):
+    """A longer one is not where none tells, nor one that meets no contact, nor `Adaptive`."""
+    monkeypatch.setattr(doubts, "DOUBTS", {})
+    monkeypatch.setattr(doubts, "ELASTIC", 1.1)
+    run, step = pushed(2e-5), jc.integrator.FixedStep(2e-5)
+    coordinates = run.mechanism.topology.coordinate_count
+
+    def looked(run, integrator=step):
+        asked = []
+        second_look.looked_at_again(run, integrator, lambda finer: asked.append(finer) or run)
+        return bool(asked)
+
+    def taking(steps):
+        stats = dataclasses.replace(run.stats, accepted_steps=steps)
+        return dataclasses.replace(run, stats=stats)
+
+    longest = doubts.BRIEF // coordinates
+    assert looked(run) and looked(taking(longest)) and not looked(taking(longest + 1))
+    assert not looked(run, jc.integrator.Adaptive())
+    depths = run.checks.figures[Check.INDENTATION]
+    apart = dataclasses.replace(depths, worst=np.zeros(depths.worst.shape))
+    checks = Checks.of(run.checks.figures | {Check.INDENTATION: apart})
+    assert not looked(dataclasses.replace(run, checks=checks))
+
+
+def test_what_few_steps_of_low_order_make_of_impacts_is_said():
+    """A four-bar in 200 steps of "heun": a journal is a third of its clearance off where
+    indentations rise by less than a twentieth in a step."""
+    found = run_of(19, 29, jc.integrator.FixedStep(4.14e-05, "heun"), balance=True)
+    assert found.checks.figures[Check.IMPACT_STEP].worst.max() < 0.05
+    assert "elsewhere in their gap" in found.result
 
 
 def test_runs_of_many_steps_and_steps_that_are_counted_are_not_gone_through_again(pushed):
@@ -269,6 +303,17 @@ def test_impacts_are_right_only_where_their_peaks_are(pushed, deeper, dropped):
         lambda _: dataclasses.replace(run, checks=Checks.of(figures | {Check.INDENTATION: other})),
     )
     assert (Check.IMPACT_STEP not in looked.checks.figures) == dropped
+
+
+@pytest.mark.parametrize(
+    ("wear", "promised", "said"),
+    [(0.03, True, True), (0.03, False, False), (0.01, True, False), (0.06, True, False)],
+)
+def test_wear_is_held_to_what_a_rung_promises(wear, promised, said):
+    """Beyond a twentieth another check tells."""
+    run = SimpleNamespace(history=SimpleNamespace(balanced=False))
+    found = two_runs._losses_apart(run, run, (np.array([0.0, wear]), ("A", "B")), promised)
+    assert set(found) == ({Check.FRICTION_LOSS} if said else set())
 
 
 @pytest.mark.slow

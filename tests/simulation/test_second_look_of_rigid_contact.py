@@ -13,6 +13,7 @@ from benchmarks.claims import extremes
 from jaxclear.integrators import Check
 from jaxclear.integrators.figures import Figure
 from jaxclear.simulation import doubts, two_runs
+from tests.rigs.attacked import run_of
 
 MASS, LOAD, PUSH, MU, SPEED = 1.0, 100.0, 9.0, 0.1, 1e-3
 
@@ -56,7 +57,7 @@ def test_friction_that_stops_slip_within_a_step_is_said_where_its_loss_is_asked_
     exact = friction * SPEED**2 / (2 * (friction - PUSH) / MASS)
     found, right = pushed(7e-4), pushed(2e-5)
     assert abs(lost(found) / exact - 1) > 0.05 and Check.FRICTION_LOSS in beyond(found)
-    assert "what friction takes changes by" in found.result
+    assert "what friction takes or wears changes by" in found.result
     assert lost(right) == pytest.approx(exact, rel=0.01) and right.warnings == ()
     assert Check.FRICTION_LOSS not in pushed(7e-4, balance=False).checks.figures
 
@@ -211,3 +212,14 @@ def test_what_two_parted_runs_agree_in_by_chance_is_said(joint, varied, check):
     ]
     answers = [told(run) for run in runs]
     assert max(answers) > 1.03 * min(answers) and check in beyond(runs[0])
+
+
+def test_mean_forces_of_rigid_paths_that_have_parted_are_said():
+    """A slider-crank whose journal is four fifths of its clearance elsewhere: the mean force is
+    13 % off, and changes by 1.7 % where steps are a quarter as long."""
+    found = run_of(14, 35, jc.integrator.MoreauJean(2.49e-5))
+    exact = run_of(14, 35, jc.integrator.MoreauJean(1e-6))
+    (name,) = found.formulation.contact_joints(found.mechanism)
+    forces = [float(jc.response.MeanContactForce(name)(run)) for run in (found, exact)]
+    assert abs(forces[0] / forces[1] - 1) > 0.1
+    assert Check.PARTED_FORCE in beyond(found)

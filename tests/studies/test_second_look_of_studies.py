@@ -87,7 +87,7 @@ def test_a_study_without_doubts_is_not_looked_at(study, monkeypatch):
 
     monkeypatch.setattr(problems, "found_in_one", look)
     quiet = study.checks.figures[Check.IMPACT_STEP]
-    little = dataclasses.replace(quiet, worst=jnp.full_like(quiet.worst, 0.01))
+    little = dataclasses.replace(quiet, worst=jnp.full_like(quiet.worst, 0.003))
     calm = Checks.of(study.checks.figures | {Check.IMPACT_STEP: little})
     assert not study.problem.second_look(calm).figures
     with pytest.raises(AssertionError, match="again"):
