@@ -214,7 +214,11 @@ def nothing_refused() -> Iterator[None]:
     """Programs that are traced in here tell all slopes, known or not."""
     with (
         patch.multiple(step_comparison, TRUSTED=math.inf),
-        patch.multiple(moreau_jean, trusted_impacts=lambda found, _: found),
+        patch.multiple(
+            moreau_jean,
+            trusted_impacts=lambda found, _: found,
+            known_at_end=lambda *given: given[-1],
+        ),
         patch.multiple(vibration, nothing=lambda *_: None),
     ):
         yield
