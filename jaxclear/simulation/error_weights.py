@@ -29,5 +29,5 @@ def error_weights(model: Model) -> Float[Array, " n"]:
             if bristles:
                 weight = jnp.maximum(1.0, SETTLING / settling_length(own.friction))
                 held += [jnp.full(bristles, weight)]
-    held = jnp.concatenate(held)
-    return jnp.concatenate([held, jnp.zeros(layout.size - len(held))])
+    weights = jnp.concatenate(held)
+    return jnp.concatenate([weights, jnp.zeros(layout.size - len(weights))])

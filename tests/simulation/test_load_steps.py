@@ -39,7 +39,7 @@ def test_steps_longer_than_a_push_say_so(step):
     run = jc.simulate(pushed(PULSE), 0.1, save=6, integrator=jc.integrator.FixedStep(step))
     right = speed(run) == pytest.approx(FORCE * LASTS / MASS, rel=0.02)
     assert right == (step < LASTS) == (not run.warnings)
-    assert right or "push" in run.warnings[0]
+    assert right or any("push" in sentence for sentence in run.warnings)
 
 
 @pytest.mark.parametrize(("frequency", "said"), [(100.0, False), (1e4, True), (9.9e3, True)])
