@@ -13,7 +13,7 @@ none at an instant, and no turns on.
 """
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,9 +27,16 @@ from jaxclear.integrators.checks import Check
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.reach import driven_ways, reaches
-from jaxclear.multibody.system import longest_arm, wear_maps
+from jaxclear.multibody.system import longest_arm
 from jaxclear.native import has_kernels, once
 from jaxclear.simulation.tally import Tally, compared
+from jaxclear.simulation.two_passes import (
+    CARRIED,
+    CARRIED_NOW,
+    by_contacts,
+    difference,
+    least_volumes,
+)
 from jaxclear.simulation.ways import STILL, Led, longest_way
 
 # Share of a run's steps that windows take; in a window steps are taken 1 + 2 times.
@@ -47,11 +54,6 @@ GOLDEN = 0.5 * (5**0.5 - 1)
 COARSE, COARSE_ON, FINE, FINE_ON = "coarse", "coarse, on", "fine", "fine, on"
 APART, WHOLE = (COARSE, COARSE_ON, FINE, FINE_ON), (FINE, FINE_ON, COARSE_ON)
 ON = (COARSE_ON, FINE_ON)
-# Size, beside the largest, below which a coordinate's changes do not matter.
-LEAST = 0.1
-# Worn depth, beside the root of its surface's area, below which nothing wears: a thousand million
-# such runs take less than an atom off a bearing.
-NO_WEAR = 1e-17
 
 
 class Turns(NamedTuple):
@@ -212,39 +214,32 @@ def _figures(
     met = jax.tree.map(lambda rate: rate * lasting, usual)
     # What is slower than this [m/s] stands still.
     slow = STILL * arm / plan.duration
+    least = jnp.maximum(slow, CARRIED * by_contacts(model, close.impulses))
     found = {
-        Check.HALVED_MEAN_FORCES: _difference(rough.speeds, close.speeds, met.speeds, scales, slow),
+        Check.HALVED_MEAN_FORCES: difference(rough.speeds, close.speeds, met.speeds, scales, least),
         Check.HALVED_MOTION: _motion(model, plan, tally, coarse - fine, scales, led)[None],
     }
     if not means:
         fine_on, coarse_on = of(FINE_ON), of(COARSE_ON)
+        carried = by_contacts(model, close.impulses / _durations(plan, FINE))
         speeds = lambda change, name: safe_divide(
             compared(layout, change).speeds, _durations(plan, name)
         )
-        found[Check.HALVED_FORCES] = _difference(
+        found[Check.HALVED_FORCES] = difference(
             speeds(coarse_on - coarse, COARSE_ON),
             speeds(fine_on - fine, FINE_ON),
             usual.speeds * len(plan.windows),
             scales,
-            slow / plan.duration,
+            jnp.maximum(slow / plan.duration, CARRIED_NOW * carried),
         )
         if layout.impulses:
-            found[Check.HALVED_CONTACT_FORCES] = _difference(
+            found[Check.HALVED_CONTACT_FORCES] = difference(
                 rough.impulses, close.impulses, met.impulses
             )
     if layout.wear:
         least = safe_divide(lasting, plan.duration) * jnp.stack(least_volumes(model))
-        found[Check.HALVED_WEAR] = _difference(
-            rough.volumes, close.volumes, met.volumes, 1.0, least
-        )
+        found[Check.HALVED_WEAR] = difference(rough.volumes, close.volumes, met.volumes, 1.0, least)
     return found
-
-
-def least_volumes(model: Model) -> list[Float[Array, ""]]:
-    """Volume [m3] below which the surface of each contact that wears has not worn."""
-    maps = wear_maps(model.system)
-    areas = [jnp.sum(maps[slot.bearing][slot.surface][0].areas()) for slot in model.layout.wear]
-    return [NO_WEAR * area * safe_sqrt(area) for area in areas]
 
 
 def _motion(
@@ -280,16 +275,3 @@ def _durations(plan: Plan, turn: str) -> Float[Array, "windows 1"]:
 def _rows(array: Array, places: np.ndarray) -> Array:
     """Rows of an array at places known beforehand, which a kernel reads by themselves."""
     return jnp.stack([array[int(k)] for k in places])
-
-
-def _difference(
-    coarse: Array, fine: Array, usual: Array, scales: Any = 1.0, least: Any = 0.0
-) -> Float[Array, " entries"]:
-    """Difference beside the size, both summed over the windows, or beside the size that is `usual`
-    in the run if that is more; entries that are small beside the largest count as a tenth of it,
-    and none as less than what is the `least` that counts."""
-    met = jnp.sum(jnp.maximum(abs(coarse), abs(fine)), axis=0)
-    size = jnp.maximum(met, usual) * scales
-    off = jnp.sum(abs(fine - coarse), axis=0) * scales
-    counted = jnp.maximum(LEAST * jnp.max(size, initial=0.0), least)
-    return safe_divide(off, jnp.maximum(size, counted))

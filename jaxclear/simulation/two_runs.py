@@ -11,7 +11,7 @@ from jaxclear.multibody.system import wear_maps
 from jaxclear.results.histories import contact_impulse
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.bounciness import ELASTIC, restitution_of
-from jaxclear.simulation.spot_checks import LEAST, NO_WEAR
+from jaxclear.simulation.two_passes import LEAST, NO_WEAR
 from jaxclear.simulation.ways import Whereabouts, whereabouts
 
 # What friction takes, beside the most of all energies of the balance that come in or go out, below
