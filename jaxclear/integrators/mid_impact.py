@@ -17,8 +17,8 @@ the motion, which grows with every impact. It is carried along, and tells to whi
 places are off, and to which share approach speeds are: as much are derivatives off (`trust`).
 
 At the end of a run an impact may be due that the run has not taken yet, or have been taken that is
-not due yet: then its derivative is that of another motion, in steps of any length that are as long
-beside what is left of it, and not known (`known_at_end`).
+not due yet. Its derivative is then that of another motion, which runs in longer steps may share,
+and is not known (`known_at_end`).
 
 None of this is in a program of which no derivative is asked. Source: as `saltation`.
 """
