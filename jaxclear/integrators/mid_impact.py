@@ -95,13 +95,10 @@ def through_impacts(step: Callable, formulation: RigidContact, rest: Any) -> Cal
         model, settings = eqx.combine(arrays, rest)
         return step(model, settings._replace(**how), TimeStep(*clock), y, last)
 
-    def strikes(arrays, clock, y, last):
-        model, settings = eqx.combine(arrays, rest)
-        return formulation.strikes(model, TimeStep(*clock), y, last, settings)
-
     def rates(arrays, clock, y, last):
         return (gone({"gentle": True}, arrays, clock, y, last)[0] - y) / clock[1]
 
+    strikes = _strikes(formulation, rest)
     steps = _Steps(gone, strikes, rates, lambda arrays: eqx.combine(arrays, rest)[0])
 
     @jax.custom_jvp
@@ -117,6 +114,16 @@ def through_impacts(step: Callable, formulation: RigidContact, rest: Any) -> Cal
 
     known.defjvp(moving, symbolic_zeros=True)
     return known
+
+
+def _strikes(formulation: RigidContact, rest: Any) -> Callable:
+    """`Strikes` as a function of (arrays, clock, state, last), as of `through_impacts`."""
+
+    def strikes(arrays, clock, y, last):
+        model, settings = eqx.combine(arrays, rest)
+        return formulation.strikes(model, TimeStep(*clock), y, last, settings)
+
+    return strikes
 
 
 def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Moves]:
@@ -170,13 +177,15 @@ def known_at_end(
 
     `now`: (arrays, (time [s], length of a step [s]), state, last), as of `through_impacts`."""
 
+    strikes = _strikes(formulation, rest)
+
     def due(arrays, clock, y, last, *off):
-        model, settings = eqx.combine(arrays, rest)
-        met = lambda *here: formulation.strikes(model, TimeStep(*clock), *here, settings)
-        flying = met(y, last).flying
-        now, further = jax.jvp(lambda *here: met(*here)[1:3], (y, last), off)
-        depths = now[0] - 0.5 * clock[1] * now[1] + further[0]
-        return jnp.any(flying & (depths >= 0))
+        def met(*here):
+            found = strikes(arrays, clock, *here)
+            return (found.depths, found.rates), found.flying
+
+        (depths, rates), (deeper, _), flying = jax.jvp(met, (y, last), off, has_aux=True)
+        return jnp.any(flying & (depths - 0.5 * clock[1] * rates + deeper >= 0))
 
     def judged(numbers, tangents):
         _, growth, ways = tangents
