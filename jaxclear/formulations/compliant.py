@@ -12,7 +12,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import ContactLaws
-from jaxclear.formulations import joint_friction, midpoint_step, state_rate, work_over_step
+from jaxclear.formulations import (
+    damped_contacts,
+    joint_friction,
+    midpoint_step,
+    state_rate,
+    work_over_step,
+)
 from jaxclear.formulations.base import AbstractFormulation, ContactReport, clearance_contact
 from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
@@ -112,6 +118,15 @@ class CompliantContact(AbstractFormulation):
         found = map_alike(contact_point.indentation_rates, calls)
         return _stacked([point for joint in found for point in joint])
 
+    def damped(self, model: Model) -> bool:
+        """True where some contact damps, so that its depth does not tell how hard it is
+        pressed."""
+        return damped_contacts.damped(model.system)
+
+    def normal_forces(self, model: Model, state: State, contacts: ContactMotion) -> Any:
+        """Normal force [N] of every possible contact that damps, 0 of the others."""
+        return damped_contacts.normal_forces(model, state, contacts)
+
     def slips(self, model: Model, time: Any, state: State) -> Float[Array, "contacts 3"]:
         """Sliding velocity [m/s] of every possible contact along its sliding directions, from the
         geometry alone; 0 where nothing rubs."""
@@ -175,7 +190,8 @@ class CompliantContact(AbstractFormulation):
         ]
         speeds = jnp.zeros(2 * model.layout.speeds)
         reactions = sp.stack(self._reactions(model, time, entries))
-        return jnp.concatenate([speeds, sp.stack(depths), sp.stack(slips), reactions])
+        forces = jnp.zeros(len(depths) if self.damped(model) else 0)
+        return jnp.concatenate([speeds, sp.stack(depths), sp.stack(slips), reactions, forces])
 
     def _reactions(self, model: Model, time: Any, entries: list) -> list:
         """Numbers of the reactions of ideal joints that rub."""
@@ -203,9 +219,8 @@ class CompliantContact(AbstractFormulation):
             for count in components(model.system, bearing)
         ]
         rubbing = len(rubbing_joints(model.system))
-        smooth, contact, depths, slips, reactions = split(
-            numbers, [count, count, len(directions), 3 * sum(directions), REACTION * rubbing]
-        )
+        counts = [count, count, len(directions), 3 * sum(directions), REACTION * rubbing]
+        smooth, contact, depths, slips, reactions = split(numbers, counts)
         met_before = [Reaction(own[:3], own[3:]) for own in split(reactions, [REACTION] * rubbing)]
         past = [PastSlip(*slip) for slip in split(slips, [3] * sum(directions))]
         motion = list(smooth), list(contact), list(depths)
@@ -214,7 +229,8 @@ class CompliantContact(AbstractFormulation):
         after, now = midpoint_step.step(model, time_step, model.entries(state), last, settings)
         met = [x for contact in now.slips for slip in contact for x in slip]
         met += [x for own in now.reactions for part in own for x in part]
-        return sp.stack(after), sp.stack([*now.smooth, *now.contact, *now.depths, *met])
+        handed_on = [*now.smooth, *now.contact, *now.depths, *met, *now.forces]
+        return sp.stack(after), sp.stack(handed_on)
 
 
 def _acting(

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxclear.formulations import contact_rows, law_tangent, slip_over_step
+from jaxclear.formulations import contact_rows, damped_contacts, law_tangent, slip_over_step
 from jaxclear.formulations.contact_rows import (
     MiddleOfStep,
     TimeStep,
@@ -63,8 +63,8 @@ class ImplicitSettings(NamedTuple):
 
 class WarmStart(NamedTuple):
     """What a step hands on to the next: free accelerations without contact, what contact adds, the
-    last indentations, of each sliding direction of each contact friction and slip, and the
-    reactions of ideal joints that rub.
+    last indentations, of each sliding direction of each contact friction and slip, the reactions of
+    ideal joints that rub, and the normal forces [N] at its start where some contact damps.
     """
 
     smooth: list
@@ -72,6 +72,7 @@ class WarmStart(NamedTuple):
     depths: list
     slips: list[tuple[PastSlip, ...]]
     reactions: tuple[Reaction, ...] = ()
+    forces: tuple = ()
 
 
 def step(
@@ -108,7 +109,8 @@ def step(
             contacts, slid, whole.per_contact(solution.forces), strict=True
         )
     ]
-    return after, WarmStart(free, caused, depths, past, reactions)
+    pressed = damped_contacts.forces_at_start(model.system, contacts)
+    return after, WarmStart(free, caused, depths, past, reactions, pressed)
 
 
 def _contacts_at_start(

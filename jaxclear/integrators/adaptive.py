@@ -13,13 +13,13 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import AbstractIntegrator, Advance
-from jaxclear.integrators.checks import Check
 from jaxclear.integrators.error_control import Solved, solve, stepped_by_hand
 from jaxclear.integrators.impacts import EndingAtTouches, TakingImpactSpeeds
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.integrators.saltation import equations
+from jaxclear.integrators.saltation import equations, motion_of
 from jaxclear.integrators.state_group import state_group
+from jaxclear.integrators.stepping import figures_of_peaks
 from jaxclear.integrators.trust import NO_SECOND, trusted
 from jaxclear.integrators.unresolved import FollowingErrors, resolved, unfollowed
 from jaxclear.multibody.reach import narrowest_gap
@@ -196,15 +196,12 @@ class Adaptive(AbstractIntegrator):
             ends = rest.layout.coordinates, rest.layout.memory_start
             return solver if growth is None else FollowingErrors(solver, ends, growth)
 
-        def contacts(time, y, args):
-            return formulation.contacts(eqx.combine(args[0], rest), time, y)
-
         def remember(y, before, after, length, args):
             return formulation.remember(eqx.combine(args[0], rest), y, before, after, length)
 
-        derived = own if through else None
-        taken = contacts, remember, derived, growth, rest.events
-        return TakingImpactSpeeds(solver, *taken)
+        motion, derived = motion_of(formulation, rest), own if through else None
+        looks = formulation.damped(rest), rest.events
+        return TakingImpactSpeeds(solver, motion, remember, derived, growth, *looks)
 
     def _solve(self, rest, arrays, interval, state, warm_start) -> Advance:
         formulation, (start, stop), (step, growth) = self.formulation, interval[:2], warm_start
@@ -231,14 +228,14 @@ class Adaptive(AbstractIntegrator):
             state,
             (arrays, None),
         )
-        # A remainder of rounding before `stop` is shorter than the smallest step, but it has been
-        # taken.
+        # A remainder of rounding, shorter than the smallest step, has been taken.
         reached = (failed == Outcome.REACHED) | (found.time >= stop)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
         figures, events, usual = {}, None, found.wish
         if rest.system.bearings:
-            _, _, figures[Check.INDENTATION], events, growth = found.kept
-            # A step as long as a flight may go through a wall: rounding then decides what follows.
+            _, _, peaks, events, growth = found.kept
+            figures = figures_of_peaks(peaks)
+            # As long as a flight it may go through a wall: rounding then decides what follows.
             usual = (found.time - start) / jnp.maximum(found.accepted, 1)
         elif growth is not None:
             growth = found.kept[-1]
@@ -247,9 +244,9 @@ class Adaptive(AbstractIntegrator):
         state = found.state
         if through:
             instants = () if events is None else events[:2]
-            moving = state, figures[Check.INDENTATION], instants
-            moving = trusted(moving, growth, _most_growth(model, controller))
-            state, figures[Check.INDENTATION], instants = derived_once(NO_SECOND, moving)
+            most = _most_growth(model, controller)
+            moving = trusted((state, figures, instants), growth, most)
+            state, figures, instants = derived_once(NO_SECOND, moving)
             if events is not None:
                 events = events._replace(times=instants[0], rates=instants[1])
         elif growth is not None:

@@ -9,39 +9,19 @@ import enum
 
 import numpy as np
 
+from jaxclear.integrators.abstract_check import AbstractCheck
 from jaxclear.integrators.outcome import Outcome
 
 # What a figure is told for; "joints": those of whose contact forces the state keeps the impulse.
 LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
 JOINTS, LOADS = "joints", "loads and drives"
-NEVER = (np.inf, Outcome.REACHED)
 AGAIN = "with steps a quarter as long (tolerances 256 times tighter)"
 TIGHTER = "take shorter steps or a tight integrator.Adaptive"
 
 
 @enum.unique
-class Check(enum.IntEnum):
-    """A figure by which a run is judged: its `label` in tables, `unit`, `limit`, what the limit
-    `concerns` (motion, places, forces, peak forces, wear, worn depth, places in gaps), whose it is
-    (`of`), and the `sentence` said beyond the limit. Beyond `ends_at` the run ends, by `outcome`.
-    """
-
-    label: str
-    unit: str
-    limit: float
-    concerns: str
-    of: str
-    sentence: str
-    ends_at: float
-    outcome: Outcome
-
-    def __new__(cls, code, label, unit, limit, concerns, of, sentence, ends=NEVER):
-        member = int.__new__(cls, code)
-        member._value_ = code
-        member.label, member.unit, member.limit = label, unit, limit
-        member.concerns, member.of, member.sentence = concerns, of, sentence
-        member.ends_at, member.outcome = ends
-        return member
+class Check(AbstractCheck):
+    """The figures of all runs, each beside its limit."""
 
     # Residual of a loop's closure beside the longest arm of the mechanism, at the saving times.
     LOOP_DRIFT = (
@@ -176,6 +156,16 @@ class Check(enum.IntEnum):
         f'{AGAIN} the deepest indentation in joint "{{place}}" changes by {{figure:.2g}} of itself '
         f"(limit {{limit:g}}), so peak forces are off, though mean forces may be right: {TIGHTER}",
     )
+    PEAK_FORCE = (
+        23,
+        "second look: largest contact force",
+        "1",
+        0.1,
+        "peak forces",
+        CONTACTS,
+        f'{AGAIN} the largest force of a contact in joint "{{place}}" changes by {{figure:.2g}} of '
+        f"itself (limit {{limit:g}}), so peak forces are off: {TIGHTER}",
+    )
     FRICTION_LOSS = (
         16,
         "second look: friction loss",
@@ -248,6 +238,16 @@ class Check(enum.IntEnum):
         'the indentation in joint "{place}" reaches {figure:.2g} of its radius (limit {limit:g}), '
         "for which no contact law was made: look at stiffness, loads and start",
         (1.0, Outcome.SUNK_IN),
+    )
+    # Of contacts that damp, which press hardest before they are deepest; it has no limit.
+    LARGEST_FORCE = (
+        22,
+        "largest contact force",
+        "N",
+        np.inf,
+        "peak forces",
+        CONTACTS,
+        'the normal force in joint "{place}" reaches {figure:.2g} N (limit {limit:g})',
     )
     # Share of friction's power that is taken where explicit steps do not resolve it.
     FRICTION_STEP = (

@@ -26,6 +26,7 @@ from jaxclear.integrators import vibration
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.mid_step import moves
 from jaxclear.integrators.motion_parts import followed
+from jaxclear.integrators.peaks import Peaks, nothing_met
 from jaxclear.integrators.saltation import closed, motion_of
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.integrators.trust import GROWTH, NO_SECOND, beside, trusted_steps, unknown_way
@@ -36,19 +37,19 @@ from jaxclear.multibody.reach import gaps_passed
 class Beside(NamedTuple):
     """Zeros. Their derivatives are, of the motion beside a run: the `growth` of derivatives
     (`trust`) and how they vibrate (`vibration`), how far its state is `away` from the run's, how
-    far its places have `parted` from these at most [1] of the narrowest gap, and the `deepest`
-    indentation of each contact [m]."""
+    far its places have `parted` from these at most [1] of the narrowest gap, and the `peaks` of
+    each contact."""
 
     growth: Array
     vibrates: Vibration
     away: Array
     parted: Scalar
-    deepest: Array
+    peaks: Peaks
 
 
-def nothing_beside(size: int, contacts: int) -> Beside:
-    """Where a run begins, of which the state has this size."""
-    far = jnp.zeros(size), jnp.zeros(()), jnp.zeros(contacts)
+def nothing_beside(size: int, contacts: int, damped: bool) -> Beside:
+    """Where a run begins, of which the state has this size, and some contact is `damped`."""
+    far = jnp.zeros(size), jnp.zeros(()), nothing_met(jnp.zeros(contacts), damped)
     return Beside(jnp.zeros(GROWTH), jnp.zeros(FIGURES), *far)
 
 
@@ -57,7 +58,7 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
     last, met, beside).
 
     `plain(arrays, clock, y, last, met)`: the state at its end, what it leaves to the next, and (the
-    largest rise of each indentation in a step, the largest indentation) until then. `arrays`: of
+    largest rise of each indentation in a step, the peaks) until then. `arrays`: of
     the model, and of all else; `clock`: its start and length [s]; `rest`: of the model."""
     motion = motion_of(formulation, rest)
 
@@ -81,28 +82,28 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
         way, clock_way, state, _, met_way, beside = tangents
         found = step(*numbers)
         end, now, (rise, _), _ = found
-        beside, met_way = Beside(*map(moved, beside)), jax.tree.map(moved, met_way)
+        beside, met_way = jax.tree.map(moved, (beside, met_way))
         longer = moved(clock_way[1]) if moves(clock_way) else None
         ways = way[0], (clock_way[0], longer), moved(state)
         begun = y + beside.away
         ended = _parted(motion, remember, (arrays[0], clock, begun), ways, met_way[1], beside)
-        there, gone, deeper, beside = ended
+        there, gone, higher, beside = ended
         away = there - end
         share = gaps_passed(eqx.combine(arrays[0], rest).system, away)
         beside = beside._replace(away=away, parted=jnp.maximum(beside.parted, share))
         still = jax.tree.map(jnp.zeros_like, (now, rise))
-        return found, (gone, still[0], (still[1], deeper), beside)
+        return found, (gone, still[0], (still[1], higher), beside)
 
     known.defjvp(moving, symbolic_zeros=True)
     return known
 
 
 def so_far(beside: Beside) -> Beside:
-    """What is known where a saving interval begins, in which no indentation is the deepest yet."""
+    """What is known where a saving interval begins, in which nothing has been met yet."""
     zeros = lambda beside: jax.tree.map(lambda each: zeros_with(each, each), beside)
     same = lambda numbers, tangents: jax.tree.map(moved, tangents[0])
     known = derived(zeros, same)(beside)
-    return known._replace(deepest=jnp.zeros_like(known.deepest))
+    return known._replace(peaks=jax.tree.map(jnp.zeros_like, known.peaks))
 
 
 def trusted_beside(end: Any, met: Any, watch: Any, known: Beside) -> tuple:
@@ -115,9 +116,9 @@ def trusted_beside(end: Any, met: Any, watch: Any, known: Beside) -> tuple:
 
 
 def _parted(
-    motion: Any, remember: Callable, here: tuple, ways: tuple, deeper: Any, beside: Beside
+    motion: Any, remember: Callable, here: tuple, ways: tuple, higher: Any, beside: Beside
 ) -> tuple:
-    """(state, its derivative, that of the largest indentations, what is known) behind a step from
+    """(state, its derivative, that of the peaks, what is known) behind a step from
     `here` (arrays, clock, state). Where run and motion have parted nothing goes on."""
     arrays, (time, whole), y = here
     way, (time_way, longer), state = ways
@@ -127,12 +128,12 @@ def _parted(
         state = state - moved(time_way) * rates(time, y)
     aware = lambda y, contacts: remember(arrays, y, contacts, whole)
     together = beside.parted <= Check.PLACE_IN_GAP.limit
-    known = together, y, beside.growth, beside.vibrates, (beside.deepest, deeper)
+    known = together, y, beside.growth, beside.vibrates, (beside.peaks, higher)
     part = followed(motion, aware, (arrays, time, whole), (way, state), known)
-    y, state, (largest, deeper) = part.y, part.way, part.deepest
+    y, state, (highest, higher) = part.y, part.way, part.peaks
     if moving:
         state = state + (moved(time_way) + longer) * rates(time + whole, y)
     ended = part.done >= whole * (1 - SLIVER)
     parted = jnp.where(ended, beside.parted, jnp.inf)
-    found = {"growth": part.growth, "vibrates": part.vibrates, "deepest": largest}
-    return y, state, deeper, beside._replace(**found, parted=parted)
+    beside = Beside(part.growth, part.vibrates, beside.away, parted, highest)
+    return y, state, higher, beside

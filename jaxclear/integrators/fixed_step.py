@@ -6,7 +6,7 @@ One loop of few small arrays, the stages a loop within it: on a CPU it becomes o
 own time.
 """
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,7 +19,6 @@ from jaxclear.ground.wording import unknown
 from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
-from jaxclear.integrators.deepest import largest
 from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.explicit_methods import (
     ANGLES,
@@ -37,6 +36,7 @@ from jaxclear.integrators.fine_motion import (
     trusted_beside,
 )
 from jaxclear.integrators.mid_step import through_touches
+from jaxclear.integrators.peaks import nothing_met
 from jaxclear.integrators.stepping import (
     arrived,
     contacts_met,
@@ -138,12 +138,12 @@ class FixedStep(AbstractIntegrator):
         where the next step begins; None where nothing looks at contacts. How derivatives grow, or
         what is known of the motion beside the run; and how they vibrate, None where that motion
         tells."""
-        seen = self.method not in ON_GROUPS or self.formulation.remembers(model)
-        if not (seen and any(kinds for _, kinds in model.layout.memories)):
+        if not any(kinds for _, kinds in model.layout.memories):
             return None, None, None, vibration.nothing(model, self)
         contacts = self.formulation.contacts(model, start, state)
         if self._derived(model) and self._beside:
-            known = nothing_beside(model.layout.size, len(contacts.depths))
+            damped = self.formulation.damped(model)
+            known = nothing_beside(model.layout.size, len(contacts.depths), damped)
             return contacts, jnp.ones(()), known, None
         growth = jnp.zeros(GROWTH) if self._derived(model) else None
         return contacts, jnp.ones(()), growth, vibration.nothing(model, self)
@@ -172,18 +172,20 @@ class FixedStep(AbstractIntegrator):
         if self._derived(model) and self._beside:
             return self._stepped_beside(model, arrays, rest, plain)
         length = lambda clock, *seen: chosen_length(*clock[1:])(*seen)
-        through = through_touches(self.formulation, rest[0], plain, length)
+        seen = lambda arrays, *now: self._met(eqx.combine(arrays, rest)[0], *now)
+        through = through_touches(self.formulation, rest[0], plain, length, seen)
 
         def step(clock, y, last, met):
             *before, growth, vibrates = last
             before = None if before[0] is None else tuple(before)
             if self._derived(model):
-                h, end, now, growth = through(arrays, clock, y, before, growth)
+                h, end, now, growth, met = through(arrays, clock, y, before, growth, met)
             else:
                 h, end, now = plain(arrays, clock, y, before)
+                met = self._met(model, end, met, (before, now))
             vibrates = vibration.followed(model, ANGLES[self.method], vibrates, (y, end), h)
             now = *(now or (None, None)), growth, vibrates
-            return h, end, now, self._met(model, met, last, now)
+            return h, end, now, met
 
         return step
 
@@ -192,7 +194,8 @@ class FixedStep(AbstractIntegrator):
 
         def alone(arrays, clock, y, last, met):
             _, end, now = plain(arrays, (*clock, None), y, last)
-            return end, now, contacts_met(met, last[0].depths, now[0].depths)
+            model = eqx.combine(arrays, rest)[0]
+            return end, now, self._met(model, end, met, (last, now))
 
         beside = beside_steps(self.formulation, rest[0], alone)
 
@@ -202,12 +205,15 @@ class FixedStep(AbstractIntegrator):
 
         return step
 
-    def _met(self, model, met, last, now):
-        """What was met of the contacts, from their motion at the starts of two steps."""
-        found = None if met is None else contacts_met(met, last[0].depths, now[0].depths)
-        if met is None or not self._derived(model):
-            return found
-        return found[0], largest(met[1], last[0], now[0], last[1])
+    def _met(self, model, end, met, steps):
+        """What was met of the contacts, from what two steps leave, the second of which ends so:
+        impact speeds that it has begun with are those at its end."""
+        if met is None:
+            return None
+        (before, *_), (after, *_) = steps
+        own, damped = self.formulation, met[1].forces is not None
+        forces = own.normal_forces(model, end, after) if damped else None
+        return contacts_met(met, before.depths, after.depths, forces)
 
     def _trusted(self, model, end, last, met, watch):
         """All that was found, where its derivative can be trusted; rates at events have none."""
@@ -240,7 +246,7 @@ class FixedStep(AbstractIntegrator):
             *begun, known, _ = warm_start
             warm_start = *begun, so_far(known), None
         watch = watch_from(model, interval.start, state)
-        first = (jnp.zeros((), int), state, warm_start, _nothing_met(warm_start), watch)
+        first = (jnp.zeros((), int), state, warm_start, self._nothing_met(model, warm_start), watch)
         if self.steps_per_save is None:
             _, end, last, met, watch = while_loop(lambda carry: carry[0] < steps, turn, first)
         else:
@@ -263,7 +269,7 @@ class FixedStep(AbstractIntegrator):
             watch = watched(watch, model, begin, h, y)
             return time, steps + 1, y, now, met, watch
 
-        met = _nothing_met(warm_start)
+        met = self._nothing_met(model, warm_start)
         watch = watch_from(model, interval.start, state)
         first = (interval.start, jnp.zeros((), int), state, warm_start, met, watch)
         _, steps, end, last, met, watch = while_loop(lambda carry: carry[0] < stop, one, first)
@@ -276,7 +282,9 @@ class FixedStep(AbstractIntegrator):
         stable = STABLE_DAMPING[ORDERS[self.method]]
         return {Check.FRICTION_STEP: h, Check.DAMPER_STEP: h / stable}
 
-
-def _nothing_met(last: Any) -> Any:
-    """What was met before the first step; None where nothing looks at contacts."""
-    return None if last[0] is None else (jnp.zeros_like(last[0].depths),) * 2
+    def _nothing_met(self, model, last):
+        """What was met before the first step; None where nothing looks at contacts."""
+        if last[0] is None:
+            return None
+        depths = last[0].depths
+        return jnp.zeros_like(depths), nothing_met(depths, self.formulation.damped(model))

@@ -16,11 +16,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.impact_speed import ContactMotion, Passage, end_at_passage
-from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.integrators.deepest import deepest
 from jaxclear.integrators.events import noted, nothing
-from jaxclear.integrators.saltation import Equations, Step
+from jaxclear.integrators.peaks import nothing_met, peaks, risen
+from jaxclear.integrators.saltation import Equations, Motion, Step
 from jaxclear.integrators.wrapped import AbstractAround
 
 
@@ -87,20 +86,22 @@ class TakingImpactSpeeds(
     """`solver`, and after each of its steps the impact speeds of contacts that have closed or
     parted. Its controller is `EndingAtTouches`.
 
-    `contacts(time, state, args)`: their motion. `remember(state, before, after, length, args)`: the
-    state with its impact speeds set. Args are (arrays of the model, None), those of `solver` may
-    tell which contacts count as closed. `derived`: how derivatives go through touches (None: they
-    do not), `growth`: by how much they have grown (`saltation.trusted`). Its state between steps
-    ends with the largest indentation of every contact so far [m]: the motion of the contacts is
-    known at both ends of a step, so that peaks of a run cost it nothing; with `events`, so many, of
-    a saving interval (`integrators.events`); and with the growth.
+    `motion`: of the model (`saltation.motion_of`). `remember(state, before, after, length, args)`:
+    the state with its impact speeds set. `damped`: whether some contact damps. Args are (arrays of
+    the model, None), those of `solver` may tell which contacts count as closed. `derived`: how
+    derivatives go through touches (None: they do not), `growth`: by how much they have grown
+    (`saltation.trusted`). Its state between steps ends with the `Peaks` of every contact so far:
+    the motion of the contacts is known at both ends of a step, so that peaks of a run cost it next
+    to nothing; with `events`, so many, of a saving interval (`integrators.events`); and with the
+    growth.
     """
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
-    contacts: Callable
+    motion: Motion
     remember: Callable
     derived: Equations | None = None
     growth: Any = None
+    damped: bool = eqx.field(static=True, default=False)
     events: int = eqx.field(static=True, default=0)
 
     @property
@@ -118,40 +119,45 @@ class TakingImpactSpeeds(
         return self.solver.root_finder
 
     def init(self, terms, t0, t1, y0, args):
-        contacts = self.contacts(t0, y0, args)
+        contacts = self.motion.contacts(args[0], t0, y0)
         events = nothing(contacts, self.events) if self.events else None
         own = self.solver.init(terms, t0, t1, y0, args)
-        depths = contacts.depths if self.derived else constant(contacts.depths)
-        return own, contacts, positive_part(depths), events, self.growth
+        begun = nothing_met(contacts.depths, self.damped)
+        return own, contacts, self._risen(begun, y0, args, contacts), events, self.growth
 
     def func(self, terms, t0, y0, args):
         return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        own, before, depths, events, growth = solver_state
+        own, before, known, events, growth = solver_state
         step = Step(args[0], ContactMotion(*constant(before)), constant(t1 - t0))
         times, y, own, shift, given = self._begun(step, (t0, t1), y0, own, args)
         y1, error, dense, own, result = self.solver.step(terms, *times, y, given, own, made_jump)
-        after: Any = constant(self.contacts(t1, y1, args))
+        after: Any = constant(self.motion.contacts(args[0], t1, y1))
         length, half = t1 - t0, 0.5 * (t0 + t1)
         path = self.interpolation_cls(t0=t0, t1=t1, **constant(dense))
-        middle = self.contacts(half, path.evaluate(half), args)
+        middle = self.motion.contacts(args[0], half, path.evaluate(half))
         passed = Passage(*constant((before, middle, after)))
         remembering = self.remember(y1, before, after, length, args)
         if events is not None:
             events = noted(events, *constant((t0, length, before, after)))
-        known = remembering, growth, events, error
-        y1, own, growth, events = self._ended(step, (t1, y1), own, shift, known)
-        depths = self._deepest((t0, y0), (t1, y1), args, (step.contacts, after), depths)
-        kept = own, after, depths, events, growth
+        told = remembering, growth, events, error
+        y1, own, growth, events = self._ended(step, (t1, y1), own, shift, told)
+        known = self._peaks((t0, y0), (t1, y1), args, (step.contacts, after), known)
+        kept = own, after, known, events, growth
         return y1, Judged(error, passed), dense, kept, result
 
-    def _deepest(self, start, end, args, motions, depths):
-        """The largest indentations after a step."""
+    def _peaks(self, start, end, args, motions, known):
+        """The peaks after a step."""
         if self.derived is None:
-            return jnp.maximum(motions[1].depths, depths)
-        contacts = lambda arrays, time, y: self.contacts(time, y, (arrays, None))
-        return deepest(contacts, args[0], (start, end), motions, depths)
+            return self._risen(known, end[1], args, motions[1])
+        return peaks(self.motion, args[0], (start, end), motions, known)
+
+    def _risen(self, known, y, args, contacts):
+        """The peaks with the contacts at an instant."""
+        forces = self.motion.pressing(args[0], y, contacts) if self.damped else None
+        found = risen(known, contacts.depths, forces)
+        return found if self.derived else constant(found)
 
     def _begun(self, step, times, y, own, args):
         """(times, state, state of the solver, shift, args) of its step, as derivatives want it."""

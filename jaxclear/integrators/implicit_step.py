@@ -21,6 +21,7 @@ from jaxclear.integrators.fine_motion import (
     so_far,
     trusted_beside,
 )
+from jaxclear.integrators.peaks import nothing_met
 from jaxclear.integrators.stepping import arrived, contacts_met, counted, divide, march
 
 # A journal that creeps is moved by the vibration of its contact too, which bias damps at every
@@ -122,7 +123,8 @@ class ImplicitStep(AbstractIntegrator):
         last = self.formulation.warm_start(model, start, state)
         if not self._derived(model):
             return last, None, vibration.nothing(model, self)
-        return last, nothing_beside(model.layout.size, _contacts(model)), None
+        damped = self.formulation.damped(model)
+        return last, nothing_beside(model.layout.size, _contacts(model), damped), None
 
     def _derived(self, model):
         return self.through_contacts and model.system.bearings and not model.discrete
@@ -134,14 +136,17 @@ class ImplicitStep(AbstractIntegrator):
     def _stepped(self, model):
         """A step, as a function of (its start and length [s], state, last, met)."""
         arrays, rest = eqx.partition((model, self), eqx.is_array)
-        depths = _depths(model)
+        depths, damped = _depths(model), self.formulation.damped(model)
 
         def plain(arrays, clock, y, last, met):
             model, own = eqx.combine(arrays, rest)
             bias = (1 - own.rebound) / (1 + own.rebound)
             how = bias, own._iterations(model)
             end, now = own.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
-            return end, now, None if met is None else contacts_met(met, last[depths], now[depths])
+            if met is None:
+                return end, now, None
+            forces = now[-_contacts(model) :] if damped else None
+            return end, now, contacts_met(met, last[depths], now[depths], forces)
 
         if not self._derived(model):
 
@@ -181,7 +186,8 @@ class ImplicitStep(AbstractIntegrator):
         met = None
         if contacts:
             begun = positive_part(last[_depths(model)])
-            met = jnp.zeros_like(begun), begun
+            peaks = nothing_met(begun, self.formulation.damped(model))
+            met = jnp.zeros_like(begun), peaks._replace(depths=begun)
 
         def one(index, state, carried):
             last, met, watch = carried

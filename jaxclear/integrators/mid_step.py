@@ -27,6 +27,7 @@ from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import moved, moving_with, pushed, where_wanted
 from jaxclear.integrators import saltation
 from jaxclear.integrators.explicit_methods import CHAINS
+from jaxclear.integrators.peaks import peaks
 from jaxclear.integrators.trust import GROWTH, RISE
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.state import impact_speed_places
@@ -48,27 +49,29 @@ class Now(NamedTuple):
 
 
 def through_touches(
-    formulation: CompliantContact, rest: Any, plain: Callable, length: Callable
+    formulation: CompliantContact, rest: Any, plain: Callable, length: Callable, seen: Callable
 ) -> Callable:
-    """A step with its derivative, as a function of (arrays, clock, state, last, growth).
+    """A step with its derivative, as a function of (arrays, clock, state, last, growth, met).
 
     `plain(arrays, clock, state, last)`: its length [s], the state at its end and what it leaves to
     the next: the contacts at its start and its length; `length(clock, contacts, last)`: the length
-    by these contacts. `arrays`: of the model, and of all else; `clock`: begins with the time [s].
-    `growth`: of derivatives (`trust`)."""
+    by these contacts; `seen(arrays, end, met, (last, now))`: what was met of the contacts
+    (`contacts_met`), by what this step and the one before leave. `arrays`: of the model, and of all
+    else; `clock`: begins with the time [s]. `growth`: of derivatives (`trust`)."""
     motion = saltation.motion_of(formulation, rest)
 
-    def step(arrays, clock, y, last, growth):
+    def step(arrays, clock, y, last, growth, met):
         length, end, now = plain(arrays, clock, y, last)
-        return length, end, now, moving_with(end[0], growth)
+        met = seen(arrays, end, met, (last, now))
+        return length, end, now, *moving_with(end[0], (growth, met))
 
     @jax.custom_jvp
     def known(*numbers):
         return step(*numbers)
 
     def moving(numbers, tangents):
-        arrays, clock, y, last, growth = numbers
-        way, clock_way, state, last_way, grown = tangents
+        arrays, clock, y, last, growth, met = numbers
+        way, clock_way, state, last_way, grown, met_way = tangents
         remembering = _remembering(formulation, rest, motion)
         contacts, aware, state = remembering(
             (arrays[0], clock[0], y, last), (way[0], clock_way[0], state, last_way)
@@ -86,10 +89,26 @@ def through_touches(
         apart = taken_apart(motion, begun, end, (way[0], times, state), moved(grown))
         grown = judged(motion, begun, gap, apart, end)
         gone = jnp.where(apart.changed, apart.way, gone)
-        return (h, end, now, moving_with(end[0], growth)), (longer, gone, left, grown)
+        stop = clock_way[0] if times[1] is None else moved(clock_way[0]) + moved(longer)
+        ways = way[0], (clock_way[0], state), (stop, gone), met_way[1]
+        higher = _higher(motion, begun, (end, apart.contacts, met[1]), ways)
+        told = (*moving_with(end[0], (growth, seen(arrays, end, met, (last, now)))),)
+        still = jnp.zeros_like(met[0])
+        return (h, end, now, *told), (longer, gone, left, grown, (still, higher))
 
     known.defjvp(moving, symbolic_zeros=True)
     return known
+
+
+def _higher(motion: Any, begun: Now, ended: tuple, ways: tuple) -> Any:
+    """The derivative of the peaks behind a step. `ended`: its end, the contacts there, the peaks
+    until its start; `ways`: derivatives of (arrays, (time, state) at its start, at its end,
+    peaks)."""
+    end, contacts, known = ended
+    start, stop = (begun.time, begun.state), (begun.time + begun.length, end)
+    motions = begun.contacts, contacts
+    go = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2])
+    return pushed(go, (begun.arrays, start, stop, known), ways)[1]
 
 
 def at_moving_time(motion: Any, begun: Now, acting: Any, ways: tuple) -> tuple:

@@ -20,8 +20,8 @@ from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import pushed, where_wanted
 from jaxclear.integrators import saltation, vibration
-from jaxclear.integrators.deepest import deepest
 from jaxclear.integrators.mid_step import Apart, Now, along, judged, passed_within
+from jaxclear.integrators.peaks import Peaks, peaks
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.integrators.vibration import Vibration
 
@@ -44,7 +44,7 @@ AT_TOUCH = 1e-3
 class Part(NamedTuple):
     """Where a motion is: what is `done` of the time [s] in so many `turns`, the state, its
     derivative (`way`), the `growth` of derivatives (`trust`) and how they vibrate (`vibration`),
-    (the largest indentations, their derivatives), and how long the next part may be [s] so that the
+    (the peaks, their derivatives), and how long the next part may be [s] so that the
     contacts that are `due` touch or part at its end. nan is done where parts are too long for a
     contact."""
 
@@ -54,7 +54,7 @@ class Part(NamedTuple):
     way: Any
     growth: Array
     vibrates: Vibration
-    deepest: tuple[Any, Any]
+    peaks: tuple[Peaks, Peaks]
     limit: Scalar
     due: Any
 
@@ -74,8 +74,8 @@ def followed(motion: Any, remember: Callable, clock: tuple, ways: tuple, known: 
     """A motion over a time, where it is `wanted`. `remember(state, contacts)`: the state as it
     knows its impact speeds. `clock`: (arrays, start [s], length [s]), `ways`: the derivatives of
     the arrays and of the state, at times that do not move; `known`: (wanted, the state, the growth,
-    how derivatives vibrate, (the largest indentations, their derivatives))."""
-    (_, _, whole), (way, state), (wanted, y, growth, vibrates, largest) = clock, ways, known
+    how derivatives vibrate, (the peaks, their derivatives))."""
+    (_, _, whole), (way, state), (wanted, y, growth, vibrates, highest) = clock, ways, known
     nothing = jnp.zeros(())
     first = Part(
         done=nothing,
@@ -84,9 +84,9 @@ def followed(motion: Any, remember: Callable, clock: tuple, ways: tuple, known: 
         way=state,
         growth=growth,
         vibrates=vibrates,
-        deepest=largest,
+        peaks=highest,
         limit=jnp.asarray(jnp.inf),
-        due=jnp.zeros_like(largest[0]),
+        due=jnp.zeros_like(highest[0].depths),
     )
     most = jnp.where(wanted, MOST_TURNS, 0)
 
@@ -162,9 +162,9 @@ def _at_end(motion: Any, gone: _Gone, whole: Any, way: Any, known: tuple) -> Par
     apart = Apart(jnp.zeros((), bool), end, state, part.growth, acting, judging)
     growth = judged(motion, begun, jnp.ones(()), apart, end)
     ends, motions = ((begun.time, begun.state), (later, end)), (begun.contacts, after)
-    larger = lambda arrays, *now: deepest(motion.contacts, arrays, now[:2], motions, now[2])
-    ways = way, (jnp.zeros(()), part.way), (jnp.zeros(()), state), part.deepest[1]
-    largest = pushed(larger, (begun.arrays, *ends, part.deepest[0]), ways)
+    higher = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2])
+    ways = way, (jnp.zeros(()), part.way), (jnp.zeros(()), state), part.peaks[1]
+    highest = pushed(higher, (begun.arrays, *ends, part.peaks[0]), ways)
 
     def behind(known):
         state, y, growth, _ = known
@@ -178,7 +178,7 @@ def _at_end(motion: Any, gone: _Gone, whole: Any, way: Any, known: tuple) -> Par
     state, y, growth, late = where_wanted(jnp.any(hit), behind, known)
     moves, clock = (part.way, gone.way), (begun.length, begun.length / whole)
     vibrates = vibration.further(motion.layout, vibration.FOLLOWED[4], part.vibrates, moves, *clock)
-    figures = growth, vibrates, largest
+    figures = growth, vibrates, highest
     return Part(late, part.turns, y, state, *figures, jnp.asarray(jnp.inf), jnp.zeros_like(acting))
 
 

@@ -40,6 +40,11 @@ REASONS: dict[Check, str] = {
         "forces of contacts grow with about the power 1.5 of the indentation: peaks change by 15 "
         "%, somewhat less than the fifth that steps of rk4 promise; forces at an instant swing more"
     ),
+    Check.PEAK_FORCE: (
+        "half of the fifth that steps of rk4 promise of peaks: what a step counts amiss of a "
+        "damper's first blow falls with the step alone"
+    ),
+    Check.LARGEST_FORCE: "none: it is told so that peaks between saving times are known",
     Check.FRICTION_LOSS: (
         "nearly all that is wrong: the accuracy of losses that steps promise which a study takes "
         "unasked; of methods of order 1 and implicit steps that damp, which promise less, it is "

@@ -81,17 +81,18 @@ class Equations(NamedTuple):
     jumped: Callable
 
 
-class _Model(NamedTuple):
+class Motion(NamedTuple):
     """Rates as a function of (arrays, shares, time, state), the motion of contacts as one of
-    (arrays, time, state)."""
+    (arrays, time, state), normal forces of contacts that damp as one of (arrays, state, motion)."""
 
     rates: Callable
     contacts: Callable
     slips: Callable
+    pressing: Callable
     layout: Layout
 
 
-def motion_of(formulation: CompliantContact, rest: Any) -> _Model:
+def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
     """How a model moves, of which this is the `rest` beside its arrays."""
 
     @jax.jit
@@ -106,7 +107,11 @@ def motion_of(formulation: CompliantContact, rest: Any) -> _Model:
     def slips(arrays, time, y):
         return formulation.slips(eqx.combine(arrays, rest), time, y)
 
-    return _Model(counted, contacts, slips, rest.layout)
+    @jax.jit
+    def pressing(arrays, y, motion):
+        return formulation.normal_forces(eqx.combine(arrays, rest), y, motion)
+
+    return Motion(counted, contacts, slips, pressing, rest.layout)
 
 
 def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
@@ -140,7 +145,7 @@ def closed(contacts: ContactMotion) -> Any:
     return jnp.where(contacts.depths >= 0, 1.0, 0.0)
 
 
-def at_moving_time(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
+def at_moving_time(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
     """The derivatives of (state, slopes, shift) at the start of a step."""
     step, (time, y), _ = numbers
     (way, *_), (time_way, state), slopes = tangents
@@ -158,7 +163,7 @@ def at_moving_time(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
     return where_wanted(jnp.any(step.shares > 0), moving, known)
 
 
-def _shift(model: _Model, step: Step, here: tuple, ways: tuple, slopes: tuple) -> Any:
+def _shift(model: Motion, step: Step, here: tuple, ways: tuple, slopes: tuple) -> Any:
     """By how much later (its derivative) a contact does in a step what it is nearest to: to close
     or open, or to slide the other way. `slopes`: the rates of the state, and their derivatives."""
     (depths, rates), (arrays, time, y), (flow, gains) = step.contacts, here, slopes
@@ -185,7 +190,7 @@ def _shift(model: _Model, step: Step, here: tuple, ways: tuple, slopes: tuple) -
     return -safe_divide(jnp.sum(jnp.where(nearest, jnp.stack(late), 0.0)), count)
 
 
-def _behind(model: _Model, numbers: tuple, tangents: tuple) -> tuple:
+def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
     """The derivatives of (state, slopes, growth, events) at the end of a step."""
     step, (time, y), *_, events, _ = numbers
     (way, *_), (time_way, _), slopes, shift, *known = tangents
@@ -217,7 +222,7 @@ class Passed(NamedTuple):
     speeds: Any
 
 
-def passed(model: _Model, here: tuple, ways: tuple, acting: tuple, growth: Array) -> Passed:
+def passed(model: Motion, here: tuple, ways: tuple, acting: tuple, growth: Array) -> Passed:
     """Behind an instant at which contacts that act by these shares, (before, after), touch and
     part; `here`: (arrays, time, state), `ways`: their derivatives before it."""
     (arrays, time, y), (before, after), state = here, acting, ways[2]
@@ -268,7 +273,7 @@ def _grown(growth: Array, late: Scalar) -> Array:
     return jnp.concatenate([jnp.stack([met, first, jnp.maximum(most, late)]), growth[3:]])
 
 
-def _slopes(model: _Model, shares: Any, here: tuple, ways: tuple, slopes: Any) -> Any:
+def _slopes(model: Motion, shares: Any, here: tuple, ways: tuple, slopes: Any) -> Any:
     """The derivatives of slopes at (arrays, time, state) with these derivatives."""
     rate = lambda arrays, time, y: model.rates(arrays, shares, time, y)
     found = pushed(rate, here, ways)[1]

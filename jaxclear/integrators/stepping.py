@@ -13,6 +13,7 @@ from jaxclear.integrators.base import Advance, Interval
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import Watch
 from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.peaks import Peaks, risen
 from jaxclear.native import while_loop
 
 # Share of a step by which rounding may miss the end of an interval.
@@ -62,18 +63,24 @@ def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
     return jax.checkpoint(through, prevent_cse=False)(first)
 
 
-def contacts_met(met: tuple, before: Any, after: Any) -> tuple:
-    """(largest rise of an indentation within a step [m], largest indentation [m]) of each contact,
-    after another step from indentations `before` to those `after` it; `met` until then.
+def contacts_met(met: tuple, before: Any, after: Any, forces: Any = None) -> tuple:
+    """(largest rise of an indentation within a step [m], `Peaks`) of each contact, after another
+    step from indentations `before` to those `after` it, where contacts that damp are pressed by
+    `forces` [N] (None: none damps); `met` until then.
 
     What rises to no more than 0 does not count, as these are 0 in the beginning. What is not a
-    number is not met: every operation is paid for in every step. Only of the largest indentation
-    derivatives are wanted.
+    number is not met: every operation is paid for in every step. Only of the peaks derivatives are
+    wanted.
     """
-    rise, largest = met
-    risen = jnp.minimum(after, after - before)
-    risen = jax.lax.stop_gradient(risen)
-    return jnp.where(risen > rise, risen, rise), jnp.where(after > largest, after, largest)
+    rise, known = met
+    further = jax.lax.stop_gradient(jnp.minimum(after, after - before))
+    return jnp.where(further > rise, further, rise), risen(known, after, forces)
+
+
+def figures_of_peaks(peaks: Peaks) -> dict[Check, Any]:
+    """Peaks by the check that judges them."""
+    pressed = {} if peaks.forces is None else {Check.LARGEST_FORCE: peaks.forces}
+    return {Check.INDENTATION: peaks.depths} | pressed
 
 
 def arrived(
@@ -92,7 +99,7 @@ def arrived(
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
     figures = {} if judged is None else dict(judged)
     if met is not None:
-        figures |= dict(zip((rises, Check.INDENTATION), met, strict=True))
+        figures |= {rises: met[0]} | figures_of_peaks(met[1])
     events = None if watch is None else watch.events
     return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, figures, events)
 

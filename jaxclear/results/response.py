@@ -5,6 +5,7 @@ Those here are modules, so that a reference path or a threshold is a number that
 compiling again.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -18,7 +19,7 @@ from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.kinds import as_given
-from jaxclear.ground.numerics import positive_part, safe_sqrt
+from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import Scalar, count
 from jaxclear.ground.wording import described
 from jaxclear.integrators.checks import Check
@@ -45,6 +46,8 @@ __getattr__ = nothing_else("jaxclear.response", __all__)
 
 # What a response may need of a run.
 DRAWN = {part for reached in REACHES.values() for part in reached}
+# Forces that differ by no more than this share of themselves are the same but for rounding.
+SAME_FORCE = 1e-9
 
 
 class PeakWornDepth(AbstractResponse):
@@ -183,13 +186,14 @@ class MeanContactForce(AbstractResponse):
 
 
 class PeakContactForce(AbstractResponse):
-    """Largest normal force of a contact of a clearance joint [N]: that at the saving times, or the
-    elastic force at the deepest indentation of any step where that is larger.
+    """Largest normal force of a contact of a clearance joint [N], at the saving times and in all
+    steps between them: there the force at the end of any step, damping included, and the elastic
+    force at the deepest indentation.
 
     So it does not hang on the saving times, but where forces are means over these (rigid contact,
     joints that always touch) and where the law follows a worn radius (`Wearing.worn_radius`), which
-    is not known between them. Its derivative is that of the larger of the two: of the force at that
-    saving time, or of the elastic force where the contact turns between the ends of a step.
+    is not known between them. Its derivative is that of the largest of all: of the force at a
+    saving time, or where the force is largest between the ends of a step.
     """
 
     joint: str = eqx.field(static=True)
@@ -200,23 +204,29 @@ class PeakContactForce(AbstractResponse):
 
     def __call__(self, run):
         saved = jnp.max(run.contact(self.joint).normal_force)
-        return saved + positive_part(_deepest_force(run, self.joint) - saved)
+        met = _largest_met(run, self.joint)
+        # A saving time is the end of a step too; as large, the peak beside it is the larger.
+        return jnp.where(met >= (1 - SAME_FORCE) * saved, met, saved)
 
 
-def _deepest_force(run: Trajectory, joint: str) -> Scalar:
-    """Elastic force [N] at the deepest indentation of any step; 0 where none was kept, and of
-    contacts whose law changes with the radius as worn."""
-    figure = run.checks.figures.get(Check.INDENTATION)
-    if figure is None or run.formulation.forces_are_means:
+def _largest_met(run: Trajectory, joint: str) -> Scalar:
+    """Largest force [N] of any step, and elastic force at the deepest indentation; 0 where none was
+    kept, and of contacts whose law changes with the radius as worn."""
+    figures = run.checks.figures
+    if Check.INDENTATION not in figures or run.formulation.forces_are_means:
         return jnp.zeros(())
     bearing = run.history.model().system.bearings[joint]
-    shares = [figure.worst[k] for k, place in enumerate(figure.places) if place == joint]
+    depths, *forces = (
+        [figure.worst[k] for k, place in enumerate(figure.places) if place == joint]
+        for figure in map(figures.get, (Check.INDENTATION, Check.LARGEST_FORCE))
+        if figure is not None
+    )
     found = [
         laws.contact.elastic_force(jnp.where(jnp.isfinite(radius), share * radius, 0.0))
-        for laws, share, radius in zip(bearing.contact_laws, shares, bearing.radii, strict=True)
+        for laws, share, radius in zip(bearing.contact_laws, depths, bearing.radii, strict=True)
         if laws.unfitted is None
     ]
-    return jnp.max(jnp.stack([jnp.zeros(()), *found]))
+    return jnp.max(jnp.stack([jnp.zeros(()), *found, *itertools.chain(*forces)]))
 
 
 class FinalCoordinate(AbstractResponse):

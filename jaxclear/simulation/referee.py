@@ -27,7 +27,7 @@ from jaxclear.simulation.found import met_by, seen_by, together
 from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubbing, taken
 from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.rebound import rebound_steps
-from jaxclear.simulation.tally import Figures, Tally
+from jaxclear.simulation.tally import PEAKS, Figures, Tally
 
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
@@ -58,8 +58,7 @@ def refereed(
         of_run[Check.REBOUND_STEP] = rebound_steps(model, *rises, rebound)
     places = _places(model)
     met = _of_contacts(model.system, met) | of_run
-    # Peak forces follow from the deepest indentations.
-    kept = {check: met[check] for check in (Check.INDENTATION,) if check in tally.worst}
+    kept = {check: met[check] for check in PEAKS if check in tally.worst}
     met = jax.lax.stop_gradient(met) | kept
     when |= {check: jnp.full(each.shape, ends[-1]) for check, each in of_run.items()}
     seen = jax.lax.stop_gradient(seen)

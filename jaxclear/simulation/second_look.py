@@ -47,7 +47,10 @@ FINDINGS = (
     Check.HALVED_MOTION,
     Check.BODY_PLACES,
     Check.DEEPEST,
+    Check.PEAK_FORCE,
 )
+# Those of peaks.
+OF_PEAKS = (Check.DEEPEST, Check.PEAK_FORCE)
 # What speaks of steps too long for a contact, and is dropped where a run with steps a quarter as
 # long is within its limit and finds nothing off.
 OF_CONTACT_STEPS = (Check.CONTACT_STEP, Check.CREEP_STEP, Check.REBOUND_STEP)
@@ -183,7 +186,7 @@ def _right_joints(run: Trajectory, other: Trajectory, worst: dict[Check, float])
     nothing in the run is beyond its limit; not where nothing tells of a joint's friction."""
     if Check.MEAN_FORCE not in worst or Check.INDENTATION not in run.checks.figures:
         return set()
-    if any(found > check.limit for check, found in worst.items() if check != Check.DEEPEST):
+    if any(found > check.limit for check, found in worst.items() if check not in OF_PEAKS):
         return set()
     if max(worst[Check.MEAN_FORCE], worst.get(Check.HALVED_WEAR, 0.0)) > LITTLE:
         return set()

@@ -21,6 +21,8 @@ Figures = dict[Check, Float[Array, " places"]]
 # Lengths of steps [s]: of each saved state that is looked at those of the interval before it.
 LENGTHS = (Check.FRICTION_STEP, Check.CREEP_STEP, Check.DAMPER_STEP)
 LOOKED_AT = (*LENGTHS, Check.INDENTATION)
+# What has derivatives: peaks of forces follow from these.
+PEAKS = (Check.INDENTATION, Check.LARGEST_FORCE)
 
 
 class Compared(NamedTuple):
@@ -88,16 +90,16 @@ def followed(
     """After a turn that ends at a time [s] with these figures; `states`: those with which the run
     and the turn began, and that at the turn's end. What is no number is worse than any number.
     Whether the turn `counts`: a shadow, and a turn of a run that has ended before, tell nothing. Of
-    all that only the deepest indentations have derivatives; of two as deep the later one, which
-    knows what became of the earlier."""
+    all that only the `PEAKS` have derivatives; of two as high the later one, which knows what
+    became of the earlier."""
     start, before, after = jax.lax.stop_gradient(states)
     worst, when = {}, {}
     for check, known in tally.worst.items():
         each = figures[check]
-        if check is not Check.INDENTATION:
+        if check not in PEAKS:
             each = jax.lax.stop_gradient(each)
         worse = ~(each <= known) & ~jnp.isnan(known) & counts
-        as_bad = counts & (each == known) if check is Check.INDENTATION else False
+        as_bad = counts & (each == known) if check in PEAKS else False
         worst[check] = jnp.where(worse | as_bad, each, known)
         when[check] = jnp.where(worse, stop, tally.when[check])
     count, squares = layout.coordinates, tally.squares

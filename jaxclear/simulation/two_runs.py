@@ -37,16 +37,16 @@ def deepest_apart(run: Trajectory, other: Trajectory, joint: str | None = None) 
     return share_of_largest(*(np.asarray(figure.worst)[own] for figure in figures))
 
 
-def _peaks_apart(run: Trajectory, other: Trajectory) -> dict[str, float]:
-    """By joint the change of its deepest indentation beside that, or beside `LEAST` of the deepest
-    of all."""
-    figures = [one.checks.figures[Check.INDENTATION] for one in (run, other)]
-    deepest = [
+def _peaks_apart(run: Trajectory, other: Trajectory, check: Check) -> dict[str, float]:
+    """By joint the change of its largest indentation or force beside that, or beside `LEAST` of the
+    largest of all."""
+    figures = [one.checks.figures[check] for one in (run, other)]
+    largest = [
         {name: max(_of_joint(figure, name)) for name in dict.fromkeys(figure.places)}
         for figure in figures
     ]
-    least = LEAST * max(max(each.values()) for each in deepest)
-    pairs = {name: (depth, deepest[1][name]) for name, depth in deepest[0].items()}
+    least = LEAST * max(max(each.values()) for each in largest)
+    pairs = {name: (one, largest[1][name]) for name, one in largest[0].items()}
     return {
         name: abs(one - two) / max(one, two, least) if least > 0 else 0.0
         for name, (one, two) in pairs.items()
@@ -117,8 +117,11 @@ def apart_by_check(
     if opens(run) and sunk is not None and gaps is not None:
         found[Check.PLACE_IN_GAP] = inside
     if opens(run) and sunk is not None:
-        changes = _peaks_apart(run, other)
-        found[Check.DEEPEST] = (np.array(list(changes.values())), tuple(changes))
+        peaks = {Check.DEEPEST: Check.INDENTATION, Check.PEAK_FORCE: Check.LARGEST_FORCE}
+        for check, figure in peaks.items():
+            if figure in run.checks.figures:
+                changes = _peaks_apart(run, other, figure)
+                found[check] = (np.array(list(changes.values())), tuple(changes))
     if opens(run):
         joints = tuple(run.mechanism.topology.clearances)
         one, two = (impulses(each, joints) for each in (run, other))

@@ -25,6 +25,7 @@ ANSWERS = {
 }
 LAWS = {
     "Flores": (jc.contact.Flores(stiffness=1e9, restitution=0.8), STIFFNESS),
+    "damped": (jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.3), STIFFNESS),
     "Hertz": (jc.contact.Hertz(stiffness=1e9), STIFFNESS),
     "KelvinVoigt": (
         jc.contact.KelvinVoigt(stiffness=1e7, damping=2e2),

@@ -1,0 +1,192 @@
+"""The deepest indentation of every contact in a run, and how hard those that damp were pressed at
+most, as its steps follow them, and their derivatives.
+
+Steps know the contacts at both their ends, and the largest of these is kept. The derivative is that
+of the highest point of the path: there the rate is 0, so that it does not hang on when that is, and
+of the end of a step it would be off by the step's length times that of the rate. Between the ends
+of the step in which a contact turns, derivatives follow Hermite's cubic, as the indentation does,
+and the law of its force along it.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxclear.formulations.impact_speed import ContactMotion, PerContact, bends, cubic, summit
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
+
+# The highest point of a force within a step is sought by halving it so often.
+HALVINGS = 12
+# Forces that differ by no more than this share of themselves are the same but for rounding.
+ROUNDING = 1e-9
+
+
+class Peaks(NamedTuple):
+    """The largest so far of every possible contact: indentation [m], and normal force [N] where
+    some contact damps (`damped_contacts`; None: where none does)."""
+
+    depths: PerContact
+    forces: Any = None
+
+
+def nothing_met(depths: PerContact, damped: bool) -> Peaks:
+    """Before the first step of a run with so many contacts."""
+    return Peaks(jnp.zeros_like(depths), jnp.zeros_like(depths) if damped else None)
+
+
+def risen(known: Peaks, depths: PerContact, forces: Any) -> Peaks:
+    """The peaks with these depths and forces. What is not a number is not met: every operation is
+    paid for in every step."""
+    larger = lambda new, old: jnp.where(new > old, new, old)
+    pressed = None if known.forces is None else larger(forces, known.forces)
+    return Peaks(larger(depths, known.depths), pressed)
+
+
+def peaks(motion: Any, arrays: Any, ends: tuple, motions: tuple, known: Peaks) -> Peaks:
+    """The peaks after a step, `known` until its start. `motion`: of the model with these arrays
+    (`saltation.motion_of`); `ends`: (time [s], state) at the start and at the end; `motions`: those
+    of the contacts there, whose own derivatives do not count."""
+
+    def larger(arrays, start, end, motions, known):
+        forces = None if known.forces is None else motion.pressing(arrays, end[1], motions[1])
+        return moving_with(end[1][0], risen(known, motions[1].depths, forces))
+
+    def moving(numbers, tangents):
+        arrays, start, end, motions, known = numbers
+        way, *ways, _, so_far = tangents
+        so_far, length = jax.tree.map(moved, so_far), end[0] - start[0]
+        deeper, share = _deeper(known.depths, motions, length)
+        force = _Force(motion, arrays, (start, end), motions, length)
+        pressed = force.reaches(known.forces)
+
+        def ahead(so_far):
+            found = [
+                pushed(motion.contacts, (arrays, *point), (way, *each))[1]
+                for point, each in zip((start, end), ways, strict=True)
+            ]
+            moves = [moved(each[0]) for each in ways]
+            bent = bends(_path(motions, length))
+            found = _at_fixed_times(found, motions, moves, bent, length)
+            depths = jnp.where(deeper, cubic(_path(found, length), share)[0], so_far.depths)
+            forces = force.moved(pressed, (way, ways[1][1], found), so_far.forces)
+            return Peaks(depths, forces)
+
+        wanted = jnp.any(deeper) if pressed is None else jnp.any(deeper | pressed)
+        return where_wanted(wanted, ahead, so_far)
+
+    return derived(larger, moving)(arrays, *ends, motions, known)
+
+
+def _deeper(known: PerContact, motions: tuple, length: Any) -> tuple:
+    """Which contacts are deepest in a step, and at which share of it. One that turns in it has been
+    deepest before, at the end of this step or nowhere."""
+    before, after = motions
+    turns = (before.rates > 0) & (after.rates <= 0)
+    turns = turns & (jnp.maximum(before.depths, after.depths) >= known)
+    share = jnp.where(turns, summit(_path(motions, length)), 1.0)
+    return turns | (after.depths > known), share
+
+
+def _path(motions: Any, length: Any) -> tuple:
+    """Hermite's cubic through the motion at both ends of a step, or what it moves by."""
+    before, after = motions
+    return before.depths, after.depths, length * before.rates, length * after.rates
+
+
+class _Force(NamedTuple):
+    """Normal forces along a step of this length [s] between two `ends`, (time [s], state), from the
+    `motions` of the contacts there and the impact speeds at its end."""
+
+    motion: Any
+    arrays: Any
+    ends: tuple
+    motions: tuple[ContactMotion, ContactMotion]
+    length: Any
+
+    def at_ends(self) -> list:
+        state = self.ends[1][1]
+        return [self.motion.pressing(self.arrays, state, motion) for motion in self.motions]
+
+    def reaches(self, known: Any) -> Any:
+        """Which contacts are pressed harder in the step than ever, or have just been."""
+        if known is None:
+            return None
+        most = jnp.maximum(*self.at_ends())
+        return (most > 0) & (most >= (1 - ROUNDING) * known)
+
+    def moved(self, pressed: Any, ways: tuple, so_far: Any) -> Any:
+        """The derivative of the largest forces, of those `pressed` at the highest point of this
+        step; `ways`: of (arrays, state, contacts at both ends)."""
+        if pressed is None:
+            return None
+        rises, share = self._summit()
+        way, state_way, found = ways
+        # There a force does not hang on when it is: without the time by which all comes later,
+        # which is large beside a contact and would have to cancel.
+        gains = self._gains()
+        early, late = (_later(*each) for each in zip(self.motions, found, gains, strict=True))
+        later = jnp.where(jnp.less(*self.at_ends()), late, early)
+        found = [
+            ContactMotion(*(x + later * gain for x, gain in zip(own, gains, strict=True)))
+            for own, gains in zip(found, gains, strict=True)
+        ]
+        along = lambda arrays, state, path: self._at(arrays, state, path, share)
+        numbers = self.arrays, self.ends[1][1], _path(self.motions, self.length)
+        moves = pushed(along, numbers, (way, state_way, _path(found, self.length)))[1]
+        return jnp.where(pressed & rises, moves, so_far)
+
+    def _gains(self) -> list[ContactMotion]:
+        """Rates of the contacts' motion at both ends."""
+        contacts = lambda time, state: self.motion.contacts(self.arrays, time, state)
+        gains = []
+        for (time, state), motion in zip(self.ends, self.motions, strict=True):
+            shares = jnp.where(motion.depths >= 0, 1.0, 0.0)
+            flow = self.motion.rates(self.arrays, shares, time, state)
+            gains.append(jax.jvp(contacts, (time, state), (jnp.ones_like(time), flow))[1])
+        return gains
+
+    def _at(self, arrays: Any, state: Any, path: tuple, share: Any) -> Any:
+        depths, slopes = cubic(path, share)
+        return self.motion.pressing(arrays, state, ContactMotion(depths, slopes / self.length))
+
+    def _summit(self) -> tuple[Any, Any]:
+        """Whether each force grows where the step begins, and the share of the step up to which it
+        does."""
+        path = _path(self.motions, self.length)
+        force = lambda share: self._at(self.arrays, self.ends[1][1], path, share)
+
+        def grows(share):
+            _, slope = jax.jvp(force, (share,), (jnp.ones_like(share),))
+            depth, rate = cubic(path, share)
+            return jnp.where(depth < 0, rate, slope) > 0
+
+        def halve(carry):
+            i, low, high = carry
+            middle = 0.5 * (low + high)
+            early = grows(middle)
+            return i + 1, jnp.where(early, middle, low), jnp.where(early, high, middle)
+
+        start, end = jnp.zeros_like(path[0]), jnp.ones_like(path[0])
+        first = jnp.zeros((), int), start, end
+        _, low, high = jax.lax.while_loop(lambda carry: carry[0] < HALVINGS, halve, first)
+        return grows(start), 0.5 * (low + high)
+
+
+def _later(motion: ContactMotion, moves: ContactMotion, gains: ContactMotion) -> Any:
+    """By how much later a contact moves as it does [s]: as near as that comes to how it is moved,
+    with rates beside depths as in its vibration."""
+    stiffness = abs(safe_divide(gains.rates, motion.depths))
+    weigh = lambda a, b: stiffness * a.depths * b.depths + a.rates * b.rates
+    return -safe_divide(weigh(moves, gains), weigh(gains, gains))
+
+
+def _at_fixed_times(found: list, motions: Any, moves: Any, bent: Any, length: Any) -> list:
+    """Derivatives of contacts at instants that do not move, from those at ends of a step that
+    `moves` tell of."""
+    gains = [safe_divide(each, length * length) for each in bent]
+    return [
+        ContactMotion(own.depths - move * now.rates, own.rates - move * gain)
+        for own, now, move, gain in zip(found, motions, moves, gains, strict=True)
+    ]
