@@ -63,7 +63,7 @@ def through_touches(
     def step(arrays, clock, y, last, growth, met):
         length, end, now = plain(arrays, clock, y, last)
         met = seen(arrays, end, met, (last, now))
-        return length, end, now, *moving_with(end[0], (growth, met))
+        return length, end, now, moving_with(end[0], growth), met
 
     @jax.custom_jvp
     def known(*numbers):
@@ -92,7 +92,7 @@ def through_touches(
         stop = clock_way[0] if times[1] is None else moved(clock_way[0]) + moved(longer)
         ways = way[0], (clock_way[0], state), (stop, gone), met_way[1]
         higher = _higher(motion, begun, (end, apart.contacts, met[1]), ways)
-        told = (*moving_with(end[0], (growth, seen(arrays, end, met, (last, now)))),)
+        told = moving_with(end[0], growth), seen(arrays, end, met, (last, now))
         still = jnp.zeros_like(met[0])
         return (h, end, now, *told), (longer, gone, left, grown, (still, higher))
 
