@@ -108,11 +108,11 @@ def worn_in_turn(
     volume: Float[Array, " events"],
     features: Float[Array, "events n"],
 ) -> tuple[Depth, Any, Sequence[Depth]]:
-    """(depth, its reading, pressures) after the loss of each event; the reading is made anew where
-    cells have been touched."""
+    """(depth, its reading, pressures) after the loss of each event; the reading (None: nobody asks
+    for it) is made anew where cells have been touched."""
     shares, pressures = all_shared(loss_of, depth, pressures, volume, features)
     depth = taken_off(shares, pressures, depth)
-    for touched, _ in shares:
+    for touched, _ in shares if reading is not None else ():
         reading = read_anew(touched, depth, reading)
     return depth, reading, pressures
 
