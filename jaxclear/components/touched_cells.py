@@ -31,8 +31,8 @@ Place = tuple[Int[Array, ""], Int[Array, ""]]
 
 
 class Touched(NamedTuple):
-    """Cells that a part may overlap: from a `first` column (of any turn) so many `columns`, and in
-    each from a `lower` row so many `rows`."""
+    """Cells that a part may overlap: from a `first` column (of any turn) so many `columns`, each at
+    most once, and in each from a `lower` row so many `rows`."""
 
     first: Int[Array, ""]
     columns: Int[Array, ""]
@@ -205,10 +205,13 @@ def through(
     has left) leaves in the end, once it has been at all cells of a map of so many `cells` that are
     touched. `long` as of `while_loop`."""
     around, along = cells
+    # A turn once for all: a remainder of whole numbers costs as much as a cell.
+    first_column = touched.first % around
 
     def one(now):
         count, carry = now
-        column = (touched.first + count) % around
+        column = first_column + count
+        column = jnp.where(column < around, column, column - around)
         shared = None if in_column is None else in_column(column)
         if along == 1:
             return count + 1, visit(shared, (column, jnp.zeros_like(column)), carry)
