@@ -74,9 +74,9 @@ def figures(
     for joint, surfaces in wear_maps(model.system).items():
         for surface, (wear_map, _) in surfaces.items():
             place, areas = (joint, surface), wear_map.areas()
-            depths = (each[joint][surface] for each in (ended, fewer, begun))
-            (apart, size), (own, other, most) = _compared(*depths, areas)
-            deepest = abs(own - other)
+            end, other, start = (each[joint][surface] for each in (ended, fewer, begun))
+            (apart, size), (own, others, most) = _compared(end, other, start, areas)
+            deepest = abs(own - others)
             sudden, by_chance = (
                 safe_divide(each[place], safe_sqrt(jnp.sum(areas))) for each in (bursts, of_fewer)
             )
