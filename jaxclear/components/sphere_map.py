@@ -73,8 +73,9 @@ class SphereMap(AbstractWearMap):
         loss = functools.partial(loss_of, self.wall)
         shares, pressures = all_shared(loss, depth, pressures, volume, features)
         # The gap reads the depths themselves.
-        depth, reading = (taken_off(shares, pressures, each) for each in (depth, reading))
-        return depth, reading, pressures
+        if reading is not None:
+            reading = taken_off(shares, pressures, reading)
+        return taken_off(shares, pressures, depth), reading, pressures
 
     def directions(self) -> Float[Array, "around along 3"]:
         """Direction of the centre of each cell."""

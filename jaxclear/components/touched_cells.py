@@ -31,8 +31,8 @@ Place = tuple[Int[Array, ""], Int[Array, ""]]
 
 
 class Touched(NamedTuple):
-    """Cells that a part may overlap: from a `first` column (of any turn) so many `columns`, and in
-    each from a `lower` row so many `rows`."""
+    """Cells that a part may overlap: from a `first` column (of any turn) so many `columns`, each at
+    most once, and in each from a `lower` row so many `rows`."""
 
     first: Int[Array, ""]
     columns: Int[Array, ""]
@@ -108,11 +108,11 @@ def worn_in_turn(
     volume: Float[Array, " events"],
     features: Float[Array, "events n"],
 ) -> tuple[Depth, Any, Sequence[Depth]]:
-    """(depth, its reading, pressures) after the loss of each event; the reading is made anew where
-    cells have been touched."""
+    """(depth, its reading, pressures) after the loss of each event; the reading (None: nobody asks
+    for it) is made anew where cells have been touched."""
     shares, pressures = all_shared(loss_of, depth, pressures, volume, features)
     depth = taken_off(shares, pressures, depth)
-    for touched, _ in shares:
+    for touched, _ in shares if reading is not None else ():
         reading = read_anew(touched, depth, reading)
     return depth, reading, pressures
 
@@ -205,10 +205,13 @@ def through(
     has left) leaves in the end, once it has been at all cells of a map of so many `cells` that are
     touched. `long` as of `while_loop`."""
     around, along = cells
+    # A turn once for all: a remainder of whole numbers costs as much as a cell.
+    first_column = touched.first % around
 
     def one(now):
         count, carry = now
-        column = (touched.first + count) % around
+        column = first_column + count
+        column = jnp.where(column < around, column, column - around)
         shared = None if in_column is None else in_column(column)
         if along == 1:
             return count + 1, visit(shared, (column, jnp.zeros_like(column)), carry)

@@ -89,10 +89,10 @@ class AbstractWearMap(AbstractQuantified):
 
     def deposit_in_turn(self, depth, reading, pressures, volume, features):
         """(depth, its reading, `pressures`) after such a loss, within a kernel: of many cells, cell
-        by cell, and only those that are touched. `pressures`: an array like the depth for each
-        event, to be written over."""
+        by cell, and only those that are touched. `reading`: None where no gap reads it.
+        `pressures`: an array like the depth for each event, to be written over."""
         depth = self.deposit(depth, volume, features)
-        return depth, self.reading(depth), pressures
+        return depth, None if reading is None else self.reading(depth), pressures
 
     def directions_of(self, features):
         """Mean direction (..., up to 3) of each event: of length 1 where it was at one place, as

@@ -216,15 +216,24 @@ def _convert(writer, equation, a):
         if new == TRUTH:
             return compare(writer, "ne", old, x, 0.0 if old == FLOAT else 0)
         if old == FLOAT:
-            suffix = (
-                ("i64", "f64")
-                if writer.lanes == 1
-                else (f"v{writer.lanes}i64", f"v{writer.lanes}f64")
-            )
-            name = f"@llvm.fptosi.sat.{suffix[0]}.{suffix[1]}"
-            writer.needs.add(f"declare {wide_new} {name}({wide_old})")
-            return writer.put(f"call {wide_new} {name}({wide_old} {x})")
+            return _to_whole(writer, x)
         instruction = "sitofp" if old == WHOLE else ("uitofp" if new == FLOAT else "zext")
         return writer.put(f"{instruction} {wide_old} {x} to {wide_new}")
 
     return each(one, a)
+
+
+def _to_whole(writer, x):
+    """The whole number towards zero, the nearest there is beyond all of these, 0 of nan: as
+    `llvm.fptosi.sat` has it, which LLVM writes number by number where there are several lanes."""
+    if writer.lanes == 1:
+        writer.needs.add("declare i64 @llvm.fptosi.sat.i64.f64(double)")
+        return writer.put(f"call i64 @llvm.fptosi.sat.i64.f64(double {x})")
+    most = 2.0**63
+    found = writer.put(f"fptosi {writer.wide(FLOAT)} {x} to {writer.wide(WHOLE)}")
+    high = writer.operate("fcmp oge {type} {0}, {1}", FLOAT, x, most)
+    found = writer.choose(high, 2**63 - 1, found, WHOLE)
+    low = writer.operate("fcmp olt {type} {0}, {1}", FLOAT, x, -most)
+    found = writer.choose(low, -(2**63), found, WHOLE)
+    none = writer.operate("fcmp uno {type} {0}, {1}", FLOAT, x, x)
+    return writer.choose(none, 0, found, WHOLE)

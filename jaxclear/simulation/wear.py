@@ -81,7 +81,9 @@ def worn_by_some(
     some = states[np.unique([*range(0, count, every), count - 1])]
     system, worn, some = constant((system, worn, some))
     if has_kernels():
-        begun = worn, readings(system, worn), pending_wear(system, layout, some[0])
+        # No gap reads these surfaces.
+        unread = {name: dict.fromkeys(surfaces) for name, surfaces in worn.items()}
+        begun = worn, unread, pending_wear(system, layout, some[0])
         turn = lambda now, state: (worn_so_far(system, layout, now, state), ())
         return scan(turn, begun, some[1:], long=True)[0][0]
     numbers, rest = eqx.partition(system, eqx.is_array)
@@ -163,12 +165,13 @@ def pending_wear(system: System, layout: Layout, state: Array) -> Pending:
 def worn_so_far(
     system: System,
     layout: Layout,
-    now: tuple[Worn, Worn, Pending],
+    now: tuple[Worn, Any, Pending],
     state: Array,
     unless: Any = False,
-) -> tuple[Worn, Worn, Pending]:
+) -> tuple[Worn, Any, Pending]:
     """(depth maps, as gaps read them, what is pending) once surfaces are worn by all that was lost
-    up to a state (`unless`: by nothing): cell by cell, for a kernel."""
+    up to a state (`unless`: by nothing): cell by cell, for a kernel. None where no gap reads one.
+    """
     worn, read, before = now
     entries = _of_wear(layout)
     reached = jnp.where(unless, before.since, state[entries])

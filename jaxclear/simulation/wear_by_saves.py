@@ -14,6 +14,7 @@ makes whole turns under a steady load (or lies on opposite places alike, which i
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -21,10 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.components.touched_cells import entry
 from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.integrators.checks import Check
 from jaxclear.multibody.system import wear_maps
+from jaxclear.native import has_kernels, while_loop
 from jaxclear.simulation.single_losses import SingleLosses, gone_through
 from jaxclear.simulation.wear import Worn, worn_by_some
 
@@ -71,14 +74,14 @@ def figures(
     for joint, surfaces in wear_maps(model.system).items():
         for surface, (wear_map, _) in surfaces.items():
             place, areas = (joint, surface), wear_map.areas()
-            own, other = (each[joint][surface] for each in (ended, fewer))
-            lost, deepest = own - begun[joint][surface], abs(jnp.max(own) - jnp.max(other))
-            apart, size = _mean(own - other, areas), _mean(lost, areas)
+            end, other, start = (each[joint][surface] for each in (ended, fewer, begun))
+            (apart, size), (own, others, most) = _compared(end, other, start, areas)
+            deepest = abs(own - others)
             sudden, by_chance = (
                 safe_divide(each[place], safe_sqrt(jnp.sum(areas))) for each in (bursts, of_fewer)
             )
             steady = safe_divide(safe_sqrt(positive_part(apart**2 - by_chance**2)), apart)
-            by_saves[place] = (steady * apart, steady * deepest), (size, jnp.max(lost))
+            by_saves[place] = (steady * apart, steady * deepest), (size, most)
             in_bursts[place] = (EXPECTED * sudden,), (size,)
     shares = _shares(by_saves), _shares(in_bursts)
     places = [(slot.bearing, slot.surface) for slot in model.layout.wear]
@@ -134,6 +137,30 @@ def _around(model: Model, single: SingleLosses) -> Float[Array, " places"]:
     )
 
 
-def _mean(depths: Array, areas: Array) -> Float[Array, ""]:
-    """Root mean square over a surface [m]."""
-    return safe_sqrt(jnp.sum(areas * depths * depths) / jnp.sum(areas))
+def _compared(ended: Array, fewer: Array, begun: Array, areas: Array) -> tuple[Any, Any]:
+    """((root mean squares of the difference of two surfaces, and of what the first has lost), (the
+    deepest cell of each, the most that one of the first has lost)) [m]."""
+
+    def told(own, other, before, area):
+        apart, lost = own - other, own - before
+        return (area * apart * apart, area * lost * lost), (own, other, lost)
+
+    cells = [each.ravel() for each in (ended, fewer, begun, areas)]
+    if has_kernels():
+        # XLA goes through the cells of all samples once for each number, and writes most of these.
+        def visit(now):
+            k, sums, most = now
+            of_cell = told(*(entry(each, (k,)) for each in cells))
+            return k + 1, *map(_each_by, (jnp.add, jnp.maximum), (sums, most), of_cell)
+
+        zero, least = jnp.zeros(()), jnp.full((), -jnp.inf)
+        begin = jnp.zeros((), int), (zero, zero), (least, least, least)
+        _, sums, most = while_loop(lambda now: now[0] < ended.size, visit, begin)
+    else:
+        sums, most = told(*cells)
+        sums, most = tuple(map(jnp.sum, sums)), tuple(map(jnp.max, most))
+    return tuple(safe_sqrt(each / jnp.sum(areas)) for each in sums), most
+
+
+def _each_by(join: Callable, known: tuple, more: tuple) -> tuple:
+    return tuple(map(join, known, more))
