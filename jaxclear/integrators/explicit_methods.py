@@ -104,12 +104,20 @@ def _first_stage(
     h = length(contacts, last)
     if last is None:
         return h, y, slope, None
-    if formulation.remembers(model):
-        y = formulation.remember(model, y, last[0], contacts, last[1])
-    if has_bristles(model):
-        taken = (last[0], contacts), (last[1], CHAINS[method])
-        y = put_right(formulation, model, (time, y), *taken)
+    y = _taken_up(formulation, model, (time, y), (last[0], contacts), (last[1], CHAINS[method]))
     return h, y, slope, (contacts, h)
+
+
+def _taken_up(formulation: Any, model: Model, now: tuple, motions: tuple, step: tuple) -> Any:
+    """The state at a time with the impact speeds of contacts that have closed in the last step, and
+    with deflections of bristles for their time in contact. `motions`: the contacts at both its
+    ends; `step`: its length [s], and (nodes, weights) of its stages."""
+    time, y = now
+    if formulation.remembers(model):
+        y = formulation.remember(model, y, *motions, step[0])
+    if has_bristles(model):
+        y = put_right(formulation, model, (time, y), motions, step)
+    return y
 
 
 def _kicked(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> Any:
@@ -141,7 +149,8 @@ def _step_on_group(
         contacts = formulation.contacts(model, time, y)
         h = length(contacts, last)
         if last is not None:
-            y = formulation.remember(model, y, last[0], contacts, last[1])
+            stages = munthe_kaas.stages(ON_GROUPS[method])
+            y = _taken_up(formulation, model, (time, y), (last[0], contacts), (last[1], stages))
             last = contacts, h
 
     def rate(time, y):

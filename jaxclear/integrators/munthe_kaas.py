@@ -65,6 +65,12 @@ TABLEAUS = {
 }
 
 
+def stages(order: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Nodes and weights of the stages of a method of this order."""
+    table = TABLEAUS[order]
+    return tuple(table.nodes[:-1]), tuple(table.matrix[-1][:-1])
+
+
 class GroupTerm(diffrax.AbstractTerm):
     """dy/dt = y k(t, y) on a group: `vector_field(t, y, args)` gives k, the rates of the increments
     in body axes.

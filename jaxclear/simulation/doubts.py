@@ -99,7 +99,7 @@ def swings_on(run: Trajectory, integrator: AbstractIntegrator) -> bool:
     counts = _are_few(run) if asked else _steps_beyond_saves(run) > SWINGS
     if rig.topology.clearances or not counts:
         return False
-    springs = any(getattr(load, "stiffness", None) is not None for load in rig.loads.values())
+    springs = any(load.springs_back() for load in rig.loads.values())
     shaken = any(changes(function) for function in functions_of_time(rig).values())
     return springs or shaken or not rig.driven
 

@@ -22,6 +22,12 @@ def test_wear_of_bristles_does_not_hang_on_where_in_steps_touches_fall(draw, ste
     np.testing.assert_allclose(found, exact, rtol=most)
 
 
+def test_steps_on_groups_count_what_bristles_slide_from_the_touch_on_too():
+    """They were 0.31 % off, and are 0.09 %."""
+    found = worn(27, jc.integrator.FixedStep(5e-6, "munthe_kaas4"))
+    np.testing.assert_allclose(found, worn(27, TIGHT), rtol=2e-3)
+
+
 def test_what_bristles_wear_in_too_long_steps_is_said():
     """Within two hundredths is promised: indentations rise by a fifth in a step, and four parts in
     a hundred are missing."""

@@ -1,10 +1,12 @@
 """Steps in which impacts rise little, and what swings many times, get a second look too."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxclear as jc
 from jaxclear.integrators import Check
+from jaxclear.simulation.doubts import swings_on
 from tests.rigs.attacked import run_of
 
 
@@ -29,6 +31,33 @@ def test_where_a_stiff_spring_throws_a_body_is_said(rtol):
     assert np.abs(places[0] - places[1]).max() > 0.02 * way
     assert Check.HALVED_MOTION in found.checks.figures and found.warnings != ()
     assert exact.warnings == ()
+
+
+class Magnet(jc.load.AbstractCoordinateLoad):
+    """A user's own load that pulls back to the middle of a slide."""
+
+    connection: str
+    pull: jc.Scalar = jc.quantity(1.0, "N m", "pull")
+
+    def force(self, time, position, speed):
+        return -self.pull * jnp.sin(position), -self.pull * jnp.cos(position), 0, 0
+
+
+@pytest.mark.parametrize(
+    ("load", "swings"),
+    [
+        (Magnet("G"), True),
+        (jc.load.JointSpring("G", stiffness=10.0), True),
+        (jc.load.JointSpring("G", damping=10.0), False),
+        (jc.load.JointTorque("G", 1.0), False),
+        (jc.load.Gravity(), False),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_what_springs_back_swings_on_whoever_wrote_it(load, swings):
+    rig, integrator = jc.scenes.slider_crank("ideal"), jc.integrator.FixedStep(1e-4)
+    run = jc.simulate(rig.with_loads({"own": load}), 1e-3, save=3, integrator=integrator)
+    assert swings_on(run, integrator) == swings
 
 
 def test_where_a_shaken_pendulum_is_is_said():

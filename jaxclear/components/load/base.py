@@ -13,6 +13,10 @@ class AbstractLoad(AbstractQuantified):
         not unless overridden."""
         return False
 
+    def springs_back(self) -> bool:
+        """Whether what it acts on may swing by it, as by a spring; it may unless overridden."""
+        return True
+
 
 def check_acts(spring: Any) -> None:
     """Raises `ValueError` for a spring that is neither one nor a damper."""
