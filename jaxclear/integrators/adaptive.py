@@ -201,7 +201,7 @@ class Adaptive(AbstractIntegrator):
 
         motion, derived = motion_of(formulation, rest), own if through else None
         looks = formulation.damped(rest), rest.events
-        return TakingImpactSpeeds(solver, motion, remember, derived, growth, *looks)
+        return TakingImpactSpeeds(solver, remember, motion, derived, growth, *looks)
 
     def _solve(self, rest, arrays, interval, state, warm_start) -> Advance:
         formulation, (start, stop), (step, growth) = self.formulation, interval[:2], warm_start

@@ -19,7 +19,7 @@ from jaxclear.formulations.impact_speed import ContactMotion, Passage, end_at_pa
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.integrators.events import noted, nothing
 from jaxclear.integrators.peaks import nothing_met, peaks, risen
-from jaxclear.integrators.saltation import Equations, Motion, Step
+from jaxclear.integrators.saltation import Equations, Step
 from jaxclear.integrators.wrapped import AbstractAround
 
 
@@ -97,8 +97,8 @@ class TakingImpactSpeeds(
     """
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
-    motion: Motion
     remember: Callable
+    motion: Any = None  # a Motion
     derived: Equations | None = None
     growth: Any = None
     damped: bool = eqx.field(static=True, default=False)
