@@ -31,6 +31,7 @@ On its way a loop passes through these files:
 - `while_loops`: loops as they are written; `loop`: the primitive of JAX that they become, how it
   batches and is lowered; `differentiation`, `tangent`: its derivative, a loop again; backwards as
   many such loops as numbers enter it that move.
+- `unasked`: what nobody asks of a loop, and it drops when the program around it is compiled.
 - `rows`: functions as loops of one turn. `one_by_one`: what is no loop, and is left to XLA.
 - `calls`, `control`, `arithmetic`, `elementary`, `shapes`, `indexing`, `reductions`: one rule for
   each of JAX's primitives, in the registry of `rules`: what it becomes as LLVM code.

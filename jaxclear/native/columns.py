@@ -18,6 +18,7 @@ from jax.interpreters import ad, batching, mlir
 from jax.interpreters import partial_eval as pe
 
 from jaxclear.native.column_product import Map, applied_p, the_same
+from jaxclear.native.unasked import without_results, without_the_unasked
 
 # Columns that go through the function side by side: more gain little beside the memory that what
 # they leave takes.
@@ -95,6 +96,10 @@ def _reference(*numbers: Any, program: ClosedJaxpr, moving: tuple, maps: tuple[M
     return [*out, *moved]
 
 
+def _lowered(*numbers: Any, **params: Any) -> list:
+    return without_the_unasked(functools.partial(_reference, **params), *numbers)
+
+
 @columns_p.def_impl
 def _run(*numbers, **params):
     return jax.jit(functools.partial(_reference, **params))(*numbers)
@@ -108,6 +113,21 @@ def _shapes(*_, program, moving, maps):
     out = [jax.core.ShapedArray((*ahead, *a.shape), a.dtype) for a in avals]
     moved = [avals[i] for i in _floats(program)] if moving else []
     return [*out, *(jax.core.ShapedArray((*both, *a.shape), a.dtype) for a in moved)]
+
+
+def _without(used, equation):
+    """The same without results that nobody asks for, nor their tangents."""
+    program = equation.params["program"]
+    count, floats = len(program.out_avals), _floats(program)
+    kept = list(used[:count])
+    for i, wanted in zip(floats, used[count:], strict=False):
+        kept[i] = kept[i] or wanted
+    if not any(kept):
+        return [False] * len(equation.invars), None
+    whole = [*kept, *(kept[i] for i in floats)][: len(used)]
+    out = [v for v, own in zip(equation.outvars, whole, strict=True) if own]
+    params = equation.params | {"program": without_results(program, kept)}
+    return [True] * len(equation.invars), equation.replace(outvars=out, params=params)
 
 
 def _batch(numbers, dims, *, program, moving, maps):
@@ -203,6 +223,7 @@ def _known_first(trace, *tracers, program, moving, maps):
 
 
 batching.primitive_batchers[columns_p] = _batch
-mlir.register_lowering(columns_p, mlir.lower_fun(_reference, multiple_results=True))
+mlir.register_lowering(columns_p, mlir.lower_fun(_lowered, multiple_results=True))
+pe.dce_rules[columns_p] = _without
 ad.primitive_jvps[columns_p] = _differentiate
 pe.custom_partial_eval_rules[columns_p] = _known_first

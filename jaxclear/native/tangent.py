@@ -184,7 +184,7 @@ def bundled(
     arranged_values = [arranged(*each) for each in zip(values, dims, batched, strict=True)]
     # A table has its rows in front of what stands in them.
     axes = [rank + (i >= state) if moves else None for i, moves in enumerate(moving)]
-    return Bundle(_widened(narrow, count), arranged_values, axes)
+    return Bundle(widened(narrow, count), arranged_values, axes)
 
 
 def side_by_side(narrow: Narrow, samples: int) -> int:
@@ -215,7 +215,7 @@ def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run:
 
     pairs = enumerate(zip(values, narrow.batched, strict=True))
     given = [arranged(i, *each) for i, each in pairs]
-    out = run(given, _widened(narrow, size), rank + 1)
+    out = run(given, widened(narrow, size), rank + 1)
     state = len(avals_of(narrow.program)[1])
     found: list[Any] = []
     for place, (part, moves) in enumerate(zip(out, narrow.moving, strict=True)):
@@ -229,7 +229,7 @@ def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run:
     return found
 
 
-def _widened(narrow: Narrow, count: int) -> Program:
+def widened(narrow: Narrow, count: int) -> Program:
     """The loop whose inputs and results that differ have a leading axis of so many tangents."""
     program = narrow.program
     c, b = program.condition_constants, program.body_constants

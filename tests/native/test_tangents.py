@@ -81,8 +81,8 @@ def test_all_tangents_go_through_one_kernel_whose_motion_is_shared(monkeypatch):
     np.testing.assert_allclose(value, END(jax.lax.while_loop)(AT), rtol=ROUNDING)
     (program,) = built
     state = program.body.in_avals[program.body_constants :]
-    # Count, time, place, speed, largest value, and the tangents of place and speed.
-    assert len(state) == 7
+    # Count, time, place, speed, and the tangents of place and speed; nobody asks for the largest.
+    assert len(state) == 6
 
 
 def test_what_moves_nothing_keeps_its_value_and_has_no_slope():
@@ -192,5 +192,5 @@ def test_in_a_batch_the_motion_is_shared_by_tangents_as_well(monkeypatch, count,
     )
     (program,) = built
     state = program.body.in_avals[program.body_constants :]
-    # Count, time, place, speed, largest value, and the tangents of place and speed.
-    assert [a.shape for a in state] == [()] * 5 + [(together,)] * 2
+    # Count, time, place, speed, and the tangents of place and speed; nobody asks for the largest.
+    assert [a.shape for a in state] == [()] * 4 + [(together,)] * 2
