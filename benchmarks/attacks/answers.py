@@ -67,8 +67,10 @@ def surfaces(mechanism: jc.Mechanism) -> tuple[tuple[str, str], ...]:
 
 
 @eqx.filter_jit
-def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
-    """All answers of a run in one program."""
+def read(run: jc.Trajectory, balance: bool, wears: tuple, every: int = 1) -> Answers:
+    """All answers of a run in one program, places and offsets at each `every`th saving time. Where
+    that is not 1, and forces are no means, peaks are those of the saved instants alone: what a
+    response says of the time between them does not judge itself."""
     rig = run.mechanism
     bodies = [run.body(name) for name in rig.bodies]
     gaps = tuple(run.formulation.contact_joints(rig))
@@ -97,7 +99,8 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
         peaks = jnp.stack([jc.response.PeakContactForce(name)(run) for name in gaps])
         saved = jnp.stack([jnp.max(contact.normal_force) for contact in contacts])
         # Beyond those of the saving times they are of all steps.
-        unsampled = unsampled.at[1].set(jnp.where(peaks > saved, 0.0, unsampled[1]))
+        told = unsampled.at[1].set(jnp.where(peaks > saved, 0.0, unsampled[1]))
+        peaks, unsampled = (peaks, told) if every == 1 else (saved, unsampled)
     lost, turned = jnp.zeros(()), jnp.zeros(())
     if balance:
         energies = run.energy_balance()
@@ -105,8 +108,8 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple) -> Answers:
         turned = jnp.max(energies.kinetic) + jnp.max(jnp.abs(energies.input))
     drifts = [jnp.max(history) for history in run.drift().values()]
     return Answers(
-        jnp.stack([body.com for body in bodies]),
-        offset,
+        jnp.stack([body.com[::every] for body in bodies]),
+        offset[:, ::every],
         clearance,
         means,
         peaks,

@@ -2,7 +2,8 @@
 
 References are one run of the tight reference, one of the looser, and one of the looser for numbers
 that are off in the fifth digit. Forces at saved instants also say how far every second instant
-tells something else than the others: impacts shorter than that time are caught by chance.
+tells something else than the others: impacts shorter than that time are caught by chance. Compliant
+references are saved so often that their peaks are those of the saved instants.
 """
 
 import warnings
@@ -23,15 +24,20 @@ from jaxclear.simulation.wear import unworn
 # By how much the numbers of a mechanism are never known: answers that this changes beyond the
 # accuracy are no run's to give.
 NUDGE = 1e-5
+# Saving times of a compliant reference for each of a run: its peaks are the largest forces there,
+# which the responses that are judged have no part in.
+DENSE = 100
 
 
 class Asked(NamedTuple):
-    """How a case is run: number of saving times, whether the energy balance is kept, and the depth
-    [m] to which surfaces are worn at the start, on one side (None: new)."""
+    """How a case is run: number of saving times, whether the energy balance is kept, the depth
+    [m] to which surfaces are worn at the start, on one side (None: new), and how often it is saved
+    for each of these times."""
 
     saves: int = 201
     balance: bool = True
     worn: float | None = None
+    every: int = 1
 
 
 class Attempt(NamedTuple):
@@ -67,7 +73,8 @@ def attempt(case: Case, integrator: Any, asked: Asked) -> Attempt:
         if not run.succeeded:
             return Attempt(None, run.result)
         wears = answers.surfaces(run.mechanism)
-        found = jax.tree.map(np.asarray, answers.read(run, asked.balance, wears))
+        found = answers.read(run, asked.balance, wears, asked.every)
+        found = jax.tree.map(np.asarray, found)
         return Attempt(found, "", False, verdicts.concerned(run), run.warnings)
     except ValueError as error:
         return Attempt(None, str(error))
@@ -84,7 +91,7 @@ def _run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
         case.mechanism,
         case.duration,
         integrator=integrator,
-        save=asked.saves,
+        save=asked.every * (asked.saves - 1) + 1,
         state=jc.State(worn, concentric=case.concentric),
         balance=asked.balance,
         throw=False,
@@ -103,6 +110,8 @@ def judges(case: Case, model: str, step: float | None, asked: Asked) -> tuple[At
     loose, tight = rungs.references(model, step)
     rig = case.reference or case.mechanism
     near = nudged(rig)
+    if model == "compliant" and rig.topology.clearances:
+        asked = asked._replace(every=DENSE)
     return tuple(
         attempt(case._replace(mechanism=one), integrator, asked)
         for one, integrator in ((rig, tight), (rig, loose), (near, loose))
