@@ -186,10 +186,10 @@ class Adaptive(AbstractIntegrator):
         group, field_of = state_group(model), term.vector_field
         return GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
 
-    def _solver(self, rest, size, own, growth):
+    def _solver(self, rest, size, own, growth, so_far):
         """The solver, which looks at contacts where there are any: laws may ask for impact speeds,
         and without them it would step over touches. `size`: so many equations of a program are in a
-        rate."""
+        rate; `so_far`: the peaks of the run."""
         formulation, through = self.formulation, self.through_contacts
         solver = stepped_by_hand(self.solver, size) or self.solver
         if not rest.system.bearings:
@@ -201,7 +201,7 @@ class Adaptive(AbstractIntegrator):
 
         motion, derived = motion_of(formulation, rest), own if through else None
         looks = formulation.damped(rest), rest.events
-        return TakingImpactSpeeds(solver, remember, motion, derived, growth, *looks)
+        return TakingImpactSpeeds(solver, remember, motion, derived, growth, so_far, *looks)
 
     def _solve(self, rest, arrays, interval, state, warm_start) -> Advance:
         formulation, (start, stop), (step, growth) = self.formulation, interval[:2], warm_start
@@ -222,7 +222,7 @@ class Adaptive(AbstractIntegrator):
         first = jnp.where(step > 0, interval.share * usual, 1e-2 * length)
         found, failed = self._solved(
             self._term(model, rates),
-            self._solver(rest, size, own, growth),
+            self._solver(rest, size, own, growth, interval.peaks),
             controller,
             (start, stop, first),
             state,

@@ -17,6 +17,7 @@ from jaxclear.formulations.model import Model, State
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import Events
+from jaxclear.integrators.peaks import Peaks
 from jaxclear.multibody.mechanism import Mechanism
 
 
@@ -26,7 +27,8 @@ class Interval(NamedTuple):
     `error_weights` scale each entry's error for an error control; 0 where an entry only follows the
     others. Where `running` is False the run has ended before and the outcome will be ignored: an
     integrator may then save the work. `share` of its usual length that a step is to have (of its
-    usual error, where steps follow an error).
+    usual error, where steps follow an error). `peaks`: the largest indentations [m] and forces [N]
+    of the run so far (None: not followed), for their derivatives.
     """
 
     start: Scalar
@@ -34,6 +36,7 @@ class Interval(NamedTuple):
     error_weights: Float[Array, " n"]
     running: Bool[Array, ""]
     share: Scalar | float = 1.0
+    peaks: Peaks | None = None
 
 
 class Advance(NamedTuple):

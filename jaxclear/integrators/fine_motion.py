@@ -99,11 +99,10 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
 
 
 def so_far(beside: Beside) -> Beside:
-    """What is known where a saving interval begins, in which nothing has been met yet."""
+    """What is known where a saving interval begins."""
     zeros = lambda beside: jax.tree.map(lambda each: zeros_with(each, each), beside)
     same = lambda numbers, tangents: jax.tree.map(moved, tangents[0])
-    known = derived(zeros, same)(beside)
-    return known._replace(peaks=jax.tree.map(jnp.zeros_like, known.peaks))
+    return derived(zeros, same)(beside)
 
 
 def trusted_beside(end: Any, met: Any, watch: Any, known: Beside) -> tuple:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.ground.quantity import Scalar, count, quantity
+from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.ground.wording import unknown
 from jaxclear.integrators import vibration
@@ -36,7 +36,7 @@ from jaxclear.integrators.fine_motion import (
     trusted_beside,
 )
 from jaxclear.integrators.mid_step import through_touches
-from jaxclear.integrators.peaks import nothing_met
+from jaxclear.integrators.peaks import among, nothing_met, since
 from jaxclear.integrators.stepping import (
     arrived,
     contacts_met,
@@ -138,7 +138,7 @@ class FixedStep(AbstractIntegrator):
         where the next step begins; None where nothing looks at contacts. How derivatives grow, or
         what is known of the motion beside the run; and how they vibrate, None where that motion
         tells."""
-        if not any(kinds for _, kinds in model.layout.memories):
+        if not model.layout.contacts:
             return None, None, None, vibration.nothing(model, self)
         contacts = self.formulation.contacts(model, start, state)
         if self._derived(model) and self._beside:
@@ -161,12 +161,12 @@ class FixedStep(AbstractIntegrator):
         """Whether derivatives through contacts are those of the motion beside the steps."""
         return self.method != "rk4"
 
-    def _stepped(self, model):
-        """A step, as a function of ((time [s], lengths...), state, last, met)."""
-        arrays, rest = eqx.partition((model, self), eqx.is_array)
+    def _stepped(self, model, so_far):
+        """A step behind these peaks, of ((time [s], lengths...), state, last, met)."""
+        arrays, rest = eqx.partition((model, self, constant(so_far)), eqx.is_array)
 
         def plain(arrays, clock, y, last):
-            model, own = eqx.combine(arrays, rest)
+            model, own, _ = eqx.combine(arrays, rest)
             return explicit_step(own.formulation, own.method, model, clock, y, last)
 
         if self._derived(model) and self._beside:
@@ -215,7 +215,7 @@ class FixedStep(AbstractIntegrator):
         forces = own.normal_forces(model, end, after) if damped else None
         return contacts_met(met, before.depths, after.depths, forces)
 
-    def _trusted(self, model, end, last, met, watch):
+    def _trusted(self, model, end, met, watch, last):
         """All that was found, where its derivative can be trusted; rates at events have none."""
         if self._derived(model) and self._beside:
             return trusted_beside(end, met, watch, last[2])
@@ -232,7 +232,7 @@ class FixedStep(AbstractIntegrator):
         if self.contact_steps is not None:
             return self._steps_that_meet_contacts(model, interval, h, state, warm_start)
 
-        step = self._stepped(model)
+        step = self._stepped(model, interval.peaks)
 
         def turn(carry):
             index, y, last, met, watch = carry
@@ -246,18 +246,20 @@ class FixedStep(AbstractIntegrator):
             *begun, known, _ = warm_start
             warm_start = *begun, so_far(known), None
         watch = watch_from(model, interval.start, state)
-        first = (jnp.zeros((), int), state, warm_start, self._nothing_met(model, warm_start), watch)
+        met = self._nothing_met(model, warm_start, interval.peaks)
+        first = (jnp.zeros((), int), state, warm_start, met, watch)
         if self.steps_per_save is None:
             _, end, last, met, watch = while_loop(lambda carry: carry[0] < steps, turn, first)
         else:
             scanned = lambda index, carry: turn((index, *carry))[1:]
             end, last, met, watch = counted(scanned, self.steps_per_save, first[1:])
-        end, met, watch = self._trusted(model, end, last, met, watch)
+        found = end, self._all_met(model, met, interval.peaks), watch
+        end, met, watch = self._trusted(model, *found, last)
         return arrived(end, steps, last, met, self._judged(h), Check.IMPACT_STEP, watch)
 
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
-        stop, step = interval.stop, self._stepped(model)
+        stop, step = interval.stop, self._stepped(model, interval.peaks)
         shortest = resolved(longest / self.contact_steps, interval)
 
         def one(carry):
@@ -269,12 +271,13 @@ class FixedStep(AbstractIntegrator):
             watch = watched(watch, model, begin, h, y)
             return time, steps + 1, y, now, met, watch
 
-        met = self._nothing_met(model, warm_start)
+        met = self._nothing_met(model, warm_start, interval.peaks)
         watch = watch_from(model, interval.start, state)
         first = (interval.start, jnp.zeros((), int), state, warm_start, met, watch)
         _, steps, end, last, met, watch = while_loop(lambda carry: carry[0] < stop, one, first)
         judged = self._judged(shortest)
-        end, met, watch = self._trusted(model, end, last, met, watch)
+        found = end, self._all_met(model, met, interval.peaks), watch
+        end, met, watch = self._trusted(model, *found, last)
         return arrived(end, steps, last, met, judged, Check.IMPACT_STEP, watch)
 
     def _judged(self, h):
@@ -282,9 +285,16 @@ class FixedStep(AbstractIntegrator):
         stable = STABLE_DAMPING[ORDERS[self.method]]
         return {Check.FRICTION_STEP: h, Check.DAMPER_STEP: h / stable}
 
-    def _nothing_met(self, model, last):
-        """What was met before the first step; None where nothing looks at contacts."""
+    def _nothing_met(self, model, last, so_far):
+        """What was met before the first step, behind these peaks of the run; None where nothing
+        looks at contacts."""
         if last[0] is None:
             return None
         depths = last[0].depths
-        return jnp.zeros_like(depths), nothing_met(depths, self.formulation.damped(model))
+        begun = nothing_met(depths, self.formulation.damped(model))
+        return jnp.zeros_like(depths), since(so_far, begun) if self._derived(model) else begun
+
+    def _all_met(self, model, met, so_far):
+        """What was met in an interval, its peaks with the derivatives of those of the run."""
+        known = met is None or self._derived(model)
+        return met if known else (met[0], among(so_far, met[1]))

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxclear.formulations.impact_speed import ContactMotion, Passage, end_at_passage
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.integrators.events import noted, nothing
-from jaxclear.integrators.peaks import nothing_met, peaks, risen
+from jaxclear.integrators.peaks import nothing_met, peaks, risen, since
 from jaxclear.integrators.saltation import Equations, Step
 from jaxclear.integrators.wrapped import AbstractAround
 
@@ -90,10 +90,10 @@ class TakingImpactSpeeds(
     the state with its impact speeds set. `damped`: whether some contact damps. Args are (arrays of
     the model, None), those of `solver` may tell which contacts count as closed. `derived`: how
     derivatives go through touches (None: they do not), `growth`: by how much they have grown
-    (`saltation.trusted`). Its state between steps ends with the `Peaks` of every contact so far:
-    the motion of the contacts is known at both ends of a step, so that peaks of a run cost it next
-    to nothing; with `events`, so many, of a saving interval (`integrators.events`); and with the
-    growth.
+    (`trust.trusted`), `so_far`: the peaks of the run (None: not followed). Its state between steps
+    ends with the `Peaks` of every contact so far: the motion of the contacts is known at both ends
+    of a step, so that peaks of a run cost it next to nothing; with `events`, so many, of a saving
+    interval (`integrators.events`); and with the growth.
     """
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
@@ -101,6 +101,7 @@ class TakingImpactSpeeds(
     motion: Any = None  # a Motion
     derived: Equations | None = None
     growth: Any = None
+    so_far: Any = None  # Peaks
     damped: bool = eqx.field(static=True, default=False)
     events: int = eqx.field(static=True, default=0)
 
@@ -123,7 +124,8 @@ class TakingImpactSpeeds(
         events = nothing(contacts, self.events) if self.events else None
         own = self.solver.init(terms, t0, t1, y0, args)
         begun = nothing_met(contacts.depths, self.damped)
-        return own, contacts, self._risen(begun, y0, args, contacts), events, self.growth
+        begun = since(self.so_far, self._risen(begun, y0, args, contacts))
+        return own, contacts, begun, events, self.growth
 
     def func(self, terms, t0, y0, args):
         return self.solver.func(terms, t0, y0, args)
@@ -151,7 +153,8 @@ class TakingImpactSpeeds(
         """The peaks after a step."""
         if self.derived is None:
             return self._risen(known, end[1], args, motions[1])
-        return peaks(self.motion, args[0], (start, end), motions, known)
+        so_far = constant(self.so_far)
+        return peaks(self.motion, args[0], (start, end), motions, known, so_far)
 
     def _risen(self, known, y, args, contacts):
         """The peaks with the contacts at an instant."""

@@ -21,7 +21,7 @@ from jaxclear.integrators.fine_motion import (
     so_far,
     trusted_beside,
 )
-from jaxclear.integrators.peaks import nothing_met
+from jaxclear.integrators.peaks import among, nothing_met, since
 from jaxclear.integrators.stepping import arrived, contacts_met, counted, divide, march
 
 # A journal that creeps is moved by the vibration of its contact too, which bias damps at every
@@ -124,7 +124,7 @@ class ImplicitStep(AbstractIntegrator):
         if not self._derived(model):
             return last, None, vibration.nothing(model, self)
         damped = self.formulation.damped(model)
-        return last, nothing_beside(model.layout.size, _contacts(model), damped), None
+        return last, nothing_beside(model.layout.size, model.layout.contacts, damped), None
 
     def _derived(self, model):
         return self.through_contacts and model.system.bearings and not model.discrete
@@ -145,7 +145,7 @@ class ImplicitStep(AbstractIntegrator):
             end, now = own.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
             if met is None:
                 return end, now, None
-            forces = now[-_contacts(model) :] if damped else None
+            forces = now[-model.layout.contacts :] if damped else None
             return end, now, contacts_met(met, last[depths], now[depths], forces)
 
         if not self._derived(model):
@@ -181,13 +181,14 @@ class ImplicitStep(AbstractIntegrator):
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
-        step, contacts = self._stepped(model), _contacts(model)
+        step, contacts = self._stepped(model), model.layout.contacts
         last, known, vibrates = warm_start
         met = None
         if contacts:
             begun = positive_part(last[_depths(model)])
-            peaks = nothing_met(begun, self.formulation.damped(model))
-            met = jnp.zeros_like(begun), peaks._replace(depths=begun)
+            peaks = nothing_met(begun, self.formulation.damped(model))._replace(depths=begun)
+            derived = self._derived(model)
+            met = jnp.zeros_like(begun), since(interval.peaks, peaks) if derived else peaks
 
         def one(index, state, carried):
             last, met, watch = carried
@@ -203,6 +204,8 @@ class ImplicitStep(AbstractIntegrator):
         else:
             turn = lambda index, carry: one(index, *carry)
             end, (last, met, watch) = counted(turn, self.steps_per_save, (state, carried))
+        if contacts and not self._derived(model):
+            met = met[0], among(interval.peaks, met[1])
         end, met, watch = self._trusted(model, end, met, watch, last)
         bias = (1 - self.rebound) / (1 + self.rebound)
         judged = {Check.CREEP_STEP: h * (1 + DAMPED * bias)}
@@ -211,12 +214,7 @@ class ImplicitStep(AbstractIntegrator):
         return arrived(end, steps, last, met, judged, watch=watch)
 
 
-def _contacts(model: Model) -> int:
-    """How many contacts there may be."""
-    return sum(len(kinds) for _, kinds in model.layout.memories)
-
-
 def _depths(model: Model) -> slice:
     """Where a warm start holds the indentations: behind the accelerations."""
     first = 2 * model.layout.speeds
-    return slice(first, first + _contacts(model))
+    return slice(first, first + model.layout.contacts)

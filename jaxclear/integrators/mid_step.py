@@ -56,8 +56,8 @@ def through_touches(
     `plain(arrays, clock, state, last)`: its length [s], the state at its end and what it leaves to
     the next: the contacts at its start and its length; `length(clock, contacts, last)`: the length
     by these contacts; `seen(arrays, end, met, (last, now))`: what was met of the contacts
-    (`contacts_met`), by what this step and the one before leave. `arrays`: of the model, and of all
-    else; `clock`: begins with the time [s]. `growth`: of derivatives (`trust`)."""
+    (`contacts_met`), by what this step and the one before leave. `arrays`: of the model, all else,
+    and peaks before the interval; `clock`: begins with the time [s]. `growth`: see `trust`."""
     motion = saltation.motion_of(formulation, rest)
 
     def step(arrays, clock, y, last, growth, met):
@@ -91,7 +91,7 @@ def through_touches(
         gone = jnp.where(apart.changed, apart.way, gone)
         stop = clock_way[0] if times[1] is None else moved(clock_way[0]) + moved(longer)
         ways = way[0], (clock_way[0], state), (stop, gone), met_way[1]
-        higher = _higher(motion, begun, (end, apart.contacts, met[1]), ways)
+        higher = _higher(motion, begun, (end, apart.contacts, met[1], arrays[2]), ways)
         told = moving_with(end[0], growth), seen(arrays, end, met, (last, now))
         still = jnp.zeros_like(met[0])
         return (h, end, now, *told), (longer, gone, left, grown, (still, higher))
@@ -102,12 +102,12 @@ def through_touches(
 
 def _higher(motion: Any, begun: Now, ended: tuple, ways: tuple) -> Any:
     """The derivative of the peaks behind a step. `ended`: its end, the contacts there, the peaks
-    until its start; `ways`: derivatives of (arrays, (time, state) at its start, at its end,
-    peaks)."""
-    end, contacts, known = ended
+    until its start, and in the run before its interval; `ways`: derivatives of (arrays, (time,
+    state) at its start, at its end, peaks)."""
+    end, contacts, known, so_far = ended
     start, stop = (begun.time, begun.state), (begun.time + begun.length, end)
     motions = begun.contacts, contacts
-    go = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2])
+    go = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2], so_far)
     return pushed(go, (begun.arrays, start, stop, known), ways)[1]
 
 
@@ -218,7 +218,7 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, growth: Array) -
 def judged(motion: Any, begun: Now, gap: Any, apart: Apart, end: Any) -> Array:
     """The growth behind a step that was taken apart, and ended so as it is."""
     growth, contacts = apart.growth, apart.contacts
-    met, first, most, lost, error, rise, largest = [growth[i] for i in range(GROWTH)]
+    met, first, most, lost, error, rise, largest, known = [growth[i] for i in range(GROWTH)]
     n, m = motion.layout.coordinates, motion.layout.memory_start
     off = abs(apart.end - end)
     fast = jnp.max(abs(end[n:m]), initial=0.0)
@@ -230,7 +230,9 @@ def judged(motion: Any, begun: Now, gap: Any, apart: Apart, end: Any) -> Array:
     largest = jnp.maximum(largest, jnp.max(depths, initial=0.0))
     over = jnp.any((apart.before > 0) & (depths < 0)) & (rise > RISE * largest)
     lost = jnp.where(over, 1.0, lost)
-    return jnp.stack([met, first, most, lost, error, rise, largest])
+    rising = jnp.any((depths >= 0) & (contacts.rates > 0))
+    known = jnp.where(rising, known, rise)
+    return jnp.stack([met, first, most, lost, error, rise, largest, known])
 
 
 def passed_within(

@@ -6,8 +6,14 @@ of the highest point of the path: there the rate is 0, so that it does not hang 
 of the end of a step it would be off by the step's length times that of the rate. Between the ends
 of the step in which a contact turns, derivatives follow Hermite's cubic, as the indentation does,
 and the law of its force along it.
+
+Largest values are those of a saving interval, but their derivatives those of the largest of the run
+so far (`since`): a contact may turn in the first step of an interval, deepest at the end of the one
+before; and the motion whose derivative is asked for may press hardest an interval sooner or later
+than the run beside which it goes.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -21,6 +27,8 @@ from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_
 HALVINGS = 12
 # Forces that differ by no more than this share of themselves are the same but for rounding.
 ROUNDING = 1e-9
+# A later peak that is smaller than this share of an earlier one has nothing to say about it.
+NEAR = 0.9
 
 
 class Peaks(NamedTuple):
@@ -44,19 +52,66 @@ def risen(known: Peaks, depths: PerContact, forces: Any) -> Peaks:
     return Peaks(larger(depths, known.depths), pressed)
 
 
-def peaks(motion: Any, arrays: Any, ends: tuple, motions: tuple, known: Peaks) -> Peaks:
-    """The peaks after a step, `known` until its start. `motion`: of the model with these arrays
-    (`saltation.motion_of`); `ends`: (time [s], state) at the start and at the end; `motions`: those
-    of the contacts there, whose own derivatives do not count."""
+def since(so_far: Peaks | None, begun: Peaks) -> Peaks:
+    """What a saving interval has met where it begins, with the derivative of the largest `so_far`
+    in the run (None: it is not known) where that is as large."""
+    return _with_derivative(lambda so_far, begun: begun > so_far, so_far, begun)
 
-    def larger(arrays, start, end, motions, known):
+
+def among(so_far: Peaks | None, met: Peaks) -> Peaks:
+    """What a saving interval has `met` by steps that know of no peaks before it, with the
+    derivative of the largest in the run."""
+    return _with_derivative(lambda so_far, met: met >= so_far, so_far, met)
+
+
+def newest(so_far: Any, met: Any, counts: Any) -> Any:
+    """The larger of two peaks, with the derivative of the later one, which knows the earlier one
+    (`since`), where it `counts` and comes as near as `NEAR`: one whose steps are beyond what can be
+    known leaves that of an earlier, larger one as it is."""
+
+    def told(numbers, tangents):
+        so_far, met, counts = numbers
+        before, after = map(moved, tangents[:2])
+        return jnp.where(counts & ~(met < NEAR * so_far), after, before)
+
+    larger = lambda so_far, met, counts: jnp.where(counts & ~(met < so_far), met, so_far)
+    return derived(larger, told)(so_far, met, counts)
+
+
+def _with_derivative(own: Callable, so_far: Peaks | None, met: Peaks) -> Peaks:
+    """The peaks that were `met`, with their derivative where it is their own, otherwise that of
+    those `so_far`."""
+
+    def one(so_far, met):
+        if so_far is None or met is None:
+            return met
+
+        def told(numbers, tangents):
+            before, after = map(moved, tangents)
+            return jnp.where(own(*numbers), after, before)
+
+        return derived(lambda so_far, met: moving_with(so_far, met), told)(so_far, met)
+
+    return met if so_far is None else Peaks(*map(one, so_far, met))
+
+
+def peaks(
+    motion: Any, arrays: Any, ends: tuple, motions: tuple, known: Peaks, so_far: Peaks | None = None
+) -> Peaks:
+    """The peaks after a step, `known` until its start, and `so_far` in the run until the interval
+    began. `motion`: of the model with these arrays (`saltation.motion_of`); `ends`: (time [s],
+    state) at the start and at the end; `motions`: those of the contacts there, whose own
+    derivatives do not count."""
+
+    def larger(arrays, start, end, motions, known, _):
         forces = None if known.forces is None else motion.pressing(arrays, end[1], motions[1])
         return moving_with(end[1][0], risen(known, motions[1].depths, forces))
 
     def moving(numbers, tangents):
-        arrays, start, end, motions, known = numbers
-        way, *ways, _, so_far = tangents
+        arrays, start, end, motions, known, before = numbers
+        way, *ways, _, so_far, _ = tangents
         so_far, length = jax.tree.map(moved, so_far), end[0] - start[0]
+        known = known if before is None else risen(known, *before)
         deeper, share = _deeper(known.depths, motions, length)
         force = _Force(motion, arrays, (start, end), motions, length)
         pressed = force.reaches(known.forces)
@@ -76,7 +131,7 @@ def peaks(motion: Any, arrays: Any, ends: tuple, motions: tuple, known: Peaks) -
         wanted = jnp.any(deeper) if pressed is None else jnp.any(deeper | pressed)
         return where_wanted(wanted, ahead, so_far)
 
-    return derived(larger, moving)(arrays, *ends, motions, known)
+    return derived(larger, moving)(arrays, *ends, motions, known, so_far)
 
 
 def _deeper(known: PerContact, motions: tuple, length: Any) -> tuple:

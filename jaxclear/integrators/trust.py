@@ -28,8 +28,9 @@ MOST_ERROR = 0.01
 # So many numbers tell how derivatives go: how many touches moved, by how much [s] the first few of
 # them and all of them did at most (`saltation`), whether a contact was over in too few steps; of
 # which share of the gap and of a speed the largest error of a step with a touch was; and how much
-# an indentation rose within a step, and in all [m].
-GROWTH = 7
+# an indentation rose within a step, in all, and within one of those impacts that are no longer on
+# their way in [m]: of one that has just begun nobody knows yet how deep it goes.
+GROWTH = 8
 # Whether a contact was over in too few steps, among these.
 LOST = 3
 # Beyond this share of the largest indentation in one step an impact is that of the steps
@@ -73,7 +74,7 @@ def trusted_steps(found: Any, growth: Array) -> Any:
     """
 
     def fine(growth):
-        _, first, most, lost, error, rise, largest = [growth[i] for i in range(GROWTH)]
+        _, first, most, lost, error, _, largest, rise = [growth[i] for i in range(GROWTH)]
         share = safe_divide(rise, largest)
         error = jnp.maximum(error, OF_A_RISE * share * share)
         return (most * most * error <= TRUSTED * first * first) & (lost <= 0)

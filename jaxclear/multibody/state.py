@@ -55,6 +55,11 @@ class Layout:
     size: int
 
     @property
+    def contacts(self) -> int:
+        """How many contacts are possible."""
+        return sum(len(kinds) for _, kinds in self.memories)
+
+    @property
     def memory_start(self) -> int:
         return self.coordinates + self.speeds
 

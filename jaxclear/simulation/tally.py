@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.quantity import Scalar
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.peaks import Peaks, newest
 from jaxclear.multibody.state import Layout
 
 Figures = dict[Check, Float[Array, " places"]]
@@ -90,17 +91,16 @@ def followed(
     """After a turn that ends at a time [s] with these figures; `states`: those with which the run
     and the turn began, and that at the turn's end. What is no number is worse than any number.
     Whether the turn `counts`: a shadow, and a turn of a run that has ended before, tell nothing. Of
-    all that only the `PEAKS` have derivatives; of two as high the later one, which knows what
-    became of the earlier."""
+    all that only the `PEAKS` have derivatives, which know what came before."""
     start, before, after = jax.lax.stop_gradient(states)
     worst, when = {}, {}
     for check, known in tally.worst.items():
-        each = figures[check]
-        if check not in PEAKS:
-            each = jax.lax.stop_gradient(each)
+        each = jax.lax.stop_gradient(figures[check])
         worse = ~(each <= known) & ~jnp.isnan(known) & counts
-        as_bad = counts & (each == known) if check in PEAKS else False
-        worst[check] = jnp.where(worse | as_bad, each, known)
+        if check in PEAKS:
+            worst[check] = newest(known, figures[check], counts & ~jnp.isnan(known))
+        else:
+            worst[check] = jnp.where(worse, each, known)
         when[check] = jnp.where(worse, stop, tally.when[check])
     count, squares = layout.coordinates, tally.squares
     told = lambda numbers: jnp.where(counts, numbers, 0.0)
@@ -111,6 +111,12 @@ def followed(
         jnp.maximum(tally.reach, told(abs(after[:count] - start[:count]))),
         None if squares is None else squares + told(after[_speeds(layout)] ** 2),
     )
+
+
+def peaks_so_far(worst: Figures, model: Model) -> Peaks | None:
+    """The largest indentation and force so far of each contact, of these figures."""
+    none = jnp.full(model.layout.contacts, -jnp.inf)
+    return Peaks(*(worst.get(check, none) for check in PEAKS)) if none.size else None
 
 
 def _further(way: Compared, layout: Layout, change: State, told: Callable) -> Compared:

@@ -27,7 +27,7 @@ from jaxclear.native import scan
 from jaxclear.simulation import progress
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.spot_checks import Turns
-from jaxclear.simulation.tally import Tally, figures_of_a_look, followed
+from jaxclear.simulation.tally import Tally, figures_of_a_look, followed, peaks_so_far
 from jaxclear.simulation.wear import (
     Losses,
     Worn,
@@ -107,8 +107,8 @@ def turns_of(
         parts = zip(unpack[0], (left.noted, left.figures), strict=True)
         return [jax.vmap(own)(packed) for own, packed in parts]
 
-    number, running = jnp.zeros(()), jnp.ones((), bool)
-    ahead = Interval(number, number, error_weights(model), running, number)
+    number, how = jnp.zeros(()), (error_weights(model), jnp.ones((), bool))
+    ahead = Interval(number, number, *how, number, peaks_so_far({}, model))
     state, read, warm_start = begun
     done = jax.eval_shape(advance, arrays, read, ahead, state, warm_start)
     return turn, done.figures or {}, apart
@@ -148,7 +148,8 @@ def _motion(
     """One turn of the loop of a run that began with the state `start`, but for its worn surfaces:
     what it hands on, what these lose, and what it leaves."""
     running = (now.outcome == Outcome.REACHED).astype(bool)
-    ahead = Interval(turn.start, turn.stop, error_weights(model), running, turn.share)
+    peaks = peaks_so_far(now.tally.worst, model)
+    ahead = Interval(turn.start, turn.stop, error_weights(model), running, turn.share, peaks)
     result = advance(ahead, now.state, now.warm_start)
     sound = jnp.all(jnp.isfinite(result.state))
     reached = closure_coordinates.anchored(model.system, model.layout, turn.stop, result.state)

@@ -15,6 +15,7 @@ CLEARANCE = lambda rig: rig.connections["B"].joint.clearance
 SPEED = lambda rig: rig.speeds["journal"][1]
 CONTACT = lambda rig: rig.connections["B"].joint.contact
 STIFFNESS = lambda rig: CONTACT(rig).elastic.stiffness
+_HERTZ = lambda rig: CONTACT(rig).stiffness
 PEAK = jc.response.PeakContactForce("B")
 ANSWERS = {
     "peak": PEAK,
@@ -134,3 +135,51 @@ def test_discrete_derivatives_of_peaks_and_instants_are_those_of_the_discrete_ru
     around = jax.jit(jax.vmap(whole))(jnp.stack([values + step, values - step]))
     wanted = (around[0] - around[1]) / 2e-6
     np.testing.assert_allclose(found * values, wanted, rtol=1e-4, atol=2e-7)
+
+
+@pytest.mark.parametrize("law", ["Flores", "Hertz"])
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        jc.integrator.Adaptive(),
+        jc.integrator.FixedStep(5e-6),
+        jc.integrator.FixedStep(5e-6, "heun"),
+        jc.integrator.ImplicitStep(1e-5),
+    ],
+    ids=["Adaptive", "rk4", "heun", "ImplicitStep"],
+)
+def test_slopes_of_a_peak_do_not_hang_on_where_saving_times_fall(integrator, law):
+    """With a saving time at nearly every step a contact turns in the first step of an interval, and
+    a run and the motion beside it are pressed hardest in different ones: by `ImplicitStep` slopes
+    were 0."""
+    bearing = jc.clearance.PlanarJournalBearing(LAWS[law][0], clearance=1e-4)
+    rig = jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)},
+        {"B": jc.Connection(bearing, "ground", "journal")},
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+        speeds={"journal": (0.0, -0.5, 0.0)},
+    )
+    variables = {
+        "clearance": jc.Variable(CLEARANCE, tolerance=1e-9),
+        "stiffness": jc.Variable(STIFFNESS if law == "Flores" else _HERTZ, tolerance=1e-3),
+        "mass": jc.Variable(lambda rig: rig.bodies["journal"].mass, tolerance=1e-9),
+    }
+
+    def slopes(saves):
+        asked = jc.Problem(
+            rig,
+            {"peak": PEAK},
+            variables,
+            duration=1e-3,
+            integrator=integrator,
+            save=saves,
+            state=jc.State(concentric=False),
+        )
+        peak = lambda values: asked.evaluate(values).responses["peak"]
+        value, slope = jax.jit(lambda v: (peak(v), jax.jacfwd(peak)(v)))(asked.nominal())
+        return slope * asked.nominal() / value
+
+    seldom = slopes(2)
+    assert np.isfinite(seldom).all() and seldom[1] > 0.1
+    for saves in (41, 102):
+        np.testing.assert_allclose(slopes(saves), seldom, rtol=5e-3, atol=2e-3)

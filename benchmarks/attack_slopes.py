@@ -1,0 +1,307 @@
+"""Random mechanisms, laws and rungs: is any derivative wrong without a sentence?
+
+    python -m benchmarks.attack_slopes [--quick] [--json FILE] [--first N] [--draws N]
+        [--only K ...] [--rung NAME ...]
+
+The mechanisms are those of `benchmarks.attack` with clearance. Of each the slopes of the last
+place of a body, of mean and peak forces of its first joint, and of what that wears, by its
+clearance, the first number of its contact law and the mass of a body, as
+`jax.jacfwd(problem.evaluate)` gives them. References are extrapolated differences of a tight
+`Adaptive`, taken by three shares of each number, and of one ten times looser. A slope is right
+within its rung's limit of the reference; refused, where it is nan or a sentence; said, where the
+run warns of its response; undecidable, where the references disagree; or silently wrong.
+"""
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxclear as jc
+from benchmarks.attacks.answers import surfaces
+from benchmarks.attacks.bearings import Case
+from benchmarks.attacks.rungs import of_studies
+from benchmarks.attacks.structures import Structure, structures
+from benchmarks.measure import about, report
+from jaxclear.results.abstract_response import REACHES
+
+# Shares of a number by which differences are taken, and tolerances of the two references.
+SHARES, TOLERANCES = (2e-4, 1e-4, 5e-5), (1e-10, 1e-9)
+# A slope is measured by itself or, if that is larger, by this share of response by number;
+# references that are apart by more than `DECISIVE` of what it may be off do not decide.
+LEAST, DECISIVE = 1e-3, 0.25
+SAVES, DENSE = 51, 20_001
+VARIABLES = ("clearance", "contact", "mass")
+# What of a run each response is drawn from.
+DRAWN_FROM = {
+    "place": "motion",
+    "mean force": "forces",
+    "peak force": "peak forces",
+    "worn volume": "wear",
+}
+# The integrator of each rung, and by how much of itself a slope may be off.
+RUNGS: dict[str, tuple[Callable[[Case], Any], float]] = {
+    "default of studies": (of_studies, 0.05),
+    "Adaptive": (lambda _: jc.integrator.Adaptive(), 0.02),
+    "FixedStep": (lambda _: jc.integrator.FixedStep(), 0.05),
+    "FixedStep(5e-6)": (lambda _: jc.integrator.FixedStep(5e-6), 0.05),
+    "FixedStep(1e-5, heun)": (lambda _: jc.integrator.FixedStep(1e-5, "heun"), 0.05),
+    "ImplicitStep(2e-5)": (lambda _: jc.integrator.ImplicitStep(2e-5), 0.05),
+}
+QUICK = 3
+
+
+class Verdict(StrEnum):
+    """What a slope turned out to be."""
+
+    RIGHT = "right"
+    REFUSED = "refused"
+    SAID = "said so"
+    UNDECIDABLE = "undecidable"
+    WRONG = "silently wrong"
+
+
+class Row(NamedTuple):
+    """One slope of one case by one rung, beside its reference and how far that is sure."""
+
+    case: int
+    mechanism: str
+    rung: str
+    response: str
+    variable: str
+    verdict: Verdict
+    slope: float
+    reference: float
+    doubt: float
+    scale: float
+
+
+def _dense_peak(joint: str) -> Callable[[jc.Trajectory], Any]:
+    """The largest force of the saved instants, by a parabola through it and those beside: steps end
+    elsewhere for other numbers, and so the largest force at their ends has another slope."""
+
+    def peak(run: jc.Trajectory) -> Any:
+        forces = jnp.sum(run.contact(joint).normal_force, axis=-1)
+        k = jnp.clip(jnp.argmax(forces), 1, len(forces) - 2)
+        before, most, after = forces[k - 1], forces[k], forces[k + 1]
+        bend = before - 2 * most + after
+        summit = most - (after - before) ** 2 / (8 * jnp.where(bend < 0, bend, -jnp.inf))
+        return jnp.where(most >= jnp.maximum(before, after), summit, jnp.max(forces))
+
+    return peak
+
+
+def problem(case: Case, integrator: Any, dense: bool = False) -> jc.Problem:
+    """What is asked of a case; `dense`: of its densely saved reference, which tells peaks."""
+    rig = case.mechanism
+    joint = rig.topology.clearances[0]
+    body = next(iter(rig.bodies))
+    worn = [one for one in surfaces(rig) if one[0] == joint]
+    responses: dict[str, Any] = {
+        "place": lambda run: jnp.sum(run.body(body).com[-1]),
+        "mean force": jc.response.MeanContactForce(joint),
+        "peak force": jc.response.PeakContactForce(joint),
+    }
+    if worn:
+        responses["worn volume"] = lambda run: run.worn_volume(*worn[0])[-1]
+    if dense:
+        responses = {"peak force": _dense_peak(joint)}
+    law = lambda m: jax.tree.leaves(m.connections[joint].joint.contact)
+    first = next(i for i, n in enumerate(law(rig)) if eqx.is_inexact_array(n) and n != 0)
+    places: dict[str, Callable] = {
+        "clearance": lambda m: m.connections[joint].joint.clearance,
+        "contact": lambda m: law(m)[first],
+        "mass": lambda m: m.bodies[body].mass,
+    }
+    variables = {
+        name: jc.Variable(place, tolerance=1e-3 * abs(float(place(rig))))
+        for name, place in places.items()
+    }
+    return jc.Problem(
+        rig,
+        responses,
+        variables,
+        duration=case.duration,
+        integrator=integrator,
+        save=DENSE if dense else SAVES,
+        state=jc.State(concentric=case.concentric),
+    )
+
+
+def reference(case: Case) -> tuple[dict, dict, dict] | str:
+    """(slopes, doubts, values) by response, or why there are none."""
+    slopes, doubts, values = {}, {}, {}
+    for dense in (False, True):
+        found = []
+        for rtol in TOLERANCES:
+            integrator = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol)
+            answers = _answers(problem(case, integrator, dense))
+            if isinstance(answers, str):
+                return answers
+            found.append(answers)
+        for name in found[0][0]:
+            tight, loose = (_extrapolated(own[name][1:], at) for own, at in found)
+            slopes[name] = tight[0]
+            doubts[name] = np.maximum(tight[1], abs(tight[0] - loose[0]))
+            values[name] = found[0][0][name][0]
+    return slopes, doubts, values
+
+
+def _answers(asked: jc.Problem) -> tuple[dict, np.ndarray] | str:
+    """(responses at the numbers and beside them, the numbers), or why there are none."""
+    nominal = np.asarray(asked.nominal())
+    points = [nominal] + [
+        nominal + sign * share * way
+        for share in SHARES
+        for way in np.diag(nominal)
+        for sign in (1, -1)
+    ]
+    function = jax.jit(lambda values: asked.evaluate(values))
+    results = [function(jnp.asarray(values)) for values in points]
+    if any(int(result.outcome) != jc.integrator.Outcome.REACHED for result in results):
+        return "the reference does not reach its end"
+    names = asked.response_names
+    return {name: np.array([r.responses[name] for r in results]) for name in names}, nominal
+
+
+def _extrapolated(responses: np.ndarray, at: Any) -> tuple[np.ndarray, np.ndarray]:
+    """(slopes, how far they hang on the shares), from responses by share, number and sign."""
+    pairs = responses.reshape(len(SHARES), len(at), 2)
+    steps = np.asarray(SHARES)[:, None] * np.asarray(at)
+    plain = (pairs[..., 0] - pairs[..., 1]) / (2 * steps)
+    rough, close = ((4 * fine - coarse) / 3 for coarse, fine in (plain[:2], plain[1:]))
+    return close, abs(close - rough)
+
+
+def attack(structure: Structure, draw: int, rungs: dict[str, tuple]) -> list[Row]:
+    """All slopes of one case."""
+    number = 100 * structure.number + draw
+    try:
+        case = structure.case(draw)
+        if not case.mechanism.topology.clearances:
+            return []
+        known = reference(case)
+    except ValueError as error:
+        known = str(error)
+    if isinstance(known, str):
+        print(f"case {number} has no reference: {known}", flush=True)
+        return []
+    rows = []
+    for rung, (make, limit) in rungs.items():
+        told = _told(case, make(case))
+        rows += _judged((number, structure.name, rung), known, told, limit)
+    return rows
+
+
+def _told(case: Case, integrator: Any) -> tuple[dict, set[str], np.ndarray | None]:
+    """(slopes by response, none where a sentence refuses them; responses that are warned of; the
+    numbers)."""
+    try:
+        asked = problem(case, integrator)
+        at = np.asarray(asked.nominal())
+
+        def both(values):
+            result = asked.evaluate(values)
+            return result.responses, result
+
+        slopes, result = jax.jit(jax.jacfwd(both, has_aux=True))(asked.nominal())
+    except ValueError:
+        return {}, set(), None
+    if int(result.outcome) != jc.integrator.Outcome.REACHED:
+        return {}, set(), None
+    beyond = {check for check, flag in result.checks.beyond().items() if np.any(flag)}
+    reached = {part for check in beyond for part in REACHES[check.concerns]}
+    return slopes, {name for name, part in DRAWN_FROM.items() if part in reached}, at
+
+
+def _judged(where: tuple[int, str, str], known: tuple, told: tuple, limit: float) -> list[Row]:
+    """The rows of a case and rung, by what is known and what was told."""
+    (slopes, doubts, values), (own, warned, at) = known, told
+    rows = []
+    for name, of_name in slopes.items():
+        for k, variable in enumerate(VARIABLES):
+            slope = float(own[name][k]) if own else np.nan
+            scale = abs(of_name[k])
+            if at is not None:
+                scale = max(scale, LEAST * abs(values[name] / at[k]))
+            numbers = slope, float(of_name[k]), float(doubts[name][k]), float(scale)
+            verdict = _verdict(*numbers, limit)
+            if verdict == Verdict.WRONG and name in warned:
+                verdict = Verdict.SAID
+            rows.append(Row(*where, name, variable, verdict, *numbers))
+    return rows
+
+
+def _verdict(slope: float, known: float, doubt: float, scale: float, limit: float) -> Verdict:
+    """Verdict on a slope that nothing was said of."""
+    if not np.isfinite(slope):
+        return Verdict.REFUSED
+    error = abs(slope - known)
+    if error <= limit * scale:
+        return Verdict.RIGHT
+    decided = doubt <= DECISIVE * limit * scale or error > limit * scale + 3 * doubt
+    return Verdict.WRONG if decided else Verdict.UNDECIDABLE
+
+
+def summary(rows: list[Row], key: str) -> list[dict[str, Any]]:
+    """Slopes by verdict and rung, or by response."""
+    table = []
+    for name in [*dict.fromkeys(getattr(row, key) for row in rows), "all"]:
+        own = [row for row in rows if name in (getattr(row, key), "all")]
+        counts = Counter(row.verdict for row in own)
+        table.append({key: name, "slopes": len(own)} | {str(v): counts[v] for v in Verdict})
+    return table
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--quick", action="store_true", help="three mechanisms")
+    options.add_argument("--json", type=Path, help="write the figures here")
+    options.add_argument("--first", type=int, default=40, help="the first draw")
+    options.add_argument("--draws", type=int, default=1, help="how many draws")
+    options.add_argument("--only", type=int, nargs="*", help="mechanisms by number")
+    options.add_argument("--rung", nargs="*", choices=list(RUNGS), default=list(RUNGS))
+    given = options.parse_args()
+    wanted = [each for each in structures() if given.only is None or each.number in given.only]
+    if given.quick:
+        wanted = wanted[:: len(wanted) // QUICK]
+    rungs = {name: RUNGS[name] for name in given.rung}
+    rows: list[Row] = []
+    for structure in wanted:
+        for draw in range(given.first, given.first + given.draws):
+            found = attack(structure, draw, rungs)
+            rows += found
+            _tell(structure, draw, found)
+        jax.clear_caches()
+    for key in ("rung", "response"):
+        report(f"slopes by {key}", summary(rows, key), given)
+    if given.json:
+        known = json.loads(given.json.read_text())
+        told = {"about": about("benchmarks.attack_slopes", given.json)}
+        given.json.write_text(json.dumps(known | told, indent=1) + "\n")
+
+
+def _tell(structure: Structure, draw: int, rows: list[Row]) -> None:
+    """A case as it is found, with its wrong slopes."""
+    counts = Counter(row.verdict for row in rows)
+    told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    print(f"{structure.number} {structure.name}, draw {draw}: {told}", flush=True)
+    for row in rows:
+        if row.verdict == Verdict.WRONG:
+            print(
+                f"   {row.rung}: d {row.response} / d {row.variable} = {row.slope:.6g} for "
+                f"{row.reference:.6g} (sure to {row.doubt:.2g})",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
