@@ -35,9 +35,10 @@ from jaxclear.results.abstract_response import REACHES
 
 # Shares of a number by which differences are taken, and tolerances of the two references.
 SHARES, TOLERANCES = (2e-4, 1e-4, 5e-5), (1e-10, 1e-9)
-# A slope is measured by itself or, if that is larger, by this share of response by number;
-# references that are apart by more than `DECISIVE` of what it may be off do not decide.
-LEAST, DECISIVE = 1e-3, 0.25
+# A slope is measured by itself or, if that is larger, by this share of response by number (of a
+# place, which is measured from far away, by a smaller one); references that are apart by more than
+# `DECISIVE` of what it may be off do not decide.
+LEAST, LEAST_OF_PLACES, DECISIVE = 1e-2, 1e-3, 0.25
 SAVES, DENSE = 51, 20_001
 VARIABLES = ("clearance", "contact", "mass")
 # What of a run each response is drawn from.
@@ -231,7 +232,8 @@ def _judged(where: tuple[int, str, str], known: tuple, told: tuple, limit: float
             slope = float(own[name][k]) if own else np.nan
             scale = abs(of_name[k])
             if at is not None:
-                scale = max(scale, LEAST * abs(values[name] / at[k]))
+                least = LEAST_OF_PLACES if name == "place" else LEAST
+                scale = max(scale, least * abs(values[name] / at[k]))
             numbers = slope, float(of_name[k]), float(doubts[name][k]), float(scale)
             verdict = _verdict(*numbers, limit)
             if verdict == Verdict.WRONG and name in warned:

@@ -24,9 +24,10 @@ from jaxclear.integrators.mid_step import Apart, Now, along, judged, passed_with
 from jaxclear.integrators.peaks import Peaks, peaks
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.integrators.vibration import Vibration
+from jaxclear.multibody.state import bristle_places
 
 # A part in contact goes no further than by this angle of the contact's vibration [rad], and in it
-# friction brakes no more than this share of a slip.
+# friction brakes no more than this share of a slip, as bristles settle by no more of what they lack.
 ANGLE, BRAKED = 0.05, 0.5
 # Near a touch or release stiffness and dampers change fast: a part goes no further than as deep
 # again, where a contact opens by no more than this share of what is left of it; by `EARLY` of the
@@ -192,6 +193,7 @@ def _resolved(motion: Any, begun: Now, acting: Any, clock: tuple) -> tuple[Any, 
     n, m = motion.layout.coordinates, motion.layout.memory_start
     entries = np.arange(motion.layout.size)
     places, moves = entries < n, (entries >= n) & (entries < m)
+    bristles = np.isin(entries, bristle_places(motion.layout))
 
     def look(carry):
         i, (time, y), fastest = carry
@@ -200,9 +202,13 @@ def _resolved(motion: Any, begun: Now, acting: Any, clock: tuple) -> tuple[Any, 
         along = lambda way: jax.jvp(lambda y: motion.rates(arrays, acting, time, y), (y,), (way,))
         resisted = along(jnp.where(moves, pushes, 0.0))[1]
         returned = along(jnp.where(places, resisted, 0.0))[1]
-        size = lambda way: safe_sqrt(jnp.sum(jnp.where(moves, way * way, 0.0)))
+        size = lambda way, own=moves: safe_sqrt(jnp.sum(jnp.where(own, way * way, 0.0)))
         damped = safe_divide(size(resisted), size(pushes))
         vibrating = safe_sqrt(safe_divide(size(returned), size(pushes)))
+        if bristles.any():
+            settling = along(jnp.where(bristles, y, 0.0))[1]
+            settling = safe_divide(size(settling, bristles), size(y, bristles))
+            damped = jnp.maximum(damped, settling)
         wanted = jnp.maximum(vibrating / ANGLE, damped / BRAKED)
         pace = jnp.stack([wanted, jnp.maximum(vibrating, 0.5 * damped)])
         ahead = y + left * motion.rates(arrays, apart, time, y)

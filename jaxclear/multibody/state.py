@@ -262,6 +262,17 @@ def impact_speed_places(layout: Layout) -> tuple[int | None, ...]:
     return tuple(places)
 
 
+def bristle_places(layout: Layout) -> list[int]:
+    """Where the deflections of bristles sit in the state."""
+    position, places = layout.memory_start, []
+    for _, kinds in layout.memories:
+        for remembers, bristles in kinds:
+            position += remembers
+            places += range(position, position + bristles)
+            position += bristles
+    return places
+
+
 def names(system: System, layout: Layout) -> list[str]:
     """A name for each entry of the state."""
     topology, out = system.topology, []
