@@ -27,7 +27,8 @@ from jaxclear.integrators.vibration import Vibration
 from jaxclear.multibody.state import bristle_places
 
 # A part in contact goes no further than by this angle of the contact's vibration [rad], and in it
-# friction brakes no more than this share of a slip, as bristles settle by no more of what they lack.
+# friction brakes no more than this share of a slip, and bristles settle by no more of what they
+# lack.
 ANGLE, BRAKED = 0.05, 0.5
 # Near a touch or release stiffness and dampers change fast: a part goes no further than as deep
 # again, where a contact opens by no more than this share of what is left of it; by `EARLY` of the

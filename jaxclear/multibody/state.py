@@ -264,7 +264,8 @@ def impact_speed_places(layout: Layout) -> tuple[int | None, ...]:
 
 def bristle_places(layout: Layout) -> list[int]:
     """Where the deflections of bristles sit in the state."""
-    position, places = layout.memory_start, []
+    position = layout.memory_start
+    places: list[int] = []
     for _, kinds in layout.memories:
         for remembers, bristles in kinds:
             position += remembers
