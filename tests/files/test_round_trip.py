@@ -270,7 +270,7 @@ def test_every_argument_of_every_class_has_a_file_form(name):
     # What a run hands to its own solver stands in no file.
     known = {
         "Variable": ["derived"],
-        "TakingImpactSpeeds": ["motion", "derived", "growth"],
+        "TakingImpactSpeeds": ["motion", "derived", "growth", "so_far"],
         "FollowingErrors": ["known"],
         # A function is code.
         "FromFunction": ["function"],
