@@ -149,3 +149,20 @@ def test_a_response_pays_for_no_derivative_that_it_does_not_ask_for(built):
     for name, slope in slopes.items():
         assert np.isfinite(slope).all()
         np.testing.assert_allclose(slope, both[name], rtol=1e-9)
+
+
+def test_slopes_that_depend_on_no_direction_stay_as_many_as_directions():
+    """What is unknown is nan, whatever moves."""
+
+    @jax.custom_jvp
+    def unknown(x):
+        return x
+
+    unknown.defjvp(lambda x, way: (x[0], jnp.full_like(way[0], jnp.nan)))
+
+    def function(p):
+        turn = lambda s: (s[0] + 1, unknown(s[1] * p[0]), s[2] * p[1])
+        return while_loop(lambda s: s[0] < 3, turn, (jnp.zeros((), int), p[2], p[2]))[1:]
+
+    slopes = jax.jit(jax.jacfwd(lambda p: function(p)[0]))(PLACE)
+    assert slopes.shape == (3,) and np.isnan(slopes).all()
