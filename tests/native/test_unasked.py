@@ -160,9 +160,6 @@ def test_slopes_that_depend_on_no_direction_stay_as_many_as_directions():
 
     unknown.defjvp(lambda x, way: (x[0], jnp.full_like(way[0], jnp.nan)))
 
-    def function(p):
-        turn = lambda s: (s[0] + 1, unknown(s[1] * p[0]), s[2] * p[1])
-        return while_loop(lambda s: s[0] < 3, turn, (jnp.zeros((), int), p[2], p[2]))[1:]
-
-    slopes = jax.jit(jax.jacfwd(lambda p: function(p)[0]))(PLACE)
-    assert slopes.shape == (3,) and np.isnan(slopes).all()
+    table = lambda p: scan(lambda x, _: (x * p[0], unknown(x)), p[2], np.arange(3.0))[1]
+    slopes = jax.jit(jax.jacfwd(table))(PLACE)
+    assert slopes.shape == (3, 3) and np.isnan(slopes).all()
