@@ -29,7 +29,7 @@ import jaxclear as jc
 from benchmarks.attacks.answers import surfaces
 from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.rungs import of_studies
-from benchmarks.attacks.structures import Structure, structures
+from benchmarks.attacks.structures import ROOM, Structure, structures
 from benchmarks.measure import about, report
 from jaxclear.results.abstract_response import REACHES
 
@@ -188,7 +188,7 @@ def _extrapolated(responses: np.ndarray, at: Any) -> tuple[np.ndarray, np.ndarra
 
 def attack(structure: Structure, draw: int, rungs: dict[str, tuple]) -> list[Row]:
     """All slopes of one case."""
-    number = 100 * structure.number + draw
+    number = structure.number * ROOM + draw
     try:
         case = structure.case(draw)
         if not case.mechanism.topology.clearances:
