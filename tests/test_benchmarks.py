@@ -16,9 +16,10 @@ pytest.importorskip("numba")
 from benchmarks import measure
 from benchmarks.attacks import verdicts
 from benchmarks.by_hand import evaluation
-from benchmarks.claims import design, equations, flap, work_precision, worn_depth
+from benchmarks.claims import design, equations, flap, referee, work_precision, worn_depth
 from benchmarks.claims import four_bar_variants as scenes
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.fixed_step import FixedStep
 
 ROOT = Path(__file__).resolve().parents[1]
 BOOK, RESULTS = ROOT / "notebooks", ROOT / "benchmarks" / "results"
@@ -191,3 +192,11 @@ def test_every_scene_that_is_measured_is_drawn():
 def test_stated_accuracy_of_the_book_is_that_of_the_attack():
     document = json.loads((RESULTS / "attack.json").read_text())
     assert document["accuracy that a silent run is held to"] == verdicts.stated()
+
+
+def test_what_the_referee_takes_out_of_a_run_is_there_and_comes_back():
+    """It names places of the engine that others may move."""
+    before = FixedStep._nothing_met
+    with referee.unchecked():
+        assert FixedStep._nothing_met is not before
+    assert FixedStep._nothing_met is before

@@ -69,7 +69,7 @@ def unchecked() -> Iterator[None]:
         ),
         (turns, "followed", lambda tally, *_: tally),
         (wear_by_saves, "figures", lambda *_: {}),
-        (fixed_step, "_nothing_met", lambda *_: None),
+        (fixed_step.FixedStep, "_nothing_met", lambda *_: None),
         (implicit_step, "contacts_met", lambda met, *_: met),
     ]
     before = [(place, name, getattr(place, name)) for place, name, _ in places]

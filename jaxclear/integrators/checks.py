@@ -96,7 +96,7 @@ class Check(AbstractCheck):
         14,
         "saving times: worn depth",
         "1",
-        0.05,
+        0.02,
         "worn depth",
         SURFACES,
         'where joint "{place}" wears hangs on the saving times, at which surfaces are updated: '
