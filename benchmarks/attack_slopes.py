@@ -26,12 +26,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
+from benchmarks.attacks import verdicts
 from benchmarks.attacks.answers import surfaces
 from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.rungs import of_studies
 from benchmarks.attacks.structures import ROOM, Structure, structures
 from benchmarks.measure import about, report
-from jaxclear.results.abstract_response import REACHES
 
 # Shares of a number by which differences are taken, and tolerances of the two references.
 SHARES, TOLERANCES = (2e-4, 1e-4, 5e-5), (1e-10, 1e-9)
@@ -43,13 +43,6 @@ SAVES, DENSE = 51, 20_001
 # A peak of half as many saved instants tells how far that of all is sure.
 HALF = "peak force of every second instant"
 VARIABLES = ("clearance", "contact", "mass")
-# What of a run each response is drawn from.
-DRAWN_FROM = {
-    "place": "motion",
-    "mean force": "forces",
-    "peak force": "peak forces",
-    "worn volume": "wear",
-}
 # The integrator of each rung, and by how much of itself a slope may be off.
 RUNGS: dict[str, tuple[Callable[[Case], Any], float]] = {
     "default of studies": (of_studies, 0.05),
@@ -141,6 +134,7 @@ def problem(case: Case, integrator: Any, dense: bool = False) -> jc.Problem:
 
 def reference(case: Case) -> tuple[dict, dict, dict] | str:
     """(slopes, doubts, values) by response, or why there are none."""
+    case = case._replace(mechanism=case.reference or case.mechanism)
     slopes, doubts, values = {}, {}, {}
     for dense in (False, True):
         found = []
@@ -206,7 +200,7 @@ def attack(structure: Structure, draw: int, rungs: dict[str, tuple]) -> list[Row
     return rows
 
 
-def _told(case: Case, integrator: Any) -> tuple[dict, set[str], np.ndarray | None]:
+def _told(case: Case, integrator: Any) -> tuple[dict, frozenset[str], np.ndarray | None]:
     """(slopes by response, none where a sentence refuses them; responses that are warned of; the
     numbers)."""
     try:
@@ -219,12 +213,10 @@ def _told(case: Case, integrator: Any) -> tuple[dict, set[str], np.ndarray | Non
 
         slopes, result = jax.jit(jax.jacfwd(both, has_aux=True))(asked.nominal())
     except ValueError:
-        return {}, set(), None
+        return {}, frozenset(), None
     if int(result.outcome) != jc.integrator.Outcome.REACHED:
-        return {}, set(), None
-    beyond = {check for check, flag in result.checks.beyond().items() if np.any(flag)}
-    reached = {part for check in beyond for part in REACHES[check.concerns]}
-    return slopes, {name for name, part in DRAWN_FROM.items() if part in reached}, at
+        return {}, frozenset(), None
+    return slopes, verdicts.of_checks(result.checks), at
 
 
 def _judged(where: tuple[int, str, str], known: tuple, told: tuple, limit: float) -> list[Row]:

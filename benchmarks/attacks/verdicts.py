@@ -127,10 +127,15 @@ def worst(verdicts: Any) -> Verdict:
 
 
 def concerned(run: Any) -> frozenset[str]:
-    """The responses that a run's warnings concern; those `OF_THE_MODEL` judge no rung. Where there
-    are no contacts the mean force is that of reactions at the saved instants."""
-    beyond = {check for check, flag in run.checks.beyond().items() if np.any(flag)} - OF_THE_MODEL
-    reached = {part for check in beyond for part in REACHES[check.concerns]}
+    """The responses that a run's warnings concern. Where there are no contacts the mean force is
+    that of reactions at the saved instants."""
     touches = bool(run.formulation.contact_joints(run.mechanism))
-    drawn = DRAWN_FROM if touches else DRAWN_FROM | {"mean force": "peak forces"}
-    return frozenset(name for name, part in drawn.items() if part in reached)
+    return of_checks(run.checks, {} if touches else {"mean force": "peak forces"})
+
+
+def of_checks(checks: Any, drawn: dict[str, str] | None = None) -> frozenset[str]:
+    """The responses that figures beyond their limits concern; those `OF_THE_MODEL` judge no rung.
+    `drawn`: what of a run some of them are drawn from, where not as usual."""
+    beyond = {check for check, flag in checks.beyond().items() if np.any(flag)} - OF_THE_MODEL
+    reached = {part for check in beyond for part in REACHES[check.concerns]}
+    return frozenset(name for name, part in (DRAWN_FROM | (drawn or {})).items() if part in reached)

@@ -16,7 +16,7 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.ground.wording import unknown
-from jaxclear.integrators import vibration
+from jaxclear.integrators import chatter, vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import watch_from, watched
@@ -145,7 +145,7 @@ class FixedStep(AbstractIntegrator):
             damped = self.formulation.damped(model)
             known = nothing_beside(model.layout.size, len(contacts.depths), damped)
             return contacts, jnp.ones(()), known, None
-        growth = jnp.zeros(GROWTH) if self._derived(model) else None
+        growth = jnp.zeros(GROWTH + chatter.figures(model)) if self._derived(model) else None
         return contacts, jnp.ones(()), growth, vibration.nothing(model, self)
 
     def _derived(self, model):

@@ -25,7 +25,7 @@ from jaxclear.formulations.impact_speed import ContactMotion, passage
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import moved, moving_with, pushed, where_wanted
-from jaxclear.integrators import saltation
+from jaxclear.integrators import chatter, saltation
 from jaxclear.integrators.explicit_methods import CHAINS
 from jaxclear.integrators.peaks import peaks
 from jaxclear.integrators.trust import GROWTH, RISE
@@ -232,7 +232,9 @@ def judged(motion: Any, begun: Now, gap: Any, apart: Apart, end: Any) -> Array:
     lost = jnp.where(over, 1.0, lost)
     rising = jnp.any((depths >= 0) & (contacts.rates > 0))
     known = jnp.where(rising, known, rise)
-    return jnp.stack([met, first, most, lost, error, rise, largest, known])
+    known = jnp.stack([met, first, most, lost, error, rise, largest, known])
+    known = jnp.concatenate([known, growth[GROWTH:]])
+    return chatter.followed(motion, begun, (end, contacts), known)
 
 
 def passed_within(

@@ -89,9 +89,9 @@ def test_depths_that_few_saving_times_leave_wrong_are_told_and_those_of_many_are
     rig = jc.scenes.four_bar("planar", cells=(144, 1))
     whole = jc.simulate(rig, 1.26, save=2, integrator=NonColliding())
     assert "saving times" in whole.result
-    runs = {n: jc.simulate(rig, 1.26, save=n, integrator=NonColliding()) for n in (26, 101, 801)}
+    runs = {n: jc.simulate(rig, 1.26, save=n, integrator=NonColliding()) for n in (26, 201, 801)}
     true = np.asarray(runs[801].worn_depth("B", "bearing"))
-    for count, beyond in ((26, True), (101, False)):
+    for count, beyond in ((26, True), (201, False)):
         found = runs[count].checks.figures[Check.WEAR_BY_SAVES].worst.max()
         off = np.asarray(runs[count].worn_depth("B", "bearing")) - true
         assert np.sqrt((off**2).sum() / (true**2).sum()) < (2 if beyond else 1) * found
