@@ -72,13 +72,16 @@ class Verdict(StrEnum):
 # What a run's word turns a verdict into.
 SAID = {Verdict.WRONG: Verdict.SAID, Verdict.UNSAID: Verdict.UNDECIDABLE}
 # What of a run each response is drawn from, as `jaxclear.response` says it.
-DRAWN_FROM: dict[str, str] = dict(
-    zip(
-        RESPONSES,
-        ("motion", "places in gaps", "forces", "peak forces", "wear", "wear", "wear", "motion"),
-        strict=True,
-    )
-)
+DRAWN_FROM: dict[str, str] = {
+    "place": "motion",
+    "offset": "places in gaps",
+    "mean force": "forces",
+    "peak force": "peak forces",
+    "friction loss": "wear",
+    "worn volume": "wear",
+    "worn depth": "worn depth",
+    "drift": "motion",
+}
 
 
 # What speaks of laws and loads, which references share.

@@ -100,8 +100,8 @@ class Check(AbstractCheck):
         "worn depth",
         SURFACES,
         'where joint "{place}" wears hangs on the saving times, at which surfaces are updated: '
-        "depths of its cells may be off by {figure:.2g} of themselves (limit {limit:g}), though "
-        "volumes are right: save more often",
+        "depths of its cells may be off by {figure:.2g} of themselves (limit {limit:g}), and after "
+        "many impacts places in its gap, though volumes are right: save more often",
     )
     PLACE_IN_GAP = (
         12,

@@ -20,7 +20,8 @@ REACHES = {
     "peak forces": ("peak forces",),
     "swinging forces": ("peak forces", "wear", "worn depth"),
     "wear": ("wear", "worn depth"),
-    "worn depth": ("worn depth",),
+    # Where a journal is after many impacts hangs on every nanometre that it has worn.
+    "worn depth": ("worn depth", "places in gaps"),
     "places in gaps": ("places in gaps", "wear", "worn depth"),
 }
 
