@@ -39,18 +39,18 @@ def followed(motion: Any, begun: Any, ended: tuple, growth: Array) -> Array:
         return growth
     end, after = ended
     count = len(after.depths)
-    fastest, rest = growth[GROWTH], growth[GROWTH + 1 :]
-    before, changed = rest[: 3 * count].reshape(count, 3), rest[3 * count : 6 * count]
-    changed, turned = changed.reshape(count, 3), rest[6 * count :]
+    most, known = growth[GROWTH], growth[GROWTH + 1 :].reshape(count, 7)
+    before, changed, turned = known[:, :3], known[:, 3:6], known[:, 6]
     slip = motion.slips(begun.arrays, begun.time + begun.length, end)
     size = lambda each: safe_sqrt(jnp.sum(each * each, -1))
-    fastest = jnp.maximum(fastest, jnp.max(size(slip)))
-    rubs = (begun.contacts.depths >= 0) & (after.depths >= 0)
+    fastest = jnp.maximum(most, jnp.max(size(slip)))
+    # Of a slip with which a run begins nothing is known before its first step.
+    rubs = (begun.contacts.depths >= 0) & (after.depths >= 0) & (most > 0)
     change = jnp.where(rubs[:, None], slip - before, 0.0)
     moved = jnp.minimum(size(change), size(changed)) > AT_REST * fastest
     turns = moved & (jnp.sum(change * changed, -1) < 0)
     chatters = jnp.any(turns & (turned > 0))
     turned = jnp.where(turns, 1.0 * FEW, jnp.maximum(turned - 1, 0.0))
     here = (jnp.arange(GROWTH) == LOST) & chatters
-    known = jnp.where(here, 1.0, growth[:GROWTH])
-    return jnp.concatenate([known, fastest[None], slip.ravel(), change.ravel(), turned])
+    known = jnp.concatenate([slip, change, turned[:, None]], 1)
+    return jnp.concatenate([jnp.where(here, 1.0, growth[:GROWTH]), fastest[None], known.ravel()])

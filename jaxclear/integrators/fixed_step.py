@@ -63,16 +63,16 @@ class FixedStep(AbstractIntegrator):
     that many; free flight keeps the long step, so bounces are resolved at a fraction of the cost.
     `steps_per_save` fixes the number of steps between saving times instead: reverse-mode
     derivatives (`jax.grad`) then go backwards through the steps, which pays off for hundreds of
-    numbers, but not through friction in ideal joints. Impact speeds
-    are those at the touch within a step, to the third power of the step; a force that begins as the
-    3/2th power of the indentation limits the order of a run through impacts to 5/2. Derivatives are
-    those of the discrete run: where contacts open and close, by "rk4" without `steps_per_save`
-    those of the motion (`mid_step`; within 1e-3 through six bounces of Hertzian laws in steps of
-    20 us), nan where impacts have made them grow beyond what steps determine or a contact is over
-    in a few steps. So are those of "heun", "semi_implicit" and "euler" without `steps_per_save` and
-    `contact_steps`: of the motion, which goes beside the run (`fine_motion`), nan where that has
-    parted from it by 3 % of the narrowest gap. Else they are not those of the motion
-    (`jaxclear.sensitivity` compares methods).
+    numbers, but not through friction in ideal joints. Impact speeds are those at the touch within a
+    step, to the third power of the step; a force that begins as the 3/2th power of the indentation
+    limits the order of a run through impacts to 5/2. Derivatives are those of the discrete run:
+    where contacts open and close, by "rk4" without `steps_per_save` those of the motion
+    (`mid_step`; within 1e-3 through six bounces of Hertzian laws in steps of 20 us), nan where
+    impacts have made them grow beyond what steps determine, a contact is over in a few steps, or
+    slip goes to and fro. So are those of "heun", "semi_implicit" and "euler" without
+    `steps_per_save` and `contact_steps`: of the motion, which goes beside the run (`fine_motion`),
+    nan where that has parted from it by 3 % of the narrowest gap. Else they are not those of the
+    motion (`jaxclear.sensitivity` compares methods).
     """
 
     pathwise: ClassVar = True

@@ -12,8 +12,8 @@ SLIDER_CRANK, DRAW = 14, 40
 
 
 def slopes(integrator):
-    """Of the mean force and the worn volume of the attack's slider-crank by its clearance and the
-    stiffness of its contact, which sticks in its bearing in the middle of a hit; and the values."""
+    """Of the mean force and the worn volume of the attack's slider-crank, which sticks in its
+    bearing in the middle of a hit, by its clearance and the stiffness of its contact, as shares."""
     case = structures()[SLIDER_CRANK].case(DRAW)
     joint = lambda rig: rig.connections["B"].joint
     places = {
