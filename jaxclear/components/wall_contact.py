@@ -23,8 +23,7 @@ from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.ground.quantity import Scalar
 
 # A tilted face overlaps a wall along so many cells at least, and any face by this share of the
-# clearance: 0.1 um at 0.1 mm, as rough as ground faces are. Of joints that always touch nothing
-# else is known.
+# clearance: 0.1 um at 0.1 mm, as rough as ground faces are. Of rigid parts nothing else is known.
 LEAST_CELLS, LEAST_OVERLAP = 2.0, 1e-3
 # Half of the shortest way [cells]: how long a shorter one is hangs on rounding.
 LEAST_WAY = 1e-2

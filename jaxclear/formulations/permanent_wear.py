@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from jaxclear.components.clearance import CarryingEnd
+from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.formulations.carried_loads import carrying_ends
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import (
@@ -19,6 +20,7 @@ from jaxclear.formulations.permanent_reactions import (
     touching,
 )
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.system import System
 
@@ -40,22 +42,43 @@ def wear_rates(
     for held, k in zip(touching(system), at.values(), strict=True):
         if held.joint.maps():
             ends = carrying_ends(held, found.reactions[k], own_part(friction, places[k]))
-            carried[held.name] = (*_pose_in_gap(system, motions, q, held, ends), ends)
+            ends, depths = _sunk_in(held.joint, ends)
+            carried[held.name] = (*_pose_in_gap(system, motions, q, held, ends), ends, depths)
     for slot in model.layout.wear:
         if slot.bearing not in at:
             continue
         k = at[slot.bearing]
         joint = touching(system)[k].joint
-        offset, axes, ends = carried[slot.bearing]
+        offset, axes, ends, depths = carried[slot.bearing]
         (contact,) = (c for end in ends for c in end.contacts if c.number == slot.contact)
         _, wearing = joint.maps()[slot.surface]
         speed = slid(joint, own_part(slips, places[k]), contact.place)
         volume = wearing.acceleration * wearing.law.volume_rate(
             contact.normal_force, speed, jnp.abs(contact.friction)
         )
-        place = joint.wear_place(slot.surface, offset, axes, slot.contact)
+        pressed = depths[slot.contact]
+        place = joint.wear_place(slot.surface, offset, axes, slot.contact, pressed)
         rates += [volume, *(sp.mul(volume, place[i]) for i in slot.averaged)]
     return rates
+
+
+def _sunk_in(
+    joint: AbstractRubbingJoint, ends: tuple[CarryingEnd, ...]
+) -> tuple[tuple[CarryingEnd, ...], dict[int, Any]]:
+    """The ends as far beyond the play as their forces press them, so that what leans is known, and
+    the indentation of each contact [m] by its number."""
+    sunk: list[CarryingEnd] = []
+    depths: dict[int, Any] = {}
+    for end in ends:
+        own = {c.number: joint.indentation(c.number, c.normal_force) for c in end.contacts}
+        depths |= own
+        beyond = sp.total(own.values())
+        if not sp.is_zero(beyond):
+            across = (*end.offset[:2], 0)
+            beyond = sp.scale(safe_divide(beyond, sp.norm(across)), across)
+            end = end._replace(offset=sp.plus(end.offset, beyond))
+        sunk.append(end)
+    return tuple(sunk) if len(ends) > 1 else ends, depths
 
 
 def _pose_in_gap(

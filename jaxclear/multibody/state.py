@@ -151,7 +151,7 @@ def _wearing(system: System, samples: dict[str, tuple]) -> list[tuple]:
         offset, axes = tuple(map(jnp.asarray, PROBE)), _home_axes(rubbing.gap_axes)
         for surface in rubbing.maps():
             found += [
-                (name, surface, k, rubbing.wear_place(surface, offset, axes, k))
+                (name, surface, k, rubbing.wear_place(surface, offset, axes, k, jnp.zeros(())))
                 for k in rubbing.wearing_contacts()
             ]
     return found

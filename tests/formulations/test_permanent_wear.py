@@ -12,10 +12,10 @@ DURATION, SAVES = 0.5, 51
 TURNED = SPEED * DURATION
 
 
-def turning(kind, **wearing):
+def turning(kind, law=None, load=LOAD, **wearing):
     """A journal that turns, pressed down by a constant load."""
     joint = kind(
-        jc.contact.HuntCrossley(stiffness=1e9, restitution=0.1),
+        jc.contact.HuntCrossley(stiffness=1e9, restitution=0.1) if law is None else law,
         bearing_radius=RADIUS,
         clearance=CLEARANCE,
         length=LENGTH,
@@ -25,7 +25,7 @@ def turning(kind, **wearing):
     return jc.Mechanism(
         {"rotor": jc.Body(1.0, 1e-3 if planar else (1e-3,) * 3)},
         {"B": jc.Connection(joint, "ground", "rotor")},
-        {"load": jc.load.Force(jc.Marker("rotor"), (0.0, -LOAD, 0.0))},
+        {"load": jc.load.Force(jc.Marker("rotor"), (0.0, -load, 0.0))},
         speeds={"rotor": (0.0, 0.0, SPEED) if planar else (0.0, 0.0, 0.0, 0.0, 0.0, SPEED)},
     )
 
@@ -52,6 +52,47 @@ def test_a_loaded_bearing_that_always_touches_wears_by_archard(planar):
     assert np.all(np.cos(place + 0.5 * np.pi)[depth > 0] > 0)
     area = 2 * np.pi * RADIUS * LENGTH / 48
     np.testing.assert_allclose(depth.sum() * area, volume[-1], rtol=1e-12)
+
+
+SOFT, STIFF = 5e8, 1e10
+
+
+def hertz(stiffness):
+    return jc.contact.HuntCrossley(stiffness=stiffness, restitution=0.1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "law", "load"),
+    [
+        (jc.clearance.PlanarJournalBearing, hertz(SOFT), 2000.0),
+        (jc.clearance.PlanarJournalBearing, hertz(STIFF), 200.0),
+        (jc.clearance.JournalBearing, hertz(STIFF), 2000.0),
+        (jc.clearance.JournalBearing, jc.contact.Liu(restitution=0.1), 2000.0),
+    ],
+)
+def test_a_loaded_bearing_wears_as_deep_as_its_contact_law_lets_it_sink(kind, law, load):
+    """The compliant bearing, seated, is the oracle; a contact two cells wide would wear 2 to 12
+    times as deep."""
+    rig = turning(kind, law=law, load=load, bearing_wear=True)
+    asked = {"duration": 0.1, "save": 101}
+    rigid = jc.simulate(rig, integrator=jc.integrator.NonColliding(1e-3), **asked)
+    seated = jc.seated(rig)
+    compliant = jc.simulate(
+        rig, integrator=jc.integrator.Adaptive(rtol=1e-8, atol=1e-11), state=seated, **asked
+    )
+    found, wanted = (float(run.worn_depth("B", "bearing").max()) for run in (rigid, compliant))
+    volumes = [float(run.worn_volume("B", "bearing")[-1]) for run in (rigid, compliant)]
+    assert found / volumes[0] == pytest.approx(wanted / volumes[1], rel=1e-3)
+
+
+def test_the_first_depth_is_that_of_hertz_pressure_over_the_width_of_the_contact():
+    """h = 2 V / (pi R L a) in the middle, a^2 = indentation/clearance: rootlike pressure."""
+    rig = turning(jc.clearance.PlanarJournalBearing, law=hertz(STIFF), bearing_wear=True)
+    found = jc.simulate(rig, 0.1, save=101, integrator=jc.integrator.NonColliding(1e-3))
+    half_width = np.sqrt((LOAD / STIFF) ** (2 / 3) / CLEARANCE)
+    volume = float(found.worn_volume("B", "bearing")[-1])
+    wanted = 2 * volume / (np.pi * RADIUS * LENGTH * half_width)
+    assert float(found.worn_depth("B", "bearing").max()) == pytest.approx(wanted, rel=0.08)
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ def depth_of(volume):
 @pytest.fixture(scope="module")
 def life():
     bearing = jc.clearance.PlanarJournalBearing(
-        jc.contact.HuntCrossley(stiffness=1e9, restitution=0.1),
+        jc.contact.Rigid(),
         bearing_radius=RADIUS,
         clearance=CLEARANCE,
         length=LENGTH,

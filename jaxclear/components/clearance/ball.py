@@ -4,7 +4,6 @@ is while it always touches."""
 from typing import ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from jaxclear.components.clearance.base import (
     AbstractClearance,
@@ -13,6 +12,7 @@ from jaxclear.components.clearance.base import (
     check_clearance,
     direction,
 )
+from jaxclear.components.clearance.permanent import pressed_by
 from jaxclear.components.joint import AbstractRubbingBall, Spherical
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wear_map import Wearing
@@ -138,6 +138,8 @@ class PermanentSpherical(AbstractRubbingBall):
     def wearing_contacts(self):
         return (0,)
 
-    def wear_place(self, surface, offset, axes, contact):
-        # What carries overlaps by nothing that is known of.
-        return self.gap.features(surface, offset, axes, (jnp.zeros(()),), contact)
+    def wear_place(self, surface, offset, axes, contact, indentation):
+        return self.gap.features(surface, offset, axes, (indentation,), contact)
+
+    def indentation(self, contact, force):
+        return pressed_by(self.gap, contact, force)

@@ -104,5 +104,5 @@ class BallJoint(AbstractRubbingBall):
     def wearing_contacts(self):
         return (0,)
 
-    def wear_place(self, surface, offset, axes, contact):
+    def wear_place(self, surface, offset, axes, contact, indentation):
         return (0.0,)

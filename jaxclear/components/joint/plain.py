@@ -86,7 +86,7 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
     def wearing_contacts(self):
         return (0,) if self.load is not None or self.length is None else (0, 1)
 
-    def wear_place(self, surface, offset, axes, contact):
+    def wear_place(self, surface, offset, axes, contact, indentation):
         return (0.0,)
 
     def motion(self, q):
@@ -164,7 +164,7 @@ class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
             return (0,)
         return tuple(range((2 if self.length is not None else 1) + 2 * (self.width is not None)))
 
-    def wear_place(self, surface, offset, axes, contact):
+    def wear_place(self, surface, offset, axes, contact, indentation):
         return (0.0,)
 
     def motion(self, q):

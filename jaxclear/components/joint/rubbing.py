@@ -89,9 +89,16 @@ class AbstractRubbingJoint(AbstractJoint):
         """Numbers of the contacts whose wear is mapped."""
 
     @abstractmethod
-    def wear_place(self, surface: str, offset: sp.Vec, axes: tuple, contact: int) -> tuple:
+    def wear_place(
+        self, surface: str, offset: sp.Vec, axes: tuple, contact: int, indentation: Any
+    ) -> tuple:
         """Location of a contact on a surface that wears, as its map reads it, for the offset [m] of
-        the child within the gap."""
+        the child within the gap and the contact's indentation [m]."""
+
+    def indentation(self, contact: int, force: Any) -> Any:
+        """How deep [m] a normal force [N] presses a contact; 0, unless overridden, because an ideal
+        joint knows no law that tells it."""
+        return 0
 
 
 def check_radius_as_made(joint: Any) -> None:
