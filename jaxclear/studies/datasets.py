@@ -70,6 +70,11 @@ def _of_pairs(
     )
 
 
+def _warnings(study: Any) -> dict[str, str]:
+    """Of what runs of a study warn, as text that goes with its data."""
+    return {"warnings": " ".join(study.warnings)}
+
+
 def of_derivatives(study: Any) -> Any:
     """Of a `Sensitivity`: the answers, and those of each method."""
     found = study.derivatives
@@ -97,6 +102,7 @@ def of_effects(study: Any) -> Any:
         "effect high": {key: one.high for key, one in study.effects.items()},
     }
     said = {"runs": study.runs, "failed": study.failed, "remark": study.remark}
+    said |= _warnings(study)
     return _of_pairs("Shapley effects", study.problem, pairs, **said)
 
 
@@ -107,7 +113,7 @@ def of_indices(study: Any) -> Any:
         pairs[name] = {key: one.value for key, one in own.items()}
         pairs[f"{name} low"] = {key: one.low for key, one in own.items()}
         pairs[f"{name} high"] = {key: one.high for key, one in own.items()}
-    said = {"runs": study.runs, "failed": study.failed}
+    said = {"runs": study.runs, "failed": study.failed} | _warnings(study)
     return _of_pairs("Sobol' indices", study.problem, pairs, **said)
 
 
@@ -123,6 +129,7 @@ def of_corrected(study: Any) -> Any:
         "limit": Column(("limit",), np.array(limits, str)),
     }
     said = {"result": study.sentence(), "runs": study.runs, "failed": study.failed}
+    said |= _warnings(study)
     parts = in_texts(study.surface.problem)
     return dataset(columns, coordinates, what="corrected statistics", problem=parts, **said)
 
@@ -159,9 +166,8 @@ def of_corners(study: Any) -> Any:
         "end": Column(("end",), list(ends)),
         VARIABLE: Column((VARIABLE,), list(problem.names)),
     }
-    return dataset(
-        columns, coordinates, what="worst case", problem=in_texts(problem), runs=study.runs
-    )
+    said = {"runs": study.runs} | _warnings(study)
+    return dataset(columns, coordinates, what="worst case", problem=in_texts(problem), **said)
 
 
 def of_surface(surface: Any) -> Any:
@@ -191,6 +197,7 @@ def of_surface(surface: Any) -> Any:
         problem=in_texts(problem),
         result=surface.sentence(),
         failed=surface.failed,
+        **_warnings(surface),
     )
 
 

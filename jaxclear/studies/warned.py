@@ -5,30 +5,40 @@ it is to be trusted. It is counted like a failed one; whether it counts for a re
 what the response is drawn from.
 """
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
+from jaxclear.ground.wording import listed
 from jaxclear.integrators import Check, Checks
 from jaxclear.studies.base import AbstractProblem
+
+# More than this share of runs in doubt, and what rests on them is in doubt too.
+FEW_WARNED = 0.05
+
+
+def codes_of(checks: Checks, runs: int) -> np.ndarray:
+    """Of what each run warns, (runs,): the sum of 2^n over the numbers n of the checks."""
+    found = np.zeros(runs, np.int64)
+    for check, beyond in checks.beyond().items():
+        found |= np.where(np.asarray(beyond), np.int64(1) << int(check), 0)
+    return found
 
 
 def any_warning(checks: Checks, runs: int) -> np.ndarray:
     """Whether each run carries a warning, (runs,)."""
-    return _any(checks, runs, lambda check: True)
+    return codes_of(checks, runs) != 0
 
 
 def warned_of(problem: AbstractProblem, response: str, checks: Checks, runs: int) -> np.ndarray:
     """Whether each run carries a warning that concerns a response of the problem, (runs,)."""
-    return _any(checks, runs, lambda check: problem.concerned(response, check.concerns))
+    return concerning(problem, response, codes_of(checks, runs)) != 0
 
 
-def _any(checks: Checks, runs: int, counts: Any) -> np.ndarray:
-    found = np.zeros(runs, bool)
-    for check, beyond in checks.beyond().items():
-        if counts(check):
-            found |= np.asarray(beyond)
-    return found
+def concerning(problem: AbstractProblem, response: str, codes: np.ndarray) -> np.ndarray:
+    """The codes (runs,) of the warnings that concern a response."""
+    own = [check for check in Check if problem.concerned(response, check.concerns)]
+    return codes & np.int64(sum(1 << int(check) for check in own))
 
 
 def concern(
@@ -36,21 +46,46 @@ def concern(
 ) -> tuple[float, str]:
     """Share of the runs `among` (runs,) whose warnings concern a response, and a sentence that
     tells them; "" where there are none."""
-    warned = warned_of(problem, response, checks, len(among)) & among
-    if not warned.any():
-        return 0.0, ""
-    kinds = {
-        check: count
-        for check, count in counted(checks, warned).items()
-        if problem.concerned(response, check.concerns)
-    }
-    text = f"{warned.sum()} of {among.sum()} runs warn ({in_words(kinds)})."
-    return float(warned.sum() / among.sum()), text
+    own = concerning(problem, response, codes_of(checks, len(among)))[among]
+    return _share(own), _sentence(own)
+
+
+def warned_share(problem: AbstractProblem, response: str, codes: np.ndarray) -> float:
+    """Share of runs, of their codes (runs,), whose warnings concern a response."""
+    return _share(concerning(problem, response, codes))
+
+
+def sentences(
+    problem: AbstractProblem, codes: np.ndarray, responses: Sequence[str] | None = None
+) -> tuple[str, ...]:
+    """How many of a study's runs warn of what concerns its responses (all, or these), one sentence
+    for those of which the same is to be said; `codes` (runs,) of the runs that count."""
+    alike: dict[str, list[str]] = {}
+    known = problem.response_names
+    for name in known if responses is None else [own for own in known if own in responses]:
+        said = _sentence(concerning(problem, name, codes))
+        if said:
+            alike.setdefault(said, []).append(name)
+    return tuple(f"{listed(names)}: {said}" for said, names in alike.items())
+
+
+def _share(own: np.ndarray) -> float:
+    return float(np.mean(own != 0)) if len(own) else 0.0
+
+
+def _sentence(own: np.ndarray) -> str:
+    kinds = by_kind(own)
+    return f"{np.sum(own != 0)} of {len(own)} runs warn ({in_words(kinds)})." if kinds else ""
 
 
 def counted(checks: Checks, among: np.ndarray) -> dict[Check, int]:
     """How many of the runs `among` (runs,) warn of what, most frequent first."""
-    found = {check: int(np.sum(beyond & among)) for check, beyond in checks.beyond().items()}
+    return by_kind(codes_of(checks, len(among))[among])
+
+
+def by_kind(codes: np.ndarray) -> dict[Check, int]:
+    """How many runs warn of what, most frequent first, of the codes (runs,) of all."""
+    found = {check: int(np.sum(codes >> int(check) & 1)) for check in Check}
     order = sorted(found, key=lambda check: -found[check])
     return {check: found[check] for check in order if found[check]}
 

@@ -21,7 +21,7 @@ import scipy
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.ground.shown import AbstractShown, in_rows
-from jaxclear.integrators import Outcome
+from jaxclear.integrators import Checks, Outcome
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_corners
@@ -29,6 +29,7 @@ from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.endless import answered, finite_beside
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
+from jaxclear.studies.warned import by_kind, codes_of, concerning
 
 # Points from which each extreme is climbed to, the corner of the slopes apart.
 STARTS = 4
@@ -48,7 +49,7 @@ class Extreme(eqx.Module):
 
 class WorstCase(AbstractShown):
     """The extremes of every response over the box from `low` to `high` (variables,), and its
-    `nominal` values."""
+    `nominal` values; `warnings` say which extremes are those of runs that warn."""
 
     problem: AbstractProblem
     low: np.ndarray
@@ -57,9 +58,10 @@ class WorstCase(AbstractShown):
     least: dict[str, Extreme]
     largest: dict[str, Extreme]
     runs: int = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __str__(self) -> str:
-        return in_rows(self.table())
+        return "\n".join([in_rows(self.table()), *self.warnings])
 
     def to_dataset(self) -> Any:
         """Everything as an xarray Dataset by response, end and variable, with provenance."""
@@ -117,7 +119,9 @@ def worst_case(
             starts = [corner, *points[order[:STARTS]]]
             found[name] = search.climbed(name, sign, starts, first)
     at_nominal = {name: float(responses[name][0]) for name in problem.response_names}
-    return WorstCase(problem, low, high, at_nominal, extremes[-1], extremes[1], search.runs)
+    least, largest = extremes[-1], extremes[1]
+    warnings = search.warnings(nominal, {"least": least, "largest": largest})
+    return WorstCase(problem, low, high, at_nominal, least, largest, search.runs, warnings)
 
 
 def box(problem: AbstractProblem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
@@ -135,10 +139,10 @@ def box(problem: AbstractProblem, sigmas: float) -> tuple[np.ndarray, np.ndarray
 def _value_and_slopes(problem, name, values):
     def response(values):
         found = problem.evaluate(values)
-        return found.responses[name], found.outcome
+        return found.responses[name], found
 
-    slopes, outcome = jax.jacfwd(response, has_aux=True)(values)
-    return response(values)[0], slopes, outcome
+    slopes, found = jax.jacfwd(response, has_aux=True)(values)
+    return found.responses[name], slopes, found.outcome, found.checks
 
 
 class Search:
@@ -147,6 +151,8 @@ class Search:
     def __init__(self, problem: AbstractProblem, low, high, progress_bar: bool):
         self.problem, self.low, self.high, self.bar = problem, low, high, progress_bar
         self.runs = 0
+        # Of what the runs warn, by their values.
+        self.codes: dict[bytes, int] = {}
         self.differentiable = not any(problem.pathwise_limits())
 
     def responses(self, points: np.ndarray) -> dict[str, np.ndarray]:
@@ -155,9 +161,28 @@ class Search:
         found = evaluate_all(
             self.problem, jnp.asarray(points), progress_bar=self.bar, label="worst case"
         )
+        self._keep(points, found.checks)
         good = np.asarray(found.outcome) == Outcome.REACHED
         told = lambda name, own: good & answered(self.problem, {name: own})
         return {n: np.where(told(n, own), own, np.nan) for n, own in found.responses.items()}
+
+    def _keep(self, points: np.ndarray, checks: Checks) -> None:
+        codes = codes_of(checks, len(points)).tolist()
+        self.codes |= zip((own.tobytes() for own in points), codes, strict=True)
+
+    def warnings(self, nominal: np.ndarray, ends: dict[str, dict[str, Extreme]]) -> tuple[str, ...]:
+        """Which of the nominal values and the extremes are of runs that warn of what concerns
+        them, and of what."""
+        said = []
+        for name in self.problem.response_names:
+            places = {"nominal": nominal} | {end: own[name].values for end, own in ends.items()}
+            for end, at in places.items():
+                own = np.array([self.codes.get(at.tobytes(), 0)])
+                kinds = by_kind(concerning(self.problem, name, own))
+                if kinds:
+                    labels = ", ".join(check.label for check in kinds)
+                    said.append(f'The run of the {end} "{name}" warns ({labels}).')
+        return tuple(said)
 
     def slopes(self, name: str, at: np.ndarray) -> np.ndarray:
         """Of a response at a point (variables,): derivatives, or differences across the box where
@@ -189,8 +214,10 @@ class Search:
         def asked(share):
             nonlocal best
             at = np.clip(self.low + share * width, self.low, self.high)
-            value, slopes, outcome = _value_and_slopes(self.problem, name, jnp.asarray(at))
+            told = _value_and_slopes(self.problem, name, jnp.asarray(at))
+            value, slopes, outcome, checks = told
             self.runs += 1
+            self._keep(at[None], checks)
             if outcome != Outcome.REACHED or not np.isfinite(value):
                 return np.inf, np.zeros(len(at))
             if not sign * value <= sign * best[0]:

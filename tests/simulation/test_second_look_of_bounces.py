@@ -48,15 +48,17 @@ def test_bouncy_impacts_are_in_doubt_sooner(restitution, rise, doubted):
 
 
 @pytest.mark.parametrize(
-    ("steps", "restitution", "doubted"),
-    [(650, 0.95, False), (750, 0.95, True), (750, 0.9, False)],
+    ("steps", "restitution", "bearings", "doubted"),
+    [(650, 0.95, 1, False), (750, 0.95, 1, True), (750, 0.9, 1, False), (750, 0.5, 2, True)],
 )
-def test_many_bouncy_impacts_are_in_doubt(steps, restitution, doubted):
-    """Steps that end at saving times tell of no impact."""
+def test_many_bouncy_impacts_are_in_doubt(steps, restitution, bearings, doubted):
+    """Steps that end at saving times tell of no impact; several bearings pass impacts on."""
     contact = jc.contact.CarvalhoMartins(restitution=restitution)
     bearing = jc.clearance.PlanarJournalBearing(contact, bearing_radius=0.01, clearance=1e-4)
+    names = [f"journal {k}" for k in range(bearings)]
     rig = jc.Mechanism(
-        {"journal": jc.Body(1.0, 1e-4)}, {"B": jc.Connection(bearing, "ground", "journal")}
+        {name: jc.Body(1.0, 1e-4) for name in names},
+        {f"B{name}": jc.Connection(bearing, "ground", name) for name in names},
     )
     run = SimpleNamespace(
         mechanism=rig,

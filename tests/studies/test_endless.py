@@ -247,7 +247,8 @@ def test_a_share_is_told_beside_lives_that_are_smaller_and_no_infinite_error_is_
     found = np.ones((2, 1 + GROUPS, 2))
     found[0, 3, 0] = np.inf
     verifier = Verifier(question_of(lasting, share, share), None, None, False)
-    assert verifier._told(found, 64, np.zeros((0, 1))).errors.tolist() == [np.inf, 0.0]
+    nothing = np.zeros((64, 1)), np.ones(64, bool), np.zeros(64, np.int64)
+    assert verifier._told(found, *nothing).errors.tolist() == [np.inf, 0.0]
 
 
 class Median(jc.limit.Quantile):

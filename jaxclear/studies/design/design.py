@@ -23,6 +23,7 @@ from jaxclear.studies.design.runs import BATCH, Runs
 from jaxclear.studies.design.search import Sought, sought
 from jaxclear.studies.design.settings import DesignSettings
 from jaxclear.studies.endless import endless_sentences
+from jaxclear.studies.warned import sentences
 
 __all__ = ["design", "design_front"]
 
@@ -141,6 +142,7 @@ def _told(found: Sought, runs: Runs, settings: DesignSettings, before: tuple) ->
     nominal, tolerance = question.freedom.drawn(place)
     samples = question.samples(place, found.model, found.points)
     none = np.full(len(question.limits), np.nan)
+    limited = [one.response for one in question.limits]
     check = last.check
     return Design(
         runs.problem,
@@ -159,4 +161,5 @@ def _told(found: Sought, runs: Runs, settings: DesignSettings, before: tuple) ->
         runs.computed - before[1],
         runs.failed - before[2],
         tuple(endless_sentences(runs.problem, runs.named(before[0]))),
+        sentences(runs.problem, runs.warned(before[0]), limited),
     )

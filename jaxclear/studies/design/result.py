@@ -14,6 +14,7 @@ from jaxclear.studies.design.freedom import NOMINAL
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.search import Round
 from jaxclear.studies.surface.response_surface import TRUSTED
+from jaxclear.studies.warned import FEW_WARNED, sentences, warned_share
 
 # Limits of lengths and angles below this are priced by the thousandth of a millionth, others by the
 # millionth [m, rad].
@@ -55,6 +56,8 @@ class Design(AbstractShown):
     failed: int = eqx.field(static=True)
     # Responses that are infinite in some runs, and what that says.
     endless: tuple[str, ...] = eqx.field(static=True, default=())
+    # How many of all runs warn of what concerns the limited responses.
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def limits(self) -> tuple[AbstractLimit, ...]:
@@ -74,9 +77,26 @@ class Design(AbstractShown):
 
     @property
     def holds(self) -> bool:
-        """Whether new runs found every limit kept, to within the accuracy asked for, and no more of
-        them failed than 1 %, or than the share that the rarest limit speaks of."""
-        return self.verified and bool(np.all(self.excess <= self.accuracy)) and not self._too_lost
+        """Whether new runs found every limit kept, to within the accuracy asked for, no more of
+        them failed than 1 %, or than the share that the rarest limit speaks of, and no more than
+        5 % of them warn of what concerns a limited response."""
+        kept = self.verified and bool(np.all(self.excess <= self.accuracy))
+        return kept and not self._too_lost and not self._in_doubt
+
+    @property
+    def _in_doubt(self):
+        """What is said of the new runs where too many of them warn of what a limit is about."""
+        check = self.rounds[-1].check
+        if check is None:
+            return ()
+        many = lambda name: warned_share(self.problem, name, check.codes) > FEW_WARNED
+        return sentences(self.problem, check.codes, [name for name in self._limited if many(name)])
+
+    @property
+    def _limited(self):
+        """Responses that limits are about."""
+        limited = dict.fromkeys(limit.response for limit in self.limits)
+        return [name for name in limited if name in self.problem.response_names]
 
     @property
     def _too_lost(self):
@@ -89,8 +109,7 @@ class Design(AbstractShown):
     def distrusted(self) -> tuple[str, ...]:
         """Limited responses whose surface does not stand for runs (leave-one-out R2 below 0.9)."""
         quality = self.rounds[-1].quality
-        limited = dict.fromkeys(limit.response for limit in self.limits)
-        return tuple(name for name in limited if quality.get(name, 1.0) < TRUSTED)
+        return tuple(name for name in self._limited if quality.get(name, 1.0) < TRUSTED)
 
     def label(self, i: int) -> str:
         """What a free number is in the catalogue that it comes from; "" without one."""
@@ -113,11 +132,13 @@ class Design(AbstractShown):
         else:
             broken = [self._broken(i) for i in np.flatnonzero(~(self.excess <= self.accuracy))]
             broken += [self._lost()] if self._too_lost else []
-            said.append(f"It does not hold: {'; '.join(broken)}.")
+            said += [f"It does not hold: {'; '.join(broken)}."] if broken else []
+            said += [f"It is not known to hold, by runs in doubt. {own}" for own in self._in_doubt]
         said += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
         if self.failed:
             said.append(f"{self.failed} of {self.runs} runs failed and are left out.")
         said += self.endless
+        said += [f"Of all runs: {own}" for own in self.warnings]
         said += [
             f'The surface of "{name}" does not stand for its runs: the design was led by runs '
             "alone and may not be the cheapest."

@@ -17,6 +17,7 @@ from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.endless import answered, bounded
 from jaxclear.studies.store import Store
 from jaxclear.studies.texts import in_texts
+from jaxclear.studies.warned import codes_of
 
 # Samples a batch: one record of the store, and one chunk of the compiled program.
 BATCH = 32
@@ -24,14 +25,15 @@ KIND = "a design"
 
 
 class Runs:
-    """Values (samples, variables) and responses (samples, responses); `nan` of those that
-    failed."""
+    """Values (samples, variables) and responses (samples, responses), `nan` of those that failed;
+    `codes` (samples,): of what they warn (`studies.warned`)."""
 
     def __init__(self, problem: Any, store: Any, show: bool, batch: int = BATCH):
         self.problem, self.show, self.batch = problem, show, batch
         self.store = None if store is None else Store.opened(store, KIND, in_texts(problem))
         self.values = np.zeros((0, len(problem.names)))
         self.responses = np.zeros((0, len(problem.response_names)))
+        self.codes = np.zeros(0, np.int64)
         self.computed = 0
 
     @property
@@ -43,6 +45,10 @@ class Runs:
     def failed(self) -> int:
         """Samples without a response."""
         return int(np.sum(np.isnan(self.responses).any(axis=1)))
+
+    def warned(self, first: int) -> np.ndarray:
+        """Codes (runs,) of those that did not fail, from the sample of this number on."""
+        return self.codes[first:][~np.isnan(self.responses[first:]).any(axis=1)]
 
     def named(self, first: int) -> dict[str, np.ndarray]:
         """Responses by name (samples,), from the sample of this number on."""
@@ -64,8 +70,9 @@ class Runs:
             found += self._computed(left, label)
         answers = np.concatenate(found)[:count]
         self.values = np.concatenate([self.values, values])
-        self.responses = np.concatenate([self.responses, answers])
-        return answers
+        self.responses = np.concatenate([self.responses, answers[:, :-1]])
+        self.codes = np.concatenate([self.codes, answers[:, -1].astype(np.int64)])
+        return answers[:, :-1]
 
     def good(self, inside: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Whether each sample (samples,) succeeded and lies inside."""
@@ -86,7 +93,8 @@ class Runs:
     def _taken(self, piece: np.ndarray) -> np.ndarray | None:
         if self.store is None:
             return None
-        shape = jax.ShapeDtypeStruct((self.batch, self.responses.shape[1]), np.dtype(float))
+        width = self.responses.shape[1] + 1
+        shape = jax.ShapeDtypeStruct((self.batch, width), np.dtype(float))
         return self.store.taken(piece.ravel(), shape)
 
     def _computed(self, pieces: np.ndarray, label: str) -> list[np.ndarray]:
@@ -96,6 +104,8 @@ class Runs:
         )
         good = (found.outcome == Outcome.REACHED) & answered(self.problem, found.responses)
         columns = [np.where(good, found.responses[n], np.nan) for n in self.problem.response_names]
+        # A failed run is none that warns.
+        columns.append(np.where(good, codes_of(found.checks, len(flat)), 0))
         answers = np.stack(columns, axis=1).reshape(len(pieces), self.batch, -1)
         self.computed += len(flat)
         for piece, own in zip(pieces, answers, strict=True):

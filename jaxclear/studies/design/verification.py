@@ -29,7 +29,7 @@ INSTEAD = "take limit.Quantile or limit.Probability"
 class Check(NamedTuple):
     """Limited numbers (limits,) and their 95 % errors, excesses (limits,) [1] and theirs, how many
     runs told them and how many of these failed; `lost` (variables,): the values of the first of
-    these, if any."""
+    these, if any; `codes` (those that did not,): of what they warn (`studies.warned`)."""
 
     numbers: np.ndarray
     errors: np.ndarray
@@ -38,6 +38,7 @@ class Check(NamedTuple):
     runs: int
     failed: int
     lost: np.ndarray | None
+    codes: np.ndarray
 
 
 class Verifier(NamedTuple):
@@ -59,6 +60,7 @@ class Verifier(NamedTuple):
         normal = np.concatenate([one.normal for one in sets])
         weights = np.concatenate([one.weights for one in sets]) / GROUPS
         values = np.asarray(self.question.values(jnp.asarray(place), normal))
+        before = self.runs.count
         responses = self.runs.ask(values, "verification")
         good = ~np.isnan(responses).any(axis=1)
         by_group = np.repeat(np.arange(GROUPS), len(values) // GROUPS)
@@ -72,11 +74,14 @@ class Verifier(NamedTuple):
                 # A number that stands for infinite ones is none to be told.
                 rows.append([np.inf if number > largest else number, excess])
             found.append(rows)
-        return self._told(np.array(found), len(values), values[~good])
+        return self._told(np.array(found), values, good, self.runs.warned(before))
 
-    def _told(self, found: np.ndarray, runs: int, failed: np.ndarray) -> Check:
+    def _told(
+        self, found: np.ndarray, values: np.ndarray, good: np.ndarray, codes: np.ndarray
+    ) -> Check:
         """`found` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each;
-        `failed` (failed runs, variables)."""
+        `values` (runs, variables), of which those did not fail that are `good` (runs,)."""
+        failed = values[~good]
         factor = student(GROUPS)
         known = np.where(np.isfinite(found), found, np.nan)
         errors = factor * np.sqrt((GROUPS - 1) * known[:, 1:].var(axis=1))
@@ -88,9 +93,10 @@ class Verifier(NamedTuple):
             errors[:, 0],
             found[:, 0, 1] / sizes,
             errors[:, 1] / sizes,
-            runs,
+            len(values),
             len(failed),
             failed[0] if len(failed) else None,
+            codes,
         )
 
     def _sampler(self, limit: AbstractLimit, place: Any, model: Any, values: Any, responses: Any):

@@ -6,7 +6,7 @@ it counts as failing, and is told.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import equinox as eqx
@@ -22,6 +22,7 @@ from jaxclear.studies.limit_state import AbstractLimitState
 from jaxclear.studies.surface.drawing import all_values, value_slopes
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.surface.surface import run
+from jaxclear.studies.warned import codes_of, sentences
 
 # Runs that are computed together, so that all rounds share one compiled program.
 ROUND = 256
@@ -42,7 +43,8 @@ class AbstractModel(ABC):
 @dataclass
 class RunModel(AbstractModel):
     """Margins by runs of a problem. `runs` counts them, one with slopes as one for each variable
-    more; `failed` those that did not reach their end."""
+    more; `failed` those that did not reach their end; `codes` (those that did,): of what they
+    warn."""
 
     problem: AbstractProblem
     limit: AbstractLimitState
@@ -50,6 +52,7 @@ class RunModel(AbstractModel):
     label: str = "runs"
     runs: int = 0
     failed: int = 0
+    codes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def responses(self, normal: np.ndarray) -> tuple[np.ndarray, SampleResult]:
         """Values (samples, variables) and what their runs give."""
@@ -87,7 +90,13 @@ class RunModel(AbstractModel):
         limited = {limit.response: own[limit.response] for limit in self.limit.limits()}
         good = (np.asarray(found.outcome) == Outcome.REACHED) & answered(self.problem, limited)
         self.failed += int((~good).sum())
+        self.codes = np.concatenate([self.codes, codes_of(found.checks, len(good))[good]])
         return np.where(good[:, None], margins, np.nan)
+
+    def warnings(self) -> tuple[str, ...]:
+        """How many runs warn of what concerns the limited responses."""
+        limited = [own.response for own in self.limit.limits()]
+        return sentences(self.problem, self.codes, limited)
 
 
 @dataclass(frozen=True)

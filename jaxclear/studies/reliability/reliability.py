@@ -82,9 +82,8 @@ def reliability(
         nothing = refused(reach.sentence, model.runs)
         estimates = dict.fromkeys([*estimates, "subset"], nothing)
     counts = model.runs, model.failed
-    return Reliability(
-        problem, limit, estimates, tuple(points), own, *counts, accuracy, tuple(notes)
-    )
+    said = tuple(notes), model.warnings()
+    return Reliability(problem, limit, estimates, tuple(points), own, *counts, accuracy, *said)
 
 
 def _about(

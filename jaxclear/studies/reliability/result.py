@@ -28,7 +28,7 @@ class Reliability(AbstractShown):
     first: the likeliest parts that fail. `surface` is what they were found on, None where it was
     the runs themselves. `runs` and `failed` count all runs, those of the search and the surface
     too, and those of them that did not reach their end; `accuracy` is the coefficient of variation
-    that was asked for; `notes` are sentences.
+    that was asked for; `notes` are sentences, as are `warnings`, of what the runs warn.
     """
 
     problem: AbstractProblem
@@ -40,6 +40,7 @@ class Reliability(AbstractShown):
     failed: int = eqx.field(static=True)
     accuracy: float = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def method(self) -> str:
@@ -129,8 +130,12 @@ class Reliability(AbstractShown):
         if self.method == "none":
             whys = {own.refusal for own in self.estimates.values()}
             if len(whys) == 1:
-                return " ".join([f"No method has an answer: {whys.pop()}", *self.notes])
-            return " ".join(["No method has an answer.", *self._refusals(), *self.notes])
+                return " ".join(
+                    [f"No method has an answer: {whys.pop()}", *self.notes, *self.warnings]
+                )
+            return " ".join(
+                ["No method has an answer.", *self._refusals(), *self.notes, *self.warnings]
+            )
         own = self.estimates[self.method]
         text = f"P({self.limit.words()}) = {own.value:.3g}"
         if np.isfinite(own.variation):
@@ -144,7 +149,7 @@ class Reliability(AbstractShown):
         else:
             text += f" by {_named(self.method)}, whose error is not known: sample to know it"
         said = [f"{text}; {self.runs} runs in all.", *self._comparison(own), *self._lost(own)]
-        return " ".join([*said, *self._refusals(), *self.notes])
+        return " ".join([*said, *self._refusals(), *self.notes, *self.warnings])
 
     def __str__(self) -> str:
         return self.sentence()

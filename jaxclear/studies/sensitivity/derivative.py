@@ -15,6 +15,7 @@ from jaxclear.ground.shown import AbstractShown
 from jaxclear.studies.datasets import of_derivatives
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.scrambled import skewed_half
+from jaxclear.studies.warned import FEW_WARNED
 
 # An answer this many times less certain than another is large agrees with anything, and confirms
 # nothing.
@@ -32,8 +33,6 @@ FEWEST = 8
 # What is less certain than the best by more than this factor is not combined with it: it would add
 # a fifth of its certainty at most, and chance in the weights, and choosing what looks better.
 COMPARABLE = 2.0
-# Methods agree on what is wrong as well, where more than this share of their runs is in doubt.
-FEW_WARNED = 0.05
 
 
 class Estimate(NamedTuple):

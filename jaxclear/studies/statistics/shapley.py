@@ -32,6 +32,7 @@ from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
 from jaxclear.studies.surface.response_surface import ResponseSurface
+from jaxclear.studies.warned import codes_of, sentences
 
 SCRAMBLINGS = 16
 # All sets of so many variables are gone through; of more, orders drawn by chance, so many in all.
@@ -46,16 +47,18 @@ Step = tuple[int, frozenset[int], float]
 class ShapleyEffects(AbstractShown):
     """`effects` [1] by (response, variable), each with its 95 % interval; those of a response sum
     to 1. `runs` of the problem (of its surface, where one was given) and how many samples `failed`;
-    `remark` says what a surface leaves out."""
+    `remark` says what a surface leaves out, `warnings` of what runs warn."""
 
     problem: AbstractProblem
     effects: dict[tuple[str, str], Statistic]
     runs: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
     remark: str = eqx.field(static=True, default="")
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __str__(self) -> str:
-        return "\n".join([in_rows(self.table()), *left_out(self.failed, "samples")])
+        said = [*left_out(self.failed, "samples"), *self.warnings]
+        return "\n".join([in_rows(self.table()), *said])
 
     def to_dataset(self) -> Any:
         """Effects with their intervals as an xarray Dataset by response and variable, with
@@ -109,16 +112,18 @@ def shapley_effects(
         reached = np.asarray(found.outcome) == Outcome.REACHED
         responses = found.responses
         refuse_endless(problem, responses, "variance")
+        warnings = sentences(problem, codes_of(found.checks, len(values))[reached])
     else:
         responses = _on_surface(surface.bare(), values)
-        reached = np.ones(len(values), bool)
+        reached, warnings = np.ones(len(values), bool), surface.warnings
     good = np.all(reached.reshape(len(sets), -1), axis=0)
     effects = {}
     for name in problem.response_names:
         rows = np.asarray(responses[name]).reshape(len(sets), -1)[:, good]
         for i, own in enumerate(_effects(rows, sets, steps, group[good], count)):
             effects[name, problem.names[i]] = own
-    return ShapleyEffects(problem, effects, len(values), int((~good).sum()), _remark(surface))
+    said = _remark(surface), warnings
+    return ShapleyEffects(problem, effects, len(values), int((~good).sum()), *said)
 
 
 def _all_steps(count: int) -> list[Step]:

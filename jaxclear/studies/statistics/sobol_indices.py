@@ -26,20 +26,23 @@ from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
+from jaxclear.studies.warned import codes_of, sentences
 
 
 class SobolIndices(AbstractShown):
     """`first` and `total` indices [1] by (response, variable), each with its 95 % interval; `runs`
-    that they took and how many of the base samples `failed`."""
+    that they took, how many of the base samples `failed`, and of what runs warn (`warnings`)."""
 
     problem: AbstractProblem
     first: dict[tuple[str, str], Statistic]
     total: dict[tuple[str, str], Statistic]
     runs: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __str__(self) -> str:
-        return "\n".join([in_rows(self.table()), *left_out(self.failed, "base samples")])
+        said = [*left_out(self.failed, "base samples"), *self.warnings]
+        return "\n".join([in_rows(self.table()), *said])
 
     def to_dataset(self) -> Any:
         """Both indices with their intervals as an xarray Dataset by response and variable, with
@@ -108,7 +111,8 @@ def sobol_indices(
             three = rows[:, [0, 1, 2 + i]]
             first[name, variable] = jackknifed(_first, three, group[good])
             total[name, variable] = jackknifed(_total, three, group[good])
-    return SobolIndices(problem, first, total, len(values), int(np.sum(~good)))
+    warnings = sentences(problem, codes_of(found.checks, len(values))[reached.ravel()])
+    return SobolIndices(problem, first, total, len(values), int(np.sum(~good)), warnings)
 
 
 def _first(rows: np.ndarray) -> float:

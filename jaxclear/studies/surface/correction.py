@@ -27,6 +27,7 @@ from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.surface.drawing import all_values, scrambled_normal
 from jaxclear.studies.surface.response_surface import ResponseSurface
+from jaxclear.studies.warned import codes_of, sentences
 
 # Evaluations of the surface: so many scramblings of so many points, so many at once.
 SURFACE_SCRAMBLINGS, SURFACE_POINTS, TOGETHER = 16, 8192, 1024
@@ -48,7 +49,7 @@ class Corrected(AbstractShown):
 
     `means` and `deviations` are by response, `probabilities` by the names of the limits. `failed`
     of the `runs` did not reach their end: means and deviations are those of the others, in
-    probabilities they count as failing.
+    probabilities they count as failing. `warnings` say of what the fresh runs warn.
     """
 
     surface: ResponseSurface
@@ -58,6 +59,7 @@ class Corrected(AbstractShown):
     runs: int
     failed: int
     scramblings: int
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def sentence(self) -> str:
         """How many runs, how many failed, and which responses got nothing from the surface."""
@@ -70,7 +72,7 @@ class Corrected(AbstractShown):
         return text
 
     def __str__(self) -> str:
-        return f"{self.sentence()}\n{in_rows(self.table())}"
+        return "\n".join([self.sentence(), *self.warnings, in_rows(self.table())])
 
     def to_dataset(self) -> Any:
         """Means and deviations by response and probabilities by limit as an xarray Dataset, with
@@ -144,9 +146,10 @@ def corrected(
         # As if one run more had differed: that none did says little of what is rare.
         unseen = 1.0 / len(values)
         probabilities[name] = _mean(*parts, _fails(limit, free), weight, unseen)
-    return Corrected(
-        surface, means, deviations, probabilities, len(values), int((~good).sum()), scramblings
-    )
+    told = means, deviations, probabilities
+    counts = len(values), int((~good).sum()), scramblings
+    warnings = sentences(problem, codes_of(found.checks, len(good))[good])
+    return Corrected(surface, *told, *counts, warnings)
 
 
 def _blocks(scramblings: int, samples: int, variables: int, seed: list[int]) -> list[np.ndarray]:

@@ -24,7 +24,8 @@ class ResponseSurface(AbstractShown):
     `quality` [1] is the leave-one-out R2 of each response, `degrees` its degree. `values` (runs,
     variables) and `responses` (runs,) are the runs behind it, `predictions` (runs,) what the others
     say of each; `failed` counts runs that did not reach their end and are not in it. `unreached`
-    says what the sample that it was fitted to lacks of what was asked for.
+    says what the sample that it was fitted to lacks of what was asked for, `warnings` of what its
+    runs warn.
     """
 
     problem: AbstractProblem
@@ -38,6 +39,7 @@ class ResponseSurface(AbstractShown):
     predictions: dict[str, np.ndarray]
     failed: int
     unreached: str = eqx.field(static=True, default="")
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __call__(self, values: Float[Array, " variables"]) -> dict[str, Array]:
         """The responses by name at one set of values; differentiable."""
@@ -73,7 +75,7 @@ class ResponseSurface(AbstractShown):
         return f"{text} {self.unreached}".rstrip()
 
     def __str__(self) -> str:
-        return f"{self.sentence()}\n{in_rows(self.table())}"
+        return "\n".join([self.sentence(), *self.warnings, in_rows(self.table())])
 
     def to_dataset(self) -> Any:
         """Runs, coefficients and quality as an xarray Dataset, with provenance."""
