@@ -8,6 +8,7 @@ state.
 import itertools
 from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -191,7 +192,18 @@ class CompliantContact(AbstractFormulation):
         speeds = jnp.zeros(2 * model.layout.speeds)
         reactions = sp.stack(self._reactions(model, time, entries))
         forces = jnp.zeros(len(depths) if self.damped(model) else 0)
-        return jnp.concatenate([speeds, sp.stack(depths), sp.stack(slips), reactions, forces])
+        surplus = jnp.zeros(model.layout.speeds if depths else 0)
+        known = speeds, sp.stack(depths), sp.stack(slips), reactions, surplus, forces
+        return jnp.concatenate(known)
+
+    def caused_by_contact(self, model: Model, time: Any, state: State) -> tuple:
+        """Accelerations without contact, and what contact adds to them, where a run begins."""
+        closed = (self.contacts(model, time, state).depths > 0).astype(float)
+        own = slice(model.layout.coordinates, model.layout.memory_start)
+        # One program for both.
+        at = lambda shares: self.rate(model, time, state, shares)[0][own]
+        free, whole = jax.lax.map(at, jnp.stack([jnp.zeros_like(closed), closed]))
+        return free, whole - free
 
     def _reactions(self, model: Model, time: Any, entries: list) -> list:
         """Numbers of the reactions of ideal joints that rub."""
@@ -220,16 +232,18 @@ class CompliantContact(AbstractFormulation):
         ]
         rubbing = len(rubbing_joints(model.system))
         counts = [count, count, len(directions), 3 * sum(directions), REACTION * rubbing]
-        smooth, contact, depths, slips, reactions = split(numbers, counts)
+        counts += [count if directions else 0]
+        smooth, contact, depths, slips, reactions, surplus = split(numbers, counts)
         met_before = [Reaction(own[:3], own[3:]) for own in split(reactions, [REACTION] * rubbing)]
         past = [PastSlip(*slip) for slip in split(slips, [3] * sum(directions))]
         motion = list(smooth), list(contact), list(depths)
-        last = WarmStart(*motion, split(past, directions), tuple(met_before))
+        held = split(past, directions), tuple(met_before)
+        last = WarmStart(*motion, *held, surplus=list(surplus))
         settings = ImplicitSettings(bias, newton_iterations)
         after, now = midpoint_step.step(model, time_step, model.entries(state), last, settings)
         met = [x for contact in now.slips for slip in contact for x in slip]
         met += [x for own in now.reactions for part in own for x in part]
-        handed_on = [*now.smooth, *now.contact, *now.depths, *met, *now.forces]
+        handed_on = [*now.smooth, *now.contact, *now.depths, *met, *now.surplus, *now.forces]
         return sp.stack(after), sp.stack(handed_on)
 
 

@@ -41,17 +41,18 @@ def normal_forces(model: Model, state: State, motion: ContactMotion) -> PerConta
     return jnp.asarray(sp.stack(forces))
 
 
-def forces_at_start(system: System, contacts: list[ContactOverStep]) -> tuple:
-    """The same where an implicit step begins with these contacts; () where none damps."""
+def forces_at_start(system: System, contacts: list[ContactOverStep], faster: list) -> tuple:
+    """The same where an implicit step begins with these contacts, which close faster than their
+    speeds tell (`midpoint_step`) [m/s]; () where none damps."""
     if not damped(system):
         return ()
     return tuple(
         0.0
         if told_by_depth(contact.point.laws)
         else contact.point.laws.contact.normal_force(
-            contact.depth, contact.approach, contact.memory.impact_speed
+            contact.depth, sp.add(contact.approach, more), contact.memory.impact_speed
         )
-        for contact in contacts
+        for contact, more in zip(contacts, faster, strict=True)
     )
 
 

@@ -10,18 +10,14 @@ J. Nonlinear Sci. 6, 449, doi:10.1007/BF02440162; with dissipation Armero & Peto
 Methods Appl. Mech. Eng. 158, 269.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations import contact_rows, damped_contacts, law_tangent, slip_over_step
-from jaxclear.formulations.contact_rows import (
-    MiddleOfStep,
-    TimeStep,
-    by_joint,
-    lightness,
-)
+from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, by_joint, lightness
 from jaxclear.formulations.contacts_over_step import (
     ContactOverStep,
     Step,
@@ -42,7 +38,7 @@ from jaxclear.formulations.slip_over_step import PastSlip
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
-from jaxclear.ground.numerics import positive_part, safe_divide
+from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import unpack_memories, unpack_motion
 
@@ -64,7 +60,8 @@ class ImplicitSettings(NamedTuple):
 class WarmStart(NamedTuple):
     """What a step hands on to the next: free accelerations without contact, what contact adds, the
     last indentations, of each sliding direction of each contact friction and slip, the reactions of
-    ideal joints that rub, and the normal forces [N] at its start where some contact damps.
+    ideal joints that rub, the normal forces [N] at its start where some contact damps, and its
+    `surplus`.
     """
 
     smooth: list
@@ -73,6 +70,7 @@ class WarmStart(NamedTuple):
     slips: list[tuple[PastSlip, ...]]
     reactions: tuple[Reaction, ...] = ()
     forces: tuple = ()
+    surplus: Sequence = ()
 
 
 def step(
@@ -109,8 +107,20 @@ def step(
             contacts, slid, whole.per_contact(solution.forces), strict=True
         )
     ]
-    pressed = damped_contacts.forces_at_start(model.system, contacts)
-    return after, WarmStart(free, caused, depths, past, reactions, pressed)
+    faster = [h * along(contact.point.rows[0], last.surplus) for contact in contacts]
+    pressed = damped_contacts.forces_at_start(model.system, contacts, faster)
+    faster = surplus(settings.bias, free, caused) if contacts else []
+    return after, WarmStart(free, caused, depths, past, reactions, pressed, faster)
+
+
+def surplus(bias: Any, free: list, caused: list) -> list:
+    """By how much faster than its speeds places go at the end of a step, for each second of it:
+    b k_c / 2 of what contact `caused`, but of no more than it has to hold of the `free`
+    accelerations: an impact's speeds are what they are. Of what rests on a contact it is, times the
+    step, all of its speed, of opposite sign, to which a law would answer with damping."""
+    squares = [sum(k * k for k in own) for own in (free, caused)]
+    held = jnp.minimum(1.0, safe_sqrt(safe_divide(*squares)))
+    return [0.5 * bias * held * k for k in caused]
 
 
 def _contacts_at_start(

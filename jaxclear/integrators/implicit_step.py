@@ -8,9 +8,10 @@ import jax.numpy as jnp
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.midpoint_step import surplus
 from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import positive_part
-from jaxclear.ground.quantity import Scalar, concrete, count, quantity
+from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
 from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Check
@@ -53,6 +54,7 @@ class ImplicitStep(AbstractIntegrator):
     theta^2 z^2)) with z = omega h, and an elastic impact in one step (z >> 1) keeps `rebound` of
     its speed. Damping ratio about (theta - 1/2) z for small z. 1 dissipates nothing; 0 is backward
     Euler in the contacts: for gradients, and where single unresolved impacts do not matter.
+    Speeds at saving times are those with which places change; within a step they lack that damping.
 
     Loads that oscillate by themselves (stiff springs, dampers) are explicit: step < 2 / omega of
     them. A step should move the parts by less than a clearance, and by less than a cell of a worn
@@ -106,6 +108,11 @@ class ImplicitStep(AbstractIntegrator):
     def formulation(self):
         return CompliantContact()
 
+    @property
+    def _bias(self):
+        """Share by which mean contact forces lean towards a step's end."""
+        return (1 - self.rebound) / (1 + self.rebound)
+
     def asked_step(self):
         return self.step if self.steps_per_save is None else None
 
@@ -121,6 +128,7 @@ class ImplicitStep(AbstractIntegrator):
         """What warm-starts a step; what is known of the motion beside the run, None where no
         derivatives go through contacts; and how derivatives vibrate, None where they do."""
         last = self.formulation.warm_start(model, start, state)
+        last = self._held(model, start, state, last)
         if not self._derived(model):
             return last, None, vibration.nothing(model, self)
         damped = self.formulation.damped(model)
@@ -140,8 +148,7 @@ class ImplicitStep(AbstractIntegrator):
 
         def plain(arrays, clock, y, last, met):
             model, own = eqx.combine(arrays, rest)
-            bias = (1 - own.rebound) / (1 + own.rebound)
-            how = bias, own._iterations(model)
+            how = own._bias, own._iterations(model)
             end, now = own.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
             if met is None:
                 return end, now, None
@@ -171,6 +178,29 @@ class ImplicitStep(AbstractIntegrator):
             return vibration.resolved((end, met, watch), vibrates)
         return trusted_beside(end, met, watch, known)
 
+    def _held(self, model, start, state, last):
+        """A warm start that knows what contacts hold where a run begins."""
+        if not model.layout.contacts:
+            return last
+        free, caused = self.formulation.caused_by_contact(model, start, state)
+        return last.at[self._surplus(model, last)].set(
+            jnp.stack(surplus(self._bias, list(free), list(caused)))
+        )
+
+    def _surplus(self, model, last):
+        """Where a warm start holds its surplus."""
+        end = len(last) - (model.layout.contacts if self.formulation.damped(model) else 0)
+        return slice(end - model.layout.speeds, end)
+
+    def _sped_up(self, model, state, last, length):
+        """A state whose speeds are, at saving times, those with which places change: within steps
+        of this length [s] they lack what contacts have of numerical dissipation
+        (`midpoint_step`)."""
+        if not model.layout.contacts:
+            return state
+        speeds = slice(model.layout.coordinates, model.layout.memory_start)
+        return state.at[speeds].add(length * constant(last[self._surplus(model, last)]))
+
     def _iterations(self, model: Model) -> int:
         """Iterations on the contact laws of a model."""
         if self.newton_iterations is not None:
@@ -183,6 +213,7 @@ class ImplicitStep(AbstractIntegrator):
         steps, h = divide(interval, self.step, self.steps_per_save)
         step, contacts = self._stepped(model), model.layout.contacts
         last, known, vibrates = warm_start
+        state = self._sped_up(model, state, last, -h)
         met = None
         if contacts:
             begun = positive_part(last[_depths(model)])
@@ -206,9 +237,9 @@ class ImplicitStep(AbstractIntegrator):
             end, (last, met, watch) = counted(turn, self.steps_per_save, (state, carried))
         if contacts and not self._derived(model):
             met = met[0], among(interval.peaks, met[1])
+        end = self._sped_up(model, end, last[0], h)
         end, met, watch = self._trusted(model, end, met, watch, last)
-        bias = (1 - self.rebound) / (1 + self.rebound)
-        judged = {Check.CREEP_STEP: h * (1 + DAMPED * bias)}
+        judged = {Check.CREEP_STEP: h * (1 + DAMPED * self._bias)}
         if contacts:
             judged[Check.REBOUND_STEP] = jnp.stack([h, jnp.asarray(self.rebound, float)])
         return arrived(end, steps, last, met, judged, watch=watch)

@@ -48,7 +48,7 @@ def test_linear_contact_is_damped_as_by_the_theta_method(rebound, angle):
     # d(n+2) = trace d(n+1) - determinant d(n) for any linear method; differences d drop the
     # equilibrium.
     d = np.diff(path)
-    if rebound > 0:
+    if rebound > 0 or angle < 1:
         _, determinant = np.linalg.lstsq(np.stack([d[1:-1], -d[:-2]], axis=1), d[2:], rcond=None)[0]
         theta = 1 / (1 + rebound)
         wanted = (1 + (1 - theta) ** 2 * angle**2) / (1 + theta**2 * angle**2)
@@ -57,6 +57,42 @@ def test_linear_contact_is_damped_as_by_the_theta_method(rebound, angle):
         assert determinant == pytest.approx(wanted, rel=1e-6)
     else:
         assert np.abs(d[-1]) < np.abs(d[0]) * (1 + angle**2) ** -3
+
+
+@pytest.mark.parametrize("step", [1e-4, 2e-5])
+@pytest.mark.parametrize("clearance", [1e-4, 5e-5])
+def test_what_rests_on_a_contact_is_pressed_by_its_weight_at_every_saving_time(step, clearance):
+    """However strongly the contact damps: the bias of the steps is no speed."""
+    law = jc.contact.HuntCrossley(stiffness=1e10, restitution=0.3)
+    rig = held_journal(
+        law, clearance, loads={"load": jc.load.Force(jc.Marker("journal"), (0.0, -300.0, 0.0))}
+    )
+    run = jc.simulate(
+        rig, 0.02, save=21, integrator=jc.integrator.ImplicitStep(step), state=jc.seated(rig)
+    )
+    forces = np.asarray(run.contact("B").normal_force)[1:, 0]
+    # At its start it swings by what a step of the stiffness of the contact leaves.
+    np.testing.assert_allclose(forces, 300.0, rtol=2e-2)
+    np.testing.assert_allclose(forces[5:], 300.0, rtol=1e-6)
+    assert float(jc.response.PeakContactForce("B")(run)) == pytest.approx(300.0, rel=0.05)
+    np.testing.assert_allclose(run.body("journal").velocity[5:], 0.0, atol=1e-6)
+    assert run.warnings == ()
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-4])
+def test_a_run_goes_on_in_steps_of_another_length_as_it_rests(step):
+    """What rests does not begin to swing where saving times change the steps."""
+    law = jc.contact.HuntCrossley(stiffness=1e10, restitution=0.3)
+    rig = held_journal(law, loads={"load": jc.load.Force(jc.Marker("journal"), (0.0, -300.0, 0.0))})
+    times = np.concatenate([np.linspace(0.0, 0.01, 11), 0.01 + np.cumsum([3.7e-5, 2e-4, 1e-5])])
+    run = jc.simulate(
+        rig,
+        times[-1],
+        save=times,
+        integrator=jc.integrator.ImplicitStep(step),
+        state=jc.seated(rig),
+    )
+    np.testing.assert_allclose(run.contact("B").normal_force[6:, 0], 300.0, rtol=1e-4)
 
 
 @pytest.mark.parametrize("rebound", [1.0, 0.9, 0.5, 0.0])

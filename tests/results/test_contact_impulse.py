@@ -40,13 +40,19 @@ def fallen(rung, save=11):
 
 @pytest.mark.parametrize("rung", [*USUAL, *(long(rung) for rung in OTHERS)])
 def test_contacts_give_the_impulse_that_weight_and_speed_ask_for(rung):
-    """m v = I - m g t at every saving time."""
+    """m v = I - m g t at every saving time; implicit steps end on a contact with the impulse of a
+    speed b h g / 2, which is none."""
     run = fallen(rung)
     impulse = np.asarray(run.contact_impulse("B"))
     speed = np.asarray(run.body("journal").velocity[:, 1])
     balance = MASS * (speed + GRAVITY * np.asarray(run.time))
     assert impulse[-1] > 0.9 * MASS * GRAVITY * DURATION
-    np.testing.assert_allclose(impulse, balance, atol=1e-9 * impulse[-1])
+    held = 1e-9 * impulse[-1]
+    if rung == "implicit":
+        integrator = USUAL[rung][0]
+        bias = (1 - integrator.rebound) / (1 + integrator.rebound)
+        held += 0.5 * bias * integrator.step * MASS * GRAVITY
+    np.testing.assert_allclose(impulse, balance, atol=float(held))
     assert float(MEAN(run)) == pytest.approx(impulse[-1] / DURATION, rel=1e-12)
 
 
