@@ -176,6 +176,18 @@ class Check(AbstractCheck):
         f"{AGAIN} what friction takes or wears changes by {{figure:.2g}} of itself (limit "
         f"{{limit:g}}), so friction loss and wear are off: {TIGHTER}",
     )
+    # The same of bristles in steps of low order: two that do not resolve how these settle agree.
+    BRISTLE_LOSS = (
+        24,
+        "second look: friction loss of bristles",
+        "1",
+        0.01,
+        "wear",
+        WHOLE,
+        f"{AGAIN} what bristles take by friction changes by {{figure:.2g}} of itself (limit "
+        "{limit:g}), and steps in which bristles settle agree with each other more than they are "
+        f"right, so friction loss and wear are off: {TIGHTER}",
+    )
     # Largest rise of a contact's indentation within a step beside the largest that was met: of
     # steps in which a contact does the work of its law whatever their length.
     CONTACT_STEP = (

@@ -43,6 +43,7 @@ FINDINGS = (
     Check.MEAN_FORCE,
     Check.PARTED_FORCE,
     Check.FRICTION_LOSS,
+    Check.BRISTLE_LOSS,
     Check.HALVED_WEAR,
     Check.HALVED_MOTION,
     Check.BODY_PLACES,

@@ -153,10 +153,22 @@ def _losses_apart(
     wear = float(np.max(worn[0])) if promised and worn is not None else 0.0
     untold = least < wear <= Check.HALVED_WEAR.limit
     loss = max(loss, wear) if untold else loss
+    found = {}
+    if rubs and not promised and _has_bristles(run):
+        found[Check.BRISTLE_LOSS] = (np.array([loss]), ("",))
     known = promised or not least < loss <= LOOSE_LOSS
-    if not (known and (rubs or untold)):
-        return {}
-    return {Check.FRICTION_LOSS: (np.array([loss]), ("",))}
+    if known and (rubs or untold):
+        found[Check.FRICTION_LOSS] = (np.array([loss]), ("",))
+    return found
+
+
+def _has_bristles(run: Trajectory) -> bool:
+    """Whether some contact's friction remembers, and the run follows it."""
+    if run.formulation.forces_are_means:
+        return False
+    joints = (run.mechanism.connections[name].joint for name in run.mechanism.topology.clearances)
+    laws = (own.friction for joint in joints for own in joint.contact_laws())
+    return any(law is not None and law.bristles for law in laws)
 
 
 def _elastic(run: Trajectory) -> bool:

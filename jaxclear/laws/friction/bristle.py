@@ -30,6 +30,8 @@ LEAST_FRICTION = 1e-12
 # a z^2 + t a z w + t w^2 >= 0 for all z, w while t a <= 4: the damping of a bristle that cannot
 # give energy.
 PASSIVE_DAMPING = 4.0
+# Up to which decay in a step it is told by a series: what is left out is rounding beside it.
+SERIES = 1e-3
 
 
 class AbstractBristleFriction(AbstractForceFriction):
@@ -91,14 +93,29 @@ class AbstractBristleFriction(AbstractForceFriction):
         )
 
     def _over_step(self, start, slip, slip_speed, step, bias):
-        """Mean coefficient over a step, and the deflection at its end: that of implicit Euler,
-        which stays in bounds and is exact for laws linear in the deflection."""
+        """Mean coefficient over a step, and the deflection at its end: exact at a constant slip for
+        laws linear in the deflection, which then stays in bounds."""
         rate, decay = jax.jvp(
             lambda z: self.deflection_rate(z, slip, slip_speed), (start,), (jnp.ones(()),)
         )
-        rate = rate / (1 - step * jnp.minimum(decay, 0.0))
-        end = start + step * rate
-        return self.coefficient(end - (1 - bias) / 2 * (end - start), rate, slip), end
+        grown, mean = _settled(step * jnp.minimum(decay, 0.0))
+        moved, middle = step * rate * grown, step * rate * mean
+        end = start + moved
+        middle = middle + bias * (moved - middle)
+        return self.coefficient(start + middle, rate * grown, slip), end
+
+
+def _settled(x: Scalar) -> tuple[Scalar, Scalar]:
+    """(exp(x) - 1) / x and (exp(x) - 1 - x) / x^2 for x <= 0: what a rate that decays so in a step
+    makes of it at its end, and in the mean."""
+    near = x > -SERIES
+    far = jnp.where(near, -SERIES, x)
+    grown = (jnp.exp(far) - 1) / far
+    grown = jnp.where(near, 1 + x / 2 * (1 + x / 3 * (1 + x / 4)), grown)
+    mean = (grown - 1) / far
+    mean = jnp.where(near, 0.5 * (1 + x / 3 * (1 + x / 4 * (1 + x / 5))), mean)
+    weight, euler = 1 / (1 + x * x), 1 / (1 - x)
+    return euler + weight * (grown - euler), 0.5 * euler + weight * (mean - 0.5 * euler)
 
 
 class Dahl(AbstractBristleFriction):
