@@ -24,7 +24,7 @@ class AbstractCheck(enum.IntEnum):
     ends_at: float
     outcome: Outcome
 
-    def __new__(cls, code, label, unit, limit, concerns, of, sentence, ends=NEVER):
+    def __new__(cls, code, label, limit, concerns, of, sentence, ends=NEVER, unit="1"):
         member = int.__new__(cls, code)
         member._value_ = code
         member.label, member.unit, member.limit = label, unit, limit

@@ -9,7 +9,7 @@ import enum
 
 import numpy as np
 
-from jaxclear.integrators.abstract_check import AbstractCheck
+from jaxclear.integrators.abstract_check import NEVER, AbstractCheck
 from jaxclear.integrators.outcome import Outcome
 
 # What a figure is told for; "joints": those of whose contact forces the state keeps the impulse.
@@ -27,7 +27,6 @@ class Check(AbstractCheck):
     LOOP_DRIFT = (
         0,
         "loop drift",
-        "1",
         1e-3,
         "motion",
         LOOPS,
@@ -40,7 +39,6 @@ class Check(AbstractCheck):
     HALVED_MEAN_FORCES = (
         3,
         "halved steps: mean force",
-        "1",
         0.1,
         "motion",
         SPEEDS,
@@ -51,7 +49,6 @@ class Check(AbstractCheck):
     HALVED_MOTION = (
         11,
         "halved steps: motion",
-        "1",
         0.015,
         "motion",
         WHOLE,
@@ -61,7 +58,6 @@ class Check(AbstractCheck):
     HALVED_CONTACT_FORCES = (
         18,
         "halved steps: mean contact force",
-        "1",
         0.1,
         "forces",
         JOINTS,
@@ -72,7 +68,6 @@ class Check(AbstractCheck):
     HALVED_FORCES = (
         4,
         "halved steps: force",
-        "1",
         0.1,
         "swinging forces",
         SPEEDS,
@@ -84,7 +79,6 @@ class Check(AbstractCheck):
     HALVED_WEAR = (
         5,
         "halved steps: wear",
-        "1",
         0.05,
         "wear",
         SURFACES,
@@ -95,7 +89,6 @@ class Check(AbstractCheck):
     WEAR_BY_SAVES = (
         14,
         "saving times: worn depth",
-        "1",
         0.02,
         "worn depth",
         SURFACES,
@@ -106,7 +99,6 @@ class Check(AbstractCheck):
     PLACE_IN_GAP = (
         12,
         "second look: place in gap",
-        "1",
         0.03,
         "places in gaps",
         CONTACTS,
@@ -117,7 +109,6 @@ class Check(AbstractCheck):
     BODY_PLACES = (
         19,
         "second look: places of bodies",
-        "1",
         0.001,
         "places",
         WHOLE,
@@ -127,7 +118,6 @@ class Check(AbstractCheck):
     MEAN_FORCE = (
         13,
         "second look: mean force",
-        "1",
         0.05,
         "forces",
         CONTACTS,
@@ -138,7 +128,6 @@ class Check(AbstractCheck):
     PARTED_FORCE = (
         17,
         "second look: mean force of parted paths",
-        "1",
         0.01,
         "forces",
         CONTACTS,
@@ -149,7 +138,6 @@ class Check(AbstractCheck):
     DEEPEST = (
         20,
         "second look: deepest indentation",
-        "1",
         0.07,
         "peak forces",
         CONTACTS,
@@ -159,7 +147,6 @@ class Check(AbstractCheck):
     PEAK_FORCE = (
         23,
         "second look: largest contact force",
-        "1",
         0.1,
         "peak forces",
         CONTACTS,
@@ -169,7 +156,6 @@ class Check(AbstractCheck):
     FRICTION_LOSS = (
         16,
         "second look: friction loss",
-        "1",
         0.02,
         "wear",
         WHOLE,
@@ -180,7 +166,6 @@ class Check(AbstractCheck):
     BRISTLE_LOSS = (
         24,
         "second look: friction loss of bristles",
-        "1",
         0.01,
         "wear",
         WHOLE,
@@ -193,7 +178,6 @@ class Check(AbstractCheck):
     CONTACT_STEP = (
         6,
         "contact step",
-        "1",
         0.85,
         "forces",
         CONTACTS,
@@ -206,7 +190,6 @@ class Check(AbstractCheck):
     IMPACT_STEP = (
         2,
         "impact step",
-        "1",
         0.35,
         "motion",
         CONTACTS,
@@ -219,7 +202,6 @@ class Check(AbstractCheck):
     REBOUND_STEP = (
         10,
         "rebound step",
-        "1",
         0.08,
         "motion",
         CONTACTS,
@@ -231,7 +213,6 @@ class Check(AbstractCheck):
     ENERGY_GAIN = (
         8,
         "energy gained",
-        "1",
         0.05,
         "motion",
         WHOLE,
@@ -243,7 +224,6 @@ class Check(AbstractCheck):
     INDENTATION = (
         7,
         "indentation",
-        "1",
         0.05,
         "forces",
         CONTACTS,
@@ -255,17 +235,17 @@ class Check(AbstractCheck):
     LARGEST_FORCE = (
         22,
         "largest contact force",
-        "N",
         np.inf,
         "peak forces",
         CONTACTS,
         'the normal force in joint "{place}" reaches {figure:.2g} N (limit {limit:g})',
+        NEVER,
+        "N",
     )
     # Share of friction's power that is taken where explicit steps do not resolve it.
     FRICTION_STEP = (
         1,
         "friction step",
-        "1",
         0.0125,
         "motion",
         CONTACTS,
@@ -278,7 +258,6 @@ class Check(AbstractCheck):
     DAMPER_STEP = (
         15,
         "damper step",
-        "1",
         0.75,
         "swinging forces",
         CONTACTS,
@@ -292,7 +271,6 @@ class Check(AbstractCheck):
     CREEP_STEP = (
         9,
         "creep step",
-        "1",
         0.1,
         "wear",
         CONTACTS,
@@ -303,7 +281,6 @@ class Check(AbstractCheck):
     LOAD_STEP = (
         21,
         "load step",
-        "1",
         0.005,
         "motion",
         LOADS,

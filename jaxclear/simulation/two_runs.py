@@ -153,7 +153,7 @@ def _losses_apart(
     wear = float(np.max(worn[0])) if promised and worn is not None else 0.0
     untold = least < wear <= Check.HALVED_WEAR.limit
     loss = max(loss, wear) if untold else loss
-    found = {}
+    found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
     if rubs and not promised and _has_bristles(run):
         found[Check.BRISTLE_LOSS] = (np.array([loss]), ("",))
     known = promised or not least < loss <= LOOSE_LOSS
