@@ -73,9 +73,9 @@ def test_where_a_shaken_pendulum_is_is_said():
 
 
 def test_implicit_steps_whose_indentations_rise_by_a_fiftieth_are_looked_at_again():
-    """A four-bar's journal is a tenth of its clearance off."""
-    found = run_of(19, 27, jc.integrator.ImplicitStep(4.05206e-6, rebound=1.0))
-    assert found.checks.figures[Check.CONTACT_STEP].worst.max() < 0.03
+    """A four-bar's journal is 5 % of its clearance off."""
+    found = run_of(19, 27, jc.integrator.ImplicitStep(6e-6, rebound=1.0))
+    assert found.checks.figures[Check.CONTACT_STEP].worst.max() < 0.035
     assert "elsewhere in their gap" in found.result
 
 
