@@ -16,6 +16,8 @@ from jaxclear.integrators.outcome import Outcome
 LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
 JOINTS, LOADS = "joints", "loads and drives"
 AGAIN = "with steps a quarter as long (tolerances 256 times tighter)"
+# Or where wear of a saving interval or two is put on sooner.
+OR_WORN = f"{AGAIN}, or surfaces that wear a little faster,"
 TIGHTER = "take shorter steps or a tight integrator.Adaptive"
 
 
@@ -102,7 +104,7 @@ class Check(AbstractCheck):
         0.03,
         "places in gaps",
         CONTACTS,
-        f'{AGAIN} the parts of joint "{{place}}" are elsewhere in their gap by {{figure:.2g}} of '
+        f'{OR_WORN} the parts of joint "{{place}}" are elsewhere in their gap by {{figure:.2g}} of '
         "the clearance (limit {limit:g}), so places in it at an instant and wear are off, though "
         f"mean forces may be right: {TIGHTER}",
     )
@@ -112,7 +114,7 @@ class Check(AbstractCheck):
         0.001,
         "places",
         WHOLE,
-        f"{AGAIN} bodies are elsewhere by {{figure:.2g}} of their way (limit {{limit:g}}), so "
+        f"{OR_WORN} bodies are elsewhere by {{figure:.2g}} of their way (limit {{limit:g}}), so "
         f"their places are off, though forces may be right: {TIGHTER}",
     )
     MEAN_FORCE = (
@@ -131,7 +133,7 @@ class Check(AbstractCheck):
         0.01,
         "forces",
         CONTACTS,
-        f"{AGAIN} parts are elsewhere in their gaps, and with that the mean of the contact forces "
+        f"{OR_WORN} parts are elsewhere in their gaps, and with that the mean of contact forces "
         'in joint "{place}" changes by {figure:.2g} of the largest of all joints (limit '
         f"{{limit:g}}): {TIGHTER}",
     )

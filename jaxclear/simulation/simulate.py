@@ -37,6 +37,7 @@ from jaxclear.simulation.step_comparison import (
     run_where_alike,
 )
 from jaxclear.simulation.step_lengths import check_steps
+from jaxclear.simulation.wear import worn_faster
 
 
 class SimulationError(RuntimeError):
@@ -177,12 +178,12 @@ def simulate(
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state)
-    ready = mechanism, start.coordinates, start.speeds, begins + times
+    ready = start.coordinates, start.speeds, begins + times
     integrator, passed = load_steps(mechanism, integrator, ready[-1])
     with stoppable(), progress.bar(progress_bar, "simulating"):
         extras = Extras(balance, progress_bar, saving.events)
         runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run
-        again = lambda finer: runs(*ready, finer, extras, past)
+        again = lambda own, worn=1.0: runs(worn_faster(mechanism, worn), *ready, own, extras, past)
         trajectory = diagnosed(guarded(jax.block_until_ready(again(integrator)), integrator))
         trajectory = judged_by(passed, looked_at_again(trajectory, integrator, again))
     if throw and isinstance(trajectory.outcome, jax.core.Tracer):

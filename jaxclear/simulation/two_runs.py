@@ -218,6 +218,16 @@ def _on_the_way(run: Trajectory, other: Trajectory, joint: str, surface: str) ->
     return max(share_of_largest(one, two), share_of_largest(here, there))
 
 
+def largest_loss(run: Trajectory) -> float:
+    """What a surface loses in one saving interval, at most, beside all that it loses."""
+    shares = [
+        float(np.max(np.diff(volume), initial=0.0) / volume[-1]) if volume[-1] > 0 else 0.0
+        for joint, surfaces in run.worn.items()
+        for volume in (np.asarray(run.worn_volume(joint, surface)) for surface in surfaces)
+    ]
+    return max(shares, default=0.0)
+
+
 def _lost(run: Trajectory, joint: str, surface: str) -> Any:
     return run.worn_volume(joint, surface)[-1]
 

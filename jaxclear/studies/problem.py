@@ -43,6 +43,7 @@ from jaxclear.simulation.saving import Saving, as_saving, checked_saving
 from jaxclear.simulation.second_look import found_in_one
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
+from jaxclear.simulation.wear import worn_faster
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
@@ -234,8 +235,9 @@ class Problem(AbstractProblem):
         if not many_in_doubt(checks, bool(seen.topology.clearances), kept, low_order):
             return checked_by(passed, Checks())
 
-        def again(integrator):
-            problem = eqx.tree_at(lambda own: own.integrator, self, integrator)
+        def again(integrator, worn=1.0):
+            known = integrator, worn_faster(self.mechanism, worn)
+            problem = eqx.tree_at(lambda own: (own.integrator, own.mechanism), self, known)
             return jax.block_until_ready(_run_alone(problem, self.nominal()))
 
         with stoppable():

@@ -79,7 +79,7 @@ def test_a_brief_run_is_looked_at_again_whatever_its_figures(pushed, monkeypatch
 
     def looked(run, integrator=step):
         asked = []
-        second_look.looked_at_again(run, integrator, lambda finer: asked.append(finer) or run)
+        second_look.looked_at_again(run, integrator, lambda finer, worn=1.0: asked.append(finer) or run)
         return bool(asked)
 
     def taking(steps):
@@ -168,7 +168,7 @@ def test_steps_in_contact_are_accused_unless_steps_that_resolve_it_change_nothin
 ):
     run = pushed(5e-6)
     looked = lambda of: second_look.looked_at_again(
-        rising(run, 0.9), jc.integrator.FixedStep(5e-6), lambda _: of
+        rising(run, 0.9), jc.integrator.FixedStep(5e-6), lambda *_: of
     )
     found = looked(rising(run, finer, factor))
     assert sorted(check for check, flag in found.checks.beyond().items() if flag) == said
@@ -238,7 +238,7 @@ def elsewhere(monkeypatch, run, here, there):
 def looked_at(run, other):
     """The run as a second look leaves it that finds the other."""
     doubted = rising(run, 0.06)
-    return second_look.looked_at_again(doubted, jc.integrator.FixedStep(5e-6), lambda _: other)
+    return second_look.looked_at_again(doubted, jc.integrator.FixedStep(5e-6), lambda *_: other)
 
 
 @pytest.mark.parametrize(
