@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from benchmarks.attacks.structures import structures
 from jaxclear.formulations.base import model_of
 from jaxclear.integrators import Check
 from jaxclear.integrators.non_colliding import NonColliding
 from jaxclear.simulation.wear import unworn, worn_by_some
 from jaxclear.simulation.wear_by_saves import figures
+from tests.rigs.attacked import run_of
 
 VOLUME, NARROW = 1e-13, 0.05
 
@@ -116,3 +118,31 @@ def test_of_a_single_loss_that_lies_right_fewer_saving_times_tell_nothing(model)
     spreads it over the way to there, which made it 0.15."""
     angles, burst = np.where(np.arange(64) < 46, 0.3, 1.9), np.where(np.arange(64) == 47, 32.0, 1.0)
     assert told(model, angles, 1.0, burst) < 0.2 * Check.WEAR_BY_SAVES.limit
+
+
+def thrown():
+    """A journal that is thrown about with a restitution of 0.97, and wears by 7e-8 m."""
+    return run_of(8, 46, jc.integrator.Adaptive(rtol=1e-9, atol=1e-11))
+
+
+def test_places_that_hang_on_when_surfaces_are_updated_are_said():
+    """The check of depths, which takes the motion as it was, tells nothing of that."""
+    run = thrown()
+    beyond = {check for check, flag in run.checks.beyond().items() if flag}
+    assert Check.PLACE_IN_GAP in beyond and Check.WEAR_BY_SAVES not in beyond
+    assert "surfaces that wear a little faster" in run.result
+
+
+@pytest.mark.slow
+def test_losses_that_are_put_on_sooner_put_a_thrown_journal_elsewhere():
+    case = structures()[8].case(46)
+    often = jc.simulate(
+        case.mechanism,
+        case.duration,
+        integrator=jc.integrator.Adaptive(rtol=1e-9, atol=1e-11),
+        save=10_001,
+        state=jc.State(concentric=case.concentric),
+    )
+    clearance = float(case.mechanism.connections["B"].joint.clearance)
+    here, there = (np.asarray(run.contact("B").offset)[:, :2] for run in (thrown(), often))
+    assert np.abs(here - there[::50]).max() > 0.3 * clearance
