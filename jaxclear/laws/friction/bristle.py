@@ -93,8 +93,8 @@ class AbstractBristleFriction(AbstractForceFriction):
         )
 
     def _over_step(self, start, slip, slip_speed, step, bias):
-        """Mean coefficient over a step, and the deflection at its end: exact at a constant slip for
-        laws linear in the deflection, which then stays in bounds."""
+        """Mean coefficient over a step, and the deflection at its end, which stays in bounds: at a
+        constant slip exact to second order for laws linear in the deflection (`_settled`)."""
         rate, decay = jax.jvp(
             lambda z: self.deflection_rate(z, slip, slip_speed), (start,), (jnp.ones(()),)
         )
@@ -107,7 +107,8 @@ class AbstractBristleFriction(AbstractForceFriction):
 
 def _settled(x: Scalar) -> tuple[Scalar, Scalar]:
     """(exp(x) - 1) / x and (exp(x) - 1 - x) / x^2 for x <= 0: what a rate that decays so in a step
-    makes of it at its end, and in the mean."""
+    makes of it at its end, and in the mean. Where x is large implicit Euler's instead, which damps:
+    exact ones let slip ring that reverses within a step."""
     near = x > -SERIES
     far = jnp.where(near, -SERIES, x)
     grown = (jnp.exp(far) - 1) / far
