@@ -64,9 +64,11 @@ def hertz(stiffness):
 @pytest.mark.parametrize(
     ("kind", "law", "load"),
     [
-        (jc.clearance.PlanarJournalBearing, hertz(SOFT), 2000.0),
+        pytest.param(
+            jc.clearance.PlanarJournalBearing, hertz(SOFT), 2000.0, marks=pytest.mark.slow
+        ),
         (jc.clearance.PlanarJournalBearing, hertz(STIFF), 200.0),
-        (jc.clearance.JournalBearing, hertz(STIFF), 2000.0),
+        pytest.param(jc.clearance.JournalBearing, hertz(STIFF), 2000.0, marks=pytest.mark.slow),
         (jc.clearance.JournalBearing, jc.contact.Liu(restitution=0.1), 2000.0),
     ],
 )

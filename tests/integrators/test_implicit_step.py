@@ -79,6 +79,7 @@ def test_what_rests_on_a_contact_is_pressed_by_its_weight_at_every_saving_time(s
     assert run.warnings == ()
 
 
+@pytest.mark.filterwarnings("ignore:.*asks for longer steps")
 @pytest.mark.parametrize("step", [1e-5, 1e-4])
 def test_a_run_goes_on_in_steps_of_another_length_as_it_rests(step):
     """What rests does not begin to swing where saving times change the steps."""
