@@ -24,6 +24,7 @@ from jaxclear.simulation.doubts import doubted, in_doubt, is_brief, meets_stops,
 from jaxclear.simulation.friction_steps import rubbing
 from jaxclear.simulation.rebound import RESOLVED
 from jaxclear.simulation.two_runs import (
+    Apart,
     apart_by_check,
     deepest_apart,
     friction_loss,
@@ -32,9 +33,6 @@ from jaxclear.simulation.two_runs import (
     opens,
     share_of_largest,
 )
-
-# By check how far two runs are apart, by place, and the names of these.
-Apart = dict[Check, tuple[np.ndarray, tuple[str, ...]]]
 
 # Length of the steps beside those of the run.
 FINER = 0.25

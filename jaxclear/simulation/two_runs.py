@@ -14,6 +14,9 @@ from jaxclear.simulation.bounciness import ELASTIC, restitution_of
 from jaxclear.simulation.two_passes import LEAST, NO_WEAR
 from jaxclear.simulation.ways import Whereabouts, whereabouts
 
+# By check how far two runs are apart, by place, and the names of these.
+Apart = dict[Check, tuple[np.ndarray, tuple[str, ...]]]
+
 # What friction takes, beside the most of all energies of the balance that come in or go out, below
 # which nobody reads it; and what is rounding in any mechanism [J].
 LEAST_LOSS, NO_LOSS = 1e-3, 1e-15
@@ -94,13 +97,11 @@ def _elsewhere(run: Whereabouts, other: Whereabouts) -> float:
     return float(apart / way) if way > 0 else 0.0
 
 
-def apart_by_check(
-    run: Trajectory, other: Trajectory, gaps: float | None, doubts: bool
-) -> dict[Check, tuple[np.ndarray, tuple[str, ...]]]:
+def apart_by_check(run: Trajectory, other: Trajectory, gaps: float | None, doubts: bool) -> Apart:
     """By check how far two runs are apart, by place, and the names of these; `gaps`: from which
     difference of the places of bodies on these count (None: they do not, nor do places in gaps);
     `doubts`: whether a figure brings the run in doubt."""
-    found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
+    found: Apart = {}
     sunk: Figure | None = run.checks.figures.get(Check.INDENTATION)
     inside: tuple[np.ndarray, tuple[str, ...]] = (np.zeros(0), ())
     if opens(run) or doubts:
@@ -141,9 +142,7 @@ def apart_by_check(
     return found | _losses_apart(run, other, found.get(Check.HALVED_WEAR), gaps is not None)
 
 
-def _losses_apart(
-    run: Trajectory, other: Trajectory, worn: tuple | None, promised: bool
-) -> dict[Check, tuple[np.ndarray, tuple[str, ...]]]:
+def _losses_apart(run: Trajectory, other: Trajectory, worn: tuple | None, promised: bool) -> Apart:
     """How far apart is what friction takes or, where no other check tells, what is `worn`; of rungs
     whose losses are not `promised` as those of a study's default, from `LOOSE_LOSS` on."""
     least, loss = Check.FRICTION_LOSS.limit, 0.0
@@ -153,7 +152,7 @@ def _losses_apart(
     wear = float(np.max(worn[0])) if promised and worn is not None else 0.0
     untold = least < wear <= Check.HALVED_WEAR.limit
     loss = max(loss, wear) if untold else loss
-    found: dict[Check, tuple[np.ndarray, tuple[str, ...]]] = {}
+    found: Apart = {}
     if rubs and not promised and _has_bristles(run):
         found[Check.BRISTLE_LOSS] = (np.array([loss]), ("",))
     known = promised or not least < loss <= LOOSE_LOSS

@@ -69,6 +69,12 @@ def sentences(
     return tuple(f"{listed(names)}: {said}" for said, names in alike.items())
 
 
+def told(problem: AbstractProblem, checks: Checks, among: np.ndarray) -> tuple[str, ...]:
+    """The `sentences` of a study that sees all its runs at once, of which those `among` (runs,)
+    count."""
+    return sentences(problem, codes_of(checks, len(among))[among])
+
+
 def _share(own: np.ndarray) -> float:
     return float(np.mean(own != 0)) if len(own) else 0.0
 

@@ -32,7 +32,7 @@ from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import codes_of, sentences
+from jaxclear.studies.warned import told
 
 SCRAMBLINGS = 16
 # All sets of so many variables are gone through; of more, orders drawn by chance, so many in all.
@@ -112,7 +112,7 @@ def shapley_effects(
         reached = np.asarray(found.outcome) == Outcome.REACHED
         responses = found.responses
         refuse_endless(problem, responses, "variance")
-        warnings = sentences(problem, codes_of(found.checks, len(values))[reached])
+        warnings = told(problem, found.checks, reached)
     else:
         responses = _on_surface(surface.bare(), values)
         reached, warnings = np.ones(len(values), bool), surface.warnings

@@ -26,7 +26,7 @@ from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, jackknifed
-from jaxclear.studies.warned import codes_of, sentences
+from jaxclear.studies.warned import told
 
 
 class SobolIndices(AbstractShown):
@@ -101,7 +101,7 @@ def sobol_indices(
         columns.append(mixed)
     values = problem.inputs.values(jnp.asarray(np.concatenate(columns)))
     found = evaluate_all(problem, values, progress_bar=progress_bar, label="Sobol' indices")
-    reached = (found.outcome == Outcome.REACHED).reshape(len(columns), -1)
+    reached = (np.asarray(found.outcome) == Outcome.REACHED).reshape(len(columns), -1)
     refuse_endless(problem, found.responses, "variance")
     first, total = {}, {}
     good = np.all(reached, axis=0)
@@ -111,7 +111,7 @@ def sobol_indices(
             three = rows[:, [0, 1, 2 + i]]
             first[name, variable] = jackknifed(_first, three, group[good])
             total[name, variable] = jackknifed(_total, three, group[good])
-    warnings = sentences(problem, codes_of(found.checks, len(values))[reached.ravel()])
+    warnings = told(problem, found.checks, reached.ravel())
     return SobolIndices(problem, first, total, len(values), int(np.sum(~good)), warnings)
 
 

@@ -27,7 +27,7 @@ from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.surface.drawing import all_values, scrambled_normal
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import codes_of, sentences
+from jaxclear.studies.warned import told
 
 # Evaluations of the surface: so many scramblings of so many points, so many at once.
 SURFACE_SCRAMBLINGS, SURFACE_POINTS, TOGETHER = 16, 8192, 1024
@@ -146,10 +146,9 @@ def corrected(
         # As if one run more had differed: that none did says little of what is rare.
         unseen = 1.0 / len(values)
         probabilities[name] = _mean(*parts, _fails(limit, free), weight, unseen)
-    told = means, deviations, probabilities
+    statistics = means, deviations, probabilities
     counts = len(values), int((~good).sum()), scramblings
-    warnings = sentences(problem, codes_of(found.checks, len(good))[good])
-    return Corrected(surface, *told, *counts, warnings)
+    return Corrected(surface, *statistics, *counts, told(problem, found.checks, good))
 
 
 def _blocks(scramblings: int, samples: int, variables: int, seed: list[int]) -> list[np.ndarray]:

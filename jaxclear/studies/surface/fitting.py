@@ -12,7 +12,7 @@ from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.surface.fit import Fit, least_squares
 from jaxclear.studies.surface.polynomials import levels, norms_of, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import codes_of, sentences
+from jaxclear.studies.warned import told
 
 # Degrees that are tried where none is asked for.
 HIGHEST = 4
@@ -68,14 +68,8 @@ def fitted(
         by_name(target.T),
         by_name([fit.predictions[:, i] for i, fit in enumerate(chosen)]),
         failed,
-        warnings=_warnings(problem, found),
+        warnings=told(problem, found.checks, np.asarray(found.outcome) == Outcome.REACHED),
     )
-
-
-def _warnings(problem: AbstractProblem, found: SampleResult) -> tuple[str, ...]:
-    """Of what the runs warn that reached their end."""
-    reached = np.asarray(found.outcome) == Outcome.REACHED
-    return sentences(problem, codes_of(found.checks, len(reached))[reached])
 
 
 def _best(
