@@ -16,6 +16,7 @@ import argparse
 import json
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,13 +55,16 @@ class Row(NamedTuple):
         return self.found.verdict
 
 
-def attacked(structure: Structure, draws: range, kept: Path | None) -> list[Row]:
-    """All runs of these cases of a structure, those that are kept taken from there."""
+Attack = Callable[[Structure, int], list[Row]]
+
+
+def attacked(structure: Structure, draws: range, kept: Path | None, one: Attack) -> list[Row]:
+    """All runs of these cases of a structure by `one`, those that are kept taken from there."""
     found, rows = known(kept, Row), []
     for draw in draws:
         key = str(_number(structure, draw))
         if key not in found:
-            found[key] = attack(structure, draw)
+            found[key] = one(structure, draw)
             keep(kept, key, found[key])
         rows += found[key]
     return rows
@@ -149,13 +153,13 @@ def _off(found: Finding) -> str:
     )
 
 
-def explain(number: int) -> None:
+def explain(number: int, one: Attack) -> None:
     """All about one case."""
     structure = structures()[number // ROOM]
     case = structure.case(number % ROOM)
     print(f"case {number}: {structure.name}, {case.duration:.4g} s")
     print(case.mechanism.parameters().to_string())
-    for row in attack(structure, number % ROOM):
+    for row in one(structure, number % ROOM):
         print(f"\n{row.rung}, {row.integrator}: {row.verdict} ({row.seconds:.2g} s CPU)")
         found = row.found
         for name in found.verdicts:
@@ -167,8 +171,8 @@ def explain(number: int) -> None:
             print("  said:", sentence)
 
 
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
+def _options(description: str | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="a sixth of the mechanisms")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     parser.add_argument("--case", type=int, metavar="N", help="print all about one case")
@@ -179,18 +183,24 @@ def _options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def main() -> None:
-    options = _options()
+def main(
+    name: str = "benchmarks.attack",
+    description: str | None = __doc__,
+    one: Attack = attack,
+    which: Callable[[Structure], bool] = lambda _: True,
+) -> None:
+    """Attack `which` structures by `one`, as the command line asks for."""
+    options = _options(description)
     if options.case is not None:
-        explain(options.case)
+        explain(options.case, one)
         return
     rows: list[Row] = []
-    told = {"about": about("benchmarks.attack", options.json)}
+    told = {"about": about(name, options.json)}
     draws = options.draws or (QUICK_DRAWS if options.quick else DRAWS - options.first)
     draws = range(options.first, options.first + draws)
-    for structure in chosen(options):
+    for structure in filter(which, chosen(options)):
         begun = time.process_time()
-        own = attacked(structure, draws, options.kept)
+        own = attacked(structure, draws, options.kept, one)
         rows += own
         counts = Counter(str(row.verdict) for row in own)
         spent = time.process_time() - begun

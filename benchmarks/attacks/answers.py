@@ -37,16 +37,17 @@ GAPS = 100.0
 
 class Answers(eqx.Module):
     """Places (bodies, time, 3) [m]; offsets (gaps, time, 3) and clearances of the joints along
-    each axis (gaps, 3) [m]; mean and peak forces by joint [N], and how far both, if they are of
-    saved instants, differ between every second saving time and the others (2, joints); energies
-    lost in friction and turned over [J]; worn volumes and depths by joint; drift and longest arm
-    [m]."""
+    each axis (gaps, 3) [m]; mean, peak and least forces by joint [N], and how far the first two, if
+    they are of saved instants, differ between every second saving time and the others (2, joints);
+    energies lost in friction and turned over [J]; worn volumes and depths by joint; drift and
+    longest arm [m]."""
 
     place: Any
     offset: Any
     clearance: Any
     mean_force: Any
     peak_force: Any
+    least_force: Any
     unsampled: Any
     friction_loss: Any
     turnover: Any
@@ -113,6 +114,7 @@ def read(run: jc.Trajectory, balance: bool, wears: tuple, every: int = 1) -> Ans
         clearance,
         means,
         peaks,
+        jnp.min(forces, axis=1),
         unsampled,
         lost,
         turned,

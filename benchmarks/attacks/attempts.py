@@ -72,10 +72,11 @@ def attempt(case: Case, integrator: Any, asked: Asked) -> Attempt:
             run = _run(case, integrator, asked)
         if not run.succeeded:
             return Attempt(None, run.result)
-        wears = answers.surfaces(run.mechanism)
+        wears = answers.surfaces(case.mechanism)
         found = answers.read(run, asked.balance, wears, asked.every)
         found = jax.tree.map(np.asarray, found)
-        return Attempt(found, "", False, verdicts.concerned(run), run.warnings)
+        shared = verdicts.OF_ALL_MODELS if case.seated else verdicts.OF_THE_MODEL
+        return Attempt(found, "", False, verdicts.concerned(run, shared), run.warnings)
     except ValueError as error:
         return Attempt(None, str(error))
     except Exception as error:
@@ -83,19 +84,27 @@ def attempt(case: Case, integrator: Any, asked: Asked) -> Attempt:
 
 
 def _run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
-    worn = None
-    if asked.worn is not None:
-        depths = unworn(prepare(case.mechanism))
-        worn = jax.tree.map(lambda depth: asked.worn * _hollow(depth), depths)
     return jc.simulate(
         case.mechanism,
         case.duration,
         integrator=integrator,
         save=asked.every * (asked.saves - 1) + 1,
-        state=jc.State(worn, concentric=case.concentric),
+        state=_begin(case, integrator, asked),
         balance=asked.balance,
         throw=False,
     )
+
+
+def _begin(case: Case, integrator: Any, asked: Asked) -> jc.State | None:
+    """Where a case begins. Joints that always touch are seated by themselves."""
+    if case.seated:
+        always = isinstance(integrator, jc.integrator.NonColliding)
+        return None if always else jc.seated(case.mechanism)
+    worn = None
+    if asked.worn is not None:
+        depths = unworn(prepare(case.mechanism))
+        worn = jax.tree.map(lambda depth: asked.worn * _hollow(depth), depths)
+    return jc.State(worn, concentric=case.concentric)
 
 
 def _hollow(depth: Any) -> Any:

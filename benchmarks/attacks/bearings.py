@@ -19,13 +19,15 @@ class Laws(NamedTuple):
 
 
 class Case(NamedTuple):
-    """A mechanism, how long it runs [s], whether its journals start concentric, and the mechanism
-    in the form in which references take it, where that is another."""
+    """A mechanism, how long it runs [s], whether its journals start concentric, the mechanism
+    in the form in which references take it, where that is another, and whether its journals start
+    pressed into their bearings by what they carry."""
 
     mechanism: jc.Mechanism
     duration: float
     concentric: bool = True
     reference: jc.Mechanism | None = None
+    seated: bool = False
 
 
 Build = Callable[[Draw, Laws], Case]

@@ -37,7 +37,7 @@ ACCURACY: dict[str, dict[str, float | None]] = {
     "FixedStep order 1": _accuracy(GAP, None, 0.1, 0.3, 0.1, DRIFT),
     "ImplicitStep": _accuracy(GAP, None, 0.1, 0.5, 0.1, DRIFT),
     "MoreauJean": _accuracy(GAP, None, 0.1, None, 0.1, DRIFT),
-    "NonColliding": _accuracy(0.01, None, 0.05, 0.1, 0.05, DRIFT),
+    "NonColliding": _accuracy(GAP, None, 0.05, None, 0.05, DRIFT),
 }
 
 
@@ -84,8 +84,10 @@ DRAWN_FROM: dict[str, str] = {
 }
 
 
-# What speaks of laws and loads, which references share.
-OF_THE_MODEL = {Check.INDENTATION}
+# What speaks of laws and loads, which references share; and of a model beside others, which those
+# of another model judge.
+OF_ALL_MODELS = {Check.INDENTATION}
+OF_THE_MODEL = OF_ALL_MODELS | {Check.COULOMB_FRICTION, Check.COLLAR_FORCE}
 
 
 def judged(
@@ -129,16 +131,18 @@ def worst(verdicts: Any) -> Verdict:
     return max(verdicts, key=order.index, default=Verdict.RIGHT)
 
 
-def concerned(run: Any) -> frozenset[str]:
-    """The responses that a run's warnings concern. Where there are no contacts the mean force is
-    that of reactions at the saved instants."""
+def concerned(run: Any, shared: set[Check] = OF_THE_MODEL) -> frozenset[str]:
+    """The responses that a run's warnings concern, those `shared` with its references aside. Where
+    there are no contacts the mean force is that of reactions at the saved instants."""
     touches = bool(run.formulation.contact_joints(run.mechanism))
-    return of_checks(run.checks, {} if touches else {"mean force": "peak forces"})
+    return of_checks(run.checks, {} if touches else {"mean force": "peak forces"}, shared)
 
 
-def of_checks(checks: Any, drawn: dict[str, str] | None = None) -> frozenset[str]:
-    """The responses that figures beyond their limits concern; those `OF_THE_MODEL` judge no rung.
-    `drawn`: what of a run some of them are drawn from, where not as usual."""
-    beyond = {check for check, flag in checks.beyond().items() if np.any(flag)} - OF_THE_MODEL
+def of_checks(
+    checks: Any, drawn: dict[str, str] | None = None, shared: set[Check] = OF_THE_MODEL
+) -> frozenset[str]:
+    """The responses that figures beyond their limits concern; those that are `shared` judge no
+    rung. `drawn`: what of a run some of them are drawn from, where not as usual."""
+    beyond = {check for check, flag in checks.beyond().items() if np.any(flag)} - shared
     reached = {part for check in beyond for part in REACHES[check.concerns]}
     return frozenset(name for name, part in (DRAWN_FROM | (drawn or {})).items() if part in reached)

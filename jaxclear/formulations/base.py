@@ -51,6 +51,11 @@ class AbstractFormulation(eqx.Module):
 
     forces_are_means: eqx.AbstractClassVar[bool]
 
+    @property
+    def rubs_as_coulombs(self) -> bool:
+        """Whether of every friction law Coulomb's with its coefficients is taken."""
+        return False
+
     @abstractmethod
     def check(self, mechanism: Mechanism, integrator: str) -> None:
         """Raises `ValueError` with a sentence where a law cannot serve this formulation;

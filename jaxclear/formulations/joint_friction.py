@@ -32,7 +32,7 @@ from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.topology import rubbing_in
 
-SETTINGS = NonCollidingSettings(200.0, 1e-13, None, True)
+SETTINGS = NonCollidingSettings(200.0, 1e-13, None)
 # Last change of friction in a search, relative to the largest, beyond which there is no answer.
 LOOSE = 1e-6
 

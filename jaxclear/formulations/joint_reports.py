@@ -9,15 +9,18 @@ from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations.contact_rows import ContactPoint, by_joint, contact_points, split
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.contact import Rigid
+from jaxclear.laws.contact.pressed import indentation_under
+from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody import contact_point
 from jaxclear.multibody.contact_point import GapFunction, JointReport, PointState, Response
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.state import component_count
 from jaxclear.multibody.system import System
 
-# Indentation [m] below which a rigid contact's extent is read as at this one: its wear needs some.
+# Indentation [m] at which the extent of a contact is read that no law tells: its wear needs some.
 TOUCHING = 1e-9
 
 
@@ -77,7 +80,7 @@ def rigid_reports(
                 sp.add(rate, along(row, change))
                 for rate, row in zip(rates, contact.rows, strict=True)
             )
-        depth = jnp.maximum(contact.gap_function.indentation, TOUCHING)
+        depth = jnp.maximum(contact.gap_function.indentation, _pressed(contact.laws, force[0]))
         acting.append(
             ActingContact(
                 contact.laws._replace(contact=Rigid()),
@@ -96,6 +99,15 @@ def rigid_reports(
         )
         reports[name] = reports[name]._replace(points=points)
     return reports
+
+
+def _pressed(laws: ContactLaws, force: Any) -> Any:
+    """Indentation [m] at which the extent of a contact under a normal force [N] is read: its law's,
+    where it has one."""
+    if not laws.wears:
+        return TOUCHING
+    law = fitted(laws.contact, laws.shape)
+    return jnp.maximum(indentation_under(law, positive_part(force)), TOUCHING)
 
 
 def reports_of_means(instant: Instant) -> dict[str, JointReport]:

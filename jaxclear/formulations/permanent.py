@@ -10,6 +10,7 @@ Coordinates move by exponentials of the mean speeds, so rotations stay on their 
 
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -39,7 +40,12 @@ from jaxclear.formulations.permanent_report import (
     joint_components,
     report_of_means,
 )
-from jaxclear.formulations.permanent_wear import wear_rates
+from jaxclear.formulations.permanent_wear import (
+    Centres,
+    centres_that_wear,
+    count_of_centres,
+    wear_rates,
+)
 from jaxclear.formulations.rigid import check_friction
 from jaxclear.formulations.state_rate import link_accelerations
 from jaxclear.ground import sparse as sp
@@ -52,9 +58,15 @@ from jaxclear.multibody.system import System, prepare
 
 class PermanentContact(AbstractFormulation):
     """Clearance joints taken as always in contact: the motion of the ideal mechanism, reactions
-    carried in the gap, friction as set-valued as Coulomb's."""
+    carried in the gap, friction as set-valued as Coulomb's, or `regularised` as the functions of
+    the sliding speed that laws are."""
 
+    regularised: bool = eqx.field(static=True, default=False)
     forces_are_means: ClassVar = True
+
+    @property
+    def rubs_as_coulombs(self):
+        return not self.regularised
 
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
@@ -81,9 +93,9 @@ class PermanentContact(AbstractFormulation):
         return report_of_means(instant, name)
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:
-        """What the first step is handed: no accelerations."""
+        """What the first step is handed: no accelerations, no centres of joints that wear."""
         check_unique(model.system)
-        return jnp.zeros(model.layout.speeds + 1)
+        return jnp.zeros(model.layout.speeds + 3 * count_of_centres(model.system) + 1)
 
     def step(
         self,
@@ -94,8 +106,8 @@ class PermanentContact(AbstractFormulation):
         settings: NonCollidingSettings,
     ) -> tuple[State, Float[Array, " h"]]:
         """The state after a step, and what the next is handed as `last`: the accelerations over it,
-        then the largest change of friction, relative to its bound, with which a search for it has
-        ended so far."""
+        the centres in their gaps of what wears, then the largest change of friction, relative to
+        its bound, with which a search for it has ended so far."""
         system, layout, h = model.system, model.layout, time_step.length
         entries = model.entries(state)
         q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
@@ -108,7 +120,7 @@ class PermanentContact(AbstractFormulation):
         held = touching(system)
         slips = [slips_of(system, motions, one, middle) for one in held]
         response = friction_response(model, forces, motion[0])
-        if settings.regularised:
+        if self.regularised:
             speeds = [[slip.at(middle) for slip in own] for own in slips]
             problem = regularised_friction(held, speeds, response)
         else:
@@ -119,7 +131,9 @@ class PermanentContact(AbstractFormulation):
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
         sliding = _sliding(held, slips, mean)
-        worn = wear_rates(model, motions, motion[0], found, friction, sliding)
+        centres, known = centres_that_wear(system, found, friction), last[len(v) : -1]
+        goes = _rates_of(centres, known, h)
+        worn = wear_rates(model, motions, motion[0], found, friction, sliding, goes)
         gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
         gained += [h * x for x in _acting(held, found.reactions, friction)]
         if layout.energies:
@@ -128,7 +142,9 @@ class PermanentContact(AbstractFormulation):
         end = [*displace(system, q, mean, h), *after]
         end += [x + g for x, g in zip(entries[len(end) :], gained, strict=True)]
         residual = jnp.maximum(last[-1], left)
-        return sp.stack(end), sp.stack([*(found.accelerations[j] for j in range(len(v))), residual])
+        handed = [found.accelerations[j] for j in range(len(v))]
+        handed += [x for own in centres.values() for centre in own for x in centre]
+        return sp.stack(end), sp.stack([*handed, residual])
 
 
 def displace(system: System, q: list, speeds: list, h: Any) -> list:
@@ -138,6 +154,21 @@ def displace(system: System, q: list, speeds: list, h: Any) -> list:
         if place:
             out.extend(link.joint.moved(place, tuple(h * x for x in v)))
     return out
+
+
+def _rates_of(centres: Centres, before: Any, h: Any) -> Centres:
+    """How fast the centres have moved since a step before [m/s], where they were known then."""
+    rates: Centres = {}
+    start = 0
+    for name, own in centres.items():
+        rates[name] = []
+        for centre in own:
+            known = tuple(before[start + i] for i in range(3))
+            start += 3
+            there = sp.norm(known) > 0
+            way = sp.minus(centre, known)
+            rates[name].append(tuple(jnp.where(there, x / h, 0.0) for x in way))
+    return rates
 
 
 def _acting(held: tuple, reactions: tuple, friction: Any) -> list:

@@ -19,14 +19,12 @@ UNMOVED = 1e-12
 
 class NonCollidingSettings(NamedTuple):
     """Most sweeps over the joints in a step, change of the friction at which they end relative to
-    its bound, the width over which friction is rounded at its bound, relative to it (None: exact),
-    and whether laws of friction are taken as the functions of the sliding speed that they are,
-    instead of as Coulomb's."""
+    its bound, and the width over which friction is rounded at its bound, relative to it (None:
+    exact)."""
 
     most_sweeps: Any
     tolerance: Any
     relaxation: Any | None
-    regularised: bool = False
 
     def solver(self) -> BoxedGaussSeidel:
         """What finds the friction."""

@@ -78,13 +78,22 @@ def own_part(values: Any, place: slice) -> Any:
     return tuple(values[i] for i in range(place.start, place.stop))
 
 
-def slid(joint: AbstractRubbingJoint, slip: Any, place: sp.Vec) -> Any:
-    """Sliding speed [m/s] at a contact; of a ball that across its normal, towards the `place`."""
-    if joint.components == 1:
+def slid(joint: AbstractRubbingJoint, slip: Any, place: sp.Vec, centre: sp.Vec = sp.ZERO) -> Any:
+    """Sliding speed [m/s] at a contact, whose normal is towards the `place`, for the joint's `slip`
+    (of a ball that of its surface, by the angular velocity) and the speed of the inner part's
+    `centre` in the gap."""
+    still = all(sp.is_zero(x) for x in centre)
+    if joint.components == 1 and still:
         return jnp.abs(slip)
     size = sp.norm(place)
     normal = tuple(safe_divide(x, size) for x in place)
-    return sp.norm(sp.minus(slip, sp.scale(sp.dot(slip, normal), normal)))
+    if joint.components == 1:
+        x, y, _ = normal
+        return jnp.abs(slip + x * centre[1] - y * centre[0])
+    if still:
+        return sp.norm(sp.minus(slip, sp.scale(sp.dot(slip, normal), normal)))
+    surface = sp.plus(sp.cross(slip, normal), centre)
+    return sp.norm(sp.minus(surface, sp.scale(sp.dot(surface, normal), normal)))
 
 
 def speeds_of(system: System, motions: tuple, held: PermanentJoint, speeds: list) -> tuple:

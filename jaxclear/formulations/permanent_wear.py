@@ -1,6 +1,7 @@
 """What joints that touch all the time wear away: by the reaction, where it is carried.
 
-The motion is that of the ideal joint, which wear does not change.
+The motion is that of the ideal joint, which wear does not change. A journal also slides as its
+centre goes round in the gap with the direction of the reaction.
 """
 
 from typing import Any
@@ -24,6 +25,33 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.system import System
 
+# By joint the rate [m/s] at which the centre of each of its ends moves in the gap.
+Centres = dict[str, list[sp.Vec]]
+
+
+def centres_that_wear(system: System, found: Answer, friction: Any) -> Centres:
+    """Where in the gap [m] the ends of the joints lie that wear and turn."""
+    joints = touching(system)
+    centres = {}
+    for held, reaction, place in zip(joints, found.reactions, placed(joints), strict=True):
+        if _goes_round(held.joint):
+            ends = carrying_ends(held, reaction, own_part(friction, place))
+            centres[held.name] = [end.offset for end in ends]
+    return centres
+
+
+def count_of_centres(system: System) -> int:
+    """How many ends `centres_that_wear` knows."""
+    kept = [held.joint for held in touching(system) if _goes_round(held.joint)]
+    ratios = [0.0 if own.components == 1 else (0.0,) * own.components for own in kept]
+    pairs = zip(kept, ratios, strict=True)
+    return sum(len(own.carrying_ends(sp.ZERO, sp.ZERO, ratio)) for own, ratio in pairs)
+
+
+def _goes_round(joint: AbstractRubbingJoint) -> bool:
+    """Whether a joint wears where its reaction presses it in a gap, on any side."""
+    return bool(joint.maps()) and joint.units != ("m",) and hasattr(joint, "gap")
+
 
 def wear_rates(
     model: Model,
@@ -32,9 +60,11 @@ def wear_rates(
     found: Answer,
     friction: Any,
     slips: list,
+    centres: Centres | None = None,
 ) -> list:
     """Rates of the worn volumes and of their volume-weighted locations, in the layout's order, at
-    coordinates `q`; the joints slide at the speeds `slips` [m/s]. Nothing where nothing wears."""
+    coordinates `q`; the joints slide at the speeds `slips` [m/s], and where their parts' `centres`
+    move in the gap, by that too. Nothing where nothing wears."""
     system, rates = model.system, []
     at = {held.name: k for k, held in enumerate(touching(system))}
     places = placed(touching(system))
@@ -50,9 +80,13 @@ def wear_rates(
         k = at[slot.bearing]
         joint = touching(system)[k].joint
         offset, axes, ends, depths = carried[slot.bearing]
-        (contact,) = (c for end in ends for c in end.contacts if c.number == slot.contact)
+        ((end, contact),) = (
+            (j, c) for j, e in enumerate(ends) for c in e.contacts if c.number == slot.contact
+        )
         _, wearing = joint.maps()[slot.surface]
-        speed = slid(joint, own_part(slips, places[k]), contact.place)
+        goes = None if centres is None else centres.get(slot.bearing)
+        slip = own_part(slips, places[k])
+        speed = slid(joint, slip, contact.place, sp.ZERO if goes is None else goes[end])
         volume = wearing.acceleration * wearing.law.volume_rate(
             contact.normal_force, speed, jnp.abs(contact.friction)
         )

@@ -69,6 +69,10 @@ class RigidContact(AbstractFormulation):
 
     forces_are_means: ClassVar = True
 
+    @property
+    def rubs_as_coulombs(self):
+        return True
+
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
         for name in mechanism.topology.clearances:

@@ -1,24 +1,17 @@
 """By which figures a run is judged: each beside the limit up to which numbers can be trusted, and
-the sentence that is said beyond.
-
-A figure is a number for each place (a joint, or the mechanism): the worst that was met. A run that
-lacks the thing has none and pays nothing. Beyond `Check.ends_at` a run ends.
+the sentence that is said beyond. A figure is a number for each place (a joint, or the mechanism):
+the worst that was met. A run that lacks the thing has none and pays nothing. Beyond `Check.ends_at`
+a run ends.
 """
 
 import enum
 
 import numpy as np
 
+from jaxclear.integrators import check_words as words
 from jaxclear.integrators.abstract_check import NEVER, AbstractCheck
+from jaxclear.integrators.check_words import AGAIN, OR_WORN, TIGHTER
 from jaxclear.integrators.outcome import Outcome
-
-# What a figure is told for; "joints": those of whose contact forces the state keeps the impulse.
-LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
-JOINTS, LOADS = "joints", "loads and drives"
-AGAIN = "with steps a quarter as long (tolerances 256 times tighter)"
-# Or where wear of a saving interval or two is put on sooner.
-OR_WORN = f"{AGAIN}, or surfaces that wear a little faster,"
-TIGHTER = "take shorter steps or a tight integrator.Adaptive"
 
 
 @enum.unique
@@ -31,7 +24,7 @@ class Check(AbstractCheck):
         "loop drift",
         1e-3,
         "motion",
-        LOOPS,
+        words.LOOPS,
         'the loop closed by joint "{place}" is open by {figure:.2g} of the longest arm (limit '
         "{limit:g}), so the motion is off: take shorter steps or "
         "stabilisation=jaxclear.Projection()",
@@ -43,7 +36,7 @@ class Check(AbstractCheck):
         "halved steps: mean force",
         0.1,
         "motion",
-        SPEEDS,
+        words.SPEEDS,
         'with steps of half the length the mean forces that move "{place}" change by '
         "{figure:.2g} of themselves (limit {limit:g}), so forces, and maybe the motion, are off: "
         "take shorter steps",
@@ -53,7 +46,7 @@ class Check(AbstractCheck):
         "halved steps: motion",
         0.015,
         "motion",
-        WHOLE,
+        words.WHOLE,
         "with steps of half the length or less bodies would be elsewhere by {figure:.2g} of their "
         "way (limit {limit:g}), so the motion is off: take shorter steps",
     )
@@ -62,7 +55,7 @@ class Check(AbstractCheck):
         "halved steps: mean contact force",
         0.1,
         "forces",
-        JOINTS,
+        words.JOINTS,
         'with steps of half the length the mean contact force in joint "{place}" changes by '
         "{figure:.2g} of itself (limit {limit:g}), so forces are off, though the motion may be "
         "right: take shorter steps",
@@ -72,7 +65,7 @@ class Check(AbstractCheck):
         "halved steps: force",
         0.1,
         "swinging forces",
-        SPEEDS,
+        words.SPEEDS,
         'with steps of half the length the forces at an instant that move "{place}" change '
         "by {figure:.2g} of themselves (limit {limit:g}), so forces at an instant and their peaks "
         "are off, and maybe friction loss and wear, though mean forces and the motion may be "
@@ -83,7 +76,7 @@ class Check(AbstractCheck):
         "halved steps: wear",
         0.05,
         "wear",
-        SURFACES,
+        words.SURFACES,
         'with steps of half the length or less the wear of joint "{place}" changes by {figure:.2g} '
         "(limit {limit:g}), so worn volumes and depths are off: take shorter steps",
     )
@@ -93,7 +86,7 @@ class Check(AbstractCheck):
         "saving times: worn depth",
         0.02,
         "worn depth",
-        SURFACES,
+        words.SURFACES,
         'where joint "{place}" wears hangs on the saving times, at which surfaces are updated: '
         "depths of its cells may be off by {figure:.2g} of themselves (limit {limit:g}), and after "
         "many impacts places in its gap, though volumes are right: save more often",
@@ -103,7 +96,7 @@ class Check(AbstractCheck):
         "second look: place in gap",
         0.03,
         "places in gaps",
-        CONTACTS,
+        words.CONTACTS,
         f'{OR_WORN} the parts of joint "{{place}}" are elsewhere in their gap by {{figure:.2g}} of '
         "the clearance (limit {limit:g}), so places in it at an instant and wear are off, though "
         f"mean forces may be right: {TIGHTER}",
@@ -113,7 +106,7 @@ class Check(AbstractCheck):
         "second look: places of bodies",
         0.001,
         "places",
-        WHOLE,
+        words.WHOLE,
         f"{OR_WORN} bodies are elsewhere by {{figure:.2g}} of their way (limit {{limit:g}}), so "
         f"their places are off, though forces may be right: {TIGHTER}",
     )
@@ -122,7 +115,7 @@ class Check(AbstractCheck):
         "second look: mean force",
         0.05,
         "forces",
-        CONTACTS,
+        words.CONTACTS,
         f'{AGAIN} the mean of the contact forces in joint "{{place}}" changes by {{figure:.2g}} '
         f"of the largest of all joints (limit {{limit:g}}), so forces are off: {TIGHTER}",
     )
@@ -132,7 +125,7 @@ class Check(AbstractCheck):
         "second look: mean force of parted paths",
         0.01,
         "forces",
-        CONTACTS,
+        words.CONTACTS,
         f"{OR_WORN} parts are elsewhere in their gaps, and with that the mean of contact forces "
         'in joint "{place}" changes by {figure:.2g} of the largest of all joints (limit '
         f"{{limit:g}}): {TIGHTER}",
@@ -142,7 +135,7 @@ class Check(AbstractCheck):
         "second look: deepest indentation",
         0.07,
         "peak forces",
-        CONTACTS,
+        words.CONTACTS,
         f'{AGAIN} the deepest indentation in joint "{{place}}" changes by {{figure:.2g}} of itself '
         f"(limit {{limit:g}}), so peak forces are off, though mean forces may be right: {TIGHTER}",
     )
@@ -151,7 +144,7 @@ class Check(AbstractCheck):
         "second look: largest contact force",
         0.1,
         "peak forces",
-        CONTACTS,
+        words.CONTACTS,
         f'{AGAIN} the largest force of a contact in joint "{{place}}" changes by {{figure:.2g}} of '
         f"itself (limit {{limit:g}}), so peak forces are off: {TIGHTER}",
     )
@@ -160,7 +153,7 @@ class Check(AbstractCheck):
         "second look: friction loss",
         0.02,
         "wear",
-        WHOLE,
+        words.WHOLE,
         f"{AGAIN} what friction takes or wears changes by {{figure:.2g}} of itself (limit "
         f"{{limit:g}}), so friction loss and wear are off: {TIGHTER}",
     )
@@ -170,7 +163,7 @@ class Check(AbstractCheck):
         "second look: friction loss of bristles",
         0.01,
         "wear",
-        WHOLE,
+        words.WHOLE,
         f"{AGAIN} what bristles take by friction changes by {{figure:.2g}} of itself (limit "
         "{limit:g}), and steps in which bristles settle agree with each other more than they are "
         f"right, so friction loss and wear are off: {TIGHTER}",
@@ -182,7 +175,7 @@ class Check(AbstractCheck):
         "contact step",
         0.85,
         "forces",
-        CONTACTS,
+        words.CONTACTS,
         'within a step the indentation in joint "{place}" grows by {figure:.2g} of the largest '
         "that was met (limit {limit:g}), so peak forces are those of the steps, not of the "
         "contact, and friction loss and wear of impacts may be off, though motion may be right: "
@@ -194,7 +187,7 @@ class Check(AbstractCheck):
         "impact step",
         0.35,
         "motion",
-        CONTACTS,
+        words.CONTACTS,
         'within a step the indentation in joint "{place}" grows by {figure:.2g} of the largest '
         "that was met (limit {limit:g}), so bodies come back from impacts as the steps have it, "
         "not the contact, and motion, forces and wear are off: take shorter steps, contact_steps, "
@@ -206,7 +199,7 @@ class Check(AbstractCheck):
         "rebound step",
         0.08,
         "motion",
-        CONTACTS,
+        words.CONTACTS,
         'impacts in joint "{place}" fall within a step and end with the restitution of the steps '
         "(rebound), which is off by about {figure:.2g} of the contact law's (limit {limit:g}), so "
         "motion, forces and wear are off: take shorter steps or integrator.Adaptive",
@@ -217,7 +210,7 @@ class Check(AbstractCheck):
         "energy gained",
         0.05,
         "motion",
-        WHOLE,
+        words.WHOLE,
         "the mechanism gained {figure:.2g} of its energy (limit {limit:g}) though nothing gave it "
         "any, so the motion is off: take shorter steps",
         (0.9, Outcome.ENERGY_GAINED),
@@ -228,7 +221,7 @@ class Check(AbstractCheck):
         "indentation",
         0.05,
         "forces",
-        CONTACTS,
+        words.CONTACTS,
         'the indentation in joint "{place}" reaches {figure:.2g} of its radius (limit {limit:g}), '
         "for which no contact law was made: look at stiffness, loads and start",
         (1.0, Outcome.SUNK_IN),
@@ -239,7 +232,7 @@ class Check(AbstractCheck):
         "largest contact force",
         np.inf,
         "peak forces",
-        CONTACTS,
+        words.CONTACTS,
         'the normal force in joint "{place}" reaches {figure:.2g} N (limit {limit:g})',
         NEVER,
         "N",
@@ -250,7 +243,7 @@ class Check(AbstractCheck):
         "friction step",
         0.0125,
         "motion",
-        CONTACTS,
+        words.CONTACTS,
         '{figure:.2g} of what friction takes in joint "{place}" is taken where it stops slip '
         "within a step (limit {limit:g}), so sliding, friction loss and wear may be far off, and "
         "with them where bodies are: take shorter steps or integrator.ImplicitStep",
@@ -262,7 +255,7 @@ class Check(AbstractCheck):
         "damper step",
         0.75,
         "swinging forces",
-        CONTACTS,
+        words.CONTACTS,
         'the damping of the contact in joint "{place}" is as fast as {figure:.2g} of what these '
         "steps follow in a lone contact (limit {limit:g}), so its forces at an instant and their "
         "peaks may swing about what they should be, and friction loss and wear be off, though mean "
@@ -275,7 +268,7 @@ class Check(AbstractCheck):
         "creep step",
         0.1,
         "wear",
-        CONTACTS,
+        words.CONTACTS,
         'joint "{place}" creeps, held by friction, and its contact vibrates by {figure:.2g} rad '
         "in a step (limit {limit:g}; numerical damping counts as longer steps), so friction loss "
         "and wear may be off: take shorter steps and rebound=1.0",
@@ -285,7 +278,26 @@ class Check(AbstractCheck):
         "load step",
         0.005,
         "motion",
-        LOADS,
+        words.LOADS,
         'steps pass over {figure:.2g} of the impulse of "{place}", a function of time that changes '
         "within less than a step (limit {limit:g}), so the motion is off: take shorter steps",
+    )
+    COULOMB_FRICTION = (
+        25,
+        "friction as Coulomb's",
+        0.025,
+        "wear",
+        words.RUBBING,
+        'friction in joint "{place}" is taken as Coulomb\'s; by its own law {figure:.2g} of its '
+        "loss is another (limit {limit:g}), and wear with it: take integrator.ImplicitStep, or "
+        "friction.Coulomb if that is meant",
+    )
+    COLLAR_FORCE = (
+        26,
+        "force on collars",
+        0.05,
+        "forces",
+        words.COLLARS,
+        'collars of joint "{place}" carry {figure:.2g} of its forces (limit {limit:g}), which is '
+        "no contact force here, and rubs and wears nothing: take integrator.ImplicitStep",
     )

@@ -72,7 +72,7 @@ class NonColliding(AbstractIntegrator):
 
     @property
     def formulation(self):
-        return PermanentContact()
+        return PermanentContact(self.regularised)
 
     def asked_step(self):
         return self.step
@@ -81,9 +81,7 @@ class NonColliding(AbstractIntegrator):
         return self.formulation.warm_start(model), vibration.nothing(model, self)
 
     def advance(self, model, interval, state, warm_start):
-        settings = NonCollidingSettings(
-            self.most_sweeps, self.tolerance, self.relaxation, self.regularised
-        )
+        settings = NonCollidingSettings(self.most_sweeps, self.tolerance, self.relaxation)
 
         def step(time_step, state, last):
             last, vibrates = last

@@ -54,6 +54,11 @@ REASONS: dict[Check, str] = {
         "a tenth of the accuracy of losses that implicit steps promise: of impacts within a step, "
         "in which bristles settle, it was 12 % off and changed by 1.1 %"
     ),
+    Check.COULOMB_FRICTION: (
+        "half of the accuracy of losses that NonColliding promises: of laws by slip it was the "
+        "error that runs have beside compliant ones, of LuGre half of it"
+    ),
+    Check.COLLAR_FORCE: "the accuracy of mean forces that NonColliding promises",
     Check.HALVED_CONTACT_FORCES: (
         "at least half of what is wrong, as of the mean forces that move joints; of contacts that "
         "press against each other it tells what moves nothing"

@@ -17,11 +17,24 @@ from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
-from jaxclear.integrators.checks import CONTACTS, JOINTS, LOOPS, SPEEDS, SURFACES, WHOLE, Check
+from jaxclear.integrators.check_words import (
+    COLLARS,
+    CONTACTS,
+    JOINTS,
+    LOOPS,
+    RUBBING,
+    SPEEDS,
+    SURFACES,
+    WHOLE,
+)
+from jaxclear.integrators.checks import Check
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.collars import collar_forces, collared, pressed
+from jaxclear.simulation.coulomb_friction import coulomb_friction, laws_of_others
+from jaxclear.simulation.coulomb_friction import taken as rubbed_as_coulombs
 from jaxclear.simulation.damper_steps import damper_step, damping
 from jaxclear.simulation.found import met_by, seen_by, together
 from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubbing, taken
@@ -56,7 +69,7 @@ def refereed(
     if rebound is not None:
         rises = met[Check.CONTACT_STEP], met[Check.INDENTATION]
         of_run[Check.REBOUND_STEP] = rebound_steps(model, *rises, rebound)
-    places = _places(model)
+    places = _places(model, history.formulation)
     met = _of_contacts(model.system, met) | of_run
     kept = {check: met[check] for check in PEAKS if check in tally.worst}
     met = jax.lax.stop_gradient(met) | kept
@@ -111,7 +124,7 @@ def _radii(system: System) -> Float[Array, " contacts"]:
     return sp.stack([radius for one in system.bearings.values() for radius in one.radii])
 
 
-def _places(model: Model) -> dict[str, tuple[str, ...]]:
+def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[str, ...]]:
     """Names of the places of figures."""
     contacts = tuple(name for name, kinds in model.layout.memories for _ in kinds)
     topology = model.system.topology
@@ -121,6 +134,8 @@ def _places(model: Model) -> dict[str, tuple[str, ...]]:
         CONTACTS: contacts,
         JOINTS: tuple(name for name, count in model.layout.impulses for _ in range(count)),
         SURFACES: tuple(slot.bearing for slot in model.layout.wear),
+        RUBBING: tuple(laws_of_others(model, formulation)),
+        COLLARS: collared(model),
         WHOLE: ("",),
     }
 
@@ -148,6 +163,11 @@ def _of_saved_states(looks: Looks) -> Seen:
         figures[Check.ENERGY_GAIN] = gains
         verdict = _ending({Check.ENERGY_GAIN: gains}, verdict)
     of_run = {check: friction_steps(model, told[check]) for check in KINDS if check in told}
+    if "rubbed" in said:
+        rubbed = said["rubbed"]
+        of_run[Check.COULOMB_FRICTION] = coulomb_friction(rubbed, looks.history.time[looks.rows])
+    if "collars" in said:
+        of_run[Check.COLLAR_FORCE] = collar_forces(said["collars"])
     if Check.DAMPER_STEP in told:
         of_run[Check.DAMPER_STEP] = jnp.max(told[Check.DAMPER_STEP], axis=0, initial=0.0)
     return Seen(figures, of_run, verdict)
@@ -158,6 +178,7 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
     system, formulation = looks.model.system, looks.history.formulation
     slides, driven = bool(rubbing(looks.model)), looks.history.mechanism.driven
     sinks = bool(system.bearings) and not formulation.forces_are_means
+    others, collars = laws_of_others(looks.model, formulation), collared(looks.model)
 
     def judged(now: Instant, figures: Figures) -> dict[str, Any]:
         told: dict[Check, Array] = {}
@@ -174,6 +195,8 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
         judging = {} if depths is None else {Check.INDENTATION: depths / _radii(system)}
         verdict = _ending(judging | {check: told[check] for check in ENDING if check in told})
         said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
+        said |= {"rubbed": rubbed_as_coulombs(others, now, formulation)} if others else {}
+        said |= {"collars": pressed(collars, now, formulation)} if collars else {}
         return said | ({} if driven else _energies(now, formulation))
 
     return judged

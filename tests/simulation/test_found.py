@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 import pytest
 
-from jaxclear.integrators.checks import CONTACTS, LOOPS, Check
+from jaxclear.integrators.check_words import CONTACTS, LOOPS
+from jaxclear.integrators.checks import Check
 from jaxclear.integrators.figures import Checks
 from jaxclear.simulation.found import met_by, seen_by
 

@@ -122,7 +122,7 @@ class PermanentSpherical(AbstractRubbingBall):
 
     @property
     def arm(self):
-        return self.gap.socket_radius
+        return self.gap.ball_radius
 
     @property
     def play(self):

@@ -111,7 +111,7 @@ class PermanentRevolute(AbstractPermanentJoint):
 
     @property
     def arm(self):
-        return self.gap.bearing_radius
+        return self.gap.bearing_radius - self.gap.clearance
 
     def friction_wrench(self, friction):
         return sp.ZERO, (0, 0, self.arm * friction)

@@ -92,6 +92,10 @@ class AbstractForceFriction(AbstractFrictionLaw):
         """Forces [N] along each sliding direction, and the rates [m/s] of the deflections."""
 
     @abstractmethod
+    def steady_coefficient(self, slip_speed: Scalar) -> Scalar:
+        """Traction over normal force [1], >= 0, after long sliding at a speed [m/s] > 0."""
+
+    @abstractmethod
     def largest_slope(self, step: Scalar) -> Scalar:
         """Largest increase of the coefficient by the slip [s/m], taken over a step [s] where the
         law remembers: how hard friction can brake."""

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import positive_part
+from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.friction.base import (
     AbstractForceFriction,
@@ -51,6 +51,13 @@ class AbstractBristleFriction(AbstractForceFriction):
     @abstractmethod
     def coefficient(self, deflection: Scalar, deflection_rate: Scalar, slip: Scalar) -> Scalar:
         """Signed component [1] of (minus traction) over normal force."""
+
+    def steady_coefficient(self, slip_speed):
+        # Laws are linear in the deflection.
+        rate, decay = jax.jvp(
+            lambda z: self.deflection_rate(z, slip_speed, slip_speed), (0.0,), (1.0,)
+        )
+        return self.coefficient(safe_divide(-rate, decay), 0.0, slip_speed)
 
     def tractions(self, normal_force, bristles, slip, slip_speed):
         rates = [

@@ -32,6 +32,9 @@ class AbstractSlipFriction(AbstractForceFriction):
     def coefficient(self, slip_speed: Scalar) -> Scalar:
         """Traction over normal force [1], >= 0, from the sliding speed [m/s] >= 0."""
 
+    def steady_coefficient(self, slip_speed):
+        return self.coefficient(slip_speed)
+
     def tractions(self, normal_force, bristles, slip, slip_speed):
         share = self.coefficient(slip_speed) / slip_speed
         shares = [sp.mul(share, s) for s in slip]

@@ -1,0 +1,9 @@
+"""What figures are told for, and what their sentences say again and again."""
+
+# What a figure is told for; "joints": those of whose contact forces the state keeps the impulse.
+LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
+JOINTS, LOADS, RUBBING, COLLARS = "joints", "loads and drives", "joints that rub", "collars"
+AGAIN = "with steps a quarter as long (tolerances 256 times tighter)"
+# Or where wear of a saving interval or two is put on sooner.
+OR_WORN = f"{AGAIN}, or surfaces that wear a little faster,"
+TIGHTER = "take shorter steps or a tight integrator.Adaptive"
