@@ -119,7 +119,6 @@ class Check(AbstractCheck):
         f'{AGAIN} the mean of the contact forces in joint "{{place}}" changes by {{figure:.2g}} '
         f"of the largest of all joints (limit {{limit:g}}), so forces are off: {TIGHTER}",
     )
-    # The same, where places in gaps say that paths have parted.
     PARTED_FORCE = (
         17,
         "second look: mean force of parted paths",
@@ -215,7 +214,6 @@ class Check(AbstractCheck):
         "any, so the motion is off: take shorter steps",
         (0.9, Outcome.ENERGY_GAINED),
     )
-    # Largest indentation beside the radius of journal or ball.
     INDENTATION = (
         7,
         "indentation",
@@ -237,7 +235,6 @@ class Check(AbstractCheck):
         NEVER,
         "N",
     )
-    # Share of friction's power that is taken where explicit steps do not resolve it.
     FRICTION_STEP = (
         1,
         "friction step",
