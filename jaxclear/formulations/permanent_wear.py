@@ -34,7 +34,7 @@ def centres_that_wear(system: System, found: Answer, friction: Any) -> Centres:
     joints = touching(system)
     centres = {}
     for held, reaction, place in zip(joints, found.reactions, placed(joints), strict=True):
-        if _goes_round(held.joint):
+        if held.joint.maps() and held.joint.goes_round:
             ends = carrying_ends(held, reaction, own_part(friction, place))
             centres[held.name] = [end.offset for end in ends]
     return centres
@@ -42,15 +42,11 @@ def centres_that_wear(system: System, found: Answer, friction: Any) -> Centres:
 
 def count_of_centres(system: System) -> int:
     """How many ends `centres_that_wear` knows."""
-    kept = [held.joint for held in touching(system) if _goes_round(held.joint)]
+    joints = [held.joint for held in touching(system)]
+    kept = [own for own in joints if own.maps() and own.goes_round]
     ratios = [0.0 if own.components == 1 else (0.0,) * own.components for own in kept]
     pairs = zip(kept, ratios, strict=True)
     return sum(len(own.carrying_ends(sp.ZERO, sp.ZERO, ratio)) for own, ratio in pairs)
-
-
-def _goes_round(joint: AbstractRubbingJoint) -> bool:
-    """Whether a joint wears where its reaction presses it in a gap, on any side."""
-    return bool(joint.maps()) and joint.units != ("m",) and hasattr(joint, "gap")
 
 
 def wear_rates(

@@ -26,8 +26,10 @@ class MoreauJean(AbstractIntegrator):
     and joints truly stick.
 
     Clearance joints are the same as for compliant contact, one word changed; of a contact law only
-    its coefficient of restitution is taken (`contact.Rigid` has nothing else), of a regularised
-    friction law its coefficients. Newton's law of impact applies to a contact whose gap closes
+    its coefficient of restitution is taken (`contact.Rigid` has nothing else), and where surfaces
+    wear how wide it lets the mean force of a step press, of a regularised friction law its
+    coefficients; a run says how much of friction's loss is another by that
+    (`Check.COULOMB_FRICTION`). Newton's law of impact applies to a contact whose gap closes
     within `gamma` of a step; impacts are not located, so their instants have an error of a step,
     and order is 1. Of contacts of one joint that strike within a step the first to touch does, the
     others in the next ones: struck at once they would share an impact that they do not. Mean speeds

@@ -27,7 +27,10 @@ class NonColliding(AbstractIntegrator):
     Use where joints stay pressed (slow or well-loaded mechanisms); where a reaction passes through
     zero a real journal would cross its gap and strike, which `Trajectory.switchings` tells and
     compliant rungs show. Clearance joints are the same as there, one word changed; a regularised
-    friction law gives its coefficients. Midpoint rule, order 2 in smooth motion and 1 across stick
+    friction law gives its coefficients, and a run says how much of the loss is another by that
+    (`Check.COULOMB_FRICTION`). Collars carry, and neither rub nor wear (`Check.COLLAR_FORCE`). What
+    no motion of a loop changes, such as forces along parallel axes, its closing joint does not
+    carry. Midpoint rule, order 2 in smooth motion and 1 across stick
     and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
 
     `most_sweeps` over the joints at most, until friction changes by less than `tolerance` of its

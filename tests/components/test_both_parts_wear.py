@@ -77,7 +77,7 @@ def test_the_inner_part_wears_round_about_and_the_outer_one_where_it_is_pressed(
     outer = {"journal": "bearing", "ball": "socket"}[inner]
     asked = joint(**{f"{inner}_wear": WEARS, f"{outer}_wear": WEARS})
     found = run(turning(asked), rung)
-    wanted = RATE * LOAD * RADIUS * TURNED
+    wanted = RATE * LOAD * (RADIUS - CLEARANCE) * TURNED
     within = 1e-9 if rung == "permanent" else 0.01
     depths = {}
     for surface in (inner, outer):
@@ -121,8 +121,9 @@ def test_a_ball_that_its_socket_is_seen_from_wears_in_its_own_axes():
     on_ball, on_socket = (np.asarray(found.worn_depth("B", s)) for s in ("ball", "socket"))
     still = np.cos(where(asked.maps()["ball"][0]) - 0.5 * np.pi) > 0
     assert np.all(on_ball[~still] == 0) and on_ball.max() > 3 * on_socket.max()
+    # The socket slides past a ball that stays below: at its own radius, but for the first step.
     volume = float(found.worn_volume("B", "ball")[-1])
-    np.testing.assert_allclose(volume, RATE * LOAD * RADIUS * TURNED, rtol=1e-9)
+    np.testing.assert_allclose(volume, RATE * LOAD * RADIUS * TURNED, rtol=1e-4)
 
 
 def test_worn_balls_are_drawn_and_not_meshed():

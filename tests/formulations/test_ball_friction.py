@@ -5,19 +5,21 @@ import pytest
 
 import jaxclear as jc
 
-MU, LOAD, RADIUS, INERTIA = 0.2, 300.0, 12e-3, 2e-3
+MU, LOAD, RADIUS, CLEARANCE, INERTIA = 0.2, 300.0, 12e-3, 0.05e-3, 2e-3
+BALL = RADIUS - CLEARANCE
 GRIP = MU / np.sqrt(1 + MU**2)
 LAW = jc.wear.Archard()
 RATE = float(LAW.wear_coefficient / LAW.hardness)
 STICKS = jc.friction.Coulomb(mu_kinetic=MU)
 SMOOTH = jc.friction.CoulombTanh(mu_kinetic=MU, transition_speed=1e-2)
-BRAKING = GRIP * LOAD * RADIUS / INERTIA
+BRAKING = GRIP * LOAD * BALL / INERTIA
 TILT, SPIN = 0.05 * BRAKING, 7.0
 
 
 def socket(friction, **numbers):
     law = jc.contact.Rigid()
-    return jc.clearance.BallSocket(law, friction, socket_radius=RADIUS, **numbers)
+    sizes = {"socket_radius": RADIUS, "clearance": CLEARANCE}
+    return jc.clearance.BallSocket(law, friction, **sizes, **numbers)
 
 
 def spinning(joint):
@@ -64,8 +66,10 @@ def test_a_ball_wears_by_archard_where_it_is_pressed(top):
     np.testing.assert_allclose(contact.traction[1:5, 0], GRIP * LOAD, rtol=1e-9)
     # at rest across the load the contact lies below it again, where spin does not slide
     time = np.linspace(0.0, 0.05, 50001)
-    speed = RADIUS * np.hypot(TILT - BRAKING * time, GRIP * SPIN)
-    lost = RATE * LOAD / np.sqrt(1 + MU**2) * np.trapezoid(speed, time)
+    speed = BALL * np.hypot(TILT - BRAKING * time, GRIP * SPIN)
+    # and gets there through the gap
+    slid = np.trapezoid(speed, time) + GRIP * CLEARANCE
+    lost = RATE * LOAD / np.sqrt(1 + MU**2) * slid
     np.testing.assert_allclose(volume[-1], lost, rtol=1e-3)
     depth = top.worn_depth("S", "socket")
     assert np.all(depth[:, 8:] == 0) and np.argmax(depth.max(0)) < 3

@@ -6,6 +6,7 @@ import pytest
 import jaxclear as jc
 
 LOAD, SPEED, RADIUS, CLEARANCE, LENGTH = 200.0, 12.0, 10e-3, 0.05e-3, 20e-3
+JOURNAL = RADIUS - CLEARANCE
 LAW = jc.wear.Archard()
 RATE = float(LAW.wear_coefficient / LAW.hardness)
 DURATION, SAVES = 0.5, 51
@@ -45,7 +46,7 @@ def planar():
 def test_a_loaded_bearing_that_always_touches_wears_by_archard(planar):
     """V = k F s / H, to rounding, all of it below the load."""
     volume = planar.worn_volume("B", "bearing")
-    np.testing.assert_allclose(volume[-1], RATE * LOAD * RADIUS * TURNED, rtol=1e-9)
+    np.testing.assert_allclose(volume[-1], RATE * LOAD * JOURNAL * TURNED, rtol=1e-9)
     np.testing.assert_allclose(np.diff(volume), volume[-1] / (SAVES - 1), rtol=1e-6)
     depth = planar.worn_depth("B", "bearing")[:, 0]
     place = (np.arange(48) + 0.5) * 2 * np.pi / 48
@@ -97,15 +98,58 @@ def test_the_first_depth_is_that_of_hertz_pressure_over_the_width_of_the_contact
     assert float(found.worn_depth("B", "bearing").max()) == pytest.approx(wanted, rel=0.08)
 
 
+@pytest.mark.parametrize("outer", ["ground", "rotor"])
+def test_a_journal_slides_as_its_centre_goes_round_too(outer):
+    """A journal that turns slides at its own radius, one in a bearing that turns at the bearing's:
+    V = k F r w t / H; here the clearance is a tenth of the radius."""
+    wide, integrator = 0.1 * RADIUS, jc.integrator.NonColliding(1e-3)
+    joint = jc.clearance.PlanarJournalBearing(
+        hertz(STIFF),
+        bearing_radius=RADIUS,
+        clearance=wide,
+        length=LENGTH,
+        bearing_wear=jc.Wearing(LAW, cells=(48, 1)),
+    )
+    inner = {"ground": "rotor", "rotor": "ground"}[outer]
+    rig = jc.Mechanism(
+        {"rotor": jc.Body(1.0, 1e-3)},
+        {"B": jc.Connection(joint, outer, inner)},
+        {"load": jc.load.Force(jc.Marker("rotor"), (0.0, -LOAD, 0.0))},
+        speeds={"rotor": (0.0, 0.0, SPEED)},
+    )
+    found = jc.simulate(rig, 0.1, save=21, integrator=integrator)
+    radius = RADIUS if outer == "rotor" else RADIUS - wide
+    wanted = RATE * LOAD * radius * SPEED * 0.1
+    # where the centre was before the first step nobody knows
+    assert float(found.worn_volume("B", "bearing")[-1]) == pytest.approx(wanted, rel=2e-3)
+
+
+def test_rigid_contact_wears_as_deep_as_its_contact_law_lets_it_sink():
+    """The compliant bearing, seated, is the oracle; two cells wide it would wear half as deep
+    again."""
+    rig = turning(
+        jc.clearance.PlanarJournalBearing, law=hertz(SOFT), load=2000.0, bearing_wear=True
+    )
+    asked = {"duration": 0.02, "save": 41, "state": jc.seated(rig)}
+    runs = [
+        jc.simulate(rig, integrator=one, **asked)
+        for one in (jc.integrator.MoreauJean(1e-4), jc.integrator.Adaptive(rtol=1e-8, atol=1e-11))
+    ]
+    shares = [
+        float(run.worn_depth("B", "bearing").max() / run.worn_volume("B", "bearing")[-1])
+        for run in runs
+    ]
+    assert shares[0] == pytest.approx(shares[1], rel=0.02)
+
+
 @pytest.mark.slow
 def test_the_quiet_compliant_bearing_wears_as_much(planar):
     rig = turning(jc.clearance.PlanarJournalBearing, bearing_wear=True)
     compliant = run(rig, jc.integrator.ImplicitStep(1e-5))
     found, wanted = (one.worn_volume("B", "bearing") for one in (planar, compliant))
-    # An ideal joint slides at the bearing's radius; a journal that gives way at its own, less half
-    # of what it gives way.
+    # A journal that gives way slides at its radius less half of what it gives way.
     depth = float(compliant.contact("B").indentation[-1, 0])
-    slower = (RADIUS - CLEARANCE - 0.5 * depth) / RADIUS
+    slower = (JOURNAL - 0.5 * depth) / JOURNAL
     # once the fall through the play is over
     lost = slower * (found[-1] - found[20])
     np.testing.assert_allclose(lost, wanted[-1] - wanted[20], rtol=1e-4)
@@ -116,7 +160,7 @@ def test_a_journal_that_turns_under_a_constant_load_wears_evenly():
     rig = turning(jc.clearance.JournalBearing, journal_wear=True, bearing_wear=True)
     found = run(rig, jc.integrator.NonColliding(1e-3))
     volume = float(found.worn_volume("B", "journal")[-1])
-    np.testing.assert_allclose(volume, RATE * LOAD * RADIUS * TURNED, rtol=1e-9)
+    np.testing.assert_allclose(volume, RATE * LOAD * JOURNAL * TURNED, rtol=1e-9)
     depth = found.worn_depth("B", "journal")
     turned = (np.arange(48) + 0.5) * 2 * np.pi / 48
     # it has not turned a whole turn: below the load at first, then 6 rad further round

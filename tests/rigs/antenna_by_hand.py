@@ -31,7 +31,8 @@ class Antenna:
         ]
         self.torques, self.mu, self.ends = torques, mu, ends
         bearing = rig.connections["J1"].joint
-        self.radius, self.length = float(bearing.bearing_radius), float(bearing.length)
+        self.radius = float(bearing.bearing_radius - bearing.clearance)
+        self.length = float(bearing.length)
         # (parent, child, arms from the centres of mass, axis) in body axes.
         self.joints = []
         for k, (name, axis) in enumerate((("J1", 2), ("J2", 0))):

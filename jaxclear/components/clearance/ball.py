@@ -125,6 +125,10 @@ class PermanentSpherical(AbstractRubbingBall):
         return self.gap.ball_radius
 
     @property
+    def goes_round(self):
+        return True
+
+    @property
     def play(self):
         return self.gap.clearance
 

@@ -113,6 +113,10 @@ class PermanentRevolute(AbstractPermanentJoint):
     def arm(self):
         return self.gap.bearing_radius - self.gap.clearance
 
+    @property
+    def goes_round(self):
+        return True
+
     def friction_wrench(self, friction):
         return sp.ZERO, (0, 0, self.arm * friction)
 

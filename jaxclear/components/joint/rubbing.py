@@ -95,6 +95,11 @@ class AbstractRubbingJoint(AbstractJoint):
         """Location of a contact on a surface that wears, as its map reads it, for the offset [m] of
         the child within the gap and the contact's indentation [m]."""
 
+    @property
+    def goes_round(self) -> bool:
+        """Whether the centre of the inner part goes round in a gap with what it carries."""
+        return False
+
     def indentation(self, contact: int, force: Any) -> Any:
         """How deep [m] a normal force [N] presses a contact; 0, unless overridden, because an ideal
         joint knows no law that tells it."""

@@ -1,7 +1,6 @@
-"""Friction as a function of the sliding speed alone: cheap, smooth, nothing remembered.
-
-A law maps the speed |v| >= 0 to a coefficient >= 0 that is 0 at rest; the traction is minus normal
-force times coefficient times v/|v|. Under a steady side load at rest such a contact creeps.
+"""Friction as a function of the sliding speed alone: cheap, smooth, nothing remembered. A law maps
+the speed |v| >= 0 to a coefficient >= 0 that is 0 at rest; the traction is minus normal force times
+coefficient times v/|v|. Under a steady side load at rest such a contact creeps.
 """
 
 from abc import abstractmethod

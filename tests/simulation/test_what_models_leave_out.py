@@ -1,0 +1,99 @@
+"""What a run says of its model: friction taken as Coulomb's, collars that are left out."""
+
+import jax.numpy as jnp
+import pytest
+
+import jaxclear as jc
+from jaxclear.integrators import Check
+
+RADIUS, CLEARANCE, LOAD = 10e-3, 0.05e-3, 200.0
+CONTACT = jc.contact.HuntCrossley(stiffness=1e9, restitution=0.5)
+THREE_ZONES = jc.friction.ThreeZone(static_speed=1e-3, kinetic_speed=1e-2)
+STEPS = {
+    "permanent": jc.integrator.NonColliding(1e-4),
+    "rigid": jc.integrator.MoreauJean(2e-5),
+    "regularised": jc.integrator.NonColliding(1e-4, regularised=True),
+}
+
+
+def pressed(friction, torque=0.0, speed=0.0, inertia=1e-3):
+    joint = jc.clearance.PlanarJournalBearing(
+        CONTACT, friction, bearing_radius=RADIUS, clearance=CLEARANCE
+    )
+    marker = jc.Marker("rotor")
+    return jc.Mechanism(
+        {"rotor": jc.Body(1.0, inertia)},
+        {"B": jc.Connection(joint, "ground", "rotor")},
+        {
+            "load": jc.load.Force(marker, (0.0, -LOAD, 0.0)),
+            "torque": jc.load.Torque(marker, torque),
+        },
+        speeds={"rotor": (0.0, 0.0, speed)},
+    )
+
+
+def figure(rig, integrator, check=Check.COULOMB_FRICTION, duration=0.01):
+    state = None if isinstance(integrator, jc.integrator.NonColliding) else jc.seated(rig)
+    run = jc.simulate(
+        rig, duration, integrator=integrator, state=state, save=101, balance=True, throw=False
+    )
+    found = run.checks.figures.get(check)
+    return run, None if found is None else float(jnp.max(found.worst))
+
+
+@pytest.mark.parametrize("law", [THREE_ZONES, jc.friction.Dahl()])
+@pytest.mark.parametrize("rung", ["permanent", "rigid"])
+def test_a_joint_that_sticks_where_its_law_creeps_or_yields_says_so(rung, law):
+    run, share = figure(pressed(law, torque=0.5 * 0.1 * LOAD * RADIUS), STEPS[rung])
+    assert share == pytest.approx(1.0, rel=1e-3)
+    assert any("taken as Coulomb" in sentence for sentence in run.warnings)
+
+
+def test_what_a_law_takes_beside_coulombs_is_told_as_large_as_it_is():
+    """A heavy journal slides on at a speed at which friction is nearly static; a tight compliant
+    run tells what its law takes there."""
+    law = jc.friction.AdamsStep(
+        mu_static=0.18, mu_kinetic=0.1, static_speed=3e-3, kinetic_speed=0.15
+    )
+    rig = pressed(law, speed=0.04 / RADIUS, inertia=1.0)
+    run, share = figure(rig, STEPS["permanent"])
+    oracle, nothing = figure(rig, jc.integrator.Adaptive())
+    lost = [float(one.energy_balance().friction_loss[-1]) for one in (run, oracle)]
+    assert nothing is None
+    # the compliant journal climbs its bearing first
+    assert share > 0.3 and share == pytest.approx(1 - lost[0] / lost[1], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("law", "rung", "wanted"),
+    [
+        (THREE_ZONES, "permanent", 0.0),
+        (THREE_ZONES, "rigid", 0.0),
+        (THREE_ZONES, "regularised", None),
+        (jc.friction.Coulomb(), "permanent", None),
+    ],
+)
+def test_a_joint_that_slides_fast_or_by_coulombs_law_says_nothing(law, rung, wanted):
+    _, share = figure(pressed(law, speed=20.0), STEPS[rung])
+    assert share == wanted
+
+
+def test_collars_that_carry_say_so_where_a_joint_always_touches():
+    """Of two forces at a right angle the share of the one along the axis."""
+    along = 0.25 * LOAD
+    joint = jc.clearance.JournalBearing(
+        CONTACT,
+        bearing_radius=RADIUS,
+        clearance=CLEARANCE,
+        length=0.02,
+        flange=jc.clearance.Flange(CONTACT, radius=1.4 * RADIUS, clearance=1e-4),
+    )
+    rig = jc.Mechanism(
+        {"rotor": jc.Body(1.0, (1e-3,) * 3)},
+        {"B": jc.Connection(joint, "ground", "rotor")},
+        {"load": jc.load.Force(jc.Marker("rotor"), (0.0, -LOAD, along))},
+        speeds={"rotor": (0.0, 0.0, 0.0, 0.0, 0.0, 5.0)},
+    )
+    run, share = figure(rig, STEPS["permanent"], Check.COLLAR_FORCE)
+    assert share == pytest.approx(along / (along + LOAD), rel=1e-6)
+    assert any(sentence.startswith('Collars of joint "B"') for sentence in run.warnings)
