@@ -14,7 +14,15 @@ LOAD, SPEED, RADIUS, CLEARANCE, LENGTH = 200.0, 12.0, 10e-3, 0.05e-3, 20e-3
 TURN, CYCLES = 2 * math.pi / SPEED, 1e4
 LAW = jc.wear.Archard()
 # k F s / H of one turn [m3].
-LOST = float(LAW.wear_coefficient / LAW.hardness) * LOAD * RADIUS * 2 * math.pi
+
+
+def lost(clearance):
+    """Volume [m3] that a turn takes: the journal slides at its own radius."""
+    slid = 2 * math.pi * (RADIUS - clearance)
+    return float(LAW.wear_coefficient / LAW.hardness) * LOAD * slid
+
+
+LOST = lost(CLEARANCE)
 
 
 def crescent(depth, clearance=CLEARANCE):
@@ -73,8 +81,9 @@ def test_a_life_knows_what_the_clearance_does_to_it(life):
     limit = 0.7 * float(life.over_life("depth")[-1])
     found = jc.wear_life_derivatives(life, "depth", limit)["clearance"]
     step = 1e-7
-    exact = (crescent(limit, CLEARANCE + step) - crescent(limit, CLEARANCE - step)) / (2 * step)
-    exact /= LOST
+    more, less = (crescent(limit, c) / lost(c) for c in (CLEARANCE + step, CLEARANCE - step))
+    exact = (more - less) / (2 * step)
     # Lives known to 2 % at clearances a third apart.
     assert abs(found.value - exact) < found.error < abs(exact)
-    assert found.value == pytest.approx(exact, rel=0.2) and found.unit == "(cycles)/(m)"
+    # Of an error of three quarters of the derivative a third is met.
+    assert abs(found.value - exact) < 0.4 * found.error and found.unit == "(cycles)/(m)"
