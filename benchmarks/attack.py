@@ -16,7 +16,7 @@ import argparse
 import json
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ import jax
 from benchmarks.attacks import rungs, verdicts
 from benchmarks.attacks.answers import RESPONSES
 from benchmarks.attacks.attempts import Asked, Finding, attempt, find, judges
+from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.numbers import Draw
 from benchmarks.attacks.structures import DRAWS, NUMBERS, ROOM, Structure, structures
@@ -62,7 +63,7 @@ def attacked(structure: Structure, draws: range, kept: Path | None, one: Attack)
     """All runs of these cases of a structure by `one`, those that are kept taken from there."""
     found, rows = known(kept, Row), []
     for draw in draws:
-        key = str(_number(structure, draw))
+        key = str(number_of(structure, draw))
         if key not in found:
             found[key] = one(structure, draw)
             keep(kept, key, found[key])
@@ -70,33 +71,55 @@ def attacked(structure: Structure, draws: range, kept: Path | None, one: Attack)
     return rows
 
 
-def _number(structure: Structure, draw: int) -> int:
+def number_of(structure: Structure, draw: int) -> int:
+    """The number of a case."""
     return structure.number * ROOM + draw
+
+
+def case_of(structure: Structure, draw: int) -> Case | None:
+    """The case, or None where it was refused, which is said."""
+    try:
+        return structure.case(draw)
+    except ValueError as error:
+        print(f"case {number_of(structure, draw)} was refused: {error}", flush=True)
+        return None
 
 
 def attack(structure: Structure, draw: int) -> list[Row]:
     """All runs of one case."""
-    number = _number(structure, draw)
-    try:
-        case = structure.case(draw)
-    except ValueError as error:
-        print(f"case {number} was refused: {error}", flush=True)
+    case = case_of(structure, draw)
+    if case is None:
         return []
-    asked = Asked(SAVES, structure.balance)
-    references: dict[Any, tuple] = {}
+    found: dict[str, tuple] = {}
+
+    def references(rung: rungs.Rung, integrator: Any) -> tuple:
+        if rung.model not in found:
+            step = None if rung.model == "compliant" else float(integrator.step)
+            found[rung.model] = judges(case, rung.model, step, Asked(SAVES, structure.balance))
+        return found[rung.model]
+
+    return judged(structure, draw, case, structure.rungs, references)
+
+
+def judged(
+    structure: Structure,
+    draw: int,
+    case: Case,
+    names: Iterable[str],
+    references: Callable[[rungs.Rung, Any], tuple],
+) -> list[Row]:
+    """The runs of a case by the rungs of these names, each beside its `references`."""
     rows = []
-    for place, name in enumerate(structure.rungs):
+    for place, name in enumerate(names):
         rung = rungs.RUNGS[name]
         numbers = Draw(NUMBERS, structure.number, draw, place, plain=draw == 0)
         integrator = rung.make(numbers, case)
-        step = None if rung.model == "compliant" else float(integrator.step)
         begun = time.process_time()
-        run = attempt(case, integrator, asked)
+        run = attempt(case, integrator, Asked(SAVES, structure.balance))
         spent = time.process_time() - begun
-        if rung.model not in references:
-            references[rung.model] = judges(case, rung.model, step, asked)
-        found = find(run, references[rung.model], rung.kind)
+        found = find(run, references(rung, integrator), rung.kind)
         words = "default" if integrator is None else describe(integrator)
+        number = number_of(structure, draw)
         rows.append(Row(number, structure.name, name, words, found, spent))
     return rows
 

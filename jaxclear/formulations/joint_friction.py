@@ -23,7 +23,7 @@ from jaxclear.formulations.permanent_reactions import (
     with_friction,
 )
 from jaxclear.formulations.permanent_report import report
-from jaxclear.formulations.permanent_wear import wear_rates
+from jaxclear.formulations.permanent_wear import ends_that_wear, wear_rates
 from jaxclear.formulations.state_rate import Passive, link_accelerations
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import dynamics
@@ -82,7 +82,8 @@ def passive_of(
     """What joints that rub wear, lose and press with, by their reactions and friction [N] at these
     sliding speeds [m/s]."""
     held = touching(model.system)
-    rates = wear_rates(model, forces.motions, q, answer, friction, slips)
+    ends = ends_that_wear(model.system, answer, friction)
+    rates = wear_rates(model, forces.motions, q, ends, slips)
     lost, driven = friction_losses(held, friction, slips)
     parts = zip(held, answer.reactions, placed(held), strict=True)
     pressed = [pressing(one, own, own_part(friction, place)) for one, own, place in parts]

@@ -12,8 +12,6 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.contact import Rigid
-from jaxclear.laws.contact.pressed import indentation_under
-from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody import contact_point
 from jaxclear.multibody.contact_point import GapFunction, JointReport, PointState, Response
 from jaxclear.multibody.kinematics import along
@@ -106,8 +104,7 @@ def _pressed(laws: ContactLaws, force: Any) -> Any:
     where it has one."""
     if not laws.wears:
         return TOUCHING
-    law = fitted(laws.contact, laws.shape)
-    return jnp.maximum(indentation_under(law, positive_part(force)), TOUCHING)
+    return jnp.maximum(laws.indentation_under(positive_part(force)), TOUCHING)
 
 
 def reports_of_means(instant: Instant) -> dict[str, JointReport]:

@@ -42,8 +42,9 @@ from jaxclear.formulations.permanent_report import (
 )
 from jaxclear.formulations.permanent_wear import (
     Centres,
-    centres_that_wear,
+    centres_of,
     count_of_centres,
+    ends_that_wear,
     wear_rates,
 )
 from jaxclear.formulations.rigid import check_friction
@@ -131,9 +132,10 @@ class PermanentContact(AbstractFormulation):
         after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
         sliding = _sliding(held, slips, mean)
-        centres, known = centres_that_wear(system, found, friction), last[len(v) : -1]
-        goes = _rates_of(centres, known, h)
-        worn = wear_rates(model, motions, motion[0], found, friction, sliding, goes)
+        ends = ends_that_wear(system, found, friction)
+        centres = centres_of(system, ends)
+        goes = _rates_of(centres, last[len(v) : -1], h)
+        worn = wear_rates(model, motions, motion[0], ends, sliding, goes)
         gained = [h * rate for rate in (*angle_rates(system, layout, motions), *worn)]
         gained += [h * x for x in _acting(held, found.reactions, friction)]
         if layout.energies:

@@ -25,23 +25,30 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.system import System
 
-# By joint the rate [m/s] at which the centre of each of its ends moves in the gap.
+# By joint the ends that carry, and of each its centre in the gap [m] or how fast that moves [m/s].
+Ends = dict[str, tuple[CarryingEnd, ...]]
 Centres = dict[str, list[sp.Vec]]
 
 
-def centres_that_wear(system: System, found: Answer, friction: Any) -> Centres:
-    """Where in the gap [m] the ends of the joints lie that wear and turn."""
+def ends_that_wear(system: System, found: Answer, friction: Any) -> Ends:
+    """Where the joints that wear carry their reactions, by joint."""
     joints = touching(system)
-    centres = {}
-    for held, reaction, place in zip(joints, found.reactions, placed(joints), strict=True):
-        if held.joint.maps() and held.joint.goes_round:
-            ends = carrying_ends(held, reaction, own_part(friction, place))
-            centres[held.name] = [end.offset for end in ends]
-    return centres
+    parts = zip(joints, found.reactions, placed(joints), strict=True)
+    return {
+        held.name: carrying_ends(held, reaction, own_part(friction, place))
+        for held, reaction, place in parts
+        if held.joint.maps()
+    }
+
+
+def centres_of(system: System, ends: Ends) -> Centres:
+    """Where in the gap [m] the ends of those joints lie that turn in one."""
+    turning = {held.name for held in touching(system) if held.joint.goes_round}
+    return {name: [end.offset for end in own] for name, own in ends.items() if name in turning}
 
 
 def count_of_centres(system: System) -> int:
-    """How many ends `centres_that_wear` knows."""
+    """How many centres `centres_of` what wears knows."""
     joints = [held.joint for held in touching(system)]
     kept = [own for own in joints if own.maps() and own.goes_round]
     ratios = [0.0 if own.components == 1 else (0.0,) * own.components for own in kept]
@@ -53,22 +60,20 @@ def wear_rates(
     model: Model,
     motions: tuple,
     q: tuple,
-    found: Answer,
-    friction: Any,
+    carrying: Ends,
     slips: list,
     centres: Centres | None = None,
 ) -> list:
     """Rates of the worn volumes and of their volume-weighted locations, in the layout's order, at
-    coordinates `q`; the joints slide at the speeds `slips` [m/s], and where their parts' `centres`
-    move in the gap, by that too. Nothing where nothing wears."""
+    coordinates `q`; the joints carry at these ends and slide at the speeds `slips` [m/s], and where
+    their parts' `centres` move in the gap, by that too. Nothing where nothing wears."""
     system, rates = model.system, []
     at = {held.name: k for k, held in enumerate(touching(system))}
     places = placed(touching(system))
     carried = {}
-    for held, k in zip(touching(system), at.values(), strict=True):
-        if held.joint.maps():
-            ends = carrying_ends(held, found.reactions[k], own_part(friction, places[k]))
-            ends, depths = _sunk_in(held.joint, ends)
+    for held in touching(system):
+        if held.name in carrying:
+            ends, depths = _sunk_in(held.joint, carrying[held.name])
             carried[held.name] = (*_pose_in_gap(system, motions, q, held, ends), ends, depths)
     for slot in model.layout.wear:
         if slot.bearing not in at:

@@ -125,8 +125,8 @@ def test_a_journal_slides_as_its_centre_goes_round_too(outer):
 
 
 def test_rigid_contact_wears_as_deep_as_its_contact_law_lets_it_sink():
-    """The compliant bearing, seated, is the oracle; two cells wide it would wear half as deep
-    again."""
+    """The compliant bearing, seated, is the oracle; two cells wide it would wear twice as
+    deep."""
     rig = turning(
         jc.clearance.PlanarJournalBearing, law=hertz(SOFT), load=2000.0, bearing_wear=True
     )

@@ -12,7 +12,6 @@ from jaxclear.components.clearance.base import (
     check_clearance,
     direction,
 )
-from jaxclear.components.clearance.permanent import pressed_by
 from jaxclear.components.joint import AbstractRubbingBall, Spherical
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wear_map import Wearing
@@ -146,4 +145,4 @@ class PermanentSpherical(AbstractRubbingBall):
         return self.gap.features(surface, offset, axes, (indentation,), contact)
 
     def indentation(self, contact, force):
-        return pressed_by(self.gap, contact, force)
+        return self.gap.contact_laws()[contact].indentation_under(force)

@@ -19,7 +19,8 @@ from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete
-from jaxclear.laws.stiffness import Shape
+from jaxclear.laws.contact.pressed import indentation_under
+from jaxclear.laws.stiffness import Shape, fitted
 
 
 class ContactCandidate(NamedTuple):
@@ -49,6 +50,10 @@ class ContactLaws(NamedTuple):
     shape: Shape
     wears: bool
     unfitted: Any = None
+
+    def indentation_under(self, force: Scalar) -> Scalar:
+        """How deep [m] a normal force [N, at least 0] presses the contact, by its law."""
+        return indentation_under(fitted(self.contact, self.shape), force)
 
 
 class AbstractClearance(AbstractQuantified):

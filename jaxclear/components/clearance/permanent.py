@@ -17,8 +17,6 @@ from jaxclear.components.clearance.base import AbstractClearance
 from jaxclear.components.joint import AbstractJoint, AbstractVectorJoint
 from jaxclear.components.joint.rubbing import AbstractRubbingJoint, CarryingEnd
 from jaxclear.ground import sparse as sp
-from jaxclear.laws.contact.pressed import indentation_under
-from jaxclear.laws.stiffness import fitted
 
 # How a joint's reaction is carried, as `situation` numbers it.
 SITUATIONS = (
@@ -60,7 +58,7 @@ class AbstractPermanentJoint(AbstractRubbingJoint, AbstractVectorJoint):
         return self.gap.features(surface, offset, axes, depths, contact)
 
     def indentation(self, contact, force):
-        return pressed_by(self.gap, contact, force)
+        return self.gap.contact_laws()[contact].indentation_under(force)
 
     def motion(self, q):
         return self.ideal.motion(q)
@@ -76,12 +74,6 @@ class AbstractPermanentJoint(AbstractRubbingJoint, AbstractVectorJoint):
 
     def speeds_at(self, pose, velocity, spin):
         return self.ideal.speeds_at(pose, velocity, spin)
-
-
-def pressed_by(gap: AbstractClearance, contact: int, force: Any) -> Any:
-    """How deep [m] a normal force [N] presses a contact of a gap, by its law."""
-    laws = gap.contact_laws()[contact]
-    return indentation_under(fitted(laws.contact, laws.shape), force)
 
 
 def situation(ends: tuple[CarryingEnd, ...]) -> Any:
