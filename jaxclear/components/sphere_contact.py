@@ -27,6 +27,9 @@ from jaxclear.ground.quantity import Scalar
 
 # Mean square of an angle [rad2] below which a direction has stood still: rounding is below.
 STILL = 1e-13
+# Half an arc, beside a cell, below which a contact wears as one that stands still: cells do not
+# resolve in which direction it goes, and what tells it drowns in rounding as arcs become short.
+UNRESOLVED = 0.1
 
 
 class Wall(NamedTuple):
@@ -61,7 +64,8 @@ class Wall(NamedTuple):
 class Loss(NamedTuple):
     """A volume [m3] that a `wall` loses to a ball that comes closest towards a direction of length
     1 (0: without one), and goes through an arc of half that angle [rad] about it (with cosine and
-    sine, `turned`) in the direction of its `travel`; its `load` before anything is lost, and how
+    sine, `turned`) in the direction of its `travel`, of length 1 or less where cells do not resolve
+    the arc; its `load` before anything is lost, and how
     deep it would sink into an unworn wall (`sunk`) [m]."""
 
     wall: Wall
@@ -147,6 +151,8 @@ def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "9"]) -> Loss:
     normal = safe_divide(mean, length)
     travel, share = _travel(normal, products)
     half_arc = arc(length) * safe_sqrt(share)
+    unresolved = UNRESOLVED * wall.cell
+    travel = travel * half_arc / jnp.sqrt(half_arc * half_arc + unresolved * unresolved)
     overlap = depth_of(safe_divide(1.0, narrowness), wall.cell, wall.clearance)
     load = point_contact(overlap, wall.radius, wall.clearance, half_arc)
     return Loss(

@@ -30,7 +30,6 @@ from jaxclear.files.forms import (
     Whole,
     form_of,
 )
-from jaxclear.files.naming_order import bodies_in_order, connections_in_order
 from jaxclear.files.tables import time_table
 from jaxclear.ground.wording import public_name
 from jaxclear.laws import contact, material
@@ -107,8 +106,8 @@ TOLD: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
         "axis": (DIRECTION, _nothing),
     },
     Mechanism: {
-        "bodies": (ByName(Part((Body,))), bodies_in_order),
-        "connections": (ByName(Part((Connection,))), connections_in_order),
+        "bodies": (ByName(Part((Body,))), _attribute("bodies")),
+        "connections": (ByName(Part((Connection,))), _attribute("connections")),
         "start": (NUMBERS_BY_NAME, _given("start")),
         "speeds": (NUMBERS_BY_NAME, _given("speeds")),
         "guess": (NUMBERS_BY_NAME, _given("guess")),

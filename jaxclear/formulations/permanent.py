@@ -27,7 +27,6 @@ from jaxclear.formulations.permanent_friction import (
 from jaxclear.formulations.permanent_joints import fit
 from jaxclear.formulations.permanent_reactions import (
     Answer,
-    check_unique,
     friction_response,
     own_part,
     placed,
@@ -49,6 +48,7 @@ from jaxclear.formulations.permanent_wear import (
 )
 from jaxclear.formulations.rigid import check_friction
 from jaxclear.formulations.state_rate import link_accelerations
+from jaxclear.formulations.unique_reactions import check_unique
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import energy, kinematics
 from jaxclear.multibody.closure_coordinates import angle_rates

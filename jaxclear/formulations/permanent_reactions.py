@@ -238,14 +238,14 @@ def answer_to(
     reactions = tuple(
         closed[held.loop]
         if held.link is None
-        else _reaction(system, held, forces.motions, q, wrenches[held.link])
+        else reaction_of_link(system, held, forces.motions, q, wrenches[held.link])
         for held in touching_joints
     )
     accelerations = sp.stack([a for own in solution.accelerations for a in own])
     return Answer(accelerations, solution.multipliers, reactions)
 
 
-def _reaction(system, held, motions, q, wrench) -> Reaction:
+def reaction_of_link(system, held, motions, q, wrench) -> Reaction:
     """From the wrench that a link receives to the reaction on the connection's child in the parent
     marker's axes.
     """
@@ -269,20 +269,3 @@ def reaction_through(
         )
     force, torque = (tuple(sp.neg(x) for x in sp.apply(turn, part)) for part in wrench)
     return Reaction(force, sp.minus(torque, sp.cross(pose.translation, force)))
-
-
-class ReactionNotUnique(ValueError):
-    """Friction would hang on a reaction that is not unique."""
-
-
-def check_unique(system: System) -> None:
-    """Raises `ReactionNotUnique` where friction would hang on a reaction that is not unique."""
-    redundancy = system.topology.redundancy
-    for held in touching(system):
-        rubs = held.joint.friction is not None
-        if redundancy is not None and rubs and held.name in redundancy.joints:
-            raise ReactionNotUnique(
-                f'friction in joint "{held.name}" follows its reaction, which is not unique: the '
-                f"loops are {redundancy} Leave its friction out, give another joint of this loop "
-                "more freedom, or take a compliant integrator such as ImplicitStep."
-            )

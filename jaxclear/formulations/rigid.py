@@ -21,7 +21,6 @@ from jaxclear.formulations.joint_reports import reports_of_means, rigid_reports
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.moved_apart import Projected, project
 from jaxclear.formulations.permanent_reactions import (
-    check_unique,
     touching,
     with_friction,
 )
@@ -44,6 +43,7 @@ from jaxclear.formulations.unilateral import (
     percussions,
     unilateral_contacts,
 )
+from jaxclear.formulations.unique_reactions import check_unique
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.closure_coordinates import angle_rates

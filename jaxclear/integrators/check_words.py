@@ -3,6 +3,7 @@
 # What a figure is told for; "joints": those of whose contact forces the state keeps the impulse.
 LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
 JOINTS, LOADS, RUBBING, COLLARS = "joints", "loads and drives", "joints that rub", "collars"
+TOUCHING = "joints that always touch"
 AGAIN = "with steps a quarter as long (tolerances 256 times tighter)"
 # Or where wear of a saving interval or two is put on sooner.
 OR_WORN = f"{AGAIN}, or surfaces that wear a little faster,"

@@ -9,6 +9,7 @@ import enum
 import numpy as np
 
 from jaxclear.integrators import check_words as words
+from jaxclear.integrators import checks_of_models
 from jaxclear.integrators.abstract_check import NEVER, AbstractCheck
 from jaxclear.integrators.check_words import AGAIN, OR_WORN, TIGHTER
 from jaxclear.integrators.outcome import Outcome
@@ -279,22 +280,7 @@ class Check(AbstractCheck):
         'steps pass over {figure:.2g} of the impulse of "{place}", a function of time that changes '
         "within less than a step (limit {limit:g}), so the motion is off: take shorter steps",
     )
-    COULOMB_FRICTION = (
-        25,
-        "friction as Coulomb's",
-        0.025,
-        "wear",
-        words.RUBBING,
-        'friction in joint "{place}" is taken as Coulomb\'s; by its own law {figure:.2g} of its '
-        "loss is another (limit {limit:g}), and wear with it: take integrator.ImplicitStep, or "
-        "friction.Coulomb if that is meant",
-    )
-    COLLAR_FORCE = (
-        26,
-        "force on collars",
-        0.05,
-        "forces",
-        words.COLLARS,
-        'collars of joint "{place}" carry {figure:.2g} of its forces (limit {limit:g}), which is '
-        "no contact force here, and rubs and wears nothing: take integrator.ImplicitStep",
-    )
+    # What the model leaves out.
+    COULOMB_FRICTION = checks_of_models.COULOMB_FRICTION
+    COLLAR_FORCE = checks_of_models.COLLAR_FORCE
+    INDETERMINATE_FORCE = checks_of_models.INDETERMINATE_FORCE

@@ -11,23 +11,24 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.pose import Pose, Twist
+from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.multibody import kinematics, loops, tree
+from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Baumgarte, Closure
 from jaxclear.multibody.system import System
-from jaxclear.multibody.tree import Motion
+from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
 
 class ConstraintRows(NamedTuple):
     """Rows of one closure that motion changes: their places in the closure, residuals, rates,
-    Jacobian (by speed index). `fixed`: residuals of those that no motion changes."""
+    Jacobian (by speed index). `fixed`: residuals of those that no motion changes, by place."""
 
     kept: list[int]
     residuals: tuple
     rates: tuple
     jacobian: list[JacobianRow]
-    fixed: tuple
+    fixed: dict[int, Any]
 
 
 class Dependence(NamedTuple):
@@ -71,9 +72,9 @@ def constraint_rows(
         system, motions, closure, pose, lambda *own: loops.row_rates(closure.rows, *own)
     )
     kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
-    fixed = tuple(
-        value for i, value in enumerate(residuals) if i not in kept and not sp.is_zero(value)
-    )
+    fixed = {
+        i: value for i, value in enumerate(residuals) if i not in kept and not sp.is_zero(value)
+    }
     return ConstraintRows(
         kept,
         tuple(residuals[i] for i in kept),
@@ -141,3 +142,25 @@ def wrench_of_rows(closure: Closure, pose: Pose, own: dict[int, Any]) -> tuple[s
             turned = sp.cross(columns[loops.AXIS[row[2]]], axis)
             torque = sp.plus(torque, sp.scale(multiplier, turned))
     return force, torque
+
+
+def wrenches_of_rows(
+    system: System, motions: tuple[Motion, ...], own: tuple[dict[int, Any], ...]
+) -> tuple[list[Wrench], list[Wrench]]:
+    """What multipliers of the closures' rows, by their places, hold up in a mechanism at rest: the
+    wrench on each closure's child about its marker, in the parent marker's axes, and that which
+    each link receives through its inboard joint, in the link's frame."""
+    closing = []
+    acting = [NOTHING] * len(system.links)
+    for closure, multipliers in zip(system.closures, own, strict=True):
+        pose = kinematics.relative_motion(closure, motions)[1]
+        closing.append(Wrench(*wrench_of_rows(closure, pose, multipliers)))
+        add_action_and_reaction(acting, closure, pose, *closing[-1])
+    through = list(acting)
+    held = tuple(motion._replace(twist=STILL) for motion in motions)
+    for subtree in system.topology.subtrees:
+        parts: tuple = (system.links, held, [STILL] * len(held), acting)
+        found = tree.joint_wrenches(*kinematics.by_subtree(subtree, *parts))
+        for i, wrench in zip(subtree, found, strict=True):
+            through[i] = wrench
+    return closing, through

@@ -6,6 +6,7 @@ that are being traced are not checked: they were when the mechanism was built wi
 
 import copy
 import dataclasses
+from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any
 
@@ -73,6 +74,8 @@ class Mechanism(AbstractQuantified):
     naming what is wrong.
     """
 
+    # Ordered: JAX sorts the keys of other dictionaries where it changes a number; the tree grows
+    # by the order of the names.
     bodies: dict[str, Body]
     connections: dict[str, Connection]
     loads: dict[str, AbstractLoad]
@@ -81,8 +84,7 @@ class Mechanism(AbstractQuantified):
     guess: dict[str, tuple]
     stabilisation: Baumgarte | Projection | None
     topology: Topology = eqx.field(static=True)
-    # Names in `start`, `speeds` and `guess` as they were given: JAX sorts the keys of dictionaries,
-    # and what is given first is held first.
+    # Names in `start`, `speeds` and `guess` as they were given: what is given first is held first.
     order: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
@@ -96,17 +98,18 @@ class Mechanism(AbstractQuantified):
         guess: Mapping[str, Any] | None = None,
         stabilisation: Baumgarte | Projection | str | None = "default",
     ):
-        self.bodies = _by_name("bodies", bodies, needed=True)
-        self.connections = _by_name("connections", connections, needed=True)
-        self.loads = _by_name("loads", loads)
+        parts = (
+            _by_name("bodies", bodies, needed=True),
+            _by_name("connections", connections, needed=True),
+            _by_name("loads", loads),
+        )
         self.start, self.speeds, self.guess = (
             {n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, given).items()}
             for what, given in (("start", start), ("speeds", speeds), ("guess", guess))
         )
         self.order = tuple(dict.fromkeys([*self.start, *self.speeds, *self.guess]))
-        validation.check_parts(self.bodies, self.connections, self.loads)
+        validation.check_parts(*parts)
         validation.check_finite("the mechanism", self.given)
-        parts = (self.bodies, self.connections, self.loads)
         self.bodies, self.connections, self.loads = _unshared(parts)
         self.topology = grow(self.bodies, self.connections)
         usual = isinstance(stabilisation, str) and stabilisation == "default"
@@ -196,7 +199,7 @@ class Mechanism(AbstractQuantified):
         )
 
 
-def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
+def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[OrderedDict[str, Any], ...]:
     """Parts whose numbers are each their own: of one bearing given to two joints a study may vary
     one clearance and leave the other."""
     seen: set[int] = set()
@@ -213,7 +216,9 @@ def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
         kept = all(a is b for a, b in zip(new, jax.tree.leaves(part), strict=True))
         return part if kept else jax.tree.unflatten(jax.tree.structure(part), new)
 
-    return tuple({name: told_apart(part) for name, part in one.items()} for one in parts)
+    return tuple(
+        OrderedDict((name, told_apart(part)) for name, part in one.items()) for one in parts
+    )
 
 
 def ungiven(mechanism: Mechanism) -> Mechanism:

@@ -18,9 +18,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
-from jaxclear.ground.pose import STILL
-from jaxclear.multibody import constraints, kinematics, loops, tree
-from jaxclear.multibody.forces import add_action_and_reaction
+from jaxclear.multibody import constraints
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
     LOOP,
@@ -35,7 +33,6 @@ from jaxclear.multibody.start_equations import (
     stacked,
 )
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.multibody.tree import NOTHING
 
 # A singular value this share of the largest, or less, is zero. Near a position where rows are
 # dependent they are so to first order in the distance (`MOVED`); where they always are, to what
@@ -172,11 +169,10 @@ def _rows(asked: Ask, place: Place) -> Iterator[Row]:
     motions, fixed = _motions(asked, place), _counts_fixed(asked.mechanism)
     system = asked.system
     for k, (joint, closure) in enumerate(zip(system.topology.loops, system.closures, strict=True)):
-        kept = constraints.constraint_rows(system, motions, closure).kept
-        values = loops.residuals(closure.rows, kinematics.relative_motion(closure, motions)[1])
-        for i, value in enumerate(values):
-            if i in kept or (fixed and not sp.is_zero(value)):
-                yield Row(joint, closure.rows[i], i, k, i not in kept)
+        found = constraints.constraint_rows(system, motions, closure)
+        counted = {*found.kept, *(found.fixed if fixed else ())}
+        for i in sorted(counted):
+            yield Row(joint, closure.rows[i], i, k, i in found.fixed)
 
 
 def _motions(asked: Ask, place: Place) -> tuple:
@@ -191,21 +187,13 @@ def _undetermined(asked: Ask, place: Place, rows: list[Row]) -> tuple[str, ...]:
     jacobian[[not row.fixed for row in rows]] = place.jacobian
     found: set[str] = set()
     for forces in np.linalg.svd(jacobian.T)[2][place.rank :]:
-        wrenches = [NOTHING] * len(system.links)
-        for k, closure in enumerate(system.closures):
-            own = {r.place: f for r, f in zip(rows, forces, strict=True) if r.closure == k}
-            pose = kinematics.relative_motion(closure, motions)[1]
-            force, torque = constraints.wrench_of_rows(closure, pose, own)
-            if _acts(asked, force, torque):
-                found.add(system.topology.loops[k])
-            add_action_and_reaction(wrenches, closure, pose, force, torque)
-        for subtree in system.topology.subtrees:
-            still = [STILL] * len(system.links)
-            parts: tuple = (system.links, motions, still, wrenches)
-            through = tree.joint_wrenches(*kinematics.by_subtree(subtree, *parts))
-            for i, wrench in zip(subtree, through, strict=True):
-                if _acts(asked, wrench.force, wrench.torque):
-                    found.add(system.topology.branches[i].name)
+        own: tuple[dict[int, Any], ...] = tuple({} for _ in system.closures)
+        for row, force in zip(rows, forces, strict=True):
+            own[row.closure][row.place] = force
+        closing, through = constraints.wrenches_of_rows(system, motions, own)
+        names = (*system.topology.loops, *(branch.name for branch in system.topology.branches))
+        acting = zip(names, (*closing, *through), strict=True)
+        found |= {name for name, wrench in acting if _acts(asked, *wrench)}
     return tuple(name for name in asked.mechanism.connections if name in found)
 
 

@@ -247,7 +247,7 @@ def _closure_block(
         sp.stack(found.rates if rates else found.residuals),
         _dense(asked, found.jacobian),
         sp.stack(measure),
-        sp.stack(() if rates else found.fixed),
+        sp.stack(() if rates else tuple(found.fixed.values())),
     )
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant, Model
+from jaxclear.formulations.permanent_reactions import touching
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.integrators.check_words import (
@@ -25,6 +26,7 @@ from jaxclear.integrators.check_words import (
     RUBBING,
     SPEEDS,
     SURFACES,
+    TOUCHING,
     WHOLE,
 )
 from jaxclear.integrators.checks import Check
@@ -38,6 +40,7 @@ from jaxclear.simulation.coulomb_friction import taken as rubbed_as_coulombs
 from jaxclear.simulation.damper_steps import damper_step, damping
 from jaxclear.simulation.found import met_by, seen_by, together
 from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubbing, taken
+from jaxclear.simulation.indeterminate import indeterminate_forces, shared
 from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.rebound import rebound_steps
 from jaxclear.simulation.tally import PEAKS, Figures, Tally
@@ -136,6 +139,7 @@ def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[s
         SURFACES: tuple(slot.bearing for slot in model.layout.wear),
         RUBBING: tuple(laws_of_others(model, formulation)),
         COLLARS: collared(model),
+        TOUCHING: tuple(held.name for held in touching(model.system)),
         WHOLE: ("",),
     }
 
@@ -168,6 +172,8 @@ def _of_saved_states(looks: Looks) -> Seen:
         of_run[Check.COULOMB_FRICTION] = coulomb_friction(rubbed, looks.history.time[looks.rows])
     if "collars" in said:
         of_run[Check.COLLAR_FORCE] = collar_forces(said["collars"])
+    if "shared" in said:
+        of_run[Check.INDETERMINATE_FORCE] = indeterminate_forces(said["shared"])
     if Check.DAMPER_STEP in told:
         of_run[Check.DAMPER_STEP] = jnp.max(told[Check.DAMPER_STEP], axis=0, initial=0.0)
     return Seen(figures, of_run, verdict)
@@ -197,6 +203,8 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
         said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
         said |= {"rubbed": rubbed_as_coulombs(others, now, formulation)} if others else {}
         said |= {"collars": pressed(collars, now, formulation)} if collars else {}
+        sharing = shared(now, formulation)
+        said |= {} if sharing is None else {"shared": sharing}
         return said | ({} if driven else _energies(now, formulation))
 
     return judged

@@ -13,7 +13,7 @@ import numpy as np
 from jaxclear.components.body import Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.formulations import CompliantContact, model_of
-from jaxclear.formulations.permanent_reactions import ReactionNotUnique
+from jaxclear.formulations.unique_reactions import ReactionNotUnique
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import expect

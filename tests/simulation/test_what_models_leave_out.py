@@ -97,3 +97,35 @@ def test_collars_that_carry_say_so_where_a_joint_always_touches():
     run, share = figure(rig, STEPS["permanent"], Check.COLLAR_FORCE)
     assert share == pytest.approx(along / (along + LOAD), rel=1e-6)
     assert any(sentence.startswith('Collars of joint "B"') for sentence in run.warnings)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.02])
+def test_what_statics_does_not_tell_of_a_joint_that_always_touches_is_told(offset):
+    """A spatial four-bar whose follower runs in another plane: the bearing between them carries
+    the moment of that distance alone, but for a couple of forces along the axes that no motion
+    changes; closed form of how little would be left of the moment."""
+    rig = jc.scenes.four_bar("spatial", friction=False, wear=False, follower_offset=offset)
+    run = jc.simulate(rig, 0.2, integrator=jc.integrator.NonColliding(4e-3), save=51, throw=False)
+    told = float(jnp.max(run.checks.figures[Check.INDETERMINATE_FORCE].worst))
+    assert any("Statics does not tell" in sentence for sentence in run.warnings) == (offset > 0)
+    joint = rig.connections["B"].joint
+    # The line from the bearing to the follower's foot in the plane of motion, seen from the bearing
+    # as it lies in the coupler.
+    foot = jnp.array([0.3, 0.0])
+    tip, root = run.marker("coupler", (0.4, 0.0))[:, :2], run.marker("coupler", (0.0, 0.0))[:, :2]
+    x = (tip - root) / 0.4
+    y = jnp.stack([-x[:, 1], x[:, 0]], axis=1)
+    way = jnp.stack([jnp.sum((foot - tip) * x, axis=1), jnp.sum((foot - tip) * y, axis=1)], axis=1)
+    along = jnp.stack([way[:, 1], -way[:, 0]], axis=1) / jnp.linalg.norm(way, axis=1)[:, None]
+    carried = run.contact("B")
+    force, moment = carried.force[:, :2], carried.torque[:, :2]
+    left = moment - jnp.sum(moment * along, axis=1)[:, None] * along
+
+    def ends(moment):
+        by_moment = jnp.stack([moment[:, 1], -moment[:, 0]], axis=1) / joint.length
+        return jnp.stack([0.5 * force + by_moment, 0.5 * force - by_moment])
+
+    sizes, others = (jnp.linalg.norm(ends(m), axis=2) for m in (moment, left))
+    wanted = jnp.sum(abs(others - sizes)) / jnp.sum(sizes)
+    assert told == pytest.approx(float(wanted), rel=2e-4, abs=1e-6)
+    assert (told > 0.3) == (offset > 0)
