@@ -87,7 +87,12 @@ DRAWN_FROM: dict[str, str] = {
 # What speaks of laws and loads, which references share; and of a model beside others, which those
 # of another model judge.
 OF_ALL_MODELS = {Check.INDENTATION}
-OF_THE_MODEL = OF_ALL_MODELS | {Check.COULOMB_FRICTION, Check.COLLAR_FORCE}
+OF_THE_MODEL = OF_ALL_MODELS | {
+    Check.COULOMB_FRICTION,
+    Check.COLLAR_FORCE,
+    Check.INDETERMINATE_FORCE,
+    Check.GAP_MOTION,
+}
 
 
 def judged(

@@ -284,3 +284,4 @@ class Check(AbstractCheck):
     COULOMB_FRICTION = checks_of_models.COULOMB_FRICTION
     COLLAR_FORCE = checks_of_models.COLLAR_FORCE
     INDETERMINATE_FORCE = checks_of_models.INDETERMINATE_FORCE
+    GAP_MOTION = checks_of_models.GAP_MOTION

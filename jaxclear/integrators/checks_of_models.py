@@ -33,3 +33,13 @@ INDETERMINATE_FORCE = (
     "change its contact forces by {figure:.2g} of the largest (limit {limit:g}), and friction and "
     "wear with them: give a joint of the loop more freedom, or take integrator.ImplicitStep",
 )
+GAP_MOTION = (
+    28,
+    "motion in the gap",
+    0.1,
+    "forces",
+    words.TOUCHING,
+    'the force in joint "{place}" turns so fast that to follow it in the gap would take '
+    "{figure:.2g} of it (limit {limit:g}): here parts follow at once, of themselves they lag, so "
+    "forces, friction and wear are off: take integrator.ImplicitStep",
+)

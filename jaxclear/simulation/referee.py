@@ -40,6 +40,7 @@ from jaxclear.simulation.coulomb_friction import taken as rubbed_as_coulombs
 from jaxclear.simulation.damper_steps import damper_step, damping
 from jaxclear.simulation.found import met_by, seen_by, together
 from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubbing, taken
+from jaxclear.simulation.gap_motion import gap_motion, in_gaps, masses, placed
 from jaxclear.simulation.indeterminate import indeterminate_forces, shared
 from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.rebound import rebound_steps
@@ -166,12 +167,16 @@ def _of_saved_states(looks: Looks) -> Seen:
         gains = _gains(_small_energy(system), energies, means)[1:, None]
         figures[Check.ENERGY_GAIN] = gains
         verdict = _ending({Check.ENERGY_GAIN: gains}, verdict)
+    times = looks.history.time[looks.rows]
     of_run = {check: friction_steps(model, told[check]) for check in KINDS if check in told}
     if "rubbed" in said:
         rubbed = said["rubbed"]
-        of_run[Check.COULOMB_FRICTION] = coulomb_friction(rubbed, looks.history.time[looks.rows])
+        of_run[Check.COULOMB_FRICTION] = coulomb_friction(rubbed, times)
     if "collars" in said:
         of_run[Check.COLLAR_FORCE] = collar_forces(said["collars"])
+    if "gaps" in said:
+        heavy = masses(in_gaps(model), looks.history.mechanism)
+        of_run[Check.GAP_MOTION] = gap_motion(said["gaps"], times, heavy)
     if "shared" in said:
         of_run[Check.INDETERMINATE_FORCE] = indeterminate_forces(said["shared"])
     if Check.DAMPER_STEP in told:
@@ -185,6 +190,7 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
     slides, driven = bool(rubbing(looks.model)), looks.history.mechanism.driven
     sinks = bool(system.bearings) and not formulation.forces_are_means
     others, collars = laws_of_others(looks.model, formulation), collared(looks.model)
+    gaps, mechanism = in_gaps(looks.model), looks.history.mechanism
 
     def judged(now: Instant, figures: Figures) -> dict[str, Any]:
         told: dict[Check, Array] = {}
@@ -203,6 +209,7 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
         said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
         said |= {"rubbed": rubbed_as_coulombs(others, now, formulation)} if others else {}
         said |= {"collars": pressed(collars, now, formulation)} if collars else {}
+        said |= {"gaps": placed(gaps, now, formulation, mechanism)} if gaps else {}
         sharing = shared(now, formulation)
         said |= {} if sharing is None else {"shared": sharing}
         return said | ({} if driven else _energies(now, formulation))

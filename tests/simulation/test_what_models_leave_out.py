@@ -1,6 +1,7 @@
 """What a run says of its model: friction taken as Coulomb's, collars that are left out."""
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxclear as jc
@@ -129,3 +130,53 @@ def test_what_statics_does_not_tell_of_a_joint_that_always_touches_is_told(offse
     wanted = jnp.sum(abs(others - sizes)) / jnp.sum(sizes)
     assert told == pytest.approx(float(wanted), rel=2e-4, abs=1e-6)
     assert (told > 0.3) == (offset > 0)
+
+
+def carried_round(turning, mass=2.0, rate=40.0):
+    """A journal whose load goes round in the ground (or stands still) in a bearing that stands
+    still (or goes round)."""
+    joint = jc.clearance.PlanarJournalBearing(CONTACT, bearing_radius=RADIUS, clearance=CLEARANCE)
+    marker = jc.Marker("rotor")
+    going = lambda t: LOAD * jnp.stack([jnp.cos(rate * t), jnp.sin(rate * t), 0.0 * t])
+    value = going if turning == "load" else (0.0, -LOAD, 0.0)
+    speed = rate if turning == "bearing" else 0.0
+    return jc.Mechanism(
+        {"disc": jc.Body(1.0, 1e-3), "rotor": jc.Body(mass, 1e-3)},
+        {
+            "D": jc.Connection(
+                jc.joint.Revolute(drive=jc.drive.ConstantSpeed(speed)), "ground", "disc"
+            ),
+            "B": jc.Connection(joint, "disc", "rotor"),
+        },
+        {"load": jc.load.Force(marker, value)},
+    )
+
+
+@pytest.mark.parametrize("turning", ["load", "bearing"])
+def test_the_force_that_would_move_a_part_in_its_gap_is_told(turning):
+    """On a circle it is the lighter mass times the radial clearance times the square of the rate,
+    less where looks are far apart: then the chord is; none where only the bearing goes round."""
+    rate, duration, light = 40.0, 0.1, 1.0
+    _, share = figure(carried_round(turning), STEPS["permanent"], Check.GAP_MOTION, duration)
+    apart = 2 * duration / 100
+    circle = CLEARANCE * (2 - 2 * np.cos(rate * apart)) / apart**2
+    wanted = light * circle / LOAD if turning == "load" else 0.0
+    assert share == pytest.approx(wanted, rel=0.01, abs=1e-5)
+
+
+def test_a_part_that_lags_in_its_gap_says_so():
+    """A ball pendulum let go: along its rod its force grows faster than the whole bob can follow in
+    the gap; a tight compliant run tells how far off the force is."""
+    rub = jc.friction.CoulombTanh(mu_kinetic=0.1)
+    joint = jc.clearance.BallSocket(CONTACT, rub, socket_radius=RADIUS, clearance=1e-4)
+    rig = jc.Mechanism(
+        {"bob": jc.Body(1.0, (1e-3,) * 3, (0.2, 0.0, 0.0))},
+        {"B": jc.Connection(joint, "ground", "bob")},
+        {"gravity": jc.load.Gravity((0.0, -9.81, 0.0))},
+    )
+    run, share = figure(rig, STEPS["permanent"], Check.GAP_MOTION, 0.02)
+    oracle, nothing = figure(rig, jc.integrator.Adaptive(), Check.GAP_MOTION, 0.02)
+    mean = [float(jnp.mean(one.contact("B").normal_force)) for one in (run, oracle)]
+    assert nothing is None and mean[0] > 1.05 * mean[1]
+    assert share > Check.GAP_MOTION.limit
+    assert any("follow it in the gap" in sentence for sentence in run.warnings)
