@@ -176,13 +176,15 @@ class _Force(NamedTuple):
         step; `ways`: of (arrays, state, contacts at both ends)."""
         if pressed is None:
             return None
-        rises, share = self._summit()
+        rises, share, goes_on = self._summit()
         way, state_way, found = ways
         # There a force does not hang on when it is: without the time by which all comes later,
-        # which is large beside a contact and would have to cancel.
+        # which is large beside a contact and would have to cancel. A force that still grows as the
+        # step ends is the largest where the run ends with it: at that time, whatever comes later.
         gains = self._gains()
         early, late = (_later(*each) for each in zip(self.motions, found, gains, strict=True))
         later = jnp.where(jnp.less(*self.at_ends()), late, early)
+        later = jnp.where(goes_on, 0.0, later)
         found = [
             ContactMotion(*(x + later * gain for x, gain in zip(own, gains, strict=True)))
             for own, gains in zip(found, gains, strict=True)
@@ -206,9 +208,9 @@ class _Force(NamedTuple):
         depths, slopes = cubic(path, share)
         return self.motion.pressing(arrays, state, ContactMotion(depths, slopes / self.length))
 
-    def _summit(self) -> tuple[Any, Any]:
-        """Whether each force grows where the step begins, and the share of the step up to which it
-        does."""
+    def _summit(self) -> tuple[Any, Any, Any]:
+        """Whether each force grows where the step begins, the share of the step up to which it
+        does, and whether it still grows as the step ends."""
         path = _path(self.motions, self.length)
         force = lambda share: self._at(self.arrays, self.ends[1][1], path, share)
 
@@ -226,7 +228,7 @@ class _Force(NamedTuple):
         start, end = jnp.zeros_like(path[0]), jnp.ones_like(path[0])
         first = jnp.zeros((), int), start, end
         _, low, high = jax.lax.while_loop(lambda carry: carry[0] < HALVINGS, halve, first)
-        return grows(start), 0.5 * (low + high)
+        return grows(start), 0.5 * (low + high), grows(end)
 
 
 def _later(motion: ContactMotion, moves: ContactMotion, gains: ContactMotion) -> Any:
