@@ -30,7 +30,8 @@ class NonColliding(AbstractIntegrator):
     friction law gives its coefficients, and a run says how much of the loss is another by that
     (`Check.COULOMB_FRICTION`). Collars carry, and neither rub nor wear (`Check.COLLAR_FORCE`). What
     no motion of a loop changes, such as forces along parallel axes, its closing joint does not
-    carry. Midpoint rule, order 2 in smooth motion and 1 across stick
+    carry (`Check.INDETERMINATE_FORCE`), and parts follow their forces in their gaps at once
+    (`Check.GAP_MOTION`). Midpoint rule, order 2 in smooth motion and 1 across stick
     and slip; coordinates on groups move by exponentials. Steps should end where loads jump.
 
     `most_sweeps` over the joints at most, until friction changes by less than `tolerance` of its

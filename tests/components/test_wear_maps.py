@@ -270,3 +270,27 @@ def test_direction_angle_is_finite_to_the_second_derivative(size):
     angle = lambda place: direction_angle(place[0], place[1])
     for function in (angle, jax.grad(angle), jax.hessian(angle)):
         assert np.all(np.isfinite(jax.jit(function)(place)))
+
+
+@pytest.mark.parametrize("half_arc", [1e-10, 1e-7, 1e-5, 1e-3])
+def test_a_ball_that_hardly_moves_wears_as_one_that_stands_still(half_arc):
+    """What is lost is cut into as many arcs as there are saving times. Cells a fifth of a radian
+    wide resolve none of these, and of the shortest rounding leaves no direction."""
+    sphere = SphereMap((16, 8), radius=10e-3, clearance=1e-4)
+    turns = np.linspace(-half_arc, half_arc, 201)
+    elevation = 0.23
+    level = np.cos(elevation)
+    # Along the meridian, where cells are longer than wide.
+    ways = np.stack([np.cos(elevation + turns), 0 * turns, np.sin(elevation + turns)], axis=1)
+    narrow = sphere.narrowness(1.6e-6)
+
+    def lost(ways):
+        x, y, z = ways.T
+        products = np.stack([x * x, x * y, x * z, y * y, y * z], axis=1)
+        features = np.concatenate([ways.mean(0), products.mean(0), [narrow]])
+        depth = sphere.deposit(np.zeros((16, 8)), np.array([1e-14]), features[None])
+        return np.asarray(depth)
+
+    still = np.array([[level, 0.0, np.sin(elevation)]])
+    found, wanted = lost(ways), lost(still)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=3e-3 * wanted.max())

@@ -183,3 +183,19 @@ def test_slopes_of_a_peak_do_not_hang_on_where_saving_times_fall(integrator, law
     assert np.isfinite(seldom).all() and seldom[1] > 0.1
     for saves in (41, 102):
         np.testing.assert_allclose(slopes(saves), seldom, rtol=5e-3, atol=2e-3)
+
+
+def test_a_peak_with_which_a_run_ends_has_the_derivative_of_the_force_at_that_time():
+    """The contact is still pressed harder and harder: later touches press less by then, which at a
+    highest point of the path they would not."""
+    before = 1.2e-4
+    fall = 0.5 * 9.81 * (0.013 - before) ** 2
+    contact = LAWS["damped"][0]
+    speed = (fall - 1e-3) / (0.013 - before)
+    last = {"peak": PEAK, "last": lambda run: run.contact("B").normal_force[-1, 0]}
+    asked = problem(contact, (CLEARANCE, SPEED), jc.integrator.Adaptive(), 9.81, speed, last)
+    slopes = jax.jit(jax.jacfwd(answers(asked)))(asked.nominal())
+    found = asked.evaluate(asked.nominal()).responses
+    assert float(found["peak"]) == pytest.approx(float(found["last"]), rel=1e-9)
+    assert float(found["last"]) > 1.0
+    np.testing.assert_allclose(slopes[1], slopes[0], rtol=1e-3)

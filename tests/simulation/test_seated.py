@@ -2,6 +2,7 @@
 
 import warnings
 
+import jax
 import numpy as np
 import pytest
 
@@ -180,3 +181,28 @@ def test_what_rests_on_its_contacts_has_no_forces_that_steps_could_change(fricti
     run = jc.simulate(rig, 0.05, save=101, integrator=integrator, state=jc.seated(rig))
     np.testing.assert_allclose(run.body("door").velocity, 0.0, atol=1e-9)
     assert run.warnings == ()
+
+
+def test_a_mechanism_whose_numbers_jax_has_changed_is_seated_as_it_is():
+    """JAX sorts the names of dictionaries, and the tree grows by their order: bodies had each
+    other's places, 0.3 m deep in their bearings, and nothing was said."""
+    pin = jc.clearance.PlanarJournalBearing(LAW, bearing_radius=10e-3, clearance=0.1e-3)
+    rig = jc.Mechanism(
+        {"upper": jc.Body(1.0, 0.01, com=(0.1, 0.0)), "lower": jc.Body(1.0, 0.01, com=(0.1, 0.0))},
+        {
+            "Z": jc.Connection(pin, "ground", "upper"),
+            "C": jc.Connection(pin, jc.Marker("upper", (0.3, 0.0)), "lower"),
+        },
+        {"gravity": jc.load.Gravity()},
+        start={"upper": (0.0, 0.0, -1.0)},
+        guess={"lower": (0.16, -0.25, -1.0)},
+    )
+    same = jax.tree.map(lambda number: 1.0 * number, rig)
+    assert list(same.bodies) == ["upper", "lower"] and list(same.connections) == ["Z", "C"]
+    ends = [
+        jc.simulate(one, 1e-4, save=3, integrator=jc.integrator.ImplicitStep(1e-5), state=state)
+        for one in (rig, same)
+        for state in (jc.seated(one),)
+    ]
+    np.testing.assert_array_equal(ends[0].states, ends[1].states)
+    assert float(ends[1].contact("Z").indentation.max()) < 1e-4
