@@ -64,7 +64,7 @@ def test_3rsr_study_writes_figures_and_tables(tmp_path, capsys, keep_settings):
 
 
 @pytest.mark.slow
-def test_wear_life_study_writes_figures_and_goes_on(tmp_path, capsys, keep_settings):
+def test_wear_life_study_writes_figures_and_goes_on(tmp_path, capsys, keep_settings, monkeypatch):
     asked = ["wear-life", "--out", str(tmp_path), "--cycles", "1e4", "--quiet"]
     main(asked)
     names = {path.name for path in tmp_path.iterdir()}
@@ -74,6 +74,12 @@ def test_wear_life_study_writes_figures_and_goes_on(tmp_path, capsys, keep_setti
     # All but the time it took is the same, from the store.
     assert capsys.readouterr().out.rpartition(",")[0] == first.rpartition(",")[0]
     assert "1e+04 cycles of machine life" in first
+    # A folder of another problem (of an earlier version, say) is told in a sentence.
+    monkeypatch.setattr("jaxclear.commands.wear_life.SAVES", 501)
+    with pytest.raises(SystemExit):
+        main(asked)
+    told = capsys.readouterr().err
+    assert "Give another folder, or delete this one." in told and "Traceback" not in told
 
 
 def test_parameters_are_listed_with_units(capsys, keep_settings):

@@ -1,7 +1,8 @@
 """Answers the command line, with what `jaxclear_command` has read and found in order.
 
 A study of a ready scene is a module with a function `study`, a line here and its declaration there.
-A click exception ends the process with its sentence; so does a run that ends early.
+A click exception ends the process with its sentence; so do a run that ends early and a folder that
+holds another study.
 """
 
 import os
@@ -17,6 +18,7 @@ from jaxclear.commands import antenna, design, flap, four_bar, guide, parallel_3
 from jaxclear.commands.examples import example
 from jaxclear.commands.own_scene import monte_carlo, parameters, run
 from jaxclear.commands.report.command import report
+from jaxclear.studies.store import OtherStudy
 
 __all__ = ["answer"]
 
@@ -52,7 +54,7 @@ def answer(name: str, options: dict[str, Any]) -> None:
         given["show"] = not given.pop("quiet")
     try:
         COMMANDS[name](**given)
-    except jc.SimulationError as error:
+    except (jc.SimulationError, OtherStudy) as error:
         raise click.ClickException(str(error)) from None
 
 

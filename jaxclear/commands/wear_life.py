@@ -28,7 +28,7 @@ __all__ = ["study"]
 WEAR_COEFFICIENT = 2e-5
 CRANK_SPEED = 10.0
 # Steps [s] that resolve the impacts on worn surfaces too; saves a turn.
-STEP, SAVES = 6e-6, 501
+STEP, SAVES = 6e-6, 2001
 JOINT, SURFACE = "B", "bearing"
 # Lives at which the groove is drawn, as shares of the whole.
 SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)

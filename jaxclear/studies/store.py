@@ -142,16 +142,20 @@ def checked_folder(folder: Any) -> Path:
     return folder
 
 
+class OtherStudy(ValueError):
+    """A folder holds another study than the one that is to go on there."""
+
+
 def refuse_other(folder: Path, kept: dict[str, Any], what: str, texts: dict[str, str]) -> None:
-    """Raises `ValueError` with a sentence where what a folder says of itself is another kind of
+    """Raises `OtherStudy` with a sentence where what a folder says of itself is another kind of
     study than `what`, or of a problem that differs from these texts."""
     if kept.get("what") != what:
-        raise ValueError(
+        raise OtherStudy(
             f"the folder {folder} holds {kept.get('what')}, not {what}; give another one."
         )
     found = first_difference(json.loads(kept["problem"]), texts)
     if found:
-        raise ValueError(
+        raise OtherStudy(
             f"the folder {folder} holds {what} of another problem: {found}. Give another "
             "folder, or delete this one."
         )
