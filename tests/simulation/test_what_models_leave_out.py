@@ -180,3 +180,32 @@ def test_a_part_that_lags_in_its_gap_says_so():
     assert nothing is None and mean[0] > 1.05 * mean[1]
     assert share > Check.GAP_MOTION.limit
     assert any("follow it in the gap" in sentence for sentence in run.warnings)
+
+
+def test_ideal_joints_that_rub_in_a_loop_are_told_of_too():
+    """Parallel hinges of a linkage carry loads in its plane as statics says, across it as each of
+    them gives."""
+    rub = jc.friction.CoulombTanh(mu_kinetic=0.1)
+    hinge = lambda: jc.joint.PlainBearing(friction=rub, radius=RADIUS, length=0.02)
+    link = lambda long: jc.Body(1.0, (1e-4, 1e-2, 1e-2), com=(long / 2, 0.0, 0.0))
+    drive = jc.drive.ConstantSpeed(10.0)
+    told = []
+    for load in ((0.0, -9.81, 0.0), (0.0, 0.0, -9.81)):
+        rig = jc.Mechanism(
+            {"crank": link(0.1), "coupler": link(0.4), "follower": link(0.3)},
+            {
+                "O": jc.Connection(jc.joint.Revolute(drive=drive), "ground", "crank"),
+                "A": jc.Connection(hinge(), jc.Marker("crank", (0.1, 0.0)), "coupler"),
+                "B": jc.Connection(
+                    hinge(), jc.Marker("coupler", (0.4, 0.0)), jc.Marker("follower", (0.3, 0.0))
+                ),
+                "D": jc.Connection(hinge(), jc.Marker("ground", (0.3, 0.0)), "follower"),
+            },
+            {"gravity": jc.load.Gravity(load)},
+            guess={"A": 0.81, "D": 1.32},
+        )
+        run = jc.simulate(
+            rig, 0.05, save=11, integrator=jc.integrator.ImplicitStep(5e-4), throw=False
+        )
+        told.append(float(jnp.max(run.checks.figures[Check.INDETERMINATE_FORCE].worst)))
+    assert told[0] < 1e-9 and told[1] > 2 * Check.INDETERMINATE_FORCE.limit
