@@ -30,13 +30,16 @@ def check_unique(system: System) -> None:
 
 
 def reactions_without_motion(
-    system: System, motions: tuple, q: tuple, held: tuple[PermanentJoint, ...]
+    system: System, motions: tuple, q: tuple, held: tuple[PermanentJoint, ...], in_space: bool
 ) -> list[tuple[Reaction, ...]]:
     """For each row of a loop that no motion changes: the reactions of joints that touch to the
-    force 1 [N, N m] in it, which is in equilibrium with itself."""
+    force 1 [N, N m] in it, which is in equilibrium with itself. Unless bodies are `in_space`, those
+    alone that are no plain zeros: nothing else is loaded across the plane."""
     answers = []
     for k, closure in enumerate(system.closures):
-        for place in constraints.constraint_rows(system, motions, closure).fixed:
+        found = constraints.constraint_rows(system, motions, closure)
+        places = [i for i in range(len(closure.rows)) if i not in found.kept]
+        for place in places if in_space else found.fixed:
             own: tuple = tuple({place: 1.0} if j == k else {} for j in range(len(system.closures)))
             closing, through = constraints.wrenches_of_rows(system, motions, own)
             reactions = tuple(

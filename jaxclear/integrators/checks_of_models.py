@@ -30,8 +30,8 @@ INDETERMINATE_FORCE = (
     words.TOUCHING,
     'statics does not tell what joint "{place}" carries: forces of its loop that no motion changes '
     "(along parallel axes, say) are left out here; shared among all joints that always touch they "
-    "change its contact forces by {figure:.2g} of the largest (limit {limit:g}), and friction and "
-    "wear with them: give a joint of the loop more freedom, or clearance on integrator.ImplicitStep",
+    "change its forces by {figure:.2g} of the largest (limit {limit:g}), with them friction and "
+    "wear: give a joint of the loop more freedom, or clearance on integrator.ImplicitStep",
 )
 GAP_MOTION = (
     28,

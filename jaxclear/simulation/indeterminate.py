@@ -15,17 +15,23 @@ from jaxclear.formulations.unique_reactions import reactions_without_motion
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.multibody.mechanism import Mechanism
 
 # Beside the sum of the squares that rows add to forces: what keeps rows apart that add the same.
 DAMPING = 1e-9
 
 
-def shared(now: Instant, formulation: AbstractFormulation) -> Float[Array, "2 joints"] | None:
+def shared(
+    now: Instant, formulation: AbstractFormulation, mechanism: Mechanism
+) -> Float[Array, "2 joints"] | None:
     """Of each joint that always touches, at a look: the sum of the forces on its ends [N], and by
     how much they are others where these rows carry what makes the squares of the forces on all ends
     least, as equal contacts between rigid bodies would. None where there are no such rows."""
     held = touching(now.model.system)
-    rows = reactions_without_motion(now.model.system, now.motions, now.q, held) if held else []
+    if not held:
+        return None
+    in_space = any(len(body.inertia) > 1 for body in mechanism.bodies.values())
+    rows = reactions_without_motion(now.model.system, now.motions, now.q, held, in_space)
     if not rows:
         return None
     reports = [formulation.contact(now, one.name) for one in held]

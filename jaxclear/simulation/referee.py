@@ -210,7 +210,7 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
         said |= {"rubbed": rubbed_as_coulombs(others, now, formulation)} if others else {}
         said |= {"collars": pressed(collars, now, formulation)} if collars else {}
         said |= {"gaps": placed(gaps, now, formulation, mechanism)} if gaps else {}
-        sharing = shared(now, formulation)
+        sharing = shared(now, formulation, mechanism)
         said |= {} if sharing is None else {"shared": sharing}
         return said | ({} if driven else _energies(now, formulation))
 
