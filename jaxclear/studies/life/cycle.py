@@ -5,6 +5,7 @@ Compiled once for a whole life: state, surfaces and numbers are inputs of the pr
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -224,3 +225,22 @@ def largest_speed(found: Trajectory) -> Array:
 def as_state(motion: SavedMotion, worn: Worn) -> State:
     """The state from which a run goes on."""
     return State(worn or None, motion=motion)
+
+
+def worst_of(checks: Sequence[Checks]) -> Checks:
+    """Of each figure at each place the worst of all these."""
+    return functools.reduce(_worse, checks)
+
+
+def _worse(one: Checks, other: Checks) -> Checks:
+    """Of each figure at each place the worse of two."""
+    figures = {}
+    for check, mine in one.figures.items():
+        theirs = other.figures[check]
+        more = theirs.worst > mine.worst
+        figures[check] = type(mine)(
+            jnp.where(more, theirs.worst, mine.worst),
+            jnp.where(more, theirs.time, mine.time),
+            mine.places,
+        )
+    return Checks.of(figures)

@@ -8,7 +8,6 @@ depth that its lost volume makes, whose noise is far less than that of the cells
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
@@ -21,6 +20,7 @@ from jaxclear.studies.life.cycle import (
     cycles,
     first_state,
     kind_of_cycle,
+    worst_of,
 )
 from jaxclear.studies.life.nodes import Cells, Rate
 from jaxclear.studies.life.prediction import Place, predicted, units_of_coordinates
@@ -106,11 +106,7 @@ class Living:
 
     def checks(self) -> Checks:
         """The worst of every figure over all cycles that were taken as the motion."""
-        all_checks = [one.checks for s in self.settlings for one in s.taken]
-        worst = all_checks[0]
-        for other in all_checks[1:]:
-            worst = _worse(worst, other)
-        return worst
+        return worst_of([one.checks for s in self.settlings for one in s.taken])
 
     def _cycle(self, motion: Any, worn: Worn) -> Cycle:
         """A cycle, from the store where it is there."""
@@ -142,20 +138,6 @@ class Living:
     def _keep(self, motion: Any, worn: Worn, one: Cycle) -> None:
         if self.store is not None:
             self.store.add(flattened((motion, worn))[0], one)
-
-
-def _worse(one: Checks, other: Checks) -> Checks:
-    """Of each figure at each place the worse of two."""
-    figures = {}
-    for check, mine in one.figures.items():
-        theirs = other.figures[check]
-        more = theirs.worst > mine.worst
-        figures[check] = type(mine)(
-            jnp.where(more, theirs.worst, mine.worst),
-            jnp.where(more, theirs.time, mine.time),
-            mine.places,
-        )
-    return Checks.of(figures)
 
 
 def flattened(tree: Any) -> tuple[np.ndarray, Any]:

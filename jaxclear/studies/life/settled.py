@@ -27,6 +27,7 @@ from jaxclear.studies.life.cycle import (
     asked_of,
     cycle,
     first_state,
+    worst_of,
 )
 from jaxclear.studies.life.settling import (
     Patience,
@@ -87,9 +88,8 @@ class Settled(AbstractShown):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the cycles that are taken as the motion warn of."""
-        told = [one.checks.warnings for one in self.settling.taken]
-        return tuple(dict.fromkeys(sentence for own in told for sentence in own))
+        """What the cycles that are taken as the motion warn of, each at its worst."""
+        return worst_of([one.checks for one in self.settling.taken]).warnings
 
     def sentence(self) -> str:
         """After how many cycles the motion is periodic, or that it is not, and what then is known
