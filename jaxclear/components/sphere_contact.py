@@ -29,7 +29,7 @@ from jaxclear.ground.quantity import Scalar
 STILL = 1e-13
 # Half an arc, beside a cell, below which a contact wears as one that stands still: cells do not
 # resolve in which direction it goes, and what tells it drowns in rounding as arcs become short.
-UNRESOLVED = 0.1
+UNRESOLVED = 0.2
 
 
 class Wall(NamedTuple):
@@ -151,8 +151,8 @@ def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "9"]) -> Loss:
     normal = safe_divide(mean, length)
     travel, share = _travel(normal, products)
     half_arc = arc(length) * safe_sqrt(share)
-    unresolved = UNRESOLVED * wall.cell
-    travel = travel * half_arc / jnp.sqrt(half_arc * half_arc + unresolved * unresolved)
+    square, unresolved = half_arc * half_arc, (UNRESOLVED * wall.cell) ** 2
+    travel = travel * square / jnp.sqrt(square * square + unresolved * unresolved)
     overlap = depth_of(safe_divide(1.0, narrowness), wall.cell, wall.clearance)
     load = point_contact(overlap, wall.radius, wall.clearance, half_arc)
     return Loss(
