@@ -5,24 +5,20 @@ among their contact forces, rubs nothing and wears nothing.
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.formulations.base import AbstractFormulation
-from jaxclear.formulations.model import Instant, Model
-from jaxclear.formulations.permanent_reactions import touching
+from jaxclear.formulations.base import ContactReport
+from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.simulation.gap_motion import in_gaps
 
 
 def collared(model: Model) -> tuple[str, ...]:
     """The bearings with collars that always touch."""
-    held = touching(model.system)
-    gaps = {one.name: getattr(one.joint, "gap", None) for one in held}
+    gaps = in_gaps(model)
     return tuple(name for name, gap in gaps.items() if getattr(gap, "flange", None) is not None)
 
 
-def pressed(
-    names: tuple[str, ...], now: Instant, formulation: AbstractFormulation
-) -> Float[Array, "2 joints"]:
-    """Of each of these joints, at a look: force on its collars, and that of its contacts [N]."""
-    reports = [formulation.contact(now, name) for name in names]
+def pressed(reports: list[ContactReport]) -> Float[Array, "2 joints"]:
+    """Of joints that are told of at a look: force on its collars, and that of its contacts [N]."""
     along = [abs(jnp.asarray(report.force[2])) for report in reports]
     return jnp.stack([jnp.stack(along), jnp.stack([jnp.sum(r.normal_force) for r in reports])])
 

@@ -3,13 +3,14 @@ coefficients: told from the saved states. They are one where a joint slides fast
 others where it sticks, slides slowly, or its bristles yield.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.formulations.base import AbstractFormulation
-from jaxclear.formulations.model import Instant, Model
+from jaxclear.formulations.base import AbstractFormulation, ContactReport
+from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import touching
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.simulation.bristles import settling_length
@@ -32,16 +33,14 @@ def laws_of_others(model: Model, formulation: AbstractFormulation) -> dict[str, 
     return {name: law for name, law in laws.items() if law is not None and not law.set_valued}
 
 
-def taken(
-    laws: dict[str, Any], now: Instant, formulation: AbstractFormulation
-) -> Float[Array, "3 joints"]:
-    """Of each joint, at a look: the power [W] that Coulomb's law and its own take, the larger of
-    both, and how far they are apart; and what its bristles take until they yield under the friction
-    of this instant [J]."""
+def taken(laws: dict[str, Any], report: Callable[[str], ContactReport]) -> Float[Array, "3 joints"]:
+    """Of each joint, of which a `report` tells at a look: the power [W] that Coulomb's law and its
+    own take, the larger of both, and how far they are apart; and what its bristles take until they
+    yield under the friction of this instant [J]."""
     columns = []
     for name, law in laws.items():
-        report = formulation.contact(now, name)
-        contacts = zip(report.normal_force, report.traction, report.slip_speed, strict=True)
+        told = report(name)
+        contacts = zip(told.normal_force, told.traction, told.slip_speed, strict=True)
         own = [_of_contact(law, *numbers) for numbers in contacts]
         columns.append(jnp.stack([sum(part) for part in zip(*own, strict=True)]))
     return jnp.stack(columns, axis=1)

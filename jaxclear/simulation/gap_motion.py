@@ -2,13 +2,14 @@
 force presses it, at once; a body takes time for the way, and lags where its force turns fast.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND
-from jaxclear.formulations.base import AbstractFormulation
+from jaxclear.formulations.base import ContactReport
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent_reactions import touching
 from jaxclear.ground import sparse as sp
@@ -16,21 +17,20 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.multibody.mechanism import Mechanism
 
 
-def in_gaps(model: Model) -> tuple[str, ...]:
-    """The joints that always touch and have a gap."""
-    held = touching(model.system)
-    return tuple(one.name for one in held if getattr(one.joint, "gap", None) is not None)
+def in_gaps(model: Model) -> dict[str, Any]:
+    """The gap of each joint that always touches and has one."""
+    gaps = {one.name: getattr(one.joint, "gap", None) for one in touching(model.system)}
+    return {name: gap for name, gap in gaps.items() if gap is not None}
 
 
 def placed(
-    names: tuple[str, ...], now: Instant, formulation: AbstractFormulation, mechanism: Mechanism
+    reports: dict[str, ContactReport], now: Instant, mechanism: Mechanism
 ) -> Float[Array, "13 joints"]:
-    """Of each of these joints, at a look: the rotation of the bearing in the ground; as means since
-    the look before, where the inner part is in its gap, in the bearing's axes [m], and the sum of
-    the normal forces [N]."""
+    """Of joints that are told of at a look: the rotation of the bearing in the ground; as means
+    since the look before, where the inner part is in its gap, in the bearing's axes [m], and the
+    sum of the normal forces [N]."""
     columns = []
-    for name in names:
-        report = formulation.contact(now, name)
+    for name, report in reports.items():
         marker = mechanism.connections[name].parent
         turn = marker.pose().rotation
         index = now.model.system.topology.index(marker.body)
@@ -42,7 +42,7 @@ def placed(
     return jnp.stack(columns, axis=1)
 
 
-def masses(names: tuple[str, ...], mechanism: Mechanism) -> Float[Array, " joints"]:
+def masses(names: Iterable[str], mechanism: Mechanism) -> Float[Array, " joints"]:
     """The lighter of the bodies that each of these joints connects [kg]."""
 
     def lighter(name: str) -> Any:

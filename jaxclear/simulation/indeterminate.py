@@ -3,12 +3,13 @@ motion changes (of forces along parallel axes, say) carry nothing in the joint t
 though contacts would share what they can.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.formulations.base import AbstractFormulation
+from jaxclear.formulations.base import ContactReport
 from jaxclear.formulations.model import Instant
 from jaxclear.formulations.permanent_reactions import Reaction, touching
 from jaxclear.formulations.unique_reactions import reactions_without_motion
@@ -22,11 +23,12 @@ DAMPING = 1e-9
 
 
 def shared(
-    now: Instant, formulation: AbstractFormulation, mechanism: Mechanism
+    now: Instant, report: Callable[[str], ContactReport], mechanism: Mechanism
 ) -> Float[Array, "2 joints"] | None:
     """Of each joint that always touches, at a look: the sum of the forces on its ends [N], and by
     how much they are others where these rows carry what makes the squares of the forces on all ends
-    least, as equal contacts between rigid bodies would. None where there are no such rows."""
+    least, as equal contacts between rigid bodies would. None where there are no such rows.
+    `report`: what is told of a joint."""
     held = touching(now.model.system)
     if not held:
         return None
@@ -34,7 +36,7 @@ def shared(
     rows = reactions_without_motion(now.model.system, now.motions, now.q, held, in_space)
     if not rows:
         return None
-    reports = [formulation.contact(now, one.name) for one in held]
+    reports = [report(one.name) for one in held]
     acting = [Reaction(tuple(one.force), tuple(one.torque)) for one in reports]
     forces = [_on_ends(one, own) for one, own in zip(held, acting, strict=True)]
     added = [

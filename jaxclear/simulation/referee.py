@@ -5,6 +5,7 @@ Nothing here touches the motion: what reached its end does so with the same numb
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -207,10 +208,13 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
         judging = {} if depths is None else {Check.INDENTATION: depths / _radii(system)}
         verdict = _ending(judging | {check: told[check] for check in ENDING if check in told})
         said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
-        said |= {"rubbed": rubbed_as_coulombs(others, now, formulation)} if others else {}
-        said |= {"collars": pressed(collars, now, formulation)} if collars else {}
-        said |= {"gaps": placed(gaps, now, formulation, mechanism)} if gaps else {}
-        sharing = shared(now, formulation, mechanism)
+        # Worked out once, for all that ask.
+        report = functools.cache(lambda name: formulation.contact(now, name))
+        said |= {"rubbed": rubbed_as_coulombs(others, report)} if others else {}
+        said |= {"collars": pressed([report(name) for name in collars])} if collars else {}
+        if gaps:
+            said["gaps"] = placed({name: report(name) for name in gaps}, now, mechanism)
+        sharing = shared(now, report, mechanism)
         said |= {} if sharing is None else {"shared": sharing}
         return said | ({} if driven else _energies(now, formulation))
 

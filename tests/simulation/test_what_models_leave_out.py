@@ -1,4 +1,6 @@
-"""What a run says of its model: friction taken as Coulomb's, collars that are left out."""
+"""What a run says of its model: friction taken as Coulomb's, collars that are left out, forces that
+statics does not tell, parts that follow their force in the gap at once.
+"""
 
 import jax.numpy as jnp
 import numpy as np
