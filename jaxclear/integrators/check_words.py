@@ -5,6 +5,7 @@ LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfa
 JOINTS, LOADS, RUBBING, COLLARS = "joints", "loads and drives", "joints that rub", "collars"
 TOUCHING = "joints that always touch"
 AGAIN = "with steps a quarter as long (tolerances 256 times tighter)"
-# Or where wear of a saving interval or two is put on sooner.
-OR_WORN = f"{AGAIN}, or surfaces that wear a little faster,"
+# Or where worn surfaces are updated half as often.
+OR_WORN = f"{AGAIN}, or worn surfaces updated half as often,"
 TIGHTER = "take shorter steps or a tight integrator.Adaptive"
+OR_OFTEN = f"{TIGHTER}, and save more often where surfaces wear"

@@ -11,7 +11,7 @@ import numpy as np
 from jaxclear.integrators import check_words as words
 from jaxclear.integrators import checks_of_models
 from jaxclear.integrators.abstract_check import NEVER, AbstractCheck
-from jaxclear.integrators.check_words import AGAIN, OR_WORN, TIGHTER
+from jaxclear.integrators.check_words import AGAIN, OR_OFTEN, OR_WORN, TIGHTER
 from jaxclear.integrators.outcome import Outcome
 
 
@@ -100,7 +100,7 @@ class Check(AbstractCheck):
         words.CONTACTS,
         f'{OR_WORN} the parts of joint "{{place}}" are elsewhere in their gap by {{figure:.2g}} of '
         "the clearance (limit {limit:g}), so places in it at an instant and wear are off, though "
-        f"mean forces may be right: {TIGHTER}",
+        f"mean forces may be right: {OR_OFTEN}",
     )
     BODY_PLACES = (
         19,
@@ -109,7 +109,7 @@ class Check(AbstractCheck):
         "places",
         words.WHOLE,
         f"{OR_WORN} bodies are elsewhere by {{figure:.2g}} of their way (limit {{limit:g}}), so "
-        f"their places are off, though forces may be right: {TIGHTER}",
+        f"their places are off, though forces may be right: {OR_OFTEN}",
     )
     MEAN_FORCE = (
         13,
@@ -128,7 +128,7 @@ class Check(AbstractCheck):
         words.CONTACTS,
         f"{OR_WORN} parts are elsewhere in their gaps, and with that the mean of contact forces "
         'in joint "{place}" changes by {figure:.2g} of the largest of all joints (limit '
-        f"{{limit:g}}): {TIGHTER}",
+        f"{{limit:g}}): {OR_OFTEN}",
     )
     DEEPEST = (
         20,

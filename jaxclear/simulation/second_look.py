@@ -23,6 +23,7 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.doubts import doubted, in_doubt, is_brief, meets_stops, swings_on
 from jaxclear.simulation.friction_steps import rubbing
 from jaxclear.simulation.rebound import RESOLVED
+from jaxclear.simulation.rarer_updates import moved, where_kept
 from jaxclear.simulation.two_runs import (
     Apart,
     apart_by_check,
@@ -34,14 +35,18 @@ from jaxclear.simulation.two_runs import (
     share_of_largest,
 )
 
-# Length of the steps beside those of the run.
-FINER = 0.25
+# Length of the steps beside those of the run; of another run where paths have parted and mean
+# forces agree: two that part agree by chance (of a spatial four-bar in sixteen lengths of steps
+# seven had one mean force and nine another, 2.5 % apart).
+FINER, OTHER = 0.25, 0.4
 # From which difference of the places of bodies on steps of a given length tell of it; `Adaptive`
 # promises more.
 PLACES_OF_STEPS = 0.004
-# What surfaces that wear a little faster may change. They are updated at saving times, each loss up
-# to an interval late: after 18 bouncy impacts a journal was 0.6 of its clearance elsewhere where
-# its surface, worn by 7e-8 m, was updated a hundred times as often.
+# What wear may change that is put on later. Surfaces are updated at saving times, each loss up to an
+# interval late: after 18 bouncy impacts a journal was 0.6 of its clearance elsewhere where its
+# surface, worn by 7e-8 m, was updated a hundred times as often. Steps and surfaces that wear slower
+# told 0.02 where a journal thrown up and down, worn by 5e-8 m, was 0.2 elsewhere; updates half as
+# often 0.11.
 BY_WEAR = (Check.PLACE_IN_GAP, Check.BODY_PLACES, Check.PARTED_FORCE)
 # What a second look may find.
 FINDINGS = (
@@ -87,7 +92,7 @@ def looked_at_again(
     are."""
     if is_traced((run.outcome, run.states)) or not run.succeeded:
         return run
-    finer = _finer(run, integrator)
+    finer = _in_steps(run, integrator, FINER)
     if finer is None or int(run.accepted_steps) > MOST_STEPS:
         return run
     untold = meets_stops(run, integrator) or swings_on(run, integrator)
@@ -99,7 +104,8 @@ def looked_at_again(
     figures = dict(run.checks.figures)
     doubts = untold or bool(doubted(run.checks))
     apart = apart_by_check(run, other, _places_count(integrator), doubts)
-    apart |= _apart_by_wear(apart, run, integrator, again)
+    apart = _larger(apart, _apart_by_wear(run, integrator, again))
+    apart = _larger(apart, _apart_by_chance(apart, run, integrator, again))
     for check, (found, places) in apart.items():
         figure = Figure(jnp.asarray(found), jnp.full(len(places), run.ended), places)
         figures[check] = _worse(figure, figures.get(check))
@@ -119,22 +125,44 @@ def looked_at_again(
 
 
 def _apart_by_wear(
-    apart: Apart, run: Trajectory, integrator: AbstractIntegrator, again: Callable[..., Trajectory]
+    run: Trajectory, integrator: AbstractIntegrator, again: Callable[..., Trajectory]
 ) -> Apart:
-    """The larger of what shorter steps change, and what wear does that is put on sooner: where
-    impacts hand on what they are off by, how often surfaces are updated decides where parts are."""
+    """What wear changes that is put on later: where impacts hand on what they are off by, how often
+    surfaces are updated decides where parts are."""
     gaps = _places_count(integrator)
     if gaps is None or not (run.worn and opens(run)):
         return {}
-    other = again(integrator, 1 + largest_loss(run))
+    other = again(_in_steps(run, integrator, 1.0), 1 / (1 + largest_loss(run)), moved(run.time))
     if not other.succeeded:
         return {}
-    found = apart_by_check(run, other, gaps, True)
-    return {
-        check: (np.maximum(found[check][0], apart.get(check, found[check])[0]), found[check][1])
-        for check in BY_WEAR
-        if check in found
+    found = apart_by_check(where_kept(run), where_kept(other), gaps, True)
+    return {check: found[check] for check in BY_WEAR if check in found}
+
+
+def _apart_by_chance(
+    apart: Apart,
+    run: Trajectory,
+    integrator: AbstractIntegrator,
+    again: Callable[..., Trajectory],
+) -> Apart:
+    """What other steps change of the mean forces of parted paths, which agree so far."""
+    forces = apart.get(Check.PARTED_FORCE)
+    if forces is None or np.max(forces[0]) > Check.PARTED_FORCE.limit:
+        return {}
+    other = again(_in_steps(run, integrator, OTHER))
+    if not other.succeeded:
+        return {}
+    found = apart_by_check(run, other, _places_count(integrator), True)
+    return {Check.PARTED_FORCE: found.get(Check.PARTED_FORCE, forces)}
+
+
+def _larger(one: Apart, other: Apart) -> Apart:
+    """The larger figures of both."""
+    larger = {
+        check: (np.maximum(found, one.get(check, (found,))[0]), places)
+        for check, (found, places) in other.items()
     }
+    return one | larger
 
 
 def _places_count(integrator: AbstractIntegrator) -> float | None:
@@ -144,18 +172,20 @@ def _places_count(integrator: AbstractIntegrator) -> float | None:
     return PLACES_OF_STEPS if integrator.asked_step() is not None else 0.0
 
 
-def _finer(run: Trajectory, integrator: AbstractIntegrator) -> AbstractIntegrator | None:
-    """The integrator with steps a quarter as long as those that were taken: steps end at saving
-    times, and may be far shorter than the step that was asked for."""
+def _in_steps(
+    run: Trajectory, integrator: AbstractIntegrator, share: float
+) -> AbstractIntegrator | None:
+    """The integrator with steps that share as long as those that were taken: these end at saving
+    times, and may be far shorter than the step that was asked for. None where it has none such."""
     asked = integrator.asked_step()
     if asked is None:
-        return integrator.with_finer_steps(FINER)
+        return integrator if share == 1 else integrator.with_finer_steps(share)
     # Where intervals differ, the shortest steps taken: none is compared with itself.
     intervals = np.diff(run.time)
-    taken = np.min(intervals / np.ceil(intervals / asked * (1 - SLIVER)))
+    taken = float(np.min(intervals / np.ceil(intervals / asked * (1 - SLIVER))))
     if np.sum(intervals) > taken * MOST_STEPS:
         return None
-    return integrator.with_finer_steps(FINER * float(taken / asked))
+    return integrator.with_finer_steps(share * taken / asked)
 
 
 def found_in_one(integrator: AbstractIntegrator, again: Callable[..., Trajectory]) -> Checks:

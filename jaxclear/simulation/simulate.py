@@ -178,12 +178,14 @@ def simulate(
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state)
-    ready = start.coordinates, start.speeds, begins + times
-    integrator, passed = load_steps(mechanism, integrator, ready[-1])
+    ready, saved = (start.coordinates, start.speeds), begins + times
+    integrator, passed = load_steps(mechanism, integrator, saved)
     with stoppable(), progress.bar(progress_bar, "simulating"):
         extras = Extras(balance, progress_bar, saving.events)
         runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run
-        again = lambda own, worn=1.0: runs(worn_faster(mechanism, worn), *ready, own, extras, past)
+        again = lambda own, worn=1.0, at=saved: runs(
+            worn_faster(mechanism, worn), *ready, at, own, extras, past
+        )
         trajectory = diagnosed(guarded(jax.block_until_ready(again(integrator)), integrator))
         trajectory = judged_by(passed, looked_at_again(trajectory, integrator, again))
     if throw and isinstance(trajectory.outcome, jax.core.Tracer):

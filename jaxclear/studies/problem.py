@@ -235,9 +235,11 @@ class Problem(AbstractProblem):
         if not many_in_doubt(checks, bool(seen.topology.clearances), kept, low_order):
             return checked_by(passed, Checks())
 
-        def again(integrator, worn=1.0):
-            known = integrator, worn_faster(self.mechanism, worn)
-            problem = eqx.tree_at(lambda own: (own.integrator, own.mechanism), self, known)
+        def again(integrator, worn=1.0, at=None):
+            shares = self.shares if at is None else (at - self.state.begins) / self.duration
+            places = lambda own: (own.integrator, own.mechanism, own.shares)
+            known = integrator, worn_faster(self.mechanism, worn), shares
+            problem = eqx.tree_at(places, self, known)
             return jax.block_until_ready(_run_alone(problem, self.nominal()))
 
         with stoppable():

@@ -80,7 +80,7 @@ def test_a_brief_run_is_looked_at_again_whatever_its_figures(pushed, monkeypatch
     def looked(run, integrator=step):
         asked = []
         second_look.looked_at_again(
-            run, integrator, lambda finer, worn=1.0: asked.append(finer) or run
+            run, integrator, lambda finer, *_: asked.append(finer) or run
         )
         return bool(asked)
 

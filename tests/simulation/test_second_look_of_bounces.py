@@ -101,7 +101,7 @@ def test_restitution_of_laws_that_prescribe_none_is_that_of_their_impacts(law):
 def test_adaptive_is_looked_at_again_at_tighter_tolerances(rtol, tighter):
     """Beside those that count where joints have clearance, and not within rounding."""
     integrator = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol)
-    finer = second_look._finer(None, integrator)
+    finer = second_look._in_steps(None, integrator, second_look.FINER)
     assert float(finer.rtol) == pytest.approx(rtol * tighter)
     assert float(finer.atol) == pytest.approx(1e-2 * rtol * tighter)
 

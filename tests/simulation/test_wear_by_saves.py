@@ -130,7 +130,7 @@ def test_places_that_hang_on_when_surfaces_are_updated_are_said():
     run = thrown()
     beyond = {check for check, flag in run.checks.beyond().items() if flag}
     assert Check.PLACE_IN_GAP in beyond and Check.WEAR_BY_SAVES not in beyond
-    assert "surfaces that wear a little faster" in run.result
+    assert "worn surfaces updated half as often" in run.result
 
 
 @pytest.mark.slow
