@@ -22,8 +22,8 @@ from jaxclear.integrators.stepping import SLIVER
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.doubts import doubted, in_doubt, is_brief, meets_stops, swings_on
 from jaxclear.simulation.friction_steps import rubbing
-from jaxclear.simulation.rebound import RESOLVED
 from jaxclear.simulation.rarer_updates import moved, where_kept
+from jaxclear.simulation.rebound import RESOLVED
 from jaxclear.simulation.two_runs import (
     Apart,
     apart_by_check,
@@ -42,8 +42,8 @@ FINER, OTHER = 0.25, 0.4
 # From which difference of the places of bodies on steps of a given length tell of it; `Adaptive`
 # promises more.
 PLACES_OF_STEPS = 0.004
-# What wear may change that is put on later. Surfaces are updated at saving times, each loss up to an
-# interval late: after 18 bouncy impacts a journal was 0.6 of its clearance elsewhere where its
+# What wear may change that is put on later. Surfaces are updated at saving times, each loss up to
+# an interval late: after 18 bouncy impacts a journal was 0.6 of its clearance elsewhere where its
 # surface, worn by 7e-8 m, was updated a hundred times as often. Steps and surfaces that wear slower
 # told 0.02 where a journal thrown up and down, worn by 5e-8 m, was 0.2 elsewhere; updates half as
 # often 0.11.

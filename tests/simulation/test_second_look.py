@@ -79,9 +79,7 @@ def test_a_brief_run_is_looked_at_again_whatever_its_figures(pushed, monkeypatch
 
     def looked(run, integrator=step):
         asked = []
-        second_look.looked_at_again(
-            run, integrator, lambda finer, *_: asked.append(finer) or run
-        )
+        second_look.looked_at_again(run, integrator, lambda finer, *_: asked.append(finer) or run)
         return bool(asked)
 
     def taking(steps):
