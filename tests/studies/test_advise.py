@@ -12,11 +12,13 @@ import pytest
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.studies import verdict
+from jaxclear.studies.advice import advice as advice_module
 from jaxclear.studies.advice import confirmation, shortcomings
 from jaxclear.studies.advice.choice import piloted
 from jaxclear.studies.advice.comparison import Comparison
 from jaxclear.studies.advice.curve import REFERENCE, Choice, Curve
 from jaxclear.studies.advice.pilot import Trial, describe, evaluate_one, measure, pilot_of
+from jaxclear.studies.advice.trials import NO_FINER, TOO_DEAR
 from jaxclear.studies.work_precision import default_candidates, loosened, steps, tight_reference
 
 STEPS = (5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
@@ -404,6 +406,44 @@ def test_steps_of_one_length_are_not_taken_for_dearer_where_the_reference_is(int
         trial=lambda choice: SimpleNamespace(integrator=integrator), cost_of=lambda choice: 0.2
     )
     assert confirmation._cost_over_whole(known, None, 300.0) == pytest.approx(0.2 * times)
+
+
+@pytest.mark.parametrize("dearer", [400.0, 1.0])
+def test_a_method_that_the_pilot_gave_up_is_tried_where_the_whole_is_much_dearer(dearer):
+    """Implicit steps, too inaccurate and dearer than the reference in the pilot of a flap, were the
+    cheapest over the whole, where explicit ones took 400 times as long."""
+    exact = np.array([1.0, 2.0, 3.0])
+    one = lambda step, off: Trial(step, {"r": exact + off}, np.ones(3), 1.0, 0.0, "")
+    adaptive = jc.integrator.Adaptive()
+    curves = {
+        REFERENCE: Curve((one(adaptive, 0.0), one(adaptive, 0.0)), ""),
+        "Adaptive": Curve((one(adaptive, 0.0), one(adaptive, 0.0)), ""),
+        "ImplicitStep": Curve(
+            tuple(one(jc.integrator.ImplicitStep(step), 1.0) for step in (1e-4, 1e-5)), TOO_DEAR
+        ),
+        "FixedStep": Curve((one(jc.integrator.FixedStep(), 1.0),), NO_FINER),
+    }
+    short = SimpleNamespace(values=np.zeros((3, 1)))
+    found = Comparison(0.01, short, curves, {}, ("r",), False, None)
+    tried = confirmation._promising(found, dearer)
+    given_up = [("ImplicitStep", 1, 1)] if dearer > 1 else []
+    assert tried == [*given_up, ("Adaptive", 0, 0)]
+
+
+@pytest.mark.parametrize(
+    ("whole", "times", "said"),
+    [
+        (False, 0.5, "expected to be dearer later on: "),
+        (False, 2.0, "dearer: "),
+        (True, 0.5, "dearer: "),
+    ],
+)
+def test_what_a_method_costs_in_the_first_part_alone_is_said_to_be_that(advice, whole, times, said):
+    known = advice.comparison
+    wanted = ("curves", "criteria", "shown", "cost_of", "trial")
+    found = SimpleNamespace(**{name: getattr(known, name) for name in wanted}, is_whole=whole)
+    told = advice_module._reason(found, known.choice.method, known.cost / times)
+    assert told.startswith(said) and f"at {times:.2g} times the cost" in told
 
 
 def test_nothing_dearer_than_the_reference_is_taken():

@@ -179,8 +179,10 @@ def _reason(found: Comparison, name: str, cost: float) -> str:
     if meet:
         best = min(meet, key=found.cost_of)
         ratio = found.cost_of(best) / cost
-        text = describe(found.trial(best).integrator)
-        return f"dearer: {text} meets it at {ratio:.2g} times the cost."
+        text = f"{describe(found.trial(best).integrator)} meets it at {ratio:.2g} times the cost"
+        if ratio < 1 and not found.is_whole:
+            return f"expected to be dearer later on: {text} over the first part."
+        return f"dearer: {text}."
     if not finished:
         return f"fails: {curve.trials[-1].failure} {curve.stopped}"
     return f"{shortcoming(finished, criteria)} {curve.stopped}"

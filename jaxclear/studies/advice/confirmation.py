@@ -16,15 +16,19 @@ from jaxclear.studies import verdict
 from jaxclear.studies.advice.comparison import Comparison
 from jaxclear.studies.advice.curve import PRESENT, REFERENCE, Choice, Curve
 from jaxclear.studies.advice.pilot import PilotSettings, Trial
-from jaxclear.studies.advice.trials import NO_FINER, once, reference
+from jaxclear.studies.advice.trials import MUCH_DEARER, NO_FINER, TOO_DEAR, once, reference
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.verdict import Criterion
 
 # A setting is worth a run over the whole where the pilot's error is at most this many times what
 # passes, and a method where it might save this share.
 NEARLY, WORTH = 4.0, 0.15
-# It is left where one of its settings is this many times as dear as what is right already, or as
-# the looser reference: finer ones are dearer still.
+# A method that the pilot gave up as too dear is worth one where the reference is so many times as
+# dear over the whole: a flap's contacts, of rates of 1e9 1/s, all closed just after the pilot, and
+# explicit steps took 400 times as long as there, implicit ones as long.
+GIVEN_UP = 4.0
+# A method is left where one of its settings is this many times as dear as what is right already, or
+# as the looser reference: finer ones are dearer still.
 DEARER = 1.5
 NOT_CHEAPER = "Finer settings would cost more than what meets the accuracy, or the reference."
 
@@ -75,7 +79,8 @@ def _cost_over_whole(first: Comparison, choice: Choice, dearer: float) -> float:
 
 def _promising(first: Comparison, dearer: float) -> list[tuple[str, int, int]]:
     """Methods with the coarsest setting that the pilot found nearly right and the one to begin
-    with, cheapest over the whole first; see `_cost_over_whole`."""
+    with (where it gave the method up, the last one), cheapest over the whole first; see
+    `_cost_over_whole`."""
     criteria, found = first.criteria, []
     for name, curve in first.curves.items():
         near = [
@@ -83,6 +88,8 @@ def _promising(first: Comparison, dearer: float) -> list[tuple[str, int, int]]:
             for place, trial in enumerate(curve.trials)
             if verdict.worst(trial, criteria)[1] <= NEARLY
         ]
+        if not near and curve.stopped in (TOO_DEAR, MUCH_DEARER) and dearer > GIVEN_UP:
+            near = [len(curve.trials) - 1]
         if near and name not in (REFERENCE, PRESENT):
             right = verdict.coarsest(curve.trials, criteria)
             found.append((name, near[0], near[-1] if right is None else right))

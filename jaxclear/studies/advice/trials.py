@@ -23,6 +23,7 @@ DEARER_THAN_REFERENCE = 2.0
 MOST_GROWTH = 2.5
 # Why a curve has no finer settings.
 TOO_DEAR = "Finer settings would cost more than the reference."
+MUCH_DEARER = "Finer settings would cost several times what meets the accuracy already."
 NO_FINER = "The method has no finer settings."
 
 
@@ -54,10 +55,7 @@ def follow(
         if expected > DEARER_THAN_REFERENCE * reference_cost:
             return Curve(tuple(trials), TOO_DEAR)
         if expected > allowance:
-            return Curve(
-                tuple(trials),
-                "Finer settings would cost several times what meets the accuracy already.",
-            )
+            return Curve(tuple(trials), MUCH_DEARER)
         trials.append(run(integrator))
         good = verdict.coarsest(tuple(trials), criteria) is not None
         if good and _is_far_below(trials[-1], criteria):
