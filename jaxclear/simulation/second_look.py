@@ -24,6 +24,7 @@ from jaxclear.simulation.doubts import doubted, in_doubt, is_brief, meets_stops,
 from jaxclear.simulation.friction_steps import rubbing
 from jaxclear.simulation.rarer_updates import moved, where_kept
 from jaxclear.simulation.rebound import RESOLVED
+from jaxclear.simulation.slip_reversals import shortest_crossing
 from jaxclear.simulation.two_runs import (
     Apart,
     apart_by_check,
@@ -92,10 +93,11 @@ def looked_at_again(
     are."""
     if is_traced((run.outcome, run.states)) or not run.succeeded:
         return run
-    finer = _in_steps(run, integrator, FINER)
-    if finer is None or int(run.accepted_steps) > MOST_STEPS:
+    if _in_steps(run, integrator, FINER) is None or int(run.accepted_steps) > MOST_STEPS:
         return run
-    untold = meets_stops(run, integrator) or swings_on(run, integrator)
+    share, turns = _close_enough(run, integrator)
+    finer = _in_steps(run, integrator, share)
+    untold = turns or meets_stops(run, integrator) or swings_on(run, integrator)
     if not (untold or is_brief(run, integrator) or in_doubt(run, integrator)):
         return run
     other = again(finer)
@@ -103,7 +105,7 @@ def looked_at_again(
         return run
     figures = dict(run.checks.figures)
     doubts = untold or bool(doubted(run.checks))
-    apart = apart_by_check(run, other, _places_count(integrator), doubts)
+    apart = apart_by_check(run, other, _places_count(integrator), doubts, _left(integrator))
     apart = _larger(apart, _apart_by_wear(run, integrator, again))
     apart = _larger(apart, _apart_by_chance(apart, run, integrator, again))
     for check, (found, places) in apart.items():
@@ -165,6 +167,23 @@ def _larger(one: Apart, other: Apart) -> Apart:
     return one | larger
 
 
+def _close_enough(run: Trajectory, integrator: AbstractIntegrator) -> tuple[float, bool]:
+    """(length of the steps of another run beside this one's; whether slip turns round within one of
+    these): as short as it takes slip to turn round, of no more than `MOST_STEPS`."""
+    lasts = float(run.time[-1] - run.time[0])
+    step = _step_taken(run, integrator)
+    crossing = shortest_crossing(run)
+    least = lasts / (MOST_STEPS * step)
+    return float(min(FINER, max(crossing / step, least))), crossing < step
+
+
+def _left(integrator: AbstractIntegrator) -> float:
+    """Share of what is wrong that is in the finer run as well: of steps of low order as much as
+    they are long, of others next to nothing."""
+    low_order = integrator.asked_step() is not None and not integrator.follows_impacts
+    return FINER if low_order else 0.0
+
+
 def _places_count(integrator: AbstractIntegrator) -> float | None:
     """From which difference on places of bodies count; None where they do not."""
     if not integrator.places_in_gaps:
@@ -179,13 +198,20 @@ def _in_steps(
     times, and may be far shorter than the step that was asked for. None where it has none such."""
     asked = integrator.asked_step()
     if asked is None:
-        return integrator if share == 1 else integrator.with_finer_steps(share)
-    # Where intervals differ, the shortest steps taken: none is compared with itself.
-    intervals = np.diff(run.time)
-    taken = float(np.min(intervals / np.ceil(intervals / asked * (1 - SLIVER))))
-    if np.sum(intervals) > taken * MOST_STEPS:
+        return integrator if share == 1 else integrator.with_finer_steps(max(share, FINER))
+    taken = _step_taken(run, integrator)
+    if run.time[-1] - run.time[0] > taken * MOST_STEPS:
         return None
     return integrator.with_finer_steps(share * taken / asked)
+
+
+def _step_taken(run: Trajectory, integrator: AbstractIntegrator) -> float:
+    """The shortest step [s] of those that were taken, where their length was asked for: where
+    intervals differ, none is compared with itself. Else their mean."""
+    asked, intervals = integrator.asked_step(), np.diff(run.time)
+    if asked is None:
+        return float(np.sum(intervals)) / max(int(run.accepted_steps), 1)
+    return float(np.min(intervals / np.ceil(intervals / asked * (1 - SLIVER))))
 
 
 def found_in_one(integrator: AbstractIntegrator, again: Callable[..., Trajectory]) -> Checks:
