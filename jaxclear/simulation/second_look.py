@@ -105,7 +105,7 @@ def looked_at_again(
         return run
     figures = dict(run.checks.figures)
     doubts = untold or bool(doubted(run.checks))
-    apart = apart_by_check(run, other, _places_count(integrator), doubts, _left(integrator))
+    apart = apart_by_check(run, other, _places_count(integrator), doubts, _left(integrator, share))
     apart = _larger(apart, _apart_by_wear(run, integrator, again))
     apart = _larger(apart, _apart_by_chance(apart, run, integrator, again))
     for check, (found, places) in apart.items():
@@ -177,11 +177,11 @@ def _close_enough(run: Trajectory, integrator: AbstractIntegrator) -> tuple[floa
     return float(min(FINER, max(crossing / step, least))), crossing < step
 
 
-def _left(integrator: AbstractIntegrator) -> float:
-    """Share of what is wrong that is in the finer run as well: of steps of low order as much as
-    they are long, of others next to nothing."""
+def _left(integrator: AbstractIntegrator, share: float) -> float:
+    """Share of what is wrong that is in a run with steps that share as long as well: of low order
+    as much, of others next to nothing."""
     low_order = integrator.asked_step() is not None and not integrator.follows_impacts
-    return FINER if low_order else 0.0
+    return share if low_order else 0.0
 
 
 def _places_count(integrator: AbstractIntegrator) -> float | None:

@@ -327,7 +327,7 @@ def test_what_a_finer_run_of_low_order_is_off_by_as_well_counts(left, said):
         (jc.integrator.FixedStep(1e-5), 0.0),
         (jc.integrator.Adaptive(), 0.0),
     ):
-        assert second_look._left(integrator) == wanted
+        assert second_look._left(integrator, 0.25) == wanted
 
 
 def test_forces_of_parted_paths_are_compared_on_the_way(monkeypatch):
