@@ -6,6 +6,7 @@ and steps up to ten times as long as it takes to cross these speeds wore off 15 
 alike. So who looks at a run again has to look that closely.
 """
 
+import functools
 from typing import Any
 
 import jax
@@ -28,11 +29,27 @@ def slip_at_peak(friction: Any) -> float | None:
     high speeds; None where it does not fall, and of laws whose bristles have to bend first."""
     if friction is None or friction.set_valued or friction.bristles:
         return None
-    found = np.asarray(jax.vmap(friction.steady_coefficient)(jnp.asarray(SPEEDS)))
+    numbers, law = jax.tree.flatten(friction)
+    if any(np.ndim(number) for number in numbers):
+        return _peak_of(friction)
+    return _known_peak(law, *map(float, numbers))
+
+
+@functools.lru_cache(maxsize=64)
+def _known_peak(law: Any, *numbers: float) -> float | None:
+    """Of a law with these numbers: runs of a mechanism ask again and again."""
+    return _peak_of(jax.tree.unflatten(law, map(jnp.asarray, numbers)))
+
+
+def _peak_of(friction: Any) -> float | None:
+    found = np.asarray(_coefficients(friction, SPEEDS))
     largest, at_last = found.max(), found[-1]
     if not largest > (1 + LARGER) * at_last:
         return None
     return float(SPEEDS[found > 0.5 * (largest + at_last)].max())
+
+
+_coefficients = compiled_quickly(lambda law, speeds: jax.vmap(law.steady_coefficient)(speeds))
 
 
 def shortest_crossing(run: Trajectory) -> float:

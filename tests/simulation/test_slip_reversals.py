@@ -1,5 +1,10 @@
 """Slip that turns round within a step, in contacts whose friction is largest near rest."""
 
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -18,6 +23,22 @@ def test_laws_whose_friction_falls_from_a_peak_tell_where():
     even = jc.friction.AdamsStep(mu_static=0.1, mu_kinetic=0.1)
     assert slip_at_peak(even) is None and slip_at_peak(jc.friction.CoulombTanh()) is None
     assert slip_at_peak(jc.friction.LuGre()) is None and slip_at_peak(None) is None
+
+
+class Tabulated(eqx.Module):
+    """What is asked of a law, by a table of coefficients."""
+
+    coefficients: jax.Array
+    set_valued: ClassVar[bool] = False
+    bristles: ClassVar[int] = 0
+
+    def steady_coefficient(self, slip_speed):
+        return jnp.interp(slip_speed, jnp.array([0.0, 1e-3, 2e-3]), self.coefficients)
+
+
+def test_a_law_with_arrays_of_its_own_tells_too():
+    assert slip_at_peak(Tabulated(jnp.array([0.2, 0.2, 0.1]))) == pytest.approx(1.5e-3, rel=0.13)
+    assert slip_at_peak(Tabulated(jnp.array([0.1, 0.2, 0.2]))) is None
 
 
 def pressed(friction):
