@@ -135,6 +135,17 @@ def _check_compiling() -> None:
         )
 
 
+def _check_end(trajectory: Trajectory) -> None:
+    """Raises `SimulationError` for a run that ended early, `ValueError` for one that is traced."""
+    if isinstance(trajectory.outcome, jax.core.Tracer):
+        raise ValueError(
+            "simulate is being traced (by jax.jit, vmap or a derivative) and cannot raise: give "
+            "throw=False and look at `outcome`, or map jaxclear.Problem.evaluate."
+        )
+    if not trajectory.succeeded:
+        raise SimulationError(told_of_bristles(trajectory), trajectory)
+
+
 def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator, told: bool = False) -> bool:
     """Whether next to all work of a run is that of its kernels, if it has any and its progress is
     not `told`: then XLA need not optimise the rest, of however many cells worn surfaces are."""
@@ -178,21 +189,15 @@ def simulate(
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
     mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state)
-    ready, saved = (start.coordinates, start.speeds), begins + times
+    saved = begins + times
     integrator, passed = load_steps(mechanism, integrator, saved)
     with stoppable(), progress.bar(progress_bar, "simulating"):
         extras = Extras(balance, progress_bar, saving.events)
         runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run
-        again = lambda own, worn=1.0, at=saved: runs(
-            worn_faster(mechanism, worn), *ready, at, own, extras, past
-        )
+        begun = lambda worn: (worn_faster(mechanism, worn), start.coordinates, start.speeds)
+        again = lambda own, worn=1.0, at=saved: runs(*begun(worn), at, own, extras, past)
         trajectory = diagnosed(guarded(jax.block_until_ready(again(integrator)), integrator))
         trajectory = judged_by(passed, looked_at_again(trajectory, integrator, again))
-    if throw and isinstance(trajectory.outcome, jax.core.Tracer):
-        raise ValueError(
-            "simulate is being traced (by jax.jit, vmap or a derivative) and cannot raise: give "
-            "throw=False and look at `outcome`, or map jaxclear.Problem.evaluate."
-        )
-    if throw and not trajectory.succeeded:
-        raise SimulationError(told_of_bristles(trajectory), trajectory)
+    if throw:
+        _check_end(trajectory)
     return trajectory

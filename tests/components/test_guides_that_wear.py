@@ -74,7 +74,7 @@ def even(places):
 
 @pytest.mark.parametrize(
     "rung",
-    [r if r == "permanent" else pytest.param(r, marks=pytest.mark.slow) for r in RUNGS],
+    [pytest.param(r, marks=pytest.mark.slow) for r in RUNGS],
 )
 def test_a_slider_that_goes_to_and_fro_wears_an_even_trough_and_its_own_face_evenly(rung):
     """Both lose k F s / H; the trough is k F n / (H b) deep where all of the face has passed n

@@ -185,6 +185,7 @@ def test_a_batch_enters_the_wide_deposit_where_a_sample_needs_it():
     assert reached[0] <= 11 < reached[1]
 
 
+@pytest.mark.slow
 def test_deposit_derivative_is_the_change():
     event, step = jnp.array([[0.6, 0.7, 5e-5, 22.0, -1.0]]), 1e-7
 

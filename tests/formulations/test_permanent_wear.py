@@ -70,7 +70,12 @@ def hertz(stiffness):
         ),
         (jc.clearance.PlanarJournalBearing, hertz(STIFF), 200.0),
         pytest.param(jc.clearance.JournalBearing, hertz(STIFF), 2000.0, marks=pytest.mark.slow),
-        (jc.clearance.JournalBearing, jc.contact.Liu(restitution=0.1), 2000.0),
+        pytest.param(
+            jc.clearance.JournalBearing,
+            jc.contact.Liu(restitution=0.1),
+            2000.0,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_loaded_bearing_wears_as_deep_as_its_contact_law_lets_it_sink(kind, law, load):

@@ -208,6 +208,7 @@ def test_instants_of_touches_have_no_derivative():
     assert np.isnan(jax.jit(jax.jacfwd(evaluate))(asked.nominal()))
 
 
+@pytest.mark.slow
 def test_bristles_that_settle_faster_than_a_step_are_followed_beside_it():
     """A spinning journal is thrown on LuGre's bristles, whose deflection settles within 2 us of
     sliding: in steps of 20 us slopes of what wears were five times too large, those of the mean

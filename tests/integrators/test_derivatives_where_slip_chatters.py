@@ -38,6 +38,7 @@ def slopes(integrator):
     return {name: np.asarray(each * at) / values[name] for name, each in found.items()}
 
 
+@pytest.mark.slow
 def test_of_slip_that_chatters_there_is_none():
     """At 20 us, a study's default, they were 10 % (mean force) and 23 % (wear) off."""
     told = slopes(jc.integrator.FixedStep())

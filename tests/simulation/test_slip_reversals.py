@@ -61,13 +61,9 @@ def pressed(friction):
 def test_slip_that_turns_round_is_as_fast_as_the_parts_are_turned():
     """At a radius of 0.01 m by 100 rad/s^2: slip by 1 m/s^2."""
     friction = jc.friction.Stribeck(mu_static=0.1, mu_kinetic=0.05)
-    crossings = []
-    for law in (friction, jc.friction.CoulombTanh()):
-        rig = pressed(law)
-        run = jc.simulate(rig, 0.02, state=jc.seated(rig), save=201)
-        crossings.append(shortest_crossing(run))
-    assert slip_at_peak(friction) / crossings[0] == pytest.approx(1.0, rel=0.15)
-    assert crossings[1] == np.inf
+    rig = pressed(friction)
+    run = jc.simulate(rig, 0.02, state=jc.seated(rig), save=201)
+    assert slip_at_peak(friction) / shortest_crossing(run) == pytest.approx(1.0, rel=0.15)
 
 
 @pytest.mark.parametrize(
