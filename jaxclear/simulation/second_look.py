@@ -89,8 +89,8 @@ def looked_at_again(
     run: Trajectory, integrator: AbstractIntegrator, again: Callable[..., Trajectory]
 ) -> Trajectory:
     """The run with what a second look at it tells, where it is in doubt; `again`: the same run with
-    another integrator, and surfaces that wear so many times as fast. Its numbers stay as they
-    are."""
+    another integrator, surfaces that wear so many times as fast, and other saving times [s]. Its
+    numbers stay as they are."""
     if is_traced((run.outcome, run.states)) or not run.succeeded:
         return run
     if _in_steps(run, integrator, FINER) is None or int(run.accepted_steps) > MOST_STEPS:

@@ -55,10 +55,12 @@ _coefficients = compiled_quickly(lambda law, speeds: jax.vmap(law.steady_coeffic
 def shortest_crossing(run: Trajectory) -> float:
     """The shortest time [s] in which a touching contact's slip goes through the speeds at which its
     friction is largest, as the saved instants tell; infinite where none does."""
+    if run.formulation.forces_are_means:
+        return np.inf
     joints = run.mechanism.topology.clearances
     laws = [own for name in joints for own in run.mechanism.connections[name].joint.contact_laws()]
     peaks = [slip_at_peak(own.friction) for own in laws]
-    if run.formulation.forces_are_means or all(peak is None for peak in peaks):
+    if all(peak is None for peak in peaks):
         return np.inf
     slips, forces = (np.asarray(each) for each in _slips(run.history))
     lengths = np.diff(np.asarray(run.time))[:, None]

@@ -88,16 +88,18 @@ def _friction_loss_apart(run: Trajectory, other: Trajectory) -> float:
 
 def impulses(run: Trajectory, joints: tuple[str, ...]) -> np.ndarray:
     """What the normal forces of each joint have given over the run [N s]."""
-    return np.array([float(contact_impulse(run.history, name)[-1]) for name in joints])
+    return _impulses_so_far(run, joints)[:, -1]
+
+
+def _impulses_so_far(run: Trajectory, joints: tuple[str, ...]) -> np.ndarray:
+    """The same up to each saving time (joints, time)."""
+    return np.array([np.asarray(contact_impulse(run.history, name)) for name in joints])
 
 
 def _impulses_on_the_way(run: Trajectory, other: Trajectory, joints: tuple[str, ...]) -> np.ndarray:
     """Of each joint the largest difference of what its normal forces have given at an instant,
     beside what those of the joint that gives most have in the end."""
-    one, two = (
-        np.array([np.asarray(contact_impulse(each.history, name)) for name in joints])
-        for each in (run, other)
-    )
+    one, two = (_impulses_so_far(each, joints) for each in (run, other))
     largest = max(one[:, -1].max(), two[:, -1].max())
     apart = np.abs(one - two).max(axis=1)
     return apart / largest if largest > 0 else np.zeros(len(joints))
