@@ -21,6 +21,7 @@ from jax.interpreters import batching, mlir
 from jaxclear.native import dispatch
 from jaxclear.native import kernel as kernels
 from jaxclear.native.machine import widest
+from jaxclear.native.pieces import in_pieces
 from jaxclear.native.program import (
     Program,
     Table,
@@ -43,16 +44,17 @@ loop_p.multiple_results = True
 _WARNED: set[str] = set()
 
 
-def reference(*values: Any, program: Program) -> list:
-    """The same by `jax.lax.while_loop`, or by the body alone where it takes one turn."""
+def reference(*values: Any, program: Program, function_of: Callable = jaxpr_as_fun) -> list:
+    """The same by `jax.lax.while_loop`, or by the body alone where it takes one turn. `function_of`
+    makes functions of programs."""
     c, b = program.condition_constants, program.body_constants
-    tests, turns = jaxpr_as_fun(program.condition), jaxpr_as_fun(program.body)
+    tests, turns = jaxpr_as_fun(program.condition), function_of(program.body)
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], list(values[c + b :])
     if program.once:
         return list(turns(*fixed_body, *first))
     if program.length:
         # The loops within it are then kernels by themselves.
-        turns = jaxpr_as_fun(loops_marked(program.body, within=False))
+        turns = function_of(loops_marked(program.body, within=False))
         places = [fixed_body[table.places] for table in program.tables]
         empty = list(map(_begun(fixed_body), program.tables, row_of(program)))
 
@@ -88,6 +90,15 @@ def reference_of_batch(*values: Any, program: Program, rank: int) -> list:
     axes = [None if i in program.shared else 0 for i in range(len(values))]
     for _ in range(rank):
         function = _row_by_row(function, axes) if program.once else jax.vmap(function, axes)
+    return function(*values)
+
+
+def reference_in_pieces(*values: Any, program: Program, rank: int) -> list:
+    """The same for accelerators: samples side by side, programs `in_pieces`."""
+    function = functools.partial(reference, program=program, function_of=in_pieces)
+    axes = [None if i in program.shared else 0 for i in range(len(values))]
+    for _ in range(rank):
+        function = jax.vmap(function, axes)
     return function(*values)
 
 
@@ -210,7 +221,8 @@ def _by_portions(*values, program, rank, samples):
 def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU):
     if not program.length:
         tell(ctx, reason)
-    lower = mlir.lower_fun(reference_of_batch, multiple_results=True)
+    written = reference_in_pieces if reason is NOT_A_CPU else reference_of_batch
+    lower = mlir.lower_fun(written, multiple_results=True)
     return lower(ctx, *values, program=program, rank=rank)
 
 

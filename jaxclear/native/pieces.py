@@ -1,0 +1,121 @@
+"""Long functions in pieces that XLA compiles apart from each other, for accelerators.
+
+There XLA makes one kernel of hundreds of operations on a few numbers, and works out anew, wherever
+a number is read at another place than before (of an array that was put together of single numbers,
+say), all that leads to it. What a piece hands on is stored, so that this ends with it.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
+
+from jaxclear.native.calls import CALLS, called
+
+__all__ = ["in_pieces"]
+
+# A piece ends where one of its numbers takes so many operations, those done anew included. Of 64,
+# 128 and 512, 128 was the fastest on an H200 (4096 slider-cranks, two integrators).
+WORK = 128
+# Programs that are kept.
+LATEST = 64
+# Operations whose results stand at other places than what they read, be the shapes alike or not,
+# and those that are compiled apart by themselves.
+MOVING = ("cumsum", "gather", "rev", "transpose")
+APART = ("cholesky", "cond", "jaxclear_loop", "scan", "sort", "triangular_solve", "while")
+
+
+def in_pieces(program: ClosedJaxpr) -> Callable[..., list]:
+    """The function of a program, in pieces; those of loops within it likewise."""
+    return jaxpr_as_fun(_cut(program))
+
+
+@functools.lru_cache(maxsize=LATEST)
+def _cut(program: ClosedJaxpr) -> ClosedJaxpr:
+    return _traced(_with_barriers, _traced(_flat, program))
+
+
+def _traced(way: Callable, program: ClosedJaxpr) -> ClosedJaxpr:
+    given = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in program.in_avals]
+    return jax.make_jaxpr(functools.partial(way, program))(*given)
+
+
+def _flat(program: ClosedJaxpr, *values: Any) -> list:
+    """With the functions that it calls written out."""
+    known = _Known(program, values)
+    for equation in program.jaxpr.eqns:
+        inputs = known.read(equation.invars)
+        if equation.primitive.name in CALLS:
+            found = _flat(called(equation.params), *inputs)
+        else:
+            found = _applied(equation, inputs, equation.params)
+        known.write(equation.outvars, found)
+    return known.read(program.jaxpr.outvars)
+
+
+def _with_barriers(program: ClosedJaxpr, *values: Any) -> list:
+    jaxpr, known = program.jaxpr, _Known(program, values)
+    last = {v: i for i, e in enumerate(jaxpr.eqns) for v in _variables(e.invars)}
+    last |= dict.fromkeys(_variables(jaxpr.outvars), len(jaxpr.eqns))
+    # Of what the piece has worked out: the operations that one number takes, by their indices.
+    piece: dict[Any, dict[int, int]] = {}
+    for i, equation in enumerate(jaxpr.eqns):
+        parameters = dict(equation.params)
+        for name in ("body_jaxpr", "jaxpr"):
+            if equation.primitive.name in ("while", "scan") and name in parameters:
+                parameters[name] = _cut(parameters[name])
+        inputs = known.read(equation.invars)
+        known.write(equation.outvars, _applied(equation, inputs, parameters))
+        work = _work(equation, i, piece)
+        piece |= dict.fromkeys(equation.outvars, work)
+        if sum(work.values()) >= WORK:
+            handed_on = [v for v in piece if last.get(v, -1) > i]
+            if handed_on:
+                known.write(handed_on, jax.lax.optimization_barrier(known.read(handed_on)))
+            piece = {}
+    return known.read(jaxpr.outvars)
+
+
+def _work(equation: Any, index: int, piece: dict[Any, dict[int, int]]) -> dict[int, int]:
+    """Operations for one number of what an equation gives: those at the same place are done once,
+    whoever reads them."""
+    name, out = equation.primitive.name, equation.outvars[0].aval
+    if name in APART:
+        return {}
+    read = [piece[v] for v in _variables(equation.invars) if v in piece]
+    shapes = [v.aval.shape for v in equation.invars if not isinstance(v, Literal)]
+    if name not in MOVING and all(shape == out.shape for shape in shapes):
+        return functools.reduce(dict.__or__, read, {index: 1})
+    times = 1
+    if name == "dot_general":
+        (summed, _), _ = equation.params["dimension_numbers"]
+        times = math.prod(shapes[0][axis] for axis in summed)
+    elif name.startswith("reduce_"):
+        times = equation.invars[0].aval.size // max(out.size, 1)
+    return {index: 1 + times * sum(sum(each.values()) for each in read)}
+
+
+def _variables(atoms: Sequence[Any]) -> list:
+    return [v for v in atoms if not isinstance(v, Literal)]
+
+
+class _Known:
+    """Values of a program's variables."""
+
+    def __init__(self, program: ClosedJaxpr, values: Sequence[Any]) -> None:
+        self.values = dict(zip(program.jaxpr.constvars, program.consts, strict=True))
+        self.write(program.jaxpr.invars, values)
+
+    def read(self, variables: Sequence[Any]) -> list:
+        return [v.val if isinstance(v, Literal) else self.values[v] for v in variables]
+
+    def write(self, variables: Sequence[Any], values: Sequence[Any]) -> None:
+        self.values.update(zip(variables, values, strict=True))
+
+
+def _applied(equation: Any, inputs: Sequence[Any], parameters: dict) -> Sequence[Any]:
+    found = equation.primitive.bind(*inputs, **parameters)
+    return found if equation.primitive.multiple_results else [found]
