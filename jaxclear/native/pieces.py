@@ -47,13 +47,14 @@ def _flat(program: ClosedJaxpr, *values: Any) -> list:
     """With the functions that it calls written out."""
     known = _Known(program, values)
     for equation in program.jaxpr.eqns:
-        inputs = known.read(equation.invars)
-        if equation.primitive.name in CALLS:
-            found = _flat(called(equation.params), *inputs)
-        else:
-            found = _applied(equation, inputs, equation.params)
-        known.write(equation.outvars, found)
+        known.write(equation.outvars, _written_out(equation, known.read(equation.invars)))
     return known.read(program.jaxpr.outvars)
+
+
+def _written_out(equation: Any, inputs: Sequence[Any]) -> Sequence[Any]:
+    if equation.primitive.name in CALLS:
+        return _flat(called(equation.params), *inputs)
+    return _applied(equation, inputs, equation.params)
 
 
 def _with_barriers(program: ClosedJaxpr, *values: Any) -> list:

@@ -158,8 +158,9 @@ def test_where_a_fast_body_is_after_many_turns_is_said(rung):
 
 @pytest.mark.slow
 def test_a_light_body_that_crosses_its_clearance_within_a_step_is_said():
-    """A ball between its socket and an arm of ten tonnes: the mean force is off by half."""
-    case = extremes.JOINTS["ball"][0](extremes.USUAL | {"mass ratio": 1e4})
+    """A ball between its socket and an arm of a hundred tonnes: the mean force is twice what it
+    should be."""
+    case = extremes.JOINTS["ball"][0](extremes.USUAL | {"mass ratio": 1e5})
     run, exact = (
         jc.simulate(
             case.mechanism,
@@ -172,7 +173,8 @@ def test_a_light_body_that_crosses_its_clearance_within_a_step_is_said():
         for step in (1e-4, 3e-6)
     )
     forces = [float(jc.response.MeanContactForce("B")(each)) for each in (run, exact)]
-    assert abs(forces[0] / forces[1] - 1) > 0.2 and Check.MEAN_FORCE in beyond(run)
+    assert abs(forces[0] / forces[1] - 1) > 0.2
+    assert {Check.MEAN_FORCE, Check.PARTED_FORCE} <= beyond(run)
 
 
 @pytest.mark.parametrize("drift", [0.004, 0.02])
@@ -192,26 +194,16 @@ def test_bodies_that_drift_bring_rigid_steps_in_doubt(drift):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("joint", "varied", "check"),
-    [
-        ("journal", {"clearance": 1e-5}, Check.HALVED_WEAR),
-        ("guide", extremes.CORNERS[3], Check.PARTED_FORCE),
-    ],
-)
-def test_what_two_parted_runs_agree_in_by_chance_is_said(joint, varied, check):
-    """Shorter and shorter steps of rigid contact go on to disagree in it by more than is promised:
-    in where a journal is deepest worn, in the mean force of impacts that take no energy."""
-    case = extremes.JOINTS[joint][0](extremes.USUAL | varied)
-    depth = lambda run: float(np.max(run.worn_depth("B", "bearing")))
-    mean = lambda run: float(jc.response.MeanContactForce("B")(run))
-    told = depth if check == Check.HALVED_WEAR else mean
+def test_what_two_parted_runs_agree_in_by_chance_is_said():
+    """Shorter and shorter steps of rigid contact go on to disagree by more than is promised in the
+    mean force of impacts that take no energy."""
+    case = extremes.JOINTS["guide"][0](extremes.USUAL | extremes.CORNERS[3])
     runs = [
         jc.simulate(case.mechanism, 0.05, save=6, integrator=jc.integrator.MoreauJean(step))
         for step in (1e-4, 2.5e-5, 3e-6)
     ]
-    answers = [told(run) for run in runs]
-    assert max(answers) > 1.03 * min(answers) and check in beyond(runs[0])
+    answers = list(map(jc.response.MeanContactForce("B"), runs))
+    assert max(answers) > 1.03 * min(answers) and Check.PARTED_FORCE in beyond(runs[0])
 
 
 def test_mean_forces_of_rigid_paths_that_have_parted_are_said():
