@@ -4,7 +4,7 @@
 LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
 JOINTS, LOADS, RUBBING, COLLARS = "joints", "loads and drives", "joints that rub", "collars"
 TOUCHING = "joints that always touch"
-AGAIN = "with steps a quarter as long (tolerances 256 times tighter)"
+AGAIN = "with steps a quarter as long or shorter (tolerances 256 times tighter)"
 # Or where worn surfaces are updated half as often.
 OR_WORN = f"{AGAIN}, or worn surfaces updated half as often,"
 TIGHTER = "take shorter steps or a tight integrator.Adaptive"

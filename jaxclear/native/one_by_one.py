@@ -1,5 +1,7 @@
 """Functions through whose batches XLA goes sample by sample: what a choice within one costs is then
-asked of the samples that make it, not of all. No kernels, and no derivatives in reverse mode."""
+asked of the samples that make it, not of all. No kernels, and no derivatives in reverse mode. On an
+accelerator all samples go side by side: there each operation is started for all of them at once.
+"""
 
 import functools
 from collections.abc import Callable
@@ -77,6 +79,10 @@ def _with_tangents(program: ClosedJaxpr, moving: tuple[int, ...]) -> ClosedJaxpr
     return _closed(jax.make_jaxpr(pushed)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)))
 
 
+def _in_turn() -> bool:
+    return jax.default_backend() == "cpu"
+
+
 def _batch(values, dims, *, program, motion):
     batched = [dim is not None for dim in dims]
     if motion is not None and not any(batched[: motion[0]]):
@@ -90,6 +96,10 @@ def _batch(values, dims, *, program, motion):
             *values, program=_closed(jax.make_jaxpr(ways)(*values)), motion=motion
         )
         return found, [None if i < motion[1] else 0 for i in range(len(found))]
+
+    if not _in_turn():
+        out = jax.vmap(jaxpr_as_fun(program), in_axes=tuple(dims))(*values)
+        return list(out), [0] * len(out)
 
     def sample(own):
         own = iter(own)

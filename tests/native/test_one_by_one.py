@@ -1,6 +1,8 @@
 """Samples of a batch that are gone through one after the other are what they are side by side, and
 each takes only the branch that it chooses."""
 
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,8 +46,11 @@ WAYS = {
 }
 
 
+@pytest.mark.parametrize("in_turn", [True, False], ids=["in turn", "on an accelerator"])
 @pytest.mark.parametrize("way", WAYS)
-def test_one_by_one_is_side_by_side(way):
+def test_one_by_one_is_side_by_side(monkeypatch, way, in_turn):
+    # The room's function of this name hides the file.
+    monkeypatch.setattr(sys.modules["jaxclear.native.one_by_one"], "_in_turn", lambda: in_turn)
     found, wanted = (
         jax.jit(lambda f=f: WAYS[way](through(f)))() for f in (one_by_one(plain), plain)
     )
