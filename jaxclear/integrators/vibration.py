@@ -35,6 +35,9 @@ KEPT = 0.9
 VISIBLE = 0.01
 # Not so many steps one behind the other: an impact, or what sets in, takes a few.
 IN_A_ROW = 12
+# A derivative of places and speeds this share as large as that of what a run sums up is rounding:
+# a drive, not friction, says where the mechanism is.
+ROUNDING = 1e-12
 
 # Of a derivative: sums of squares of its changes of speeds, times the step, and of places; the
 # largest that the first has been; the largest derivative; how many steps up to now have not
@@ -89,6 +92,7 @@ def further(
     ahead = safe_divide(length, share) * after[n:m]
     largest = jnp.maximum(largest, jnp.max(abs(jnp.concatenate([after[:n], ahead])), initial=0.0))
     matters = (turned > most) | (turned > VISIBLE * VISIBLE * largest * largest)
+    matters &= largest > ROUNDING * jnp.max(abs(after[m:]), initial=0.0)
     row = jnp.where(matters & (turned > angle * angle * gone), row + share, 0.0)
     most, longest = jnp.maximum(most, turned), jnp.maximum(longest, row)
     return jnp.stack([turned, gone, most, largest, row, longest])
