@@ -27,9 +27,10 @@ from jaxclear.ground.quantity import Scalar
 
 # Mean square of an angle [rad2] below which a direction has stood still: rounding is below.
 STILL = 1e-13
-# Half an arc, beside a cell, below which a contact wears as one that stands still: cells do not
-# resolve in which direction it goes, and what tells it drowns in rounding as arcs become short.
-UNRESOLVED = 0.2
+# Half an arc, beside a cell, below which a contact's direction is taken as one along the wall, for
+# what tells it drowns in rounding; and below which cells do not resolve it, so that nothing real
+# hangs on how it changes.
+DROWNED, UNRESOLVED = 1e-4, 0.2
 
 
 class Wall(NamedTuple):
@@ -149,10 +150,12 @@ def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "9"]) -> Loss:
     mean, products, narrowness = features[:3], features[3:8], features[8]
     length = safe_sqrt(jnp.sum(mean * mean))
     normal = safe_divide(mean, length)
-    travel, share = _travel(normal, products)
+    travel, share = _travel(normal, products, DROWNED * wall.cell)
     half_arc = arc(length) * safe_sqrt(share)
     square, unresolved = half_arc * half_arc, (UNRESOLVED * wall.cell) ** 2
-    travel = travel * square / jnp.sqrt(square * square + unresolved * unresolved)
+    held = jax.lax.stop_gradient(travel)
+    told = square / jnp.sqrt(square * square + unresolved * unresolved)
+    travel = held + jax.lax.stop_gradient(told) * (travel - held)
     overlap = depth_of(safe_divide(1.0, narrowness), wall.cell, wall.clearance)
     load = point_contact(overlap, wall.radius, wall.clearance, half_arc)
     return Loss(
@@ -168,19 +171,41 @@ def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "9"]) -> Loss:
     )
 
 
-def _travel(normal: Float[Array, "3"], products: Float[Array, "5"]) -> tuple[Array, Scalar]:
+def _travel(
+    normal: Float[Array, "3"], products: Float[Array, "5"], drowned: float
+) -> tuple[Array, Scalar]:
     """(direction across the mean `normal` in which directions spread most, how much more there than
-    across it relative to both) from the mean products of their components."""
+    across it relative to both) from the mean products of their components. Where they spread by
+    little beside an angle at which they are `drowned` [rad], it is the direction `_along_the_wall`: the mean over
+    a cell that is taken in it is that of its pressure, whichever it is."""
     xx, xy, xz, yy, yz = products
     spread = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, 1.0 - xx - yy]])
     across = jnp.eye(3) - jnp.outer(normal, normal)
     spread = across @ spread @ across
-    both = jnp.trace(spread)
-    more = safe_sqrt(2.0 * jnp.sum(spread * spread) - both * both)
-    largest = spread - 0.5 * (both - more) * across
+    both, more = _sum_and_difference(spread)
+    moves = both > STILL
+    some = _along_the_wall(normal)
+    spread = spread + drowned * drowned * jnp.outer(some, some)
+    of_both, of_more = _sum_and_difference(spread)
+    largest = spread - 0.5 * (of_both - of_more) * across
     x, y, z = (largest[i, i] for i in range(3))
     of_others = jnp.where(y >= z, largest[1], largest[2])
     column = jnp.where((x >= y) & (x >= z), largest[0], of_others)
-    there = both > STILL
     travel = safe_divide(column, safe_sqrt(jnp.sum(column * column)))
-    return jnp.where(there, travel, 0.0), jnp.where(there, safe_divide(more, both), 0.0)
+    return travel, jnp.where(moves, safe_divide(more, both), 0.0)
+
+
+def _sum_and_difference(spread: Float[Array, "3 3"]) -> tuple[Scalar, Scalar]:
+    """Of the two spreads that a plane tensor has."""
+    both = jnp.trace(spread)
+    return both, safe_sqrt(2.0 * jnp.sum(spread * spread) - both * both)
+
+
+def _along_the_wall(normal: Float[Array, "3"]) -> Float[Array, "3"]:
+    """A direction of length 1 across a normal, in the plane of the two axes nearest to it."""
+    x, y, z = normal
+    zero = jnp.zeros_like(x)
+    # Far from ties: a kernel and XLA must choose the same.
+    first = jnp.abs(x) * (1.0 + OFF_THE_TIES) >= jnp.abs(z)
+    way = jnp.where(first, jnp.stack([-y, x, zero]), jnp.stack([zero, -z, y]))
+    return safe_divide(way, safe_sqrt(jnp.sum(way * way)))

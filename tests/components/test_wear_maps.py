@@ -275,8 +275,9 @@ def test_direction_angle_is_finite_to_the_second_derivative(size):
 
 @pytest.mark.parametrize("half_arc", [1e-10, 1e-7, 1e-5, 1e-3])
 def test_a_ball_that_hardly_moves_wears_as_one_that_stands_still(half_arc):
-    """What is lost is cut into as many arcs as there are saving times. Cells a fifth of a radian
-    wide resolve none of these, and of the shortest rounding leaves no direction."""
+    """What is lost is cut into as many arcs as there are saving times. Cells two fifths of a radian
+    wide resolve none of these; of the shortest rounding leaves no direction, and in which one means
+    over cells are taken is told."""
     sphere = SphereMap((16, 8), radius=10e-3, clearance=1e-4)
     turns = np.linspace(-half_arc, half_arc, 201)
     elevation = 0.23
@@ -294,4 +295,4 @@ def test_a_ball_that_hardly_moves_wears_as_one_that_stands_still(half_arc):
 
     still = np.array([[level, 0.0, np.sin(elevation)]])
     found, wanted = lost(ways), lost(still)
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=3e-3 * wanted.max())
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-2 * wanted.max())

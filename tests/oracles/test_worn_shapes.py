@@ -202,6 +202,13 @@ def test_depth_of_a_ball_is_the_same_at_any_number_of_saves(way, within):
         assert np.sum(np.abs(found - wanted) * areas) < within * np.sum(wanted * areas)
 
 
+def test_depth_of_a_ball_on_coarse_cells_is_the_same_at_any_number_of_saves():
+    """Cells that resolve no arc, down to arcs of a hundredth of one, were worn 3.5 % less deep."""
+    wear_map = SphereMap((36, 18), RADIUS, CLEARANCE)
+    deepest = [np.max(_worn(wear_map, *ball_moved(saves, "eight"))) for saves in (50, 500, 2000)]
+    assert max(deepest) < 1.01 * min(deepest)
+
+
 @pytest.mark.parametrize("saves", [1, 24, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("around", [12, 72, pytest.param(200, marks=pytest.mark.slow)])
 def test_a_contact_that_turns_wears_evenly_at_any_resolution(around, saves):
