@@ -176,8 +176,8 @@ def _travel(
 ) -> tuple[Array, Scalar]:
     """(direction across the mean `normal` in which directions spread most, how much more there than
     across it relative to both) from the mean products of their components. Where they spread by
-    little beside an angle at which they are `drowned` [rad], it is the direction `_along_the_wall`: the mean over
-    a cell that is taken in it is that of its pressure, whichever it is."""
+    little beside an angle at which they are `drowned` [rad], it is that `_along_the_wall`: the mean
+    over a cell that is taken in it is that of its pressure, whichever it is."""
     xx, xy, xz, yy, yz = products
     spread = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, 1.0 - xx - yy]])
     across = jnp.eye(3) - jnp.outer(normal, normal)
