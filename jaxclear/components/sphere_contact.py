@@ -205,7 +205,6 @@ def _along_the_wall(normal: Float[Array, "3"]) -> Float[Array, "3"]:
     """A direction of length 1 across a normal, in the plane of the two axes nearest to it."""
     x, y, z = normal
     zero = jnp.zeros_like(x)
-    # Far from ties: a kernel and XLA must choose the same.
-    first = jnp.abs(x) * (1.0 + OFF_THE_TIES) >= jnp.abs(z)
+    first = jnp.abs(x) * OFF_THE_TIES >= jnp.abs(z)
     way = jnp.where(first, jnp.stack([-y, x, zero]), jnp.stack([zero, -z, y]))
     return safe_divide(way, safe_sqrt(jnp.sum(way * way)))
