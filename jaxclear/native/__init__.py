@@ -43,7 +43,8 @@ On its way a loop passes through these files:
 - `check`, with `by_numpy` and `numpy_indexing`: one turn of each new kernel on random numbers
   against NumPy, operation by operation, before it is used.
 - `verdicts`: which loops became kernels, and why others did not.
-- `pieces`: what XLA compiles for an accelerator, cut so that it works little out anew.
+- `pieces`: what XLA compiles for an accelerator, cut so that it works little out anew; `replay`: a
+  program gone through equation by equation.
 
 JAX's own loop is taken instead where a primitive has no rule, where the program is long, where the
 check fails, on an accelerator, for derivatives of the loops of a library and of functions of one

@@ -87,18 +87,19 @@ def _begun(constants: Sequence[Any]) -> Callable[[Table, Any], Any]:
 def reference_of_batch(*values: Any, program: Program, rank: int) -> list:
     """The same for batches of so many leading axes."""
     function = functools.partial(reference, program=program)
-    axes = [None if i in program.shared else 0 for i in range(len(values))]
-    for _ in range(rank):
-        function = _row_by_row(function, axes) if program.once else jax.vmap(function, axes)
-    return function(*values)
+    return _of_batch(function, _row_by_row if program.once else jax.vmap, values, program, rank)
 
 
 def reference_in_pieces(*values: Any, program: Program, rank: int) -> list:
     """The same for accelerators: samples side by side, programs `in_pieces`."""
     function = functools.partial(reference, program=program, function_of=in_pieces)
+    return _of_batch(function, jax.vmap, values, program, rank)
+
+
+def _of_batch(function, batched, values, program, rank):
     axes = [None if i in program.shared else 0 for i in range(len(values))]
     for _ in range(rank):
-        function = jax.vmap(function, axes)
+        function = batched(function, axes)
     return function(*values)
 
 

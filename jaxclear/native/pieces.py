@@ -13,7 +13,7 @@ from typing import Any
 import jax
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
-from jaxclear.native.calls import CALLS, called
+from jaxclear.native.replay import applied, known_first, read, replayed
 
 __all__ = ["in_pieces"]
 
@@ -22,6 +22,8 @@ __all__ = ["in_pieces"]
 WORK = 128
 # Programs that are kept.
 LATEST = 64
+# What loops call the program of a turn.
+TURNS = {"scan": "jaxpr", "while": "body_jaxpr"}
 # Operations whose results stand at other places than what they read, be the shapes alike or not,
 # and those that are compiled apart by themselves.
 MOVING = ("cumsum", "gather", "rev", "transpose")
@@ -35,7 +37,7 @@ def in_pieces(program: ClosedJaxpr) -> Callable[..., list]:
 
 @functools.lru_cache(maxsize=LATEST)
 def _cut(program: ClosedJaxpr) -> ClosedJaxpr:
-    return _traced(_with_barriers, _traced(_flat, program))
+    return _traced(_with_barriers, _traced(_written_out, program))
 
 
 def _traced(way: Callable, program: ClosedJaxpr) -> ClosedJaxpr:
@@ -43,41 +45,32 @@ def _traced(way: Callable, program: ClosedJaxpr) -> ClosedJaxpr:
     return jax.make_jaxpr(functools.partial(way, program))(*given)
 
 
-def _flat(program: ClosedJaxpr, *values: Any) -> list:
-    """With the functions that it calls written out."""
-    known = _Known(program, values)
-    for equation in program.jaxpr.eqns:
-        known.write(equation.outvars, _written_out(equation, known.read(equation.invars)))
-    return known.read(program.jaxpr.outvars)
+def _written_out(program: ClosedJaxpr, *values: Any) -> list:
+    return replayed(program, values)
 
 
-def _written_out(equation: Any, inputs: Sequence[Any]) -> Sequence[Any]:
-    if equation.primitive.name in CALLS:
-        return _flat(called(equation.params), *inputs)
-    return _applied(equation, inputs, equation.params)
-
-
-def _with_barriers(program: ClosedJaxpr, *values: Any) -> list:
-    jaxpr, known = program.jaxpr, _Known(program, values)
+def _with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
+    jaxpr, values = program.jaxpr, known_first(program, arguments)
     last = {v: i for i, e in enumerate(jaxpr.eqns) for v in _variables(e.invars)}
     last |= dict.fromkeys(_variables(jaxpr.outvars), len(jaxpr.eqns))
     # Of what the piece has worked out: the operations that one number takes, by their indices.
     piece: dict[Any, dict[int, int]] = {}
     for i, equation in enumerate(jaxpr.eqns):
-        parameters = dict(equation.params)
-        for name in ("body_jaxpr", "jaxpr"):
-            if equation.primitive.name in ("while", "scan") and name in parameters:
-                parameters[name] = _cut(parameters[name])
-        inputs = known.read(equation.invars)
-        known.write(equation.outvars, _applied(equation, inputs, parameters))
+        parameters, inputs = equation.params, read(equation.invars, values)
+        turn = TURNS.get(equation.primitive.name)
+        if turn is not None:
+            parameters = parameters | {turn: _cut(parameters[turn])}
+        found = applied(equation, inputs, parameters)
+        values |= dict(zip(equation.outvars, found, strict=True))
         work = _work(equation, i, piece)
         piece |= dict.fromkeys(equation.outvars, work)
         if sum(work.values()) >= WORK:
             handed_on = [v for v in piece if last.get(v, -1) > i]
             if handed_on:
-                known.write(handed_on, jax.lax.optimization_barrier(known.read(handed_on)))
+                held = jax.lax.optimization_barrier(read(handed_on, values))
+                values |= dict(zip(handed_on, held, strict=True))
             piece = {}
-    return known.read(jaxpr.outvars)
+    return read(jaxpr.outvars, values)
 
 
 def _work(equation: Any, index: int, piece: dict[Any, dict[int, int]]) -> dict[int, int]:
@@ -86,37 +79,18 @@ def _work(equation: Any, index: int, piece: dict[Any, dict[int, int]]) -> dict[i
     name, out = equation.primitive.name, equation.outvars[0].aval
     if name in APART:
         return {}
-    read = [piece[v] for v in _variables(equation.invars) if v in piece]
+    before = [piece[v] for v in _variables(equation.invars) if v in piece]
     shapes = [v.aval.shape for v in equation.invars if not isinstance(v, Literal)]
     if name not in MOVING and all(shape == out.shape for shape in shapes):
-        return functools.reduce(dict.__or__, read, {index: 1})
+        return functools.reduce(dict.__or__, before, {index: 1})
     times = 1
     if name == "dot_general":
         (summed, _), _ = equation.params["dimension_numbers"]
         times = math.prod(shapes[0][axis] for axis in summed)
     elif name.startswith("reduce_"):
         times = equation.invars[0].aval.size // max(out.size, 1)
-    return {index: 1 + times * sum(sum(each.values()) for each in read)}
+    return {index: 1 + times * sum(sum(each.values()) for each in before)}
 
 
 def _variables(atoms: Sequence[Any]) -> list:
     return [v for v in atoms if not isinstance(v, Literal)]
-
-
-class _Known:
-    """Values of a program's variables."""
-
-    def __init__(self, program: ClosedJaxpr, values: Sequence[Any]) -> None:
-        self.values = dict(zip(program.jaxpr.constvars, program.consts, strict=True))
-        self.write(program.jaxpr.invars, values)
-
-    def read(self, variables: Sequence[Any]) -> list:
-        return [v.val if isinstance(v, Literal) else self.values[v] for v in variables]
-
-    def write(self, variables: Sequence[Any], values: Sequence[Any]) -> None:
-        self.values.update(zip(variables, values, strict=True))
-
-
-def _applied(equation: Any, inputs: Sequence[Any], parameters: dict) -> Sequence[Any]:
-    found = equation.primitive.bind(*inputs, **parameters)
-    return found if equation.primitive.multiple_results else [found]

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from jaxclear.native import differentiation  # noqa: F401  (its rules)
-from jaxclear.native.calls import CALLS, called
 from jaxclear.native.loop import loop_p
 from jaxclear.native.program import Program, Table, loops_marked
+from jaxclear.native.replay import applied, replayed
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 
@@ -176,39 +176,20 @@ def with_fast_loops(function: Callable) -> Callable:
             found.jaxpr.replace(constvars=[], invars=[*found.jaxpr.constvars, *found.jaxpr.invars]),
             [],
         )
-        fast = jax.custom_jvp(lambda *values: _replay(program, values))
+        fast = jax.custom_jvp(lambda *values: replayed(program, values, _loops_bound))
         fast.defjvp(lambda values, tangents: jax.jvp(jaxpr_as_fun(program), values, tangents))
         return jax.tree.unflatten(kept["structure"], fast(*found.consts, *leaves))
 
     return wrapped
 
 
-def _replay(program: ClosedJaxpr, arguments: list) -> list:
-    jaxpr = program.jaxpr
-    values = dict(
-        zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True)
-    )
-
-    def get(atom):
-        return jnp.asarray(atom.val, atom.aval.dtype) if isinstance(atom, Literal) else values[atom]
-
-    for equation in jaxpr.eqns:
-        inputs, p = [get(atom) for atom in equation.invars], equation.params
-        if equation.primitive.name == "while":
-            counts = p["cond_nconsts"], p["body_nconsts"]
-            out = loop_p.bind(
-                *inputs, program=Program(p["cond_jaxpr"], p["body_jaxpr"], *counts), rank=0
-            )
-        elif equation.primitive.name in CALLS:
-            inner = called(p)
-            out = _replay(
-                inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, []), inputs
-            )
-        else:
-            out = equation.primitive.bind(*inputs, **p)
-            out = out if equation.primitive.multiple_results else [out]
-        values |= dict(zip(equation.outvars, out, strict=True))
-    return [get(atom) for atom in jaxpr.outvars]
+def _loops_bound(equation: Any, inputs: list) -> Sequence[Any]:
+    p = equation.params
+    if equation.primitive.name != "while":
+        return applied(equation, inputs, p)
+    counts = p["cond_nconsts"], p["body_nconsts"]
+    program = Program(p["cond_jaxpr"], p["body_jaxpr"], *counts)
+    return loop_p.bind(*inputs, program=program, rank=0)
 
 
 def _open(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:

@@ -273,8 +273,10 @@ def test_direction_angle_is_finite_to_the_second_derivative(size):
         assert np.all(np.isfinite(jax.jit(function)(place)))
 
 
-@pytest.mark.parametrize("half_arc", [1e-10, 1e-7, 1e-5, 1e-3])
-def test_a_ball_that_hardly_moves_wears_as_one_that_stands_still(half_arc):
+@pytest.mark.parametrize(
+    "half_arc, within", [(1e-10, 1e-6), (1e-7, 1e-6), (1e-5, 1e-6), (1e-3, 2e-2)]
+)
+def test_a_ball_that_hardly_moves_wears_as_one_that_stands_still(half_arc, within):
     """What is lost is cut into as many arcs as there are saving times. Cells two fifths of a radian
     wide resolve none of these; of the shortest rounding leaves no direction, and in which one means
     over cells are taken is told."""
@@ -295,4 +297,4 @@ def test_a_ball_that_hardly_moves_wears_as_one_that_stands_still(half_arc):
 
     still = np.array([[level, 0.0, np.sin(elevation)]])
     found, wanted = lost(ways), lost(still)
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-2 * wanted.max())
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=within * wanted.max())

@@ -11,6 +11,7 @@ from jax.extend.core import Literal
 import jaxclear as jc
 from jaxclear.native import pieces
 from jaxclear.native.loop import reference_in_pieces, reference_of_batch
+from jaxclear.native.replay import replayed
 from jaxclear.native.while_loops import while_loop
 
 
@@ -84,7 +85,7 @@ def most_work(program):
 def test_a_piece_ends_before_work_is_done_many_times():
     whole = jax.make_jaxpr(turned)(jnp.ones(3))
     cut = jax.make_jaxpr(in_pieces_of(turned))(jnp.ones(3))
-    flat = jax.make_jaxpr(lambda x: pieces._flat(whole, x))(jnp.ones(3))
+    flat = jax.make_jaxpr(lambda x: replayed(whole, [x]))(jnp.ones(3))
     # An operation of three terms that reads others of fewer than `WORK`.
     assert most_work(cut) < 10 * pieces.WORK < 1e-6 * most_work(flat)
 
