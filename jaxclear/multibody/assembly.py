@@ -91,7 +91,7 @@ def assemble_arrays(
         # What is told of other joints than those of the tree first, so that the search for closed
         # loops begins where it was told.
         q, _ = jax.lax.scan(approach, q, length=ITERATIONS)
-    if asked.system.topology.redundancy is not None:
+    if asked.system.topology.depend:
         # Far from closed, redundant rows contradict each other.
         q = closest(asked, q, time)
     q, _ = jax.lax.scan(improve, q, length=ITERATIONS)
@@ -216,7 +216,7 @@ def ready(
     known, start, sound = _known(bare, start, sound, 0.0, judged)
     if not sound:
         start_check.refuse(known, start)
-    warn_of_nearer_assembly(known, start, judged)
+    warn_of_nearer_assembly(known if known.topology.depend else bare, start, judged)
     return known, start
 
 
@@ -239,7 +239,7 @@ def _known(
     bare: Mechanism, start: Start, sound: Any, time: Any, assembled: Callable
 ) -> tuple[Mechanism, Start, Any]:
     """The mechanism with its redundancy, the start, and whether it is sound, assembled anew where
-    rows are redundant: closed by as many as are independent."""
+    rows depend on each other: closed by as many as are independent."""
     if not bare.topology.loops:
         return bare, start, sound
     place = start
@@ -248,9 +248,9 @@ def _known(
     elif not redundancy.is_suspect(bare, start):
         return bare, start, sound
     known = with_redundancy(bare, redundancy.redundancy(bare, place, time))
-    if known is not bare:
+    if known.topology.depend:
         return known, *assembled(known)
-    if sound:
+    if sound and redundancy.depend(start):
         warnings.warn(
             "the mechanism stands at a position in which the rows of its loops depend on each "
             "other (links in one line, say): it can leave it in more than one way, and a run from "
@@ -259,7 +259,7 @@ def _known(
         )
     # Rows that nearly depend on each other lead a search astray: what is missed is told from where
     # it is least.
-    return bare, min(start, place, key=start_check.open_by), sound
+    return known, min(start, place, key=start_check.open_by), sound
 
 
 def determined(

@@ -10,10 +10,11 @@ themselves that these rows allow.
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.ground import sparse as sp
@@ -32,7 +33,7 @@ from jaxclear.multibody.start_equations import (
     speed_scales,
     stacked,
 )
-from jaxclear.multibody.topology import Redundancy
+from jaxclear.multibody.topology import Redundancy, Topology
 
 # A singular value this share of the largest, or less, is zero. Near a position where rows are
 # dependent they are so to first order in the distance (`MOVED`); where they always are, to what
@@ -46,25 +47,47 @@ ITERATIONS = 30
 CLOSED, NEAR = 1e-9, 0.5
 
 
-class Place(NamedTuple):
-    """A position with closed loops: coordinates, time [s], Jacobian of all rows that motion
-    changes, beside lengths and turns that count alike, and its rank."""
+class Row(NamedTuple):
+    """A row of the loop that `joint` closes: its name, its place in the closure, that of the
+    closure; `fixed`: no motion changes it."""
 
-    coordinates: Any
-    time: Any
-    jacobian: np.ndarray
-    rank: int
+    joint: str
+    name: str
+    place: int
+    closure: int
+    fixed: bool
+
+
+class Place(NamedTuple):
+    """A position with closed loops: the Jacobian (moving rows, v), beside lengths and turns that
+    count alike; by connection the forces and torques (rows, 6) through it that are in equilibrium
+    with a force 1 in a row [N, N m]; the longest arm [m]."""
+
+    jacobian: Any
+    through: dict[str, Any]
+    arm: Any
+
+    @property
+    def rank(self) -> int:
+        """Of the Jacobian."""
+        return _rank(np.asarray(self.jacobian))
 
 
 def is_suspect(mechanism: Mechanism, start: Start) -> bool:
     """Whether rows may be redundant: no motion changes some, or some follow from the others at the
     start."""
-    names = mechanism.topology.loops
     fixed = _counts_fixed(mechanism) and any(
-        len(start.residuals[n]) > len(start.jacobians[n]) for n in names
+        len(start.residuals[name]) > len(start.jacobians[name])
+        or (len(_held(mechanism, name)) > len(start.jacobians[name]) and _in_space(mechanism, name))
+        for name in mechanism.topology.loops
     )
-    jacobian = np.concatenate([np.asarray(start.jacobians[n]) for n in names])
-    return fixed or _rank(jacobian) < len(jacobian)
+    return fixed or depend(start)
+
+
+def depend(start: Start) -> bool:
+    """Whether rows that motion changes follow from others at the start."""
+    jacobian = np.concatenate([np.asarray(own) for own in start.jacobians.values()])
+    return _rank(jacobian) < len(jacobian)
 
 
 def _counts_fixed(mechanism: Mechanism) -> bool:
@@ -74,36 +97,73 @@ def _counts_fixed(mechanism: Mechanism) -> bool:
     return not any(isinstance(joint, AbstractRubbingJoint) for joint in joints)
 
 
+def _held(mechanism: Mechanism, loop: str) -> tuple[str, ...]:
+    """The rows that close a loop."""
+    return mechanism.connections[loop].joint.rows
+
+
+def _in_space(mechanism: Mechanism, loop: str) -> bool:
+    """Whether a loop may be loaded across the plane of its motion: rows that say nothing are held
+    there too."""
+    topology, closing = mechanism.topology, mechanism.connections[loop]
+    ends = {topology.index(marker.body) for marker in (closing.parent, closing.child)}
+    return any(
+        len(mechanism.bodies[topology.branches[i].body].inertia) > 1
+        for subtree in topology.subtrees
+        if ends & {*subtree}
+        for i in subtree
+    )
+
+
 def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | None:
     """What is redundant in the loops of a mechanism with numbers; None where rows depend on each
     other at this position only."""
-    asked = ask(mechanism, False)
-    place = _most_of_rank(asked, start, time)
-    rows = list(_rows(asked, place))
+    rows = eqx.filter_eval_shape(_rows, mechanism, start.coordinates, time)
     moving = [row for row in rows if not row.fixed]
-    if place.rank == len(rows):
-        return None
-    follow = [own for own, new in zip(moving, _new(place.jacobian), strict=True) if not new]
-    extra = [row for row in rows if row.fixed or row in follow]
-    named = tuple((row.joint, row.name) for row in extra)
-    return Redundancy(place.rank, named, _undetermined(asked, place, rows))
+    rank, follow, joints = len(moving), [], _around(mechanism, {r.joint for r in rows if r.fixed})
+    if depend(start):
+        place = _most_of_rank(mechanism, rows, start, time)
+        rank, joints = place.rank, _undetermined(mechanism, rows, place)
+        new = _new(np.asarray(place.jacobian))
+        follow = [row for row, says in zip(moving, new, strict=True) if not says]
+    extra = tuple((row.joint, row.name) for row in rows if row.fixed or row in follow)
+    return Redundancy(rank, bool(follow), extra, joints) if extra else None
 
 
-def _most_of_rank(asked: Ask, start: Start, time: Any) -> Place:
+def _around(mechanism: Mechanism, loops: set[str]) -> tuple[str, ...]:
+    """The joints of these loops: what is in equilibrium with itself passes through all of them."""
+    topology, found = mechanism.topology, set(loops)
+    for loop in loops:
+        closing = mechanism.connections[loop]
+        ways = [_inboard(topology, end.body) for end in (closing.parent, closing.child)]
+        found |= {*ways[0]} ^ {*ways[1]}
+    return tuple(name for name in mechanism.connections if name in found)
+
+
+def _inboard(topology: Topology, body: str) -> Iterator[str]:
+    """The branches between a body and the ground."""
+    index = topology.index(body)
+    if index is not None:
+        yield topology.branches[index].name
+        yield from _inboard(topology, topology.branches[index].parent)
+
+
+def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, time: Any) -> Place:
     """The start, or the position near it in which the rows are of a larger rank."""
-    scales, arm = np.asarray(speed_scales(asked)), float(asked.arm)
-    best = _place(asked, start.coordinates, time)
+    scales = np.asarray(speed_scales(ask(mechanism, False)))
+    best = _place(mechanism, rows, start.coordinates, time)
+    arm = float(best.arm)
     free = np.linalg.svd(best.jacobian)[2][best.rank :]
     random = np.random.default_rng(0)
-    times = (LATER if asked.mechanism.driven else LATER[:1]) if len(scales) else ()
+    times = (LATER if mechanism.driven else LATER[:1]) if len(scales) else ()
     for later in times:
         for _ in range(DIRECTIONS if len(free) else 1):
             way = random.normal(size=len(free)) @ free
             step = MOVED * way / max(np.linalg.norm(way), 1e-300) * scales
-            q, left = _moved(asked.mechanism, start.coordinates, jnp.asarray(step), time + later)
+            q, left = _moved(mechanism, start.coordinates, jnp.asarray(step), time + later)
             apart = np.max(np.abs(np.asarray(q - start.coordinates)), initial=0.0)
             if float(left) <= CLOSED * max(arm, 1.0) and apart <= NEAR * max(arm, 1.0):
-                place = _place(asked, q, time + later)
+                place = _place(mechanism, rows, q, time + later)
                 best = place if place.rank > best.rank else best
     return best
 
@@ -123,15 +183,23 @@ def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Arra
 
 
 @compiled_quickly
-def _jacobian(mechanism: Mechanism, q: Array, time: Any) -> Float[Array, "rows v"]:
+def _place(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> Place:
     asked = ask(mechanism, False)
+    system = asked.system
+    motions = _motions(asked, q, time)
     loops = [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
-    return stacked(asked, loops)[0] * speed_scales(asked)
 
+    def through(forces):
+        own: tuple[dict[int, Any], ...] = tuple({} for _ in system.closures)
+        for row, force in zip(rows, forces, strict=True):
+            own[row.closure][row.place] = force
+        closing, inboard = constraints.wrenches_of_rows(system, motions, own)
+        names = (*system.topology.loops, *(branch.name for branch in system.topology.branches))
+        acting = zip(names, (*closing, *inboard), strict=True)
+        return {name: sp.stack((*wrench.force, *wrench.torque)) for name, wrench in acting}
 
-def _place(asked: Ask, q: Array, time: Any) -> Place:
-    jacobian = np.asarray(_jacobian(asked.mechanism, q, time))
-    return Place(q, time, jacobian, _rank(jacobian))
+    jacobian = stacked(asked, loops)[0] * speed_scales(asked)
+    return Place(jacobian, jax.vmap(through)(jnp.eye(len(rows))), asked.arm)
 
 
 def _rank(rows: np.ndarray) -> int:
@@ -153,51 +221,32 @@ def _new(jacobian: np.ndarray) -> Iterator[bool]:
     return (rank > before for rank, before in zip(ranks, [0, *ranks], strict=False))
 
 
-class Row(NamedTuple):
-    """A row of the loop that `joint` closes: its name, its place in the closure, that of the
-    closure; `fixed`: no motion changes it."""
-
-    joint: str
-    name: str
-    place: int
-    closure: int
-    fixed: bool
-
-
-def _rows(asked: Ask, place: Place) -> Iterator[Row]:
-    """The rows of all loops, those that no motion changes included where they say something."""
-    motions, fixed = _motions(asked, place), _counts_fixed(asked.mechanism)
-    system = asked.system
-    for k, (joint, closure) in enumerate(zip(system.topology.loops, system.closures, strict=True)):
-        found = constraints.constraint_rows(system, motions, closure)
-        counted = {*found.kept, *(found.fixed if fixed else ())}
-        for i in sorted(counted):
-            yield Row(joint, closure.rows[i], i, k, i in found.fixed)
+def _rows(mechanism: Mechanism, q: Array, time: Any) -> tuple[Row, ...]:
+    """The rows of all loops, those that no motion changes included where they say something or may
+    be loaded."""
+    asked, counts_fixed, rows = ask(mechanism, False), _counts_fixed(mechanism), []
+    motions = _motions(asked, q, time)
+    loops = zip(asked.system.topology.loops, asked.system.closures, strict=True)
+    for k, (joint, closure) in enumerate(loops):
+        found = constraints.constraint_rows(asked.system, motions, closure)
+        held = range(len(closure.rows)) if _in_space(mechanism, joint) else found.fixed
+        counted = sorted({*found.kept, *(held if counts_fixed else ())})
+        rows += [Row(joint, closure.rows[i], i, k, i not in found.kept) for i in counted]
+    return tuple(rows)
 
 
-def _motions(asked: Ask, place: Place) -> tuple:
-    still = jnp.zeros(asked.system.topology.speed_count)
-    return motions_at(asked, place.coordinates, still, place.time)[2]
+def _motions(asked: Ask, q: Array, time: Any) -> tuple:
+    return motions_at(asked, q, jnp.zeros(asked.system.topology.speed_count), time)[2]
 
 
-def _undetermined(asked: Ask, place: Place, rows: list[Row]) -> tuple[str, ...]:
-    """Joints through which forces can pass that are in equilibrium with themselves."""
-    system, motions = asked.system, _motions(asked, place)
+def _undetermined(mechanism: Mechanism, rows: tuple[Row, ...], place: Place) -> tuple[str, ...]:
+    """Joints through which forces can pass that are in equilibrium with themselves: of more than
+    rounding, beside forces and torques on the longest arm of about 1."""
     jacobian = np.zeros((len(rows), place.jacobian.shape[1]))
     jacobian[[not row.fixed for row in rows]] = place.jacobian
-    found: set[str] = set()
-    for forces in np.linalg.svd(jacobian.T)[2][place.rank :]:
-        own: tuple[dict[int, Any], ...] = tuple({} for _ in system.closures)
-        for row, force in zip(rows, forces, strict=True):
-            own[row.closure][row.place] = force
-        closing, through = constraints.wrenches_of_rows(system, motions, own)
-        names = (*system.topology.loops, *(branch.name for branch in system.topology.branches))
-        acting = zip(names, (*closing, *through), strict=True)
-        found |= {name for name, wrench in acting if _acts(asked, *wrench)}
-    return tuple(name for name in asked.mechanism.connections if name in found)
-
-
-def _acts(asked: Ask, force: sp.Vec, torque: sp.Vec) -> bool:
-    """Whether a wrench is there, beside forces and torques on the longest arm of about 1."""
-    size = max(float(np.max(np.abs(np.asarray(sp.stack(part))))) for part in (force, torque))
-    return size > DEPENDENT * min(1.0, float(asked.arm))
+    ways = np.linalg.svd(jacobian.T)[2][place.rank :]
+    least = DEPENDENT * min(1.0, float(place.arm))
+    largest = {
+        n: np.abs(ways @ np.asarray(own)).max(initial=0.0) for n, own in place.through.items()
+    }
+    return tuple(name for name in mechanism.connections if largest.get(name, 0.0) > least)

@@ -52,7 +52,7 @@ class ClosureCoordinate(eqx.Module):
 class System(eqx.Module):
     """Links in the topology's order, loop closures and the joints that make them, clearance joints
     and loads; `measured`: joints outside the tree on whose coordinate loads act. `arm` [m]: the
-    longest, where loops have redundant rows; None elsewhere.
+    longest, where rows of loops depend on each other; None elsewhere.
     """
 
     links: tuple[Link, ...]
@@ -114,7 +114,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     measured = _measured(mechanism, places)
     loaded = (loads, measured, markers, gravity)
     system = System(tuple(links), closures, closing, bearings, *loaded, None, topology)
-    if topology.redundancy is None:
+    if not topology.depend:
         return system
     return dataclasses.replace(system, arm=longest_arm(system))
 

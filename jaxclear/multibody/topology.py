@@ -46,11 +46,13 @@ class Branch:
 @dataclass(frozen=True)
 class Redundancy:
     """What is too much in the loops of a mechanism that moves all the same: of the rows that motion
-    changes only `rank` are independent; `rows` (joint, row) follow from the others, and the
-    reactions of `joints` are not unique.
+    changes only `rank` are independent, all or, where they `depend` on each other, fewer; `rows`
+    (joint, row) follow from the others or are never changed, and the reactions of `joints` are not
+    unique.
     """
 
     rank: int
+    depend: bool
     rows: tuple[tuple[str, str], ...]
     joints: tuple[str, ...]
 
@@ -87,6 +89,11 @@ class Topology:
     coordinate_count: int
     speed_count: int
     redundancy: Redundancy | None = None
+
+    @property
+    def depend(self) -> bool:
+        """Whether rows of loops that motion changes are known to depend on each other."""
+        return self.redundancy is not None and self.redundancy.depend
 
     def branch_of(self, connection: str) -> Branch | None:
         """The branch held by a connection, or None where it closes a loop or has clearance."""

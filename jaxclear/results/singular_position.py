@@ -48,7 +48,7 @@ def singular_position(history: StateHistory, ended: Any) -> SingularPosition | N
     """The singular position at which a run ended; None where there is none, and for linkages whose
     rows depend on each other everywhere."""
     topology = history.mechanism.topology
-    if not topology.loops or topology.redundancy is not None:
+    if not topology.loops or topology.depend:
         return None
     mechanism, states, times = constant((history.mechanism, history.states, history.time))
     last = int(np.searchsorted(np.asarray(times), float(ended), side="right")) - 1

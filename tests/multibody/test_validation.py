@@ -33,10 +33,12 @@ def rig(
     return jc.Mechanism({"arm": arm() if body is None else body}, {"pin": pin}, loads, **changes)
 
 
-def four_bar(joint=jc.joint.Revolute, places=2, last=(0.4, 0.0, 0.0), drives=(), **changes):
+def four_bar(
+    joint=jc.joint.Revolute, places=2, last=(0.4, 0.0, 0.0), drives=(), inertia=None, **changes
+):
     """Crank, coupler and rocker; `places` numbers each, all joints alike."""
     corner = lambda *x: tuple(x[:places]) if places == 2 else x
-    inertia = 1e-2 if places == 2 else (1e-2, 1e-2, 1e-2)
+    inertia = inertia or (1e-2 if places == 2 else (1e-2, 1e-2, 1e-2))
     drive = {name: jc.drive.ConstantSpeed(1.0) for name in drives}
     make = lambda name: joint(drive=drive[name]) if name in drive else joint()
     return jc.Mechanism(
@@ -419,12 +421,17 @@ def test_trajectory_refuses(question, trajectory):
 @pytest.mark.filterwarnings("ignore:guess=.* has led to")
 @pytest.mark.parametrize(
     ("build", "rows"),
-    [(lambda: four_bar(places=3), {"z"}), (over_driven, {"x", "y", "z"})],
-    ids=["planar loop in space", "held and driven"],
+    [
+        (lambda: four_bar(places=3), {"z", "x.z", "y.z"}),
+        (lambda: four_bar(places=2, inertia=(1e-2,) * 3), {"z", "x.z", "y.z"}),
+        (over_driven, {"x", "y", "z"}),
+    ],
+    ids=["planar loop in space", "its places two numbers each", "held and driven"],
 )
 def test_rows_that_follow_from_others_are_found(build, rows):
     found = ready(build())[0].topology.redundancy
     assert {name for _, name in found.rows} == rows
+    assert {*"OABD"} & {*build().connections} <= {*found.joints}
 
 
 def test_singular_position_is_no_superfluous_joint():

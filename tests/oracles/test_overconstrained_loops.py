@@ -244,6 +244,26 @@ def test_parallel_hinges_in_space_move_as_pins_in_the_plane():
     assert off(run) < 1e-9
 
 
+def test_forces_across_the_plane_are_not_unique():
+    """A pendulum on two parallel hinges, whose places are two numbers each, across gravity: statics
+    tells what both carry together, its weight, and nothing of how they share it."""
+    hinge = jc.joint.Revolute()
+    rig = jc.Mechanism(
+        {"bar": jc.Body(2.0, (1e-2, 1e-2, 1e-2), (0.1, 0.0))},
+        {
+            "left": jc.Connection(hinge, "ground", "bar"),
+            "right": jc.Connection(hinge, "ground", "bar"),
+        },
+        {"gravity": jc.load.Gravity((0.0, 0.0, -GRAVITY))},
+        speeds={"left": 1.0},
+    )
+    run = jc.simulate(rig, 0.01, save=2, integrator=PRECISE)
+    with pytest.warns(UserWarning, match='reaction of joint "(left|right)" is not unique'):
+        found = [run.reaction(name) for name in ("left", "right")]
+    assert not any(own.unique for own in found)
+    np.testing.assert_allclose(sum(own.force[:, 2] for own in found), 2.0 * GRAVITY, rtol=1e-12)
+
+
 A, B, ALPHA, BETA = 0.1, 0.1 * np.sin(1.1) / np.sin(0.5), 0.5, 1.1
 
 
