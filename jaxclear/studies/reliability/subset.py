@@ -136,8 +136,12 @@ def repetitions(
 
 
 def _scale(finite: np.ndarray) -> float:
-    """Deviation of the finite margins of a limit; 1 where there are none."""
-    return max(float(finite.std()), np.finfo(float).tiny) if len(finite) else 1.0
+    """Deviation of the finite margins of a limit; where it has none, as of a single one, what they
+    are; 1 where there are none, or nothing."""
+    if not len(finite):
+        return 1.0
+    largest, spread = float(np.abs(finite).max()), float(finite.std())
+    return spread if spread > np.finfo(float).eps * largest else largest or 1.0
 
 
 def _worst(margins: np.ndarray, cuts) -> np.ndarray:
