@@ -4,6 +4,8 @@
 LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
 JOINTS, LOADS, RUBBING, COLLARS = "joints", "loads and drives", "joints that rub", "collars"
 TOUCHING = "joints that always touch"
+UNHELD = "joints that always touch and that nothing holds along their axis"
+SLIDING = "journals that nothing holds along their axis"
 AGAIN = "with steps a quarter as long or shorter (tolerances 256 times tighter)"
 # Or where worn surfaces are updated half as often.
 OR_WORN = f"{AGAIN}, or worn surfaces updated half as often,"

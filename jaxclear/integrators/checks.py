@@ -283,5 +283,7 @@ class Check(AbstractCheck):
     # What the model leaves out.
     COULOMB_FRICTION = checks_of_models.COULOMB_FRICTION
     COLLAR_FORCE = checks_of_models.COLLAR_FORCE
+    UNHELD_FORCE = checks_of_models.UNHELD_FORCE
+    JOURNAL_REACH = checks_of_models.JOURNAL_REACH
     INDETERMINATE_FORCE = checks_of_models.INDETERMINATE_FORCE
     GAP_MOTION = checks_of_models.GAP_MOTION

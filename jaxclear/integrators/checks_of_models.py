@@ -22,6 +22,26 @@ COLLAR_FORCE = (
     'collars of joint "{place}" carry {figure:.2g} of its forces (limit {limit:g}), which is '
     "no contact force here, and rubs and wears nothing: take integrator.ImplicitStep",
 )
+UNHELD_FORCE = (
+    29,
+    "force along an unheld axis",
+    0.05,
+    "motion",
+    words.UNHELD,
+    'along the axis of joint "{place}" acts {figure:.2g} of its forces (limit {limit:g}), and '
+    "nothing holds its journal there but this model: give it a flange, or let it slide on "
+    "integrator.ImplicitStep",
+)
+JOURNAL_REACH = (
+    30,
+    "journal beyond its bearing",
+    0.05,
+    "motion",
+    words.SLIDING,
+    'the journal of joint "{place}" slides along its axis, out of {figure:.2g} of its bearing\'s '
+    "length (limit {limit:g}; it is taken to reach three lengths where its own is not given), and "
+    "contacts are told as if it still reached through: give it a flange, or its journal_length",
+)
 INDETERMINATE_FORCE = (
     27,
     "statically indeterminate force",

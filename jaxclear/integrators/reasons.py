@@ -59,6 +59,11 @@ REASONS: dict[Check, str] = {
         "error that runs have beside compliant ones, of LuGre half of it"
     ),
     Check.COLLAR_FORCE: "the accuracy of mean forces that NonColliding promises",
+    Check.UNHELD_FORCE: "as of collars; what is loaded there slides away",
+    Check.JOURNAL_REACH: (
+        "contact is told at the ends of the bearing: the lever between them is then off by a "
+        "fortieth of the bearing's length, half the accuracy of forces"
+    ),
     Check.INDETERMINATE_FORCE: (
         "the accuracy of mean forces that NonColliding promises: in spatial four-bars it was 0.44 "
         "and 0.62 where mean forces were 79 and 37 % off"

@@ -1,5 +1,8 @@
-"""What the collars of bearings carry that always touch: the reaction along the axis, which is not
-among their contact forces, rubs nothing and wears nothing.
+"""What holds journals along their axis: collars; in bearings that always touch the model, where
+there are none; else nothing.
+
+What collars carry that always touch is the reaction along the axis, which is not among their
+contact forces, rubs nothing and wears nothing.
 """
 
 import jax.numpy as jnp
@@ -8,6 +11,7 @@ from jaxtyping import Array, Float
 from jaxclear.formulations.base import ContactReport
 from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.multibody.system import System
 from jaxclear.simulation.gap_motion import in_gaps
 
 
@@ -17,13 +21,37 @@ def collared(model: Model) -> tuple[str, ...]:
     return tuple(name for name, gap in gaps.items() if getattr(gap, "flange", None) is not None)
 
 
+def unheld(model: Model) -> tuple[str, ...]:
+    """The bearings without collars that always touch, but for those whose reaction is not unique:
+    other joints may hold them along their axis."""
+    redundancy = model.system.topology.redundancy
+    others = () if redundancy is None else redundancy.joints
+    free = [name for name, gap in in_gaps(model).items() if gap.left(0.0) is not None]
+    return tuple(name for name in free if name not in others)
+
+
+def sliding(system: System) -> tuple[str, ...]:
+    """The bearings without collars whose journals move in their gaps."""
+    gaps = {name: one.joint for name, one in system.bearings.items()}
+    return tuple(name for name, gap in gaps.items() if gap.left(0.0) is not None)
+
+
 def pressed(reports: list[ContactReport]) -> Float[Array, "2 joints"]:
-    """Of joints that are told of at a look: force on its collars, and that of its contacts [N]."""
+    """Of joints that are told of at a look: force along the axis, and that of its contacts [N]."""
     along = [abs(jnp.asarray(report.force[2])) for report in reports]
     return jnp.stack([jnp.stack(along), jnp.stack([jnp.sum(r.normal_force) for r in reports])])
 
 
-def collar_forces(found: Float[Array, "looks 2 joints"]) -> Float[Array, " joints"]:
-    """By joint the share of all its forces that its collars carry."""
+def share_along(found: Float[Array, "looks 2 joints"]) -> Float[Array, " joints"]:
+    """By joint the share of all its forces that acts along its axis."""
     along, across = jnp.sum(found, axis=0)
     return safe_divide(along, along + across)
+
+
+def left(system: System, reports: dict[str, ContactReport]) -> Float[Array, " joints"]:
+    """By joint how much of its bearing a journal has left at a look, in lengths of the bearing."""
+    gaps = [system.bearings[name].joint for name in reports]
+    shares = [
+        gap.left(report.offset[2]) for gap, report in zip(gaps, reports.values(), strict=True)
+    ]
+    return jnp.stack([jnp.asarray(share, float) for share in shares])

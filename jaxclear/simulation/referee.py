@@ -25,9 +25,11 @@ from jaxclear.integrators.check_words import (
     JOINTS,
     LOOPS,
     RUBBING,
+    SLIDING,
     SPEEDS,
     SURFACES,
     TOUCHING,
+    UNHELD,
     WHOLE,
 )
 from jaxclear.integrators.checks import Check
@@ -35,7 +37,7 @@ from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.collars import collar_forces, collared, pressed
+from jaxclear.simulation.collars import collared, left, pressed, share_along, sliding, unheld
 from jaxclear.simulation.coulomb_friction import coulomb_friction, laws_of_others
 from jaxclear.simulation.coulomb_friction import taken as rubbed_as_coulombs
 from jaxclear.simulation.damper_steps import damper_step, damping
@@ -141,6 +143,8 @@ def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[s
         SURFACES: tuple(slot.bearing for slot in model.layout.wear),
         RUBBING: tuple(laws_of_others(model, formulation)),
         COLLARS: collared(model),
+        UNHELD: unheld(model),
+        SLIDING: sliding(model.system),
         TOUCHING: tuple(held.name for held in touching(model.system)),
         WHOLE: ("",),
     }
@@ -173,15 +177,15 @@ def _of_saved_states(looks: Looks) -> Seen:
     if "rubbed" in said:
         rubbed = said["rubbed"]
         of_run[Check.COULOMB_FRICTION] = coulomb_friction(rubbed, times)
-    if "collars" in said:
-        of_run[Check.COLLAR_FORCE] = collar_forces(said["collars"])
+    of_run |= {check: share_along(each) for check, each in said["along"].items()}
     if "gaps" in said:
         heavy = masses(in_gaps(model), looks.history.mechanism)
         of_run[Check.GAP_MOTION] = gap_motion(said["gaps"], times, heavy)
     if "shared" in said:
         of_run[Check.INDETERMINATE_FORCE] = indeterminate_forces(said["shared"])
-    if Check.DAMPER_STEP in told:
-        of_run[Check.DAMPER_STEP] = jnp.max(told[Check.DAMPER_STEP], axis=0, initial=0.0)
+    for check in (Check.DAMPER_STEP, Check.JOURNAL_REACH):
+        if check in told:
+            of_run[check] = jnp.max(told[check], axis=0, initial=0.0)
     return Seen(figures, of_run, verdict)
 
 
@@ -190,8 +194,9 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
     system, formulation = looks.model.system, looks.history.formulation
     slides, driven = bool(rubbing(looks.model)), looks.history.mechanism.driven
     sinks = bool(system.bearings) and not formulation.forces_are_means
-    others, collars = laws_of_others(looks.model, formulation), collared(looks.model)
-    gaps, mechanism = in_gaps(looks.model), looks.history.mechanism
+    others = laws_of_others(looks.model, formulation)
+    along = {Check.COLLAR_FORCE: collared(looks.model), Check.UNHELD_FORCE: unheld(looks.model)}
+    gaps, loose, mechanism = in_gaps(looks.model), sliding(system), looks.history.mechanism
 
     def judged(now: Instant, figures: Figures) -> dict[str, Any]:
         told: dict[Check, Array] = {}
@@ -211,7 +216,11 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
         # Worked out once, for all that ask.
         report = functools.cache(lambda name: formulation.contact(now, name))
         said |= {"rubbed": rubbed_as_coulombs(others, report)} if others else {}
-        said |= {"collars": pressed([report(name) for name in collars])} if collars else {}
+        said["along"] = {
+            k: pressed([report(n) for n in names]) for k, names in along.items() if names
+        }
+        if loose:
+            told[Check.JOURNAL_REACH] = left(system, {name: report(name) for name in loose})
         if gaps:
             said["gaps"] = placed({name: report(name) for name in gaps}, now, mechanism)
         sharing = shared(now, report, mechanism)

@@ -102,6 +102,44 @@ def test_collars_that_carry_say_so_where_a_joint_always_touches():
     assert any(sentence.startswith('Collars of joint "B"') for sentence in run.warnings)
 
 
+def spun(along=0.0, fast=0.0, **numbers):
+    joint = jc.clearance.JournalBearing(
+        CONTACT, bearing_radius=RADIUS, clearance=CLEARANCE, length=0.02, **numbers
+    )
+    return jc.Mechanism(
+        {"rotor": jc.Body(1.0, (1e-3,) * 3)},
+        {"B": jc.Connection(joint, "ground", "rotor")},
+        {"load": jc.load.Force(jc.Marker("rotor"), (0.0, -LOAD, along))},
+        speeds={"rotor": (0.0, 0.0, fast, 0.0, 0.0, 5.0)},
+    )
+
+
+def test_a_journal_that_only_the_model_holds_along_its_axis_says_so():
+    along = 0.25 * LOAD
+    run, share = figure(spun(along), STEPS["permanent"], Check.UNHELD_FORCE)
+    assert share == pytest.approx(along / (along + LOAD), rel=1e-6)
+    assert any("nothing holds its journal there" in sentence for sentence in run.warnings)
+    flange = jc.clearance.Flange(CONTACT, radius=1.4 * RADIUS, clearance=1e-4)
+    assert figure(spun(along, flange=flange), STEPS["permanent"], Check.UNHELD_FORCE)[1] is None
+
+
+@pytest.mark.parametrize("rung", ["compliant", "rigid"])
+@pytest.mark.parametrize(("journal_length", "reach"), [(None, 0.02), (0.03, 0.005)])
+def test_a_journal_that_slides_out_of_its_bearing_says_so(rung, journal_length, reach):
+    """It slides freely: after a time t it is v t along."""
+    rig = spun(fast=2.2, journal_length=journal_length)
+    steps = {"compliant": jc.integrator.Adaptive(), "rigid": STEPS["rigid"]}[rung]
+
+    def left(rig):
+        run = jc.simulate(rig, 0.01, integrator=steps, save=11, throw=False)
+        return run, float(jnp.max(run.checks.figures[Check.JOURNAL_REACH].worst))
+
+    run, share = left(rig)
+    assert share == pytest.approx((2.2 * 0.01 - reach) / 0.02, rel=1e-3)
+    assert any("slides along its axis, out of" in sentence for sentence in run.warnings)
+    assert left(spun(fast=0.4))[1] == 0.0
+
+
 @pytest.mark.parametrize("offset", [0.0, 0.02])
 def test_what_statics_does_not_tell_of_a_joint_that_always_touches_is_told(offset):
     """A spatial four-bar whose follower runs in another plane: the bearing between them carries

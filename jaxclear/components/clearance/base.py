@@ -78,6 +78,12 @@ class AbstractClearance(AbstractQuantified):
         count = len(self.contact_laws())
         return ("contact",) if count == 1 else tuple(f"contact {i}" for i in range(count))
 
+    def left(self, along: Any) -> Any:
+        """How much of the outer part the inner one has left that lies `along` [m] the joint's axis,
+        beside the outer one's length [1]; None where something holds it along the axis, or it has
+        none to slide along."""
+        return None
+
     @abstractmethod
     def indentations(
         self, offset: sp.Vec, axes: tuple[sp.Vec, ...], worn: dict[str, Any]

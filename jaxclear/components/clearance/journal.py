@@ -21,11 +21,14 @@ from jaxclear.components.clearance.roundness import Lobes, check_roundness
 from jaxclear.components.joint.rubbing import shared_by_ends
 from jaxclear.components.wear_map import CylinderMap, Wearing
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.numerics import positive_part, safe_divide
 from jaxclear.ground.quantity import Scalar, concrete, quantity
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.friction import AbstractFrictionLaw
 from jaxclear.laws.stiffness import Shape
+
+# How far a journal reaches whose length is not given, in lengths of its bearing [1].
+REACH = 3.0
 
 
 class PlanarJournalBearing(AbstractJournalBearing):
@@ -245,6 +248,12 @@ class JournalBearing(AbstractJournalBearing):
         gap = inner * (0.5 * length + self.flange.clearance) - 0.5 * outer * length
         sizes = lambda own: (own.flange.clearance, own.flange.radius)
         return eqx.tree_at(sizes, joint, (gap, inner * self.flange.radius))
+
+    def left(self, along):
+        if self.flange is not None:
+            return None
+        journal = REACH * self.length if self.journal_length is None else self.journal_length
+        return positive_part(abs(along) - 0.5 * (journal - self.length)) / self.length
 
     def axial_seat(self, force, slope):
         if self.flange is None or sp.is_zero(force):
