@@ -5,14 +5,20 @@ What collars carry that always touch is the reaction along the axis, which is no
 contact forces, rubs nothing and wears nothing.
 """
 
+from collections.abc import Iterable
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.base import ContactReport
-from jaxclear.formulations.model import Model
+from jaxclear.formulations.model import Instant, Model
+from jaxclear.formulations.permanent_reactions import touching
+from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import System
 from jaxclear.simulation.gap_motion import in_gaps
+from jaxclear.simulation.indeterminate import unmoved
 
 
 def collared(model: Model) -> tuple[str, ...]:
@@ -22,12 +28,18 @@ def collared(model: Model) -> tuple[str, ...]:
 
 
 def unheld(model: Model) -> tuple[str, ...]:
-    """The bearings without collars that always touch, but for those whose reaction is not unique:
-    other joints may hold them along their axis."""
-    redundancy = model.system.topology.redundancy
-    others = () if redundancy is None else redundancy.joints
-    free = [name for name, gap in in_gaps(model).items() if gap.left(0.0) is not None]
-    return tuple(name for name in free if name not in others)
+    """The bearings without collars that always touch."""
+    return tuple(name for name, gap in in_gaps(model).items() if gap.left(0.0) is not None)
+
+
+def by_others(now: Instant, mechanism: Mechanism, names: tuple[str, ...]) -> list[bool]:
+    """Whether other joints may hold these along their axis: what they carry there is not unique."""
+    redundancy, joints = now.model.system.topology.redundancy, touching(now.model.system)
+    open_ = set() if redundancy is None else {*redundancy.joints}
+    for reactions in unmoved(now, mechanism):
+        own = zip(joints, reactions, strict=True)
+        open_ |= {one.name for one, reaction in own if not sp.is_zero(reaction.force[2])}
+    return [name in open_ for name in names]
 
 
 def sliding(system: System) -> tuple[str, ...]:
@@ -36,9 +48,11 @@ def sliding(system: System) -> tuple[str, ...]:
     return tuple(name for name, gap in gaps.items() if gap.left(0.0) is not None)
 
 
-def pressed(reports: list[ContactReport]) -> Float[Array, "2 joints"]:
-    """Of joints that are told of at a look: force along the axis, and that of its contacts [N]."""
-    along = [abs(jnp.asarray(report.force[2])) for report in reports]
+def pressed(reports: list[ContactReport], counted: Iterable[bool]) -> Float[Array, "2 joints"]:
+    """Of joints that are told of at a look: force along the axis, if that is counted, and that of
+    its contacts [N]."""
+    forces = [report.force[2] if own else 0.0 for report, own in zip(reports, counted, strict=True)]
+    along = [abs(jnp.asarray(force, float)) for force in forces]
     return jnp.stack([jnp.stack(along), jnp.stack([jnp.sum(r.normal_force) for r in reports])])
 
 

@@ -30,10 +30,7 @@ def shared(
     least, as equal contacts between rigid bodies would. None where there are no such rows.
     `report`: what is told of a joint."""
     held = touching(now.model.system)
-    if not held:
-        return None
-    in_space = any(len(body.inertia) > 1 for body in mechanism.bodies.values())
-    rows = reactions_without_motion(now.model.system, now.motions, now.q, held, in_space)
+    rows = unmoved(now, mechanism) if held else []
     if not rows:
         return None
     reports = [report(one.name) for one in held]
@@ -53,6 +50,14 @@ def shared(
         sizes, changed = _sizes(force), _sizes(others)
         columns.append(jnp.stack([jnp.sum(sizes), jnp.sum(abs(changed - sizes))]))
     return jnp.stack(columns, axis=1)
+
+
+def unmoved(now: Instant, mechanism: Mechanism) -> list[tuple[Reaction, ...]]:
+    """For each row of a loop that no motion changes: what a force 1 in it adds to the reactions of
+    the joints that always touch [N, N m]."""
+    system = now.model.system
+    in_space = any(len(body.inertia) > 1 for body in mechanism.bodies.values())
+    return reactions_without_motion(system, now.motions, now.q, touching(system), in_space)
 
 
 def _on_ends(one: Any, reaction: Reaction) -> Float[Array, "ends 3"]:

@@ -37,7 +37,15 @@ from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import energy, kinematics, loops
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.collars import collared, left, pressed, share_along, sliding, unheld
+from jaxclear.simulation.collars import (
+    by_others,
+    collared,
+    left,
+    pressed,
+    share_along,
+    sliding,
+    unheld,
+)
 from jaxclear.simulation.coulomb_friction import coulomb_friction, laws_of_others
 from jaxclear.simulation.coulomb_friction import taken as rubbed_as_coulombs
 from jaxclear.simulation.damper_steps import damper_step, damping
@@ -195,7 +203,7 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
     slides, driven = bool(rubbing(looks.model)), looks.history.mechanism.driven
     sinks = bool(system.bearings) and not formulation.forces_are_means
     others = laws_of_others(looks.model, formulation)
-    along = {Check.COLLAR_FORCE: collared(looks.model), Check.UNHELD_FORCE: unheld(looks.model)}
+    collars, free = collared(looks.model), unheld(looks.model)
     gaps, loose, mechanism = in_gaps(looks.model), sliding(system), looks.history.mechanism
 
     def judged(now: Instant, figures: Figures) -> dict[str, Any]:
@@ -216,9 +224,13 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
         # Worked out once, for all that ask.
         report = functools.cache(lambda name: formulation.contact(now, name))
         said |= {"rubbed": rubbed_as_coulombs(others, report)} if others else {}
-        said["along"] = {
-            k: pressed([report(n) for n in names]) for k, names in along.items() if names
-        }
+        told_of = lambda names: [report(name) for name in names]
+        said["along"] = {}
+        if collars:
+            said["along"][Check.COLLAR_FORCE] = pressed(told_of(collars), [True] * len(collars))
+        if free:
+            counted = [not held for held in by_others(now, mechanism, free)]
+            said["along"][Check.UNHELD_FORCE] = pressed(told_of(free), counted)
         if loose:
             told[Check.JOURNAL_REACH] = left(system, {name: report(name) for name in loose})
         if gaps:

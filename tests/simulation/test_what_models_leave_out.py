@@ -8,6 +8,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators import Check
+from tests.rigs.overconstrained import parallel_cranks
 
 RADIUS, CLEARANCE, LOAD = 10e-3, 0.05e-3, 200.0
 CONTACT = jc.contact.HuntCrossley(stiffness=1e9, restitution=0.5)
@@ -121,6 +122,17 @@ def test_a_journal_that_only_the_model_holds_along_its_axis_says_so():
     assert any("nothing holds its journal there" in sentence for sentence in run.warnings)
     flange = jc.clearance.Flange(CONTACT, radius=1.4 * RADIUS, clearance=1e-4)
     assert figure(spun(along, flange=flange), STEPS["permanent"], Check.UNHELD_FORCE)[1] is None
+
+
+def test_a_journal_that_the_other_joints_of_its_loop_may_hold_says_nothing_of_its_axis():
+    """A coupler on two cranks, loaded across the plane of its motion: their feet carry it too."""
+    start = {"start": {"foot 0": 0.6}, "guess": {"foot 1": 0.6, "top 0": -0.6}}
+    rig = parallel_cranks(2, spatial=True, **start)
+    joint = jc.clearance.JournalBearing(CONTACT, bearing_radius=RADIUS, clearance=CLEARANCE)
+    across = jc.load.Force(jc.Marker("coupler", (0.0, 0.0, 0.0)), (0.0, 0.0, -LOAD))
+    rig = rig.with_joint("top 1", joint).with_loads({**rig.loads, "across": across})
+    run = jc.simulate(rig, 0.02, integrator=STEPS["permanent"], save=11, throw=False)
+    assert float(jnp.max(run.checks.figures[Check.UNHELD_FORCE].worst)) == 0.0
 
 
 @pytest.mark.parametrize("rung", ["compliant", "rigid"])
