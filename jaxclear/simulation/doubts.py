@@ -52,8 +52,9 @@ LOW_ORDER = 0.5
 # bearings, which pass them on, bring a run in doubt of whose impacts no figure tells: of 20 of
 # restitution 0.98 without friction each made errors grow by a half, and `Adaptive` was 60 % of the
 # clearance off; of a double pendulum 5 % after forty; a slider-crank with two bearings of
-# restitution 0.43 after some sixty (3187 steps) by 21 %, loosely by 1.6 clearances.
-BOUNCES = 500
+# restitution 0.43 after some sixty (3187 steps) by 21 %, loosely by 1.6 clearances; one with a
+# bearing of restitution 0.92 in a loose run of 449 steps by 15 %.
+BOUNCES = 250
 # And such steps without contacts: a bob that a stiff spring threw back some forty times was half of
 # its way off by a loose `Adaptive` (462 steps), 2 % by the default (1730), another 4 % (94); a
 # pendulum on a slide that is shaken fifteen times to and fro 12 % (114). Of steps of a given length

@@ -49,7 +49,7 @@ def test_bouncy_impacts_are_in_doubt_sooner(restitution, rise, doubted):
 
 @pytest.mark.parametrize(
     ("steps", "restitution", "bearings", "doubted"),
-    [(650, 0.95, 1, False), (750, 0.95, 1, True), (750, 0.9, 1, False), (750, 0.5, 2, True)],
+    [(400, 0.95, 1, False), (500, 0.95, 1, True), (500, 0.9, 1, False), (500, 0.5, 2, True)],
 )
 def test_many_bouncy_impacts_are_in_doubt(steps, restitution, bearings, doubted):
     """Steps that end at saving times tell of no impact; several bearings pass impacts on."""
