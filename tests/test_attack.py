@@ -7,7 +7,7 @@ import pytest
 
 import jaxclear as jc
 from benchmarks import attack
-from benchmarks.attacks import laws, verdicts
+from benchmarks.attacks import laws, merged, verdicts
 from benchmarks.attacks.answers import RESPONSES
 from benchmarks.attacks.attempts import Finding, attempt
 from benchmarks.attacks.kept import keep, known
@@ -103,6 +103,17 @@ def test_what_is_kept_is_what_was_found(tmp_path):
 
 
 @pytest.mark.slow
+def test_tables_of_several_attacks_are_added_up():
+    def table(right, warned, wrong):
+        counts = {"runs": right + wrong, "right": right, "silently wrong": wrong}
+        row = counts | {"right, yet warned [%]": 100 * warned / right}
+        return [{"rung": "default"} | row, {"rung": "all"} | row]
+
+    added = merged.added([table(8, 2, 1), table(4, 1, 0)])
+    wanted = {"runs": 13, "right": 12, "silently wrong": 1, "right, yet warned [%]": 25.0}
+    assert added == [{"rung": "default"} | wanted, {"rung": "all"} | wanted]
+
+
 def test_quick_attack_finds_no_wrong_number_of_the_default_without_a_sentence():
     rows = [
         row
