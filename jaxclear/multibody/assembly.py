@@ -91,8 +91,8 @@ def assemble_arrays(
         # What is told of other joints than those of the tree first, so that the search for closed
         # loops begins where it was told.
         q, _ = jax.lax.scan(approach, q, length=ITERATIONS)
-    if asked.system.topology.depend:
-        # Far from closed, redundant rows contradict each other.
+    if asked.system.topology.searched:
+        # Far from closed, redundant rows contradict each other, and others may lead astray.
         q = closest(asked, q, time)
     q, _ = jax.lax.scan(improve, q, length=ITERATIONS)
     # The second time for rounding only: rates are linear in the speeds.
@@ -216,7 +216,7 @@ def ready(
     known, start, sound = _known(bare, start, sound, 0.0, judged)
     if not sound:
         start_check.refuse(known, start)
-    warn_of_nearer_assembly(known if known.topology.depend else bare, start, judged)
+    warn_of_nearer_assembly(known if known.topology.searched else bare, start, judged)
     return known, start
 
 
@@ -239,7 +239,8 @@ def _known(
     bare: Mechanism, start: Start, sound: Any, time: Any, assembled: Callable
 ) -> tuple[Mechanism, Start, Any]:
     """The mechanism with its redundancy, the start, and whether it is sound, assembled anew where
-    rows depend on each other: closed by as many as are independent."""
+    rows depend on each other, closed by as many as are independent, and where a damped search
+    closes loops that were not."""
     if not bare.topology.loops:
         return bare, start, sound
     place = start
@@ -247,9 +248,15 @@ def _known(
         place = _closest(bare, time)
     elif not redundancy.is_suspect(bare, start):
         return bare, start, sound
-    known = with_redundancy(bare, redundancy.redundancy(bare, place, time))
+    found = redundancy.redundancy(bare, place, time)
+    known = with_redundancy(bare, found)
     if known.topology.depend:
         return known, *assembled(known)
+    if not sound and start_check.open_by(place) == 0 < start_check.open_by(start):
+        far = with_redundancy(bare, redundancy.searched(found, start))
+        other, closed = assembled(far)
+        if closed:
+            return far, other, closed
     if sound and redundancy.depend(start):
         warnings.warn(
             "the mechanism stands at a position in which the rows of its loops depend on each "

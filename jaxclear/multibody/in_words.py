@@ -38,7 +38,7 @@ def in_words(mechanism: Any) -> str:
     if mechanism.topology.loops and mechanism.stabilisation is not None:
         held = mechanism.stabilisation
         lines.append(f"loops held by {public_name(type(held))} {_numbers(held)}".rstrip())
-    if mechanism.topology.redundancy is not None:
+    if mechanism.topology.overconstrained:
         lines.append(str(mechanism.topology.redundancy))
     return "\n".join(lines)
 

@@ -7,6 +7,7 @@ Rows beyond it are redundant, and reactions are unique but for the forces in equ
 themselves that these rows allow.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -128,6 +129,12 @@ def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | No
         follow = [row for row, says in zip(moving, new, strict=True) if not says]
     extra = tuple((row.joint, row.name) for row in rows if row.fixed or row in follow)
     return Redundancy(rank, bool(follow), extra, joints) if extra else None
+
+
+def searched(known: Redundancy | None, start: Start) -> Redundancy:
+    """The same of loops that are closed by a damped search only."""
+    rank = sum(len(own) for own in start.jacobians.values())
+    return dataclasses.replace(known or Redundancy(rank, False), far=True)
 
 
 def _around(mechanism: Mechanism, loops: set[str]) -> tuple[str, ...]:

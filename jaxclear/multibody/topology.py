@@ -48,13 +48,14 @@ class Redundancy:
     """What is too much in the loops of a mechanism that moves all the same: of the rows that motion
     changes only `rank` are independent, all or, where they `depend` on each other, fewer; `rows`
     (joint, row) follow from the others or are never changed, and the reactions of `joints` are not
-    unique.
+    unique. `far`: whether the loops are closed from the guess by a damped search only.
     """
 
     rank: int
     depend: bool
-    rows: tuple[tuple[str, str], ...]
-    joints: tuple[str, ...]
+    rows: tuple[tuple[str, str], ...] = ()
+    joints: tuple[str, ...] = ()
+    far: bool = False
 
     def __str__(self) -> str:
         """The same as a sentence."""
@@ -94,6 +95,16 @@ class Topology:
     def depend(self) -> bool:
         """Whether rows of loops that motion changes are known to depend on each other."""
         return self.redundancy is not None and self.redundancy.depend
+
+    @property
+    def searched(self) -> bool:
+        """Whether loops are closed by a damped search first."""
+        return self.redundancy is not None and (self.redundancy.depend or self.redundancy.far)
+
+    @property
+    def overconstrained(self) -> bool:
+        """Whether rows of loops are known to be too many."""
+        return self.redundancy is not None and bool(self.redundancy.rows)
 
     def branch_of(self, connection: str) -> Branch | None:
         """The branch held by a connection, or None where it closes a loop or has clearance."""

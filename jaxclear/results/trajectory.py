@@ -129,8 +129,9 @@ class Trajectory(AbstractShown):
             return repr(self)
         steps = f"{int(self.accepted_steps)} steps, {len(self.time)} saved instants"
         lines = [self.result, f"{float(self.ended):.6g} s in {steps}.", str(self.checks)]
-        redundancy = self.mechanism.topology.redundancy
-        return "\n".join(lines if redundancy is None else [*lines, f"The loops are {redundancy}"])
+        topology = self.mechanism.topology
+        known = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
+        return "\n".join([*lines, *known])
 
     def state_names(self) -> list[str]:
         """Names of the columns of `states`."""

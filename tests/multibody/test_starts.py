@@ -50,6 +50,37 @@ def test_the_derivative_of_a_start_is_that_of_its_differences(kind, length):
         np.testing.assert_allclose(derivative, differences, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.parametrize("inertia", [1e-3, (1e-3, 1e-3, 1e-3)], ids=["plane", "space"])
+def test_loops_that_are_far_from_closed_close_in_runs_and_in_studies(inertia):
+    """Three of forty guesses drawn at random ended in a dead point that is none."""
+    link = lambda mass, far: jc.Body(mass, inertia, (far, 0.0))
+    turning = jc.joint.Revolute(drive=jc.drive.ConstantSpeed(20.0))
+    rocker, ground = jc.Marker("rocker", (0.25, 0.0)), jc.Marker("ground", (0.3, 0.0))
+    rig = jc.Mechanism(
+        {"crank": link(0.5, 0.05), "rod": link(1.0, 0.15), "rocker": link(0.7, 0.1)},
+        {
+            "O": jc.Connection(turning, "ground", "crank"),
+            "A": jc.Connection(jc.joint.Revolute(), "crank", "rod", at=(0.1, 0.0)),
+            "B": jc.Connection(jc.joint.Revolute(), "rod", "rocker", at=(0.3, 0.0)),
+            "D": jc.Connection(jc.joint.Revolute(), ground, rocker),
+        },
+        guess={"A": -1.12901129, "D": -0.46004131},
+    )
+    problem = jc.Problem(
+        rig,
+        {"turned": jc.response.FinalCoordinate("A")},
+        {"mass": jc.Variable(lambda rig: rig.bodies["rod"].mass, tolerance=0.1)},
+        duration=0.01,
+    )
+    # How far the rod is turned about the crank where the three other sides are as long.
+    gap = 0.3 - 0.1
+    told = np.arccos((gap**2 + 0.3**2 - 0.25**2) / (2 * gap * 0.3))
+    assert abs(float(jc.assemble(rig).coordinates[0])) == pytest.approx(told, abs=1e-9)
+    run = jc.simulate(rig, 0.01, save=2, integrator=problem.integrator)
+    found = problem.evaluate(problem.nominal()).responses["turned"]
+    assert float(found) == pytest.approx(float(run.coordinate("A")[-1, 0]), abs=1e-9)
+
+
 def test_a_batch_of_starts_calls_no_factorisation_of_another_library():
     """Two threads whose batched factorisations meet there wait for each other for ever."""
     for rig in (jc.scenes.antenna(), jc.scenes.four_bar("ideal")):
