@@ -102,7 +102,6 @@ def test_what_is_kept_is_what_was_found(tmp_path):
     assert known(file, attack.Row) == {"17": [row], "18": []}
 
 
-@pytest.mark.slow
 def test_tables_of_several_attacks_are_added_up():
     def table(right, warned, wrong):
         counts = {"runs": right + wrong, "right": right, "silently wrong": wrong}
@@ -114,6 +113,7 @@ def test_tables_of_several_attacks_are_added_up():
     assert added == [{"rung": "default"} | wanted, {"rung": "all"} | wanted]
 
 
+@pytest.mark.slow
 def test_quick_attack_finds_no_wrong_number_of_the_default_without_a_sentence():
     rows = [
         row

@@ -49,10 +49,12 @@ class Redundancy:
     changes only `rank` are independent, all or, where they `depend` on each other, fewer; `rows`
     (joint, row) follow from the others or are never changed, and the reactions of `joints` are not
     unique. `far`: whether the loops are closed from the guess by a damped search only.
+
+    States saved before 0.26 do not say whether rows depend: then it is taken so.
     """
 
     rank: int
-    depend: bool
+    depend: bool = True
     rows: tuple[tuple[str, str], ...] = ()
     joints: tuple[str, ...] = ()
     far: bool = False
