@@ -1,5 +1,5 @@
-"""Whether statics tells what joints carry that touch all the time: not where rows of loops depend
-on each other, or where no motion changes them.
+"""Whether statics tells what joints carry that touch all the time: not where rows of loops are
+redundant, or where no motion changes them.
 """
 
 from jaxclear.formulations.permanent_reactions import (
@@ -17,9 +17,8 @@ class ReactionNotUnique(ValueError):
 
 
 def check_unique(system: System) -> None:
-    """Raises `ReactionNotUnique` where friction would hang on a reaction that is not unique. By how
-    much, where no motion changes rows, is measured on the run (`simulation.indeterminate`)."""
-    redundancy = system.topology.redundancy if system.topology.depend else None
+    """Raises `ReactionNotUnique` where friction would hang on a reaction that is not unique."""
+    redundancy = system.topology.redundancy
     for held in touching(system):
         rubs = held.joint.friction is not None
         if redundancy is not None and rubs and held.name in redundancy.joints:

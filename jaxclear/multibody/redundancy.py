@@ -20,7 +20,7 @@ from jaxtyping import Array
 from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
-from jaxclear.multibody import constraints
+from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
     LOOP,
@@ -34,7 +34,7 @@ from jaxclear.multibody.start_equations import (
     speed_scales,
     stacked,
 )
-from jaxclear.multibody.topology import Redundancy, Topology
+from jaxclear.multibody.topology import Redundancy
 
 # A singular value this share of the largest, or less, is zero. Near a position where rows are
 # dependent they are so to first order in the distance (`MOVED`); where they always are, to what
@@ -50,13 +50,14 @@ CLOSED, NEAR = 1e-9, 0.5
 
 class Row(NamedTuple):
     """A row of the loop that `joint` closes: its name, its place in the closure, that of the
-    closure; `fixed`: no motion changes it."""
+    closure; `fixed`: no motion changes it; the joints `around` the loop."""
 
     joint: str
     name: str
     place: int
     closure: int
     fixed: bool
+    around: tuple[str, ...]
 
 
 class Place(NamedTuple):
@@ -121,7 +122,10 @@ def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | No
     other at this position only."""
     rows = eqx.filter_eval_shape(_rows, mechanism, start.coordinates, time)
     moving = [row for row in rows if not row.fixed]
-    rank, follow, joints = len(moving), [], _around(mechanism, {r.joint for r in rows if r.fixed})
+    # What is in equilibrium with itself passes through all joints of its loop.
+    acting = {name for row in rows if row.fixed for name in row.around}
+    joints = tuple(name for name in mechanism.connections if name in acting)
+    rank, follow = len(moving), []
     if depend(start):
         place = _most_of_rank(mechanism, rows, start, time)
         rank, joints = place.rank, _undetermined(mechanism, rows, place)
@@ -135,24 +139,6 @@ def searched(known: Redundancy | None, start: Start) -> Redundancy:
     """The same of loops that are closed by a damped search only."""
     rank = sum(len(own) for own in start.jacobians.values())
     return dataclasses.replace(known or Redundancy(rank, False), far=True)
-
-
-def _around(mechanism: Mechanism, loops: set[str]) -> tuple[str, ...]:
-    """The joints of these loops: what is in equilibrium with itself passes through all of them."""
-    topology, found = mechanism.topology, set(loops)
-    for loop in loops:
-        closing = mechanism.connections[loop]
-        ways = [_inboard(topology, end.body) for end in (closing.parent, closing.child)]
-        found |= {*ways[0]} ^ {*ways[1]}
-    return tuple(name for name in mechanism.connections if name in found)
-
-
-def _inboard(topology: Topology, body: str) -> Iterator[str]:
-    """The branches between a body and the ground."""
-    index = topology.index(body)
-    if index is not None:
-        yield topology.branches[index].name
-        yield from _inboard(topology, topology.branches[index].parent)
 
 
 def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, time: Any) -> Place:
@@ -232,13 +218,18 @@ def _rows(mechanism: Mechanism, q: Array, time: Any) -> tuple[Row, ...]:
     """The rows of all loops, those that no motion changes included where they say something or may
     be loaded."""
     asked, counts_fixed, rows = ask(mechanism, False), _counts_fixed(mechanism), []
-    motions = _motions(asked, q, time)
-    loops = zip(asked.system.topology.loops, asked.system.closures, strict=True)
+    system, motions = asked.system, _motions(asked, q, time)
+    loops = zip(system.topology.loops, system.closures, strict=True)
     for k, (joint, closure) in enumerate(loops):
-        found = constraints.constraint_rows(asked.system, motions, closure)
+        ways = [kinematics.ancestry(system, x) for x in (closure.parent_link, closure.child_link)]
+        around = [system.topology.branches[i].name for i in {*ways[0]} ^ {*ways[1]}]
+        found = constraints.constraint_rows(system, motions, closure)
         held = range(len(closure.rows)) if _in_space(mechanism, joint) else found.fixed
         counted = sorted({*found.kept, *(held if counts_fixed else ())})
-        rows += [Row(joint, closure.rows[i], i, k, i not in found.kept) for i in counted]
+        rows += [
+            Row(joint, closure.rows[i], i, k, i not in found.kept, (joint, *around))
+            for i in counted
+        ]
     return tuple(rows)
 
 
