@@ -59,7 +59,7 @@ def compiled(kind, integrator):
             for kind in JOINTS
         ),
         pytest.param("planar", "fixed", marks=pytest.mark.slow),
-        ("ball", "fixed"),
+        pytest.param("ball", "fixed", marks=pytest.mark.slow),
     ],
 )
 def test_run_ends_or_says_why(kind, integrator):

@@ -15,10 +15,8 @@ def worn(draw, integrator):
     return float(jc.response.WornVolume("B")(run_of(5, draw, integrator)))
 
 
-@pytest.mark.parametrize(
-    ("draw", "step", "most"),
-    [pytest.param(27, 5e-6, 4e-3, marks=pytest.mark.slow), (25, 2e-6, 2e-4)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("draw", "step", "most"), [(27, 5e-6, 4e-3), (25, 2e-6, 2e-4)])
 def test_wear_of_bristles_does_not_hang_on_where_in_steps_touches_fall(draw, step, most):
     """It was 1.8 % off in steps of 5 us, and 0.1 % in steps of 2 us."""
     found, exact = worn(draw, jc.integrator.FixedStep(step)), worn(draw, TIGHT)

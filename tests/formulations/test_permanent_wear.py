@@ -62,20 +62,14 @@ def hertz(stiffness):
     return jc.contact.HuntCrossley(stiffness=stiffness, restitution=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "law", "load"),
     [
-        pytest.param(
-            jc.clearance.PlanarJournalBearing, hertz(SOFT), 2000.0, marks=pytest.mark.slow
-        ),
+        (jc.clearance.PlanarJournalBearing, hertz(SOFT), 2000.0),
         (jc.clearance.PlanarJournalBearing, hertz(STIFF), 200.0),
-        pytest.param(jc.clearance.JournalBearing, hertz(STIFF), 2000.0, marks=pytest.mark.slow),
-        pytest.param(
-            jc.clearance.JournalBearing,
-            jc.contact.Liu(restitution=0.1),
-            2000.0,
-            marks=pytest.mark.slow,
-        ),
+        (jc.clearance.JournalBearing, hertz(STIFF), 2000.0),
+        (jc.clearance.JournalBearing, jc.contact.Liu(restitution=0.1), 2000.0),
     ],
 )
 def test_a_loaded_bearing_wears_as_deep_as_its_contact_law_lets_it_sink(kind, law, load):

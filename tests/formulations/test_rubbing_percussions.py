@@ -140,9 +140,8 @@ def test_friction_in_a_mechanism_is_that_of_joints_that_always_touch_to_the_firs
     assert wanted > 1e-3 and errors[1] < 0.5 * errors[0] < 2e-3
 
 
-@pytest.mark.parametrize(
-    "name", ["driven", *(pytest.param(n, marks=pytest.mark.slow) for n in RIGS if n != "driven")]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RIGS)
 def test_derivatives_are_those_of_differences(name):
     """At a coefficient with which nothing changes its way at the end of a step. Where a drive says
     how the mechanism moves, the derivative of its motion is rounding, which follows no step."""

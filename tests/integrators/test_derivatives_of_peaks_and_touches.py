@@ -59,6 +59,7 @@ def answers(asked, discrete=False):
     return of
 
 
+@pytest.mark.slow
 def test_a_lossless_bounce_has_the_derivatives_of_its_closed_form():
     """It touches after c / v and parts pi / omega later; at most the force is omega m v."""
     speed, omega = -0.2, 3e3
@@ -141,7 +142,7 @@ def test_discrete_derivatives_of_peaks_and_instants_are_those_of_the_discrete_ru
 @pytest.mark.parametrize(
     "integrator",
     [
-        jc.integrator.Adaptive(),
+        pytest.param(jc.integrator.Adaptive(), marks=pytest.mark.slow),
         pytest.param(jc.integrator.FixedStep(5e-6), marks=pytest.mark.slow),
         pytest.param(jc.integrator.FixedStep(5e-6, "heun"), marks=pytest.mark.slow),
         jc.integrator.ImplicitStep(1e-5),
@@ -185,6 +186,7 @@ def test_slopes_of_a_peak_do_not_hang_on_where_saving_times_fall(integrator, law
         np.testing.assert_allclose(slopes(saves), seldom, rtol=5e-3, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_peak_with_which_a_run_ends_has_the_derivative_of_the_force_at_that_time():
     """The contact is still pressed harder and harder: later touches press less by then, which at a
     highest point of the path they would not."""

@@ -71,6 +71,7 @@ def test_loads_on_a_joint_do_not_depend_on_which_joint_closes_the_loop():
         assert abs(balance.error).max() < 1e-9 * balance.potential.max()
 
 
+@pytest.mark.slow
 def test_loads_on_a_tight_bearing_do_as_those_on_the_ideal_joint():
     ideal = ran(slider_crank("B", *wound("A")))
     tight = ran(slider_crank("B", *wound("A"), A=BEARING), jc.integrator.FixedStep(2e-6))

@@ -50,7 +50,11 @@ def test_the_derivative_of_a_start_is_that_of_its_differences(kind, length):
         np.testing.assert_allclose(derivative, differences, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("inertia", [1e-3, (1e-3, 1e-3, 1e-3)], ids=["plane", "space"])
+@pytest.mark.parametrize(
+    "inertia",
+    [pytest.param(1e-3, marks=pytest.mark.slow), (1e-3, 1e-3, 1e-3)],
+    ids=["plane", "space"],
+)
 def test_loops_that_are_far_from_closed_close_in_runs_and_in_studies(inertia):
     """Three of forty guesses drawn at random ended in a dead point that is none."""
     link = lambda mass, far: jc.Body(mass, inertia, (far, 0.0))

@@ -117,6 +117,7 @@ def test_what_is_asked_of_columns_is_what_their_loops_work_out(built):
     assert all(each.shape != (200,) for each in built[0].body.in_avals)
 
 
+@pytest.mark.slow
 def test_a_response_pays_for_no_derivative_that_it_does_not_ask_for(built):
     """Where a damping contact is pressed hardest is followed and differentiated for the peak's
     sake: the place at the end does without."""

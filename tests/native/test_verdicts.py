@@ -67,6 +67,7 @@ def test_a_number_of_another_process_says_so():
     assert "another process" in explain(-1)
 
 
+@pytest.mark.slow
 def test_a_run_tells_in_its_stats(monkeypatch):
     rig = jc.scenes.slider_crank(friction=False)
     go = lambda step: jc.simulate(rig, 1e-3, save=3, integrator=jc.integrator.FixedStep(step)).stats
@@ -94,6 +95,7 @@ def test_a_disagreement_that_does_not_recur_is_rounding(refused, factor, monkeyp
     assert sentence == KERNELS if len(refused) == 1 else "does not agree with NumPy" in sentence
 
 
+@pytest.mark.slow
 def test_the_adaptive_four_bar_has_a_kernel():
     run = jc.simulate(jc.scenes.four_bar(), 1e-3, save=2, integrator=jc.integrator.Adaptive())
     assert run.stats.loops == KERNELS

@@ -192,6 +192,7 @@ def busy_slider_crank():
     )
 
 
+@pytest.mark.slow
 def test_energy_balance_closes_with_everything_switched_on():
     """1e-9 of the energy put in; the energies are integrated beside the motion and do not choose
     the steps.

@@ -153,6 +153,7 @@ def test_two_balls():
     agree_on_beads(REFERENCE["two_balls"], mechanism, gamma=1.5)
 
 
+@pytest.mark.slow
 def test_column_of_beads():
     agree_on_beads(
         REFERENCE["column_of_beads"],
@@ -201,6 +202,7 @@ def woodpecker(case):
     return np.vstack([first[0], q]), np.vstack([first[1], v])
 
 
+@pytest.mark.slow
 def test_woodpecker():
     case = REFERENCE["woodpecker"]
     q, v = woodpecker(case)

@@ -65,6 +65,7 @@ def test_a_pin_pressed_one_way_wears_the_area_between_two_circles(depth, angle):
     np.testing.assert_allclose(found.sum() * cylinder(240).areas()[0, 0], volume, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_depth_converges_with_the_cells():
     """With an elastic contact, whose width the cells resolve, the order is above 1; a volume that
     went into the cells about the contact would be twice as deep on twice as many."""
@@ -160,7 +161,8 @@ def moved(saves, swing, turns, fine=20_000):
     return jnp.asarray(1e-13 * volumes / lost.sum()), jnp.asarray(means)[:, None]
 
 
-@pytest.mark.parametrize("swing, turns", [pytest.param(1.5, 0, marks=pytest.mark.slow), (1.0, 1)])
+@pytest.mark.slow
+@pytest.mark.parametrize("swing, turns", [(1.5, 0), (1.0, 1)])
 def test_depth_is_the_same_at_any_number_of_saves(swing, turns):
     """What is lost over an arc is its convolution with the contact's width, so arcs add up; those
     widened by the contact were off by 6 and 12 %."""
@@ -202,6 +204,7 @@ def test_depth_of_a_ball_is_the_same_at_any_number_of_saves(way, within):
         assert np.sum(np.abs(found - wanted) * areas) < within * np.sum(wanted * areas)
 
 
+@pytest.mark.slow
 def test_depth_of_a_ball_on_coarse_cells_is_the_same_at_any_number_of_saves():
     """Cells that resolve no arc, down to arcs of a hundredth of one, were worn 3.5 % less deep."""
     wear_map = SphereMap((36, 18), RADIUS, CLEARANCE)
@@ -210,7 +213,9 @@ def test_depth_of_a_ball_on_coarse_cells_is_the_same_at_any_number_of_saves():
 
 
 @pytest.mark.parametrize("saves", [1, 24, pytest.param(100, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("around", [12, 72, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "around", [12, *(pytest.param(many, marks=pytest.mark.slow) for many in (72, 200))]
+)
 def test_a_contact_that_turns_wears_evenly_at_any_resolution(around, saves):
     """Mean directions of a contact that has gone through an arc between two saving times are
     shorter than one: by that the arc is known, and filled."""
@@ -227,6 +232,7 @@ def test_a_contact_that_turns_wears_evenly_at_any_resolution(around, saves):
     np.testing.assert_allclose(found.sum() * wear_map.areas()[0, 0], volume, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_ball_in_full_turn_wears_a_groove_that_is_its_own_circle():
     wear_map, saves, turns = SphereMap((96, 121), RADIUS, CLEARANCE), 60, 4
     depth = 20e-6
@@ -253,15 +259,9 @@ def test_a_ball_in_full_turn_wears_a_groove_that_is_its_own_circle():
     np.testing.assert_allclose(found.mean(axis=0), expected, atol=0.05 * depth)
 
 
-@pytest.mark.parametrize("around", [pytest.param(72, marks=pytest.mark.slow), 288])
-@pytest.mark.parametrize(
-    "volume",
-    [
-        pytest.param(2e-13, marks=pytest.mark.slow),
-        2e-11,
-        pytest.param(2e-10, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("around", [72, 288])
+@pytest.mark.parametrize("volume", [2e-13, 2e-11, 2e-10])
 def test_no_loss_however_large_digs_waves(around, volume):
     """A direction that wanders, and losses up to far beyond what the contact overlaps: the wall has
     no more ups and downs than the two places at which the direction turns back leave."""

@@ -34,7 +34,7 @@ def phases(rig, duration, saves):
     return jc.simulate(rig, duration, save=saves, integrator=tight).modes("B")
 
 
-@pytest.mark.parametrize("saves", [1001, 51])
+@pytest.mark.parametrize("saves", [pytest.param(1001, marks=pytest.mark.slow), 51])
 def test_instants_of_elastic_impacts(saves):
     """Straight flights of two clearances, and half a swing in the wall; also where a saving
     interval is a third of that."""
@@ -49,6 +49,7 @@ def test_instants_of_elastic_impacts(saves):
     np.testing.assert_allclose(found["approach speed [m/s]"][1], SPEED, rtol=10 * within)
 
 
+@pytest.mark.slow
 def test_instants_of_a_run_with_events_do_not_hang_on_its_saves():
     """Two saving intervals, each longer than two flights and an impact: by events the instants are
     those of the steps; without them a run says whose they are."""

@@ -131,6 +131,7 @@ def wobbling():
     return posed(q, 0.05 * DEVIATIONS * swing), q, 0.05 * DEVIATIONS * swing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned", [False, True])
 def test_adjoint_model_is_exact_to_first_order(turned):
     links = chain(antenna(turned=turned), "ground", TIP)
@@ -182,6 +183,7 @@ def test_product_of_exponentials_equals_scipy(turned):
     assert float(error.pointing_angle) == pytest.approx(np.arccos(displacement[2, 2]), rel=1e-10)
 
 
+@pytest.mark.slow
 def test_product_of_exponentials_equals_the_engine():
     ideal = antenna(jc.joint.Revolute(), jc.joint.Revolute(), start={"J1": Q[0], "J2": Q[1]})
     run = jc.simulate(
@@ -266,6 +268,7 @@ def test_nominal_motion_keeps_what_the_ideal_joint_leaves_free(joint, free):
         assert distance <= apart.min() and apart.min() < 1.2 * distance
 
 
+@pytest.mark.slow
 def test_nominal_motion_of_an_axis_that_stands_across_is_finite_with_its_derivative():
     """The child's z axis along the parent's x, to rounding and beyond: the shortest turn is not one
     but many, and the given pose is kept."""
@@ -389,6 +392,7 @@ def test_response_is_the_rms_or_the_peak(wobbling):
     )
 
 
+@pytest.mark.slow
 def test_simulated_journal_moves_the_tip_by_its_offset():
     joint = jc.clearance.PlanarJournalBearing(LAW, clearance=1e-3)
     rig = jc.Mechanism(

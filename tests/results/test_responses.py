@@ -47,10 +47,20 @@ def test_responses_are_what_their_names_say(run):
     ("contact", "integrator"),
     [
         (jc.contact.Flores(stiffness=1e9, restitution=0.2), jc.integrator.Adaptive()),
-        (jc.contact.KelvinVoigt(stiffness=1e7, damping=1e4), jc.integrator.FixedStep(2e-6)),
-        (jc.contact.AdamsImpact(stiffness=6e9), jc.integrator.FixedStep(2e-6, "munthe_kaas4")),
+        pytest.param(
+            jc.contact.KelvinVoigt(stiffness=1e7, damping=1e4),
+            jc.integrator.FixedStep(2e-6),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            jc.contact.AdamsImpact(stiffness=6e9),
+            jc.integrator.FixedStep(2e-6, "munthe_kaas4"),
+            marks=pytest.mark.slow,
+        ),
         (jc.contact.CarvalhoMartins(restitution=0.3), jc.integrator.ImplicitStep(2e-6)),
-        (jc.contact.Hertz(), jc.integrator.FixedStep(2e-6, "heun")),
+        pytest.param(
+            jc.contact.Hertz(), jc.integrator.FixedStep(2e-6, "heun"), marks=pytest.mark.slow
+        ),
     ],
     ids=["Flores", "KelvinVoigt", "AdamsImpact", "CarvalhoMartins", "Hertz"],
 )
@@ -88,7 +98,9 @@ def test_a_function_has_the_unit_and_the_needs_that_it_is_given(run):
 
 
 @pytest.mark.parametrize(
-    "integrator", [jc.integrator.FixedStep(5e-6), jc.integrator.Adaptive()], ids=["fixed", "own"]
+    "integrator",
+    [pytest.param(jc.integrator.FixedStep(5e-6), marks=pytest.mark.slow), jc.integrator.Adaptive()],
+    ids=["fixed", "own"],
 )
 def test_peaks_are_caught_between_the_saving_times(integrator):
     """Of impacts of 0.05 ms, one in forty was at a saving time: a tenth of the peak was told."""

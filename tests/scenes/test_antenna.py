@@ -80,6 +80,7 @@ def test_sliding_joints_equal_an_independent_solution(kind, ends, periodic):
     assert np.abs(wanted - slips(periodic["ideal"])[:301:10] / BEARING_RADIUS).max() > 100e-5
 
 
+@pytest.mark.slow
 def test_sticking_planar_joint_equals_an_independent_solution():
     """(a) A link on a rubbing pin that sticks at its turning points, against phases between located
     events.
@@ -155,6 +156,7 @@ def phases(slip):
     return [(a, b - 1) for a, b in edges if b - a >= 10]
 
 
+@pytest.mark.slow
 def test_coulomb_sticks_and_slips_where_the_regularised_law_creeps(stepped):
     """(c) Joint 1 under the step drive."""
     slip = slips(stepped)[:, 0]
@@ -193,7 +195,8 @@ def test_contact_situations_switch(stepped):
     assert len(stepped.switchings("J2")) >= 2
 
 
-@pytest.mark.parametrize("drive", ["periodic", pytest.param("step", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", ["periodic", "step"])
 def test_adjoint_model_agrees_to_second_order_in_the_clearance(drive, periodic, stepped):
     """(d) and (e)."""
     wide = periodic["spatial"] if drive == "periodic" else stepped

@@ -48,6 +48,7 @@ def test_the_shaft_keeps_its_speed_while_its_joint_is_free(run):
     assert change[~between].max() > 1e-3
 
 
+@pytest.mark.slow
 def test_joints_of_a_rigid_rod_carry_nearly_the_same(run):
     mean = {name: force.mean() for name, force in forces(run).items()}
     assert mean["J2"] == pytest.approx(mean["J1"], rel=0.03)
@@ -114,6 +115,7 @@ def test_a_joint_in_lasting_contact_moves_the_shaft_as_an_ideal_one(run, ideal):
     assert np.sqrt(np.mean(away**2)) < 0.08 * largest
 
 
+@pytest.mark.slow
 def test_implicit_steps_get_through_dampers_stiffer_than_the_springs(run):
     """With two iterations on the laws forces of a million times the true ones were left over."""
     for step, off, way in ((2e-5, 1e-3, 1e-2), (1e-4, 0.05, None)):

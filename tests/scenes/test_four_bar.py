@@ -134,6 +134,7 @@ def test_planar_and_spatial_bearings_agree_while_the_journal_stays_parallel():
     np.testing.assert_allclose(force[0][-8:], force[1][-8:], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_every_figure_is_drawn_and_named(runs, ideal):
     run = runs[CLEARANCES[-1]]
     figures = [

@@ -148,6 +148,7 @@ def test_a_journal_that_sinks_in_is_said_and_ends_the_run_beyond_its_radius(inte
     assert ended.outcome == Outcome.SUNK_IN and ended.ended < 0.02
 
 
+@pytest.mark.slow
 def test_shadows_do_not_touch_the_run():
     """The same saved states, bit for bit, as where no window lies before them."""
     rig = jc.scenes.slider_crank()

@@ -63,6 +63,7 @@ def test_a_drive_beyond_a_dead_point_ends_the_run_and_says_so(make, rung):
     assert 0.0 < float(run.ended) < 0.3
 
 
+@pytest.mark.slow
 def test_drives_within_reach_reach_their_end():
     for rig in (driven_slider(0.015), four_bar(0.1)):
         run = jc.simulate(rig, 0.1, save=11, integrator=RUNGS["fixed"])

@@ -28,7 +28,7 @@ def first_half(rig, integrator):
 @pytest.mark.parametrize(
     ("integrator", "within"),
     [
-        pytest.param(jc.integrator.FixedStep(STEP), 0.0, id="fixed"),
+        pytest.param(jc.integrator.FixedStep(STEP), 0.0, id="fixed", marks=pytest.mark.slow),
         pytest.param(
             jc.integrator.Adaptive(rtol=1e-9), 1e-5, id="adaptive", marks=pytest.mark.slow
         ),
@@ -52,6 +52,7 @@ def test_two_halves_are_the_whole(integrator, within):
     np.testing.assert_allclose(volumes[0][-1] + volumes[1][-1], volumes[2][-1], rtol=1e-12 + within)
 
 
+@pytest.mark.slow
 def test_problem_goes_on_as_simulate_does():
     rig, integrator = bearing(), jc.integrator.FixedStep(STEP)
     one = first_half(rig, integrator)

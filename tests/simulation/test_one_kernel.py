@@ -28,7 +28,7 @@ RUNGS = {
 }
 # Over some ten impacts rounding grows little.
 ROUNDING = 1e-9
-QUICK = ("implicit", "adaptive")
+QUICK = ("adaptive",)
 
 
 def told(rung, saves=jc.Saving(7), scene=jc.scenes.slider_crank):
@@ -82,6 +82,7 @@ def pressed_journal():
     return jc.Mechanism({"journal": jc.Body(1.0, 1e-3)}, joints, {"load": load})
 
 
+@pytest.mark.slow
 def test_what_fills_its_saving_interval_goes_on_from_the_runs_own_turn(monkeypatch):
     """Forces at the end of the run's own turn, beside those behind finer steps, are as they are
     where windows are gone through after the run."""

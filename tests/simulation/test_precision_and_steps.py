@@ -70,6 +70,7 @@ def test_steps_longer_than_the_saving_interval_are_said(integrator):
             problem(duration=1e-3, save=save, integrator=integrator)
 
 
+@pytest.mark.slow
 def test_steps_that_nobody_asked_for_are_not_said():
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)

@@ -42,12 +42,14 @@ def test_what_was_saved_at_times_that_are_moved_is_what_was_at_the_next():
     np.testing.assert_array_equal(kept.states, run.states[np.array(rows)])
 
 
+@pytest.mark.slow
 def test_a_path_that_hangs_on_when_surfaces_are_updated_is_said():
     """A journal thrown up and down sideways unstably, worn by 5e-8 m: beside a hundred times the
     saving times it is a fifth of its clearance elsewhere, of which shorter steps tell 0.02."""
     assert Check.PLACE_IN_GAP in beyond(run_of(2, 50, jc.integrator.Adaptive()))
 
 
+@pytest.mark.slow
 def test_mean_forces_that_agree_by_chance_where_paths_have_parted_are_said():
     """Of a spatial four-bar: 44.91 N, with steps a quarter as long 44.87 N, right is 46.10 N."""
     run = run_of(20, 51, jc.integrator.FixedStep(2e-5), balance=True)

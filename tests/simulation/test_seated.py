@@ -35,6 +35,7 @@ def slider_crank(kind=jc.clearance.PlanarJournalBearing, wear=True, push=-400.0)
     )
 
 
+@pytest.mark.slow
 def test_a_seated_journal_carries_its_reaction_from_the_first_instant_on():
     """That of the joint which always touches; from the middle it falls through its play first."""
     rig = slider_crank(wear=False)
@@ -110,6 +111,7 @@ def test_journals_that_their_loops_hold_back_rest_together():
     assert np.linalg.norm(found[:, :2], axis=1).min() > 0.5 * np.linalg.norm(wanted)
 
 
+@pytest.mark.slow
 def test_where_a_journal_lies_is_not_taken_for_the_length_of_a_link():
     """It is as long as the clearance, beside which every radius would look like a slip of unit."""
     pin = jc.clearance.PlanarJournalBearing(
@@ -172,7 +174,10 @@ def hung_door(friction):
     )
 
 
-@pytest.mark.parametrize("friction", [None, jc.friction.CoulombTanh(mu_kinetic=0.1)])
+@pytest.mark.parametrize(
+    "friction",
+    [None, pytest.param(jc.friction.CoulombTanh(mu_kinetic=0.1), marks=pytest.mark.slow)],
+)
 def test_what_rests_on_its_contacts_has_no_forces_that_steps_could_change(friction):
     """Implicit steps rest where their bias moves the door by b h g / 2, which is no speed; that
     half the steps halve this was said to change all the forces there are."""
@@ -183,6 +188,7 @@ def test_what_rests_on_its_contacts_has_no_forces_that_steps_could_change(fricti
     assert run.warnings == ()
 
 
+@pytest.mark.slow
 def test_a_mechanism_whose_numbers_jax_has_changed_is_seated_as_it_is():
     """JAX sorts the names of dictionaries, and the tree grows by their order: bodies had each
     other's places, 0.3 m deep in their bearings, and nothing was said."""

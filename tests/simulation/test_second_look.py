@@ -122,6 +122,7 @@ def test_runs_of_many_steps_and_steps_that_are_counted_are_not_gone_through_agai
         second_look.looked_at_again(run, step, again)
 
 
+@pytest.mark.slow
 def test_impacts_that_a_second_look_finds_right_are_not_accused_of_their_steps():
     """Indentations rise by more than the limit within a step, and the few impacts are right."""
     run = run_of(16, 2, jc.integrator.FixedStep())

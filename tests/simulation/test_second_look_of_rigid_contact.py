@@ -206,6 +206,7 @@ def test_what_two_parted_runs_agree_in_by_chance_is_said():
     assert max(answers) > 1.03 * min(answers) and Check.PARTED_FORCE in beyond(runs[0])
 
 
+@pytest.mark.slow
 def test_mean_forces_of_rigid_paths_that_have_parted_are_said():
     """A slider-crank whose journal is four fifths of its clearance elsewhere: the mean force is
     13 % off, and changes by 1.7 % where steps are a quarter as long."""

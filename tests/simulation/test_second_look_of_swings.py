@@ -10,6 +10,7 @@ from jaxclear.simulation.doubts import swings_on
 from tests.rigs.attacked import run_of
 
 
+@pytest.mark.slow
 def test_first_order_steps_whose_impacts_rise_little_are_looked_at_again():
     """Symplectic Euler in 1.6 us: the mean force is 11 % off, and indentations rise by 0.085."""
     steps = jc.integrator.FixedStep(1.63226e-06, method="semi_implicit")

@@ -58,6 +58,7 @@ def pressed(friction):
     )
 
 
+@pytest.mark.slow
 def test_slip_that_turns_round_is_as_fast_as_the_parts_are_turned():
     """At a radius of 0.01 m by 100 rad/s^2: slip by 1 m/s^2."""
     friction = jc.friction.Stribeck(mu_static=0.1, mu_kinetic=0.05)
@@ -70,8 +71,8 @@ def test_slip_that_turns_round_is_as_fast_as_the_parts_are_turned():
     "integrator",
     [
         jc.integrator.FixedStep(2e-5),
-        jc.integrator.ImplicitStep(1.1569e-5, rebound=1),
-        jc.integrator.Adaptive(rtol=1.6e-5, atol=1.6e-7),
+        pytest.param(jc.integrator.ImplicitStep(1.1569e-5, rebound=1), marks=pytest.mark.slow),
+        pytest.param(jc.integrator.Adaptive(rtol=1.6e-5, atol=1.6e-7), marks=pytest.mark.slow),
     ],
 )
 def test_friction_that_would_have_held_between_two_steps_is_said(integrator):

@@ -45,6 +45,7 @@ def told(model, angles, *numbers):
     return float(figures(model, begun, ended, states)[Check.WEAR_BY_SAVES][0])
 
 
+@pytest.mark.slow
 def test_places_between_which_a_contact_jumps_are_told_and_one_place_is_none(model):
     assert told(model, np.full(8, 0.3)) < 0.01
     assert told(model, np.tile([0.3, 2.1, 0.5, -0.4], 2)) > Check.WEAR_BY_SAVES.limit
@@ -125,6 +126,7 @@ def thrown():
     return run_of(8, 46, jc.integrator.Adaptive(rtol=1e-9, atol=1e-11))
 
 
+@pytest.mark.slow
 def test_places_that_hang_on_when_surfaces_are_updated_are_said():
     """The check of depths, which takes the motion as it was, tells nothing of that."""
     run = thrown()

@@ -45,7 +45,9 @@ def figure(rig, integrator, check=Check.COULOMB_FRICTION, duration=0.01):
     return run, None if found is None else float(jnp.max(found.worst))
 
 
-@pytest.mark.parametrize("law", [THREE_ZONES, jc.friction.Dahl()])
+@pytest.mark.parametrize(
+    "law", [pytest.param(THREE_ZONES, marks=pytest.mark.slow), jc.friction.Dahl()]
+)
 @pytest.mark.parametrize("rung", ["permanent", "rigid"])
 def test_a_joint_that_sticks_where_its_law_creeps_or_yields_says_so(rung, law):
     run, share = figure(pressed(law, torque=0.5 * 0.1 * LOAD * RADIUS), STEPS[rung])
@@ -53,6 +55,7 @@ def test_a_joint_that_sticks_where_its_law_creeps_or_yields_says_so(rung, law):
     assert any("taken as Coulomb" in sentence for sentence in run.warnings)
 
 
+@pytest.mark.slow
 def test_what_a_law_takes_beside_coulombs_is_told_as_large_as_it_is():
     """A heavy journal slides on at a speed at which friction is nearly static; a tight compliant
     run tells what its law takes there."""

@@ -150,6 +150,7 @@ def test_pathwise_knows_that_a_longer_fall_strikes_faster(name):
     assert "no other method has an answer" in alone.estimates["pathwise"].refusal
 
 
+@pytest.mark.slow
 def test_the_answer_through_a_bounce_is_that_of_the_closed_form():
     asked = problem(jc.integrator.FixedStep(1e-5), jc.contact.Linear(stiffness=OMEGA**2))
     found = eqx.filter_jit(asked.evaluate)(asked.nominal()).responses["height"]

@@ -216,6 +216,7 @@ def test_what_fails_seldom_is_not_called_beyond_reach(name):
         assert Reach(ByNumpy(*REACHABLE[name]), seed).beyond() == ""
 
 
+@pytest.mark.slow
 def test_without_slopes_a_surface_searches_and_runs_correct_it():
     problem = standard(not_differentiable, 3)
     assert any(problem.pathwise_limits())

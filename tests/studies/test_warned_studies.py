@@ -74,6 +74,7 @@ def test_shapley_effects_surface_and_what_corrects_it(problem, share):
     assert told(fresh.warnings, share, fresh.runs) and fresh.warnings[0] in str(fresh)
 
 
+@pytest.mark.slow
 def test_the_worst_case_tells_whose_run_warns(problem):
     found = jc.worst_case(problem, samples=32)
     drift = lambda values: problem.rerun(np.asarray(values), 0, 1).warnings
