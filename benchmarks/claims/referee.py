@@ -19,7 +19,15 @@ import jaxclear as jc
 from benchmarks.measure import about, arguments, report, side_by_side
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.integrators import fixed_step, implicit_step
-from jaxclear.simulation import loop, referee, second_look, spot_checks, turns, wear_by_saves
+from jaxclear.simulation import (
+    loop,
+    referee,
+    second_look,
+    spot_checks,
+    turns,
+    wear_by_cells,
+    wear_by_saves,
+)
 from jaxclear.simulation.simulate import saving_times
 
 FIXED, IMPLICIT, ADAPTIVE, PERMANENT = (
@@ -69,6 +77,7 @@ def unchecked() -> Iterator[None]:
         ),
         (turns, "followed", lambda tally, *_: tally),
         (wear_by_saves, "figures", lambda *_: {}),
+        (wear_by_cells, "figures", lambda *_: {}),
         (fixed_step.FixedStep, "_nothing_met", lambda *_: None),
         (implicit_step, "contacts_met", lambda met, *_: met),
     ]

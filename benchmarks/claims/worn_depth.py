@@ -7,6 +7,7 @@ times. And the 3RSR's socket, after a settled cycle and after a million. The ord
 three numbers of cells.
 """
 
+import itertools
 import math
 from typing import Any
 
@@ -19,13 +20,18 @@ import jaxclear as jc
 from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wear_map import AbstractWearMap, CylinderMap
+from jaxclear.integrators import Check
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.scenes.parallel_3rsr import QUIET, parallel_3rsr
+from jaxclear.simulation.wear_by_cells import narrowness
 
 RADIUS, LENGTH, CLEARANCE = 10e-3, 20e-3, 0.1e-3
 # Depth of the pin's scar [m], overlap of elastic contacts [m], fall of the tilted journal's [m].
 DEPTH, OVERLAP, FALL = 10e-6, 0.5e-6, 30e-6
 LOSSES, DIRECTION = 50, 0.31
+# Of what the figure of cells tells: shares of the volumes, directions, cells around.
+SHARES, DIRECTIONS = (0.01, 0.1, 1.0), (0.31, 0.35)
+OF_FIGURES, FINEST = (12, 18, 24, 36, 48, 72, 96, 144), 288
 # Of the four-bar: duration [s], saving times, cells around and along.
 SPAN, SAVES, GRIDS = 1.26, 631, ((18, 5), (36, 10), (72, 20), (144, 40), (288, 80))
 # Cells along that a tilted journal's scar needs, which is shorter than a millimetre of 20.
@@ -39,20 +45,26 @@ BALL_CELLS, MOST_OF_A_LIFE = (12, 24, 48, 96, 192, 384), 192
 SETTLED, BALL_SAVES, LIFE, CYCLES = 3, 200, 1e6, 160
 PARTS = {
     "given": "worn depth: walls",
+    "figure": "worn depth: the figure of cells",
     "four-bar": "worn depth: the four-bar",
     "along": "worn depth: the four-bar, finer along",
     "3RSR": "worn depth: the 3RSR",
 }
 
 
-def deepest(wear_map: AbstractWearMap, volume: float, place: tuple) -> float:
-    """Depth of the deepest cell [m] after the volume [m3] has been lost at one place."""
+def worn(wear_map: AbstractWearMap, volume: float, place: tuple) -> np.ndarray:
+    """Depths [m] after the volume [m3] has been lost at one place."""
     events = jnp.full((1,), volume / LOSSES), jnp.asarray(place)[None]
     lose = lambda _, depth: wear_map.deposit(depth, *events)
     depth = jax.jit(lambda: jax.lax.fori_loop(0, LOSSES, lose, jnp.zeros(wear_map.cells)))()
     found = float(jnp.sum(depth * wear_map.areas()))
     assert abs(found / volume - 1) < 1e-12, "volume is lost on the way"
-    return float(jnp.max(depth))
+    return np.asarray(depth)
+
+
+def deepest(wear_map: AbstractWearMap, volume: float, place: tuple) -> float:
+    """Depth of the deepest cell [m] after the volume [m3] has been lost at one place."""
+    return float(worn(wear_map, volume, place).max())
 
 
 def with_orders(rows: list[dict[str, Any]], names: list[str]) -> list[dict[str, Any]]:
@@ -68,30 +80,63 @@ def with_orders(rows: list[dict[str, Any]], names: list[str]) -> list[dict[str, 
     return rows
 
 
-def shapes(cells: tuple[int, ...]) -> list[dict[str, Any]]:
-    """Depths of given volumes, finer and finer; `cells` around."""
+def given(around: int, direction: float = DIRECTION) -> dict[str, tuple]:
+    """By shape the arguments of `worn`, on a map of so many cells around."""
     reach = CLEARANCE + DEPTH
     half = math.acos(CLEARANCE / reach)
     volume = 2 * RADIUS * LENGTH * (reach * math.sin(half) - CLEARANCE * half)
-    x, y = math.cos(DIRECTION), math.sin(DIRECTION)
+    x, y = math.cos(direction), math.sin(direction)
     narrow = math.sqrt(0.5 * CLEARANCE / OVERLAP)
     ball = (x, y, 0.0, x * x, x * y, 0.0, y * y, 0.0, narrow**2)
-    rows = []
-    for around in cells:
-        line = CylinderMap((around, 1), RADIUS, LENGTH, CLEARANCE)
-        wall = CylinderMap((around, around // 3), RADIUS, LENGTH, CLEARANCE)
-        sphere = SphereMap((around, around // 2), RADIUS, CLEARANCE)
-        rows.append(
-            {
-                "cells around": around,
-                "rigid pin [um]": 1e6 * deepest(line, volume, (x, y, 0.0, 0.0, 0.0)),
-                "elastic pin [um]": 1e6 * deepest(line, volume, (x, y, 0.0, narrow, 0.0)),
-                "tilted [um]": 1e6 * deepest(wall, 0.1 * volume, (x, y, FALL, narrow, 1.0)),
-                "ball [um]": 1e6 * deepest(sphere, 0.1 * volume, ball),
-            }
-        )
+    line = CylinderMap((around, 1), RADIUS, LENGTH, CLEARANCE)
+    wall = CylinderMap((around, around // 3), RADIUS, LENGTH, CLEARANCE)
+    sphere = SphereMap((around, around // 2), RADIUS, CLEARANCE)
+    return {
+        "rigid pin": (line, volume, (x, y, 0.0, 0.0, 0.0)),
+        "elastic pin": (line, volume, (x, y, 0.0, narrow, 0.0)),
+        "tilted": (wall, 0.1 * volume, (x, y, FALL, narrow, 1.0)),
+        "ball": (sphere, 0.1 * volume, ball),
+    }
+
+
+def shapes(cells: tuple[int, ...]) -> list[dict[str, Any]]:
+    """Depths of given volumes, finer and finer; `cells` around."""
+    rows = [
+        {"cells around": around}
+        | {f"{shape} [um]": 1e6 * deepest(*own) for shape, own in given(around).items()}
+        for around in cells
+    ]
     print(f"closed form of the rigid pin: {1e6 * DEPTH:g} um")
     return with_orders(rows, list(rows[0])[1:])
+
+
+def told(cells: tuple[int, ...], finest: int) -> list[dict[str, Any]]:
+    """What the figure of a run's cells tells, beside how far its deepest cell is from that of the
+    `finest` map: of all shapes, at two places in a cell, worn a little and much."""
+    found = []
+    for share, direction in itertools.product(SHARES, DIRECTIONS):
+        best = {
+            shape: worn(own, share * volume, place).max()
+            for shape, (own, volume, place) in given(finest, direction).items()
+        }
+        for around in cells:
+            for shape, (own, volume, place) in given(around, direction).items():
+                depth = worn(own, share * volume, place)
+                off = abs(float(depth.max() / best[shape] - 1))
+                found.append((float(narrowness(own, jnp.asarray(depth))), off))
+    figures, errors = np.array(found).T
+    bounds = [0.0, 0.05, 0.1, Check.WEAR_BY_CELLS.limit, 0.3, 0.5, 1.0]
+    return [
+        {
+            "figure": f"{low:g} to {high:g}",
+            "depths": int(np.sum(own)),
+            "least off": float(errors[own].min(initial=1.0)),
+            "median": float(np.median(errors[own])),
+            "most": float(errors[own].max(initial=0.0)),
+        }
+        for low, high in itertools.pairwise(bounds)
+        if np.any(own := (figures >= low) & (figures < high))
+    ]
 
 
 def runs(grids: tuple[tuple[int, int], ...], integrator: Any) -> list[dict[str, Any]]:
@@ -207,6 +252,7 @@ def main() -> None:
     for part in asked:
         measured = {
             "given": given_rows,
+            "figure": figure_rows,
             "four-bar": four_bar_rows,
             "along": along_rows,
             "3RSR": parallel_rows,
@@ -231,6 +277,12 @@ def given_rows(options: Any) -> None:
     """Of given volumes."""
     cells = (24, 48, 96, 192) if options.quick else (24, 48, 96, 192, 384)
     report("worn depth: walls worn by given volumes", shapes(cells), options)
+
+
+def figure_rows(options: Any) -> None:
+    """Of what a run's cells tell of themselves."""
+    cells, finest = (OF_FIGURES[:4], 72) if options.quick else (OF_FIGURES, FINEST)
+    report(PARTS["figure"], told(cells, finest), options)
 
 
 def four_bar_rows(options: Any) -> None:

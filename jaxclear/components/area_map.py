@@ -20,6 +20,9 @@ class AreaMap(AbstractWearMap):
     def areas(self):
         return jnp.full(self.cells, 1.0) * self.area
 
+    def over_three(self, depth):
+        return depth
+
     def reading(self, depth):
         return depth
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxclear.components.contact_patch import depth_lost
 from jaxclear.components.touched_cells import entry, through, with_entry, worn_in_turn
 from jaxclear.components.wall_contact import Face, Wall, loss_of
-from jaxclear.components.wear_map import AbstractWearMap
+from jaxclear.components.wear_map import AbstractWearMap, mean_along
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 
@@ -35,6 +35,10 @@ class WallMap(AbstractWearMap):
 
     def areas(self) -> Float[Array, "2 along"]:
         return jnp.full(self.cells, 1.0) * self.wall.area
+
+    def over_three(self, depth):
+        # Either row is a wall of its own.
+        return mean_along(depth)
 
     def places(self) -> Float[Array, " along"]:
         """Where the centre of each cell lies along the guide (or slider) [m]."""

@@ -60,6 +60,12 @@ class Wearing(AbstractQuantified):
             )
 
 
+def mean_along(depth: Float[Array, "around along"]) -> Float[Array, "around along"]:
+    """Mean depth over each cell and those before and after it, along."""
+    wider = jnp.concatenate([depth[:, :1], depth, depth[:, -1:]], axis=1)
+    return (wider[:, :-2] + depth + wider[:, 2:]) / 3
+
+
 class AbstractWearMap(AbstractQuantified):
     """Geometry of a wear map; the depth itself is an array (cells) [m] kept by the simulation."""
 
@@ -74,6 +80,12 @@ class AbstractWearMap(AbstractQuantified):
     @abstractmethod
     def areas(self) -> Float[Array, "around along"]:
         """Area of each cell [m2]."""
+
+    def over_three(self, depth: Float[Array, "around along"]) -> Float[Array, "around along"]:
+        """Mean depth over each cell and those beside it, three to a side; beyond a last row it is
+        as deep as there."""
+        around = (jnp.roll(depth, 1, 0) + depth + jnp.roll(depth, -1, 0)) / 3
+        return mean_along(around)
 
     @abstractmethod
     def reading(self, depth):

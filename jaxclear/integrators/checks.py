@@ -281,6 +281,7 @@ class Check(AbstractCheck):
         "within less than a step (limit {limit:g}), so the motion is off: take shorter steps",
     )
     # What the model leaves out.
+    WEAR_BY_CELLS = checks_of_models.WEAR_BY_CELLS
     COULOMB_FRICTION = checks_of_models.COULOMB_FRICTION
     COLLAR_FORCE = checks_of_models.COLLAR_FORCE
     UNHELD_FORCE = checks_of_models.UNHELD_FORCE

@@ -3,6 +3,16 @@ the limit concerns, whose they are, sentence."""
 
 from jaxclear.integrators import check_words as words
 
+WEAR_BY_CELLS = (
+    31,
+    "cells: worn depth",
+    0.15,
+    "worn depth",
+    words.SURFACES,
+    'where joint "{place}" is worn deepest its scar is hardly wider than a cell of its map: over '
+    "three cells it is {figure:.2g} of itself less deep (limit {limit:g}), so its depth hangs on "
+    "their number and is too small, though volumes are right: give its Wearing more cells",
+)
 COULOMB_FRICTION = (
     25,
     "friction as Coulomb's",

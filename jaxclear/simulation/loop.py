@@ -29,7 +29,7 @@ from jaxclear.multibody.system import readings, rubbing_joints
 from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import RunStats, Trajectory
-from jaxclear.simulation import spot_checks, wear_by_saves
+from jaxclear.simulation import spot_checks, wear_by_cells, wear_by_saves
 from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.looks import looked_at
 from jaxclear.simulation.referee import refereed
@@ -111,11 +111,11 @@ def run(
     history = StateHistory(mechanism, formulation, times, states, read, extras.balance)
     stats = RunStats(*last.steps, verdict(last.outcome))
     if noted is not None:
-        run_there = times[:-1] <= last.ended
-        noted = noted._replace(counts=jnp.where(run_there[:, None], noted.counts, 0.0))
+        noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
     trajectory = Trajectory(history, last.worn, last.outcome, last.ended, stats, noted=noted)
     windows = spot_checks.figures(model, plan, states, ends, last.tally, means)
     windows |= wear_by_saves.figures(model, worn, last.worn, states)
+    windows |= wear_by_cells.figures(model, worn, last.worn)
     return refereed(trajectory, model, last.tally, figures, windows)
 
 
