@@ -6,7 +6,7 @@ from jaxclear.integrators import check_words as words
 WEAR_BY_CELLS = (
     31,
     "cells: worn depth",
-    0.15,
+    0.1,
     "worn depth",
     words.SURFACES,
     'where joint "{place}" is worn deepest its scar is hardly wider than a cell of its map: over '

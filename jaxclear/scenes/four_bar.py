@@ -108,8 +108,9 @@ def four_bar(
     "planar" or "ideal".
 
     `clearance`: radial [m]. `crank_speed` [rad/s]. `friction`, `wear`: False leaves them out.
-    `cells` of the wear map around and along the bearing. `follower_offset` [m]: distance between
-    the planes of coupler and follower (spatial only).
+    `cells` of the wear map around and along the bearing; how deep it wears takes more of them
+    (288 around, in space 144 by 320). `follower_offset` [m]: distance between the planes of coupler
+    and follower (spatial only).
     """
     check_known("kind of four_bar", kind, KINDS)
     check_number("clearance of four_bar", clearance, "m", above=0)
