@@ -35,14 +35,14 @@ CLEARANCE_TOLERANCE, LENGTH_TOLERANCE = 20e-6, 20e-6
 CELLS = (144, 320)
 
 
-def paper_runs(duration: float, saves: int, show: bool) -> dict[float, Any]:
+def paper_runs(duration: float, saves: int) -> dict[float, Any]:
     """A run for each clearance of the paper, the ideal joint as clearance 0."""
     runs = {}
     for clearance in CLEARANCES:
         kind = "spatial" if clearance else "ideal"
         print(f"clearance {1e3 * clearance:.2f} mm ({kind} joint)", flush=True)
         rig = four_bar(kind, clearance or LARGEST, cells=CELLS)
-        runs[clearance] = jc.simulate(rig, duration, save=saves, progress_bar=show)
+        runs[clearance] = jc.simulate(rig, duration, save=saves)
         report_warnings({f"clearance {1e3 * clearance:.2f} mm": runs[clearance]})
     return runs
 
@@ -118,7 +118,7 @@ def study(
     """
     begun = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
-    runs = paper_runs(duration, round(duration * SAVES_PER_SECOND) + 1, show)
+    runs = paper_runs(duration, round(duration * SAVES_PER_SECOND) + 1)
     table = run_table(runs)
     table.to_csv(folder / "runs.csv", index=False)
     _show(table.drop(columns="result"))

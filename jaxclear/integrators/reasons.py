@@ -88,8 +88,8 @@ REASONS: dict[Check, str] = {
         "rattle was 0.4 to 2.2 times the error of their cells; of these the deepest was nearer"
     ),
     Check.WEAR_BY_CELLS: (
-        "of pins, tilted journals and balls worn on 12 to 144 cells around, depths with a figure "
-        "below it were off by 13 % at most, those above by up to 98 %, a few by chance by little"
+        "of 192 depths of pins, tilted journals and balls on 12 to 144 cells around, those with a "
+        "figure below it were off by 10 % at most, those above by up to 98 %"
     ),
     Check.CONTACT_STEP: (
         "a contact that is open before a step and nearly at its deepest after it is seen once on "

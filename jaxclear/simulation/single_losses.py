@@ -47,6 +47,8 @@ def gone_through(model: Model, states: Float[Array, "time n"], some: np.ndarray)
     table, count = states[:, first:last], len(states) - 1
     slots = tuple(dataclasses.replace(slot, start=slot.start - first) for slot in slots)
     own_map = [maps[slot.bearing][slot.surface][0] for slot in slots]
+    # Out here: a sum over all cells would be written out in the kernel.
+    areas = [jnp.sum(each.areas()) for each in own_map]
 
     def interval(carry: tuple) -> tuple:
         k, sudden, found = carry
@@ -63,7 +65,7 @@ def gone_through(model: Model, states: Float[Array, "time n"], some: np.ndarray)
             mean = own_map[i].directions_of(features)
             short = jnp.sum(mean**2) < AROUND**2
             wrong, moment, lost = found[i]
-            wrong = wrong + wrong_by(own_map[i], volume, features, burst)
+            wrong = wrong + wrong_by(own_map[i], areas[i], volume, features, burst)
             moment = moment + jnp.where(short, volume, 0.0) * mean
             new.append((burst, (wrong, moment, lost + volume)))
         bursts, found = zip(*new, strict=True)
@@ -76,8 +78,10 @@ def gone_through(model: Model, states: Float[Array, "time n"], some: np.ndarray)
         _, sudden, found = while_loop(lambda now: now[0] < end, interval, (begin, none, found))
         # What some intervals lost so is wrong along the arc of all of them.
         of_some = tuple(
-            own + wrong_by(each, *lost_at(slot, table[begin], table[end]), burst)
-            for own, each, slot, burst in zip(of_some, own_map, slots, sudden, strict=True)
+            own + wrong_by(each, area, *lost_at(slot, table[begin], table[end]), burst)
+            for own, each, area, slot, burst in zip(
+                of_some, own_map, areas, slots, sudden, strict=True
+            )
         )
         return (found, of_some), ()
 
@@ -94,14 +98,13 @@ def _nothing(slot: WearSlot, wear_map: AbstractWearMap) -> tuple[Array, Array, A
 
 
 def wrong_by(
-    wear_map: AbstractWearMap, volume: Scalar, features: Array, burst: Scalar
+    wear_map: AbstractWearMap, area: Scalar, volume: Scalar, features: Array, burst: Scalar
 ) -> Float[Array, ""]:
-    """Integral of the square of depths [m4] by which an event that lost a volume [m3] is wrong,
-    where so much of it was lost somewhere on its arc."""
+    """Integral of the square of depths [m4] by which an event that lost a volume [m3] on a map of
+    this area [m2] is wrong, where so much of it was lost somewhere on its arc."""
     mean = wear_map.directions_of(features)
     swept = arc(safe_sqrt(jnp.sum(mean**2))) ** 2
     width, share = wear_map.covered(features)
     # What is put wrong falls with the square of the arc where that is narrow.
     wrong: Any = burst * safe_divide(swept, swept + width**2)
-    area = share * jnp.sum(wear_map.areas())
-    return jnp.where(volume > 0, safe_divide(wrong * wrong, area), 0.0)
+    return jnp.where(volume > 0, safe_divide(wrong * wrong, share * area), 0.0)
