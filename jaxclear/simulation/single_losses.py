@@ -77,11 +77,10 @@ def gone_through(model: Model, states: Float[Array, "time n"], some: np.ndarray)
         none = tuple(jnp.zeros(()) for _ in slots)
         _, sudden, found = while_loop(lambda now: now[0] < end, interval, (begin, none, found))
         # What some intervals lost so is wrong along the arc of all of them.
+        each = zip(of_some, own_map, areas, slots, sudden, strict=True)
         of_some = tuple(
-            own + wrong_by(each, area, *lost_at(slot, table[begin], table[end]), burst)
-            for own, each, area, slot, burst in zip(
-                of_some, own_map, areas, slots, sudden, strict=True
-            )
+            own + wrong_by(wear_map, area, *lost_at(slot, table[begin], table[end]), burst)
+            for own, wear_map, area, slot, burst in each
         )
         return (found, of_some), ()
 

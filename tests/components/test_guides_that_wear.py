@@ -151,10 +151,8 @@ def test_both_worn_parts_widen_the_gap_where_a_corner_is():
     np.testing.assert_allclose(lost, expected, rtol=0.02)
 
 
-@pytest.mark.parametrize(
-    "rung",
-    [r if r == "permanent" else pytest.param(r, marks=pytest.mark.slow) for r in RUNGS],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("rung", RUNGS)
 def test_a_slider_that_leaves_its_walls_ends_the_run_by_a_sentence(rung):
     """Corners reach 70 mm, walls 65 mm: within a saving interval of when they are passed."""
     rig = to_and_fro(guide(walls=0.13), start=0.0, speed=AMPLITUDE * SPEED)

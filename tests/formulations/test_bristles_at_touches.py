@@ -23,6 +23,7 @@ def test_wear_of_bristles_does_not_hang_on_where_in_steps_touches_fall(draw, ste
     np.testing.assert_allclose(found, exact, rtol=most)
 
 
+@pytest.mark.slow
 def test_steps_on_groups_count_what_bristles_slide_from_the_touch_on_too():
     """They were 0.31 % off, and are 0.09 %."""
     found = worn(27, jc.integrator.FixedStep(5e-6, "munthe_kaas4"))

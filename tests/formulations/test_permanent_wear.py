@@ -123,6 +123,7 @@ def test_a_journal_slides_as_its_centre_goes_round_too(outer):
     assert float(found.worn_volume("B", "bearing")[-1]) == pytest.approx(wanted, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_rigid_contact_wears_as_deep_as_its_contact_law_lets_it_sink():
     """The compliant bearing, seated, is the oracle; two cells wide it would wear twice as
     deep."""

@@ -138,13 +138,14 @@ def test_discrete_derivatives_of_peaks_and_instants_are_those_of_the_discrete_ru
     np.testing.assert_allclose(found * values, wanted, rtol=1e-4, atol=2e-7)
 
 
-@pytest.mark.parametrize("law", ["Flores", pytest.param("Hertz", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["Flores", "Hertz"])
 @pytest.mark.parametrize(
     "integrator",
     [
-        pytest.param(jc.integrator.Adaptive(), marks=pytest.mark.slow),
-        pytest.param(jc.integrator.FixedStep(5e-6), marks=pytest.mark.slow),
-        pytest.param(jc.integrator.FixedStep(5e-6, "heun"), marks=pytest.mark.slow),
+        jc.integrator.Adaptive(),
+        jc.integrator.FixedStep(5e-6),
+        jc.integrator.FixedStep(5e-6, "heun"),
         jc.integrator.ImplicitStep(1e-5),
     ],
     ids=["Adaptive", "rk4", "heun", "ImplicitStep"],
