@@ -1,7 +1,8 @@
 """Worn depth against the number of cells: it converges, and a run that wears costs little more.
 
 Walls worn by given volumes: a pin pressed one way, rigid (the area between two circles, in closed
-form) and elastic, a tilted journal, a ball. Then the four-bar with three-dimensional clearance:
+form) and elastic, a tilted journal, a ball; and what a run tells of cells that are too few. Then a
+turn of the planar four-bar, as it is designed. Then the four-bar with three-dimensional clearance:
 deepest cell, volume, and CPU time beside the same run without wear, and what hangs on its saving
 times. And the 3RSR's socket, after a settled cycle and after a million. The order is that between
 three numbers of cells.
@@ -18,6 +19,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, side_by_side, sign
+from jaxclear.commands.design import TURN, WEAR_SAVES
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wear_map import AbstractWearMap, CylinderMap
 from jaxclear.integrators import Check
@@ -32,6 +34,8 @@ LOSSES, DIRECTION = 50, 0.31
 # Of what the figure of cells tells: shares of the volumes, directions, cells around.
 SHARES, DIRECTIONS = (0.01, 0.1, 1.0), (0.31, 0.35)
 OF_FIGURES, FINEST = (12, 18, 24, 36, 48, 72, 96, 144), 288
+# Of the planar four-bar: cells around.
+IN_PLANE = (36, 72, 144, 288, 576)
 # Of the four-bar: duration [s], saving times, cells around and along.
 SPAN, SAVES, GRIDS = 1.26, 631, ((18, 5), (36, 10), (72, 20), (144, 40), (288, 80))
 # Cells along that a tilted journal's scar needs, which is shorter than a millimetre of 20.
@@ -46,6 +50,7 @@ SETTLED, BALL_SAVES, LIFE, CYCLES = 3, 200, 1e6, 160
 PARTS = {
     "given": "worn depth: walls",
     "figure": "worn depth: the figure of cells",
+    "plane": "worn depth: the planar four-bar",
     "four-bar": "worn depth: the four-bar",
     "along": "worn depth: the four-bar, finer along",
     "3RSR": "worn depth: the 3RSR",
@@ -137,6 +142,26 @@ def told(cells: tuple[int, ...], finest: int) -> list[dict[str, Any]]:
         for low, high in itertools.pairwise(bounds)
         if np.any(own := (figures >= low) & (figures < high))
     ]
+
+
+def planar(cells: tuple[int, ...]) -> list[dict[str, Any]]:
+    """The bearing of the planar four-bar after a turn, and what its run tells of its cells."""
+    rows = []
+    for around in cells:
+        run = jc.simulate(
+            four_bar("planar", 1e-4, cells=(around, 1)),
+            TURN,
+            save=WEAR_SAVES,
+            integrator=jc.integrator.FixedStep(1e-5),
+        )
+        rows.append(
+            {
+                "cells around": around,
+                "deepest cell [um]": 1e6 * float(run.worn_depth("B", "bearing").max()),
+                "figure": float(run.checks.figures[Check.WEAR_BY_CELLS].worst[0]),
+            }
+        )
+    return with_orders(rows, ["deepest cell [um]"])
 
 
 def runs(grids: tuple[tuple[int, int], ...], integrator: Any) -> list[dict[str, Any]]:
@@ -253,6 +278,7 @@ def main() -> None:
         measured = {
             "given": given_rows,
             "figure": figure_rows,
+            "plane": plane_rows,
             "four-bar": four_bar_rows,
             "along": along_rows,
             "3RSR": parallel_rows,
@@ -283,6 +309,11 @@ def figure_rows(options: Any) -> None:
     """Of what a run's cells tell of themselves."""
     cells, finest = (OF_FIGURES[:4], 72) if options.quick else (OF_FIGURES, FINEST)
     report(PARTS["figure"], told(cells, finest), options)
+
+
+def plane_rows(options: Any) -> None:
+    """Of the planar four-bar."""
+    report(PARTS["plane"], planar(IN_PLANE[:3] if options.quick else IN_PLANE), options)
 
 
 def four_bar_rows(options: Any) -> None:

@@ -33,7 +33,7 @@ POINTING_STEP, POINTING_SAVES = 1e-3, 101
 # Surfaces are updated at the saving times: with 800 a turn worn depths hang on them by 2 %, with
 # 1600 by 0.7 %, at a tenth more of the time.
 WEAR_SAVES = 1601
-# With 72 cells around depths are a third too small, with these 3 %, at the same time.
+# With 72 cells around depths are a third too small, with these 4 %.
 CELLS = (288, 1)
 TURN = 2 * math.pi / 10.0
 # Bounds of the first limit at which the front is drawn, as shares of it.

@@ -16,9 +16,7 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.integrators.checks import Check
 from jaxclear.multibody.system import wear_maps
 from jaxclear.simulation.wear import Worn
-
-# A surface that has worn less than this share of the deepest one is judged beside that.
-NEGLIGIBLE = 0.01
+from jaxclear.simulation.wear_by_saves import NEGLIGIBLE
 
 
 def figures(model: Model, begun: Worn, ended: Worn) -> dict[Check, Float[Array, " places"]]:
@@ -27,20 +25,14 @@ def figures(model: Model, begun: Worn, ended: Worn) -> dict[Check, Float[Array, 
     if not ended or not model.layout.wear:
         return {}
     begun, ended = jax.lax.stop_gradient((begun, ended))
-    maps = wear_maps(model.system)
-    depths = {
-        (joint, surface): jnp.max(ended[joint][surface])
-        for joint in maps
-        for surface in maps[joint]
-    }
-    least = NEGLIGIBLE * jnp.max(jnp.stack([*depths.values()]))
-
-    def told(joint, surface):
-        depth = ended[joint][surface]
-        share = narrowness(maps[joint][surface][0], depth, least)
-        return jnp.where(jnp.any(depth > begun[joint][surface]), share, 0.0)
-
-    places = [told(slot.bearing, slot.surface) for slot in model.layout.wear]
+    least = NEGLIGIBLE * jnp.max(jnp.stack([*map(jnp.max, jax.tree.leaves(ended))]))
+    shares = {}
+    for joint, surfaces in wear_maps(model.system).items():
+        for surface, (wear_map, _) in surfaces.items():
+            depth, before = ended[joint][surface], begun[joint][surface]
+            share = narrowness(wear_map, depth, least)
+            shares[joint, surface] = jnp.where(jnp.any(depth > before), share, 0.0)
+    places = [shares[slot.bearing, slot.surface] for slot in model.layout.wear]
     return {Check.WEAR_BY_CELLS: jnp.stack(places)}
 
 
