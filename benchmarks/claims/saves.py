@@ -1,7 +1,7 @@
 """What saving often costs: a run with 1920 saving times over the same run with 4, by rung, alone
 and in a batch: of the slider-crank, whose surfaces do not wear or do, and of the spatial four-bar,
-whose map has 72 times 20 cells. `--json benchmarks/results/saves.json` keeps rows of earlier calls
-beside those measured now.
+whose map has 144 times 320 cells. `--json benchmarks/results/saves.json` keeps rows of earlier
+calls beside those measured now.
 
 Fixed steps fit both intervals, so that both runs take the same steps. Those that follow an error
 end at every saving time, and there are more of them: their number stands beside the time. Where

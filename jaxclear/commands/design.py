@@ -33,8 +33,6 @@ POINTING_STEP, POINTING_SAVES = 1e-3, 101
 # Surfaces are updated at the saving times: with 800 a turn worn depths hang on them by 2 %, with
 # 1600 by 0.7 %, at a tenth more of the time.
 WEAR_SAVES = 1601
-# With 72 cells around depths are a third too small, with these 4 %.
-CELLS = (288, 1)
 TURN = 2 * math.pi / 10.0
 # Bounds of the first limit at which the front is drawn, as shares of it.
 FRONT = (0.85, 0.92, 1.0, 1.1, 1.25)
@@ -96,7 +94,7 @@ def four_bar_question() -> Asked:
         "ground length": lambda rig: rig.connections["D"].parent.at[0],
     }
     problem = jc.Problem(
-        four_bar("planar", 100e-6, cells=CELLS),
+        four_bar("planar", 100e-6),
         {
             "worn depth": jc.response.PeakWornDepth("B"),
             "follower error": jc.response.PositionError("follower", ideal, axes=(0, 1)),

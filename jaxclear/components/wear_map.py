@@ -36,7 +36,9 @@ REACH = 0.6
 
 class Wearing(AbstractQuantified):
     """A surface that wears: its law (of this surface alone), and the number of cells around and
-    along (azimuth and elevation on a sphere; of a guide and its slider only along).
+    along (azimuth and elevation on a sphere; of a guide and its slider only along). A scar narrower
+    than a few of them has too small a depth, and the run says so; the tilted journal of a
+    `JournalBearing` takes some hundred along.
 
     `acceleration` multiplies the worn volume: one simulated cycle standing for many (linear
     extrapolation, as in cycle-jump schemes). `worn_radius`: whether what the contact law takes from
@@ -46,7 +48,7 @@ class Wearing(AbstractQuantified):
     law: AbstractWearLaw
     cells: tuple[int, int] = eqx.field(
         static=True,
-        default=(72, 20),
+        default=(288, 20),
         converter=lambda given: tuple(given) if isinstance(given, list) else given,
         metadata={"wanted": "2 whole numbers: cells around and along"},
     )
