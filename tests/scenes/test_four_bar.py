@@ -8,6 +8,7 @@ from scipy.special import i0e
 
 import jaxclear as jc
 from jaxclear import plot
+from jaxclear.integrators import Check
 from jaxclear.scenes.four_bar import BEARING_LENGTH, CLEARANCES, four_bar
 from tests.rigs.figures import assert_complete
 
@@ -96,6 +97,13 @@ def test_wear_concentrates_near_the_edges_and_its_two_ends_differ(runs):
     ends = depth[:, :millimetre].sum(), depth[:, -millimetre:].sum()
     assert sum(ends) > 0.5 * depth.sum()
     assert max(ends) > 1.5 * min(ends)
+
+
+def test_worn_depths_do_not_hang_on_the_cells_that_the_scene_has_unasked(runs):
+    planar = jc.simulate(four_bar("planar"), DURATION / 2, save=SAVES, integrator=INTEGRATOR)
+    for run in (planar, *runs.values()):
+        assert not np.any(run.checks.beyond()[Check.WEAR_BY_CELLS])
+        assert float(run.worn_depth("B", "bearing").max()) > 0
 
 
 @pytest.mark.slow
