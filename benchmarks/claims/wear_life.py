@@ -91,7 +91,7 @@ def four_bar() -> jc.Problem:
     """A turn of the planar four-bar, its bearing of lubricated steel."""
     rig = eqx.tree_at(
         lambda rig: rig.connections["B"].joint.bearing_wear.law.wear_coefficient,
-        jc.scenes.four_bar("planar"),
+        jc.scenes.four_bar("planar", cells=(72, 1)),
         jnp.asarray(WEAR_COEFFICIENT),
     )
     responses = {"mean force": jc.response.MeanContactForce("B")}

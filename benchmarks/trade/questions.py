@@ -138,7 +138,7 @@ def four_bar(
 ) -> Question:
     """The scene, its first part, in which impacts are strong and then fade."""
     duration = share * 2.0 / speed
-    rig = jc.scenes.four_bar(kind, clearance, crank_speed=speed)
+    rig = jc.scenes.four_bar(kind, clearance, crank_speed=speed, cells=(72, 20))
     ideal = jc.scenes.four_bar("ideal", crank_speed=speed)
     asked = _forces("B") | _worn("B")
     if kind == "planar":
