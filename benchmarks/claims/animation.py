@@ -23,10 +23,7 @@ def spent(function) -> tuple:
 def main() -> None:
     options = arguments(__doc__)
     duration = 1.0 if options.quick else 10.0
-    rig, integrator = (
-        jc.scenes.four_bar("spatial", 0.2e-3, cells=(72, 20)),
-        jc.integrator.ImplicitStep(),
-    )
+    rig, integrator = jc.scenes.four_bar("spatial", 0.2e-3), jc.integrator.ImplicitStep()
     save = round(200 * duration) + 1
     simulate = lambda: jc.simulate(rig, duration, save=save, integrator=integrator)
     simulate()

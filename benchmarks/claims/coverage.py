@@ -80,7 +80,7 @@ def crank(name: str) -> jc.Problem:
 def four_bar(name: str) -> jc.Problem:
     clearance = jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=20e-6)
     return jc.Problem(
-        jc.scenes.four_bar("spatial", 0.2e-3, cells=(72, 20)),
+        jc.scenes.four_bar("spatial", 0.2e-3),
         {"mean force": jc.response.MeanContactForce("B")},
         {"clearance": clearance},
         duration=0.1 * 2 * np.pi / 10.0,

@@ -52,7 +52,7 @@ def question(duration: float) -> jc.Problem:
     saves = round(SAVES_PER_SECOND * duration) + 1
     ideal = jc.simulate(four_bar("ideal"), duration, save=saves).body("follower").com
     return jc.Problem(
-        four_bar(cells=(72, 20)),
+        four_bar(),
         {
             "mean force": jc.response.MeanContactForce("B"),
             "worn depth": jc.response.PeakWornDepth("B"),

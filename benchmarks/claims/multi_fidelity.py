@@ -67,7 +67,7 @@ def four_bar(duration: float, integrator=None) -> jc.Problem:
         "follower length": lambda rig: rig.connections["B"].child.at[0],
     }
     return jc.Problem(
-        jc.scenes.four_bar("spatial", 0.2e-3, cells=(72, 20)),
+        jc.scenes.four_bar("spatial", 0.2e-3),
         {
             "follower error": jc.response.PositionError("follower", wanted, axes=(0, 1)),
             "mean force": jc.response.MeanContactForce("B"),

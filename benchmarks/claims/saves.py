@@ -38,7 +38,7 @@ RUNGS = {
 SCENES = {
     "slider-crank": jc.scenes.slider_crank,
     "slider-crank that wears": functools.partial(jc.scenes.slider_crank, wear=True),
-    "four-bar that wears": functools.partial(jc.scenes.four_bar, "spatial"),
+    "four-bar that wears": functools.partial(jc.scenes.four_bar, "spatial", cells=(144, 320)),
 }
 OFTEN, SELDOM, BATCH = 1920, 4, 64
 # Steps between two of the many saving times. 3 saving intervals fit 1919 of them but for one step,

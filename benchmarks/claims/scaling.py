@@ -6,7 +6,6 @@ Each chain is measured in a process of its own with a time limit, because long c
 compile in bearable time; everything else takes turns in one process.
 """
 
-import functools
 import json
 import logging
 import math
@@ -53,7 +52,7 @@ def integrators(step: float, implicit: bool = False) -> dict[str, Any]:
 # Of clearance and length [m].
 TOLERANCES = (20e-6, 50e-6)
 SCENES: dict[str, Callable[[], jc.Mechanism]] = {
-    "four-bar": functools.partial(jc.scenes.four_bar, cells=(72, 20)),
+    "four-bar": jc.scenes.four_bar,
     "slider-crank": jc.scenes.slider_crank,
 }
 
@@ -311,7 +310,7 @@ def duration_rows(quick: bool) -> list[dict[str, Any]]:
         cases, loop = {}, {}
         for duration in durations:
             go, said = program(
-                jc.scenes.four_bar(cells=(72, 20)),
+                jc.scenes.four_bar(),
                 integrator,
                 jnp.linspace(0.0, duration, round(duration / SAVING) + 1),
             )

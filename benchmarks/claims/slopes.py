@@ -60,7 +60,7 @@ def bouncing() -> jc.Mechanism:
 
 SCENES = {
     "slider-crank": jc.scenes.slider_crank,
-    "four-bar": functools.partial(jc.scenes.four_bar, cells=(72, 20)),
+    "four-bar": jc.scenes.four_bar,
     "antenna": jc.scenes.antenna,
     "bouncing journal": bouncing,
 }

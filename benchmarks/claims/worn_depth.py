@@ -212,7 +212,7 @@ def along(rows: tuple[int, ...]) -> list[dict[str, Any]]:
 def by_saves(counts: tuple[int, ...]) -> list[dict[str, Any]]:
     """The four-bar's joint at so many saving times, beside the last of them: its deepest cell, and
     what other cells have lost."""
-    rig, integrator = four_bar("spatial"), jc.integrator.FixedStep(STEP)
+    rig, integrator = four_bar("spatial", cells=GRIDS[-1]), jc.integrator.FixedStep(STEP)
     depths = [
         np.asarray(
             jc.simulate(rig, SPAN_OF_SAVES, save=count, integrator=integrator).worn["B"]["bearing"]

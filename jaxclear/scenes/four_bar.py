@@ -48,9 +48,9 @@ FOLLOWER_OFFSET = 20e-3
 AXIAL_CLEARANCE = 1e-3
 # Bearing and journal [m].
 BEARING_RADIUS, BEARING_LENGTH, JOURNAL_LENGTH, COLLAR_RADIUS = 10e-3, 30e-3, 32e-3, 14e-3
-# Cells of the bearing's map that tell its worn depth: a tilted journal's scar is a millimetre long,
-# a thirtieth of its bearing; in the plane depths are a third too small on 72, 4 % on these.
-CELLS = {"spatial": (144, 320), "planar": (288, 1)}
+# Cells of the bearing's map. In the plane depths are a third too small on 72, 4 % on these. That of
+# a tilted journal takes 144 x 320, for which short runs in a batch take three times their time.
+CELLS = {"spatial": (72, 20), "planar": (288, 1)}
 KINDS = (*CELLS, "ideal")
 
 
@@ -119,9 +119,9 @@ def four_bar(
     "planar" or "ideal".
 
     `clearance`: radial [m]. `crank_speed` [rad/s]. `friction`, `wear`: False leaves them out.
-    `cells` of the wear map around and along the bearing: 144 by 320 in space, 288 around in the
-    plane, if None; its depth hangs on their number where they are fewer. `follower_offset` [m]:
-    distance between the planes of coupler and follower (spatial only).
+    `cells` of the wear map around and along the bearing: 72 by 20 in space, 288 around in the
+    plane, if None; how deep it wears in space takes 144 by 320. `follower_offset` [m]: distance
+    between the planes of coupler and follower (spatial only).
     """
     check_known("kind of four_bar", kind, KINDS)
     check_number("clearance of four_bar", clearance, "m", above=0)
