@@ -66,7 +66,7 @@ def angular_velocity(
     axes[0].plot(run.time, own, color="C0", lw=1.2, label=label)
     axes[0].plot(ideal.time, other, "k--", lw=0.9, label="ideal")
     axes[0].set_ylabel("angular velocity [rad/s]")
-    axes[0].legend(loc="upper right", fontsize=8)
+    sheet.legend()
     axes[0].set_title(f"Angular velocity of the {body} about the z axis")
     axes[1].plot(run.time, own - other, color="C0", lw=0.7)
     axes[1].axhline(0.0, color="k", lw=0.6)
