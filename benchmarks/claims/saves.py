@@ -20,6 +20,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, side_by_side, sign
+from jaxclear.commands.four_bar import CELLS
 from jaxclear.ground.compiling import AROUND_A_KERNEL, ONCE
 from jaxclear.native import explain
 from jaxclear.simulation.beginning import beginning
@@ -38,7 +39,7 @@ RUNGS = {
 SCENES = {
     "slider-crank": jc.scenes.slider_crank,
     "slider-crank that wears": functools.partial(jc.scenes.slider_crank, wear=True),
-    "four-bar that wears": functools.partial(jc.scenes.four_bar, "spatial", cells=(144, 320)),
+    "four-bar that wears": functools.partial(jc.scenes.four_bar, "spatial", cells=CELLS),
 }
 OFTEN, SELDOM, BATCH = 1920, 4, 64
 # Steps between two of the many saving times. 3 saving intervals fit 1919 of them but for one step,

@@ -38,7 +38,7 @@ OF_FIGURES, FINEST = (12, 18, 24, 36, 48, 72, 96, 144), 288
 IN_PLANE = (36, 72, 144, 288, 576)
 # Of the four-bar: duration [s], saving times, cells around and along.
 SPAN, SAVES, GRIDS = 1.26, 631, ((18, 5), (36, 10), (72, 20), (144, 80), (144, 320))
-# Cells along that a tilted journal's scar needs, which is shorter than a millimetre of 20.
+# Cells along that a tilted journal's scar needs, which is about a millimetre of 30.
 AROUND, ROWS = 144, (40, 80, 160, 320)
 # Saving times over 0.5 s of it; the last are those that others are held against.
 SPAN_OF_SAVES, COUNTS, STEP = 0.5, (126, 251, 501, 1001, 2001, 4001, 8001), 5e-6

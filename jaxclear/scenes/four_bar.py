@@ -49,7 +49,7 @@ AXIAL_CLEARANCE = 1e-3
 # Bearing and journal [m].
 BEARING_RADIUS, BEARING_LENGTH, JOURNAL_LENGTH, COLLAR_RADIUS = 10e-3, 30e-3, 32e-3, 14e-3
 # Cells of the bearing's map. In the plane depths are a third too small on 72, 4 % on these. That of
-# a tilted journal takes 144 x 320, for which short runs in a batch take three times their time.
+# a tilted journal takes 144 x 320, which short runs in a batch pay for.
 CELLS = {"spatial": (72, 20), "planar": (288, 1)}
 KINDS = (*CELLS, "ideal")
 
