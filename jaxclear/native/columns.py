@@ -18,7 +18,7 @@ from jax.interpreters import ad, batching, mlir
 from jax.interpreters import partial_eval as pe
 
 from jaxclear.native.column_product import Map, applied_p, the_same
-from jaxclear.native.unasked import without_results, without_the_unasked
+from jaxclear.native.unasked import drop_by, without_results, without_the_unasked
 
 # Columns that go through the function side by side: more gain little beside the memory that what
 # they leave takes.
@@ -224,6 +224,6 @@ def _known_first(trace, *tracers, program, moving, maps):
 
 batching.primitive_batchers[columns_p] = _batch
 mlir.register_lowering(columns_p, mlir.lower_fun(_lowered, multiple_results=True))
-pe.dce_rules[columns_p] = _without
+drop_by(columns_p, _without)
 ad.primitive_jvps[columns_p] = _differentiate
 pe.custom_partial_eval_rules[columns_p] = _known_first

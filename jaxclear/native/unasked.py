@@ -6,12 +6,12 @@ follows more than most responses ask for, and the derivative of each of these co
 of what is asked for.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import partial_eval as pe
 
 from jaxclear.native.loop import loop_p
@@ -175,4 +175,10 @@ def _reduced_narrow(narrow: Narrow, wanted: Asked) -> Narrow:
     return narrow._replace(program=program, batched=batched, moving=moving)
 
 
-pe.dce_rules[loop_p] = _rule
+def drop_by(primitive: Primitive, rule: Callable[[list[bool], Any], tuple]) -> None:
+    """JAX drops of a primitive what a rule (of results that are used, and an equation) finds."""
+    # JAX 0.12 tells which inputs may be used, too, between the two.
+    pe.dce_rules[primitive] = lambda used, *then: rule(used, then[-1])
+
+
+drop_by(loop_p, _rule)
