@@ -27,6 +27,9 @@ TURNS = {"scan": "jaxpr", "while": "body_jaxpr"}
 # Operations whose results stand at other places than what they read, be the shapes alike or not,
 # and those that are compiled apart by themselves.
 MOVING = ("cumsum", "gather", "rev", "transpose")
+# These work out where to read for each number that they read: what is more than so many operations
+# is stored before.
+SOUGHT, LITTLE = ("dynamic_slice", "dynamic_update_slice", "gather", "scatter", "scatter-add"), 8
 APART = ("cholesky", "cond", "jaxclear_loop", "scan", "sort", "triangular_solve", "while")
 
 
@@ -56,8 +59,12 @@ def _with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
     # Of what the piece has worked out: the operations that one number takes, by their indices.
     piece: dict[Any, dict[int, int]] = {}
     for i, equation in enumerate(jaxpr.eqns):
-        parameters, inputs = equation.params, read(equation.invars, values)
-        turn = TURNS.get(equation.primitive.name)
+        name, parameters = equation.primitive.name, equation.params
+        if name in SOUGHT and any(
+            sum(piece.get(v, {}).values()) > LITTLE for v in _variables(equation.invars)
+        ):
+            piece = _handed_on(piece, [v for v in piece if last.get(v, -1) >= i], values)
+        inputs, turn = read(equation.invars, values), TURNS.get(name)
         if turn is not None:
             parameters = parameters | {turn: _cut(parameters[turn])}
         found = applied(equation, inputs, parameters)
@@ -65,12 +72,16 @@ def _with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
         work = _work(equation, i, piece)
         piece |= dict.fromkeys(equation.outvars, work)
         if sum(work.values()) >= WORK:
-            handed_on = [v for v in piece if last.get(v, -1) > i]
-            if handed_on:
-                held = jax.lax.optimization_barrier(read(handed_on, values))
-                values |= dict(zip(handed_on, held, strict=True))
-            piece = {}
+            piece = _handed_on(piece, [v for v in piece if last.get(v, -1) > i], values)
     return read(jaxpr.outvars, values)
+
+
+def _handed_on(piece: dict, needed: list, values: dict) -> dict:
+    """The piece after one that ends here: what is `needed` of that is stored, in `values`."""
+    if needed:
+        held = jax.lax.optimization_barrier(read(needed, values))
+        values |= dict(zip(needed, held, strict=True))
+    return {}
 
 
 def _work(equation: Any, index: int, piece: dict[Any, dict[int, int]]) -> dict[int, int]:

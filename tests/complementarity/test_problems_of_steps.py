@@ -57,6 +57,7 @@ def falling_slider(friction):
 
 
 # The problems are read out of the loop by a callback, for which there is no machine code.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:jaxclear runs a time loop through XLA:RuntimeWarning")
 @pytest.mark.parametrize(
     "mu",

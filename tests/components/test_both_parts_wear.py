@@ -61,6 +61,7 @@ def ran_under(angles, begin, way):
     return (behind > 0.5) & (behind < abs(way) - 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "inner", "rung"),
     [

@@ -99,6 +99,7 @@ def test_volume_is_conserved(wear_map, events):
     np.testing.assert_allclose(np.sum(together * areas), 1e-12 * len(events), rtol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wear_map, events",
     [
@@ -163,6 +164,7 @@ def test_deposit_has_finite_derivatives(wear_map, events):
         assert all(np.all(np.isfinite(slope)) for slope in slopes)
 
 
+@pytest.mark.slow
 def test_a_batch_enters_the_wide_deposit_where_a_sample_needs_it():
     """A wide contact reaches all cells, at several times the cost: a branch of its own also in a
     batch, and each sample gets what it gets alone."""
@@ -273,6 +275,7 @@ def test_direction_angle_is_finite_to_the_second_derivative(size):
         assert np.all(np.isfinite(jax.jit(function)(place)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "half_arc, within", [(1e-10, 1e-6), (1e-7, 1e-6), (1e-5, 1e-6), (1e-3, 2e-2)]
 )

@@ -12,11 +12,8 @@ import pytest
 from hypothesis import example, given, settings
 from jax.flatten_util import ravel_pytree
 
+from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from tests.rigs.clearance_joints import JOINTS, USUAL, layout, pose, rate
-
-# The older emitters of XLA for CPUs compile a reverse derivative of scalar code up to seven times
-# faster (measured).
-QUICK_COMPILATION = {"xla_cpu_use_fusion_emitters": False}
 
 
 def decades(low, high):
@@ -108,7 +105,9 @@ def compiled(kind):
         # unequal weights: what is not a number in one row cannot cancel in the sum over rows
         return value, forward, pull(1.0 + jnp.arange(value.shape[0]))
 
-    return jax.jit(everything, compiler_options=QUICK_COMPILATION)
+    # The older emitters of XLA for CPUs compile a reverse derivative of scalar code up to seven times
+    # faster (measured).
+    return compiled_quickly(everything, AROUND_A_KERNEL)
 
 
 def assert_finite(tree, words):

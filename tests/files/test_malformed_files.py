@@ -257,7 +257,7 @@ def test_a_function_is_refused_by_its_place_and_nothing_is_written(tmp_path):
         ("{", r"line 1: .*\(JSON\)"),
         ('{"a": 1, "a": 2}', 'the name "a" stands twice'),
         ('{"a": NaN}', "holds NaN"),
-        ("[" * 5000, "nested more than"),
+        ("[" * 5000 + "]" * 5000, "nested more than"),
         ('{"a": ' + "9" * 5000 + "}", "thousands of digits"),
     ],
 )

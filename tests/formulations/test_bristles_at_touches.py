@@ -44,6 +44,7 @@ def lost(run):
     return float(run.energy_balance().friction_loss[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rebound", [0.95, 1.0])
 def test_implicit_steps_follow_how_bristles_settle(rebound):
     """A rattling crank on Dahl's friction: in steps of 2 us they took 9 % too much."""

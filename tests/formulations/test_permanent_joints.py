@@ -56,6 +56,7 @@ def arm(name, turned):
 QUICK = {("planar", False), ("guide", True), ("spatial", True), ("ball", False)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "turned"),
     [

@@ -35,6 +35,7 @@ def of_the_motion(values):
     return np.asarray(jax.jacfwd(bounces.by_hand)(values, END))
 
 
+@pytest.mark.slow
 def test_a_slope_is_refused_where_its_parts_nearly_cancel_in_a_response():
     """What is left of the height is a hundredth of its slope, by no more than whose error it is
     told: of that no state of the run knows."""
@@ -49,6 +50,7 @@ def test_a_slope_is_refused_where_its_parts_nearly_cancel_in_a_response():
     assert np.isnan(found["left"])
 
 
+@pytest.mark.slow
 def test_a_slope_is_refused_where_a_run_ends_before_it_takes_an_impact_that_is_due():
     """Steps take an impact in their second half one step later: a run that ends between is on the
     other side of it, and runs in longer steps are too."""

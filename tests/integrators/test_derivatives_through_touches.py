@@ -198,6 +198,7 @@ def test_in_equal_steps_a_lossless_bounce_has_the_derivative_of_its_closed_form(
     assert np.isnan(slopes(asked.nominal().at[2].set(2.5e5**2))[0])
 
 
+@pytest.mark.slow
 def test_a_lossless_bounce_has_the_derivative_of_its_closed_form():
     """y = -2 c - y0 - v0 (T - pi / omega) without gravity; of a rigid wall pi / omega is 0
     (../refdata/diff_contact_gradients, one bounce)."""
@@ -219,6 +220,7 @@ def test_a_lossless_bounce_has_the_derivative_of_its_closed_form():
         np.testing.assert_allclose(found, wanted, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_of_two_equal_bodies_one_takes_over_from_the_other():
     """(1, 0, 1, 0) by places and speeds, where codes without the instant of the impact say (0.75,
     0.25, 0.91, 0.08) (../refdata/diff_contact_gradients, two balls). One body is the other's
@@ -284,6 +286,7 @@ def test_a_second_derivative_says_why_not():
         jax.jit(jax.hessian(lambda v: answer(asked, v, 0.09)))(asked.nominal())
 
 
+@pytest.mark.slow
 def test_a_derivative_that_the_tolerance_no_longer_determines_is_nan():
     """Beside differences, through ten impacts of a slider-crank derivatives of the usual tolerance
     are right, through twenty of a rattling one off by a sixth, those of a tight one by 1e-3."""

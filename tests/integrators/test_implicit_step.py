@@ -79,6 +79,7 @@ def test_what_rests_on_a_contact_is_pressed_by_its_weight_at_every_saving_time(s
     assert run.warnings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*asks for longer steps")
 @pytest.mark.parametrize("step", [1e-5, 1e-4])
 def test_a_run_goes_on_in_steps_of_another_length_as_it_rests(step):
@@ -236,6 +237,7 @@ def test_loop_with_bristles_drive_and_loads_agrees_with_the_reference():
     assert float(runs[0].drift()["B"].max()) < 2e-6
 
 
+@pytest.mark.slow
 def test_energy_balance_closes():
     from_rest = touching_journal()
     run = jc.simulate(

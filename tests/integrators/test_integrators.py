@@ -149,6 +149,7 @@ def test_saving_times_may_be_given():
     np.testing.assert_allclose(run.time, [0.0, 0.005, 0.01, 0.02])
 
 
+@pytest.mark.slow
 def test_dataset_carries_units_and_names():
     data = jc.simulate(touching_journal(), 0.02, save=5, balance=True).to_dataset()
     assert data["journal.com"].attrs["units"] == "m" and data["B.normal_force"].dims == (

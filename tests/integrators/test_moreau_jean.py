@@ -270,6 +270,7 @@ def guide():
     return held(joint, 1e-4, (0.5, 0.05, 1.0), (0.3, -GRAVITY), axis="x")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
     [
@@ -324,6 +325,7 @@ def hung(ratio):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1.0, 10.0, 100.0])
 def test_a_light_link_holds_a_heavy_one(ratio):
     found = simulate(hung(ratio), 0.2, save=201)

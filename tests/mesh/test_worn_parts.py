@@ -102,6 +102,7 @@ def test_an_affine_displacement_is_met_exactly(solids, surface):
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-17)
 
 
+@pytest.mark.slow
 def test_the_mesh_loses_what_the_map_has_lost():
     """To second order in the cells: volume of a smooth pit, by the mesh and by its formula."""
     errors = []

@@ -30,6 +30,7 @@ def rod_length(rig):
 
 
 # A start that closes exactly, and one that does not; of each joint the other one is slow.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "length"),
     [
@@ -50,6 +51,7 @@ def test_the_derivative_of_a_start_is_that_of_its_differences(kind, length):
         np.testing.assert_allclose(derivative, differences, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "inertia",
     [pytest.param(1e-3, marks=pytest.mark.slow), (1e-3, 1e-3, 1e-3)],

@@ -66,9 +66,10 @@ def test_numbers_are_the_same(function):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
 
 
-def most_work(program):
+def most_work(program, reader=None):
     """The most operations that a number of a program takes within its piece, by brute force: what
-    stands at another place than what reads it is written out again."""
+    stands at another place than what reads it is written out again. Of what operations of a name
+    read alone, if one is given."""
     work, most = {}, 0
     for equation in program.jaxpr.eqns:
         if equation.primitive.name == "optimization_barrier":
@@ -78,7 +79,10 @@ def most_work(program):
         times = 3 if equation.primitive.name == "dot_general" else 1
         for out in equation.outvars:
             work[out] = 1 + times * read
-        most = max(most, 1 + times * read)
+        if reader is None:
+            most = max(most, 1 + times * read)
+        elif equation.primitive.name == reader:
+            most = max(most, read)
     return most
 
 
@@ -88,6 +92,28 @@ def test_a_piece_ends_before_work_is_done_many_times():
     flat = jax.make_jaxpr(lambda x: replayed(whole, [x]))(jnp.ones(3))
     # An operation of three terms that reads others of fewer than `WORK`.
     assert most_work(cut) < 10 * pieces.WORK < 1e-6 * most_work(flat)
+
+
+def looked_up(angle, table):
+    """Three neighbours in a table, where a chain of operations says, thrice."""
+    for _ in range(3):
+        for _ in range(8):
+            angle = jnp.sin(angle) + 0.1 * angle
+        place = jnp.floor(100.0 * angle).astype(int)
+        angle += sum(jax.lax.dynamic_slice(table, (place,), (3,)))
+    return angle
+
+
+def test_where_to_read_is_worked_out_once():
+    table = jnp.asarray(np.random.default_rng(2).normal(size=(50,)))
+    over = jax.vmap(looked_up, (0, None))
+    angles = jnp.linspace(0.0, 1.0, 4)
+    cut = jax.make_jaxpr(in_pieces_of(over))(angles, table)
+    whole = jax.make_jaxpr(over)(angles, table)
+    flat = jax.make_jaxpr(lambda *given: replayed(whole, given))(angles, table)
+    assert most_work(cut, "gather") <= pieces.LITTLE < 30 < most_work(flat, "gather")
+    found = in_pieces_of(over)(angles, table)
+    np.testing.assert_allclose(found[0], over(angles, table), rtol=1e-12)
 
 
 def test_what_is_short_is_left_whole():

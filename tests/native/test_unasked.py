@@ -79,6 +79,7 @@ WAYS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("function", [swung, written, called])
 def test_every_pair_of_results_is_what_it_is_among_all(function, way):

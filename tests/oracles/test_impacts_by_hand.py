@@ -114,6 +114,7 @@ def test_the_case_strikes_often_and_hard(hand):
     assert len(hand[1]) == 18 and max(hand[1]) > 4 and min(hand[1]) < 1
 
 
+@pytest.mark.slow
 def test_adaptive_runs_agree_with_the_events_by_hand(rig, hand):
     """A micrometre is a thousandth of the bearing's play; at its default tolerance the run keeps it
     through all impacts, because its steps end where contacts close and part."""

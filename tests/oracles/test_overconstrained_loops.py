@@ -98,6 +98,7 @@ def by_hand(theta, spin_rate, spin):
     return np.linalg.lstsq(rows, np.array(right), rcond=1e-10)[0].reshape(2, 2)
 
 
+@pytest.mark.slow
 def test_reactions_are_the_least_that_hold_the_motion(swung):
     theta, spin = angle(np.asarray(swung.time))
     rate = -GRAVITY * MOMENT / INERTIA * np.cos(theta)

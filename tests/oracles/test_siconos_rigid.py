@@ -92,6 +92,7 @@ def test_bouncing_ball():
     np.testing.assert_allclose(own, expected, atol=case["tolerance"])
 
 
+@pytest.mark.slow
 def test_ball_with_friction_and_spin():
     case = REFERENCE["ball_with_friction"]
     mass, radius = 1.0, 0.5

@@ -53,6 +53,7 @@ def crescent(depth):
     return 2 * RADIUS * LENGTH * (reach * math.sin(half) - CLEARANCE * half)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [pytest.param(0.0, marks=pytest.mark.slow), 0.31])
 @pytest.mark.parametrize("depth", [pytest.param(2e-6, marks=pytest.mark.slow), 30e-6, 3e-4])
 def test_a_pin_pressed_one_way_wears_the_area_between_two_circles(depth, angle):
@@ -78,6 +79,7 @@ def test_depth_converges_with_the_cells():
     assert away[0] > 0.02 and np.all(away < [0.12, 0.01, 0.005])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overlap", [0.3e-6, 1e-6])
 def test_the_first_wear_is_as_wide_as_hertz_contact(overlap):
     """b = sqrt(2 R d) of the effective radius R = R_B^2/c, and a semi-ellipse of pressure."""
@@ -99,6 +101,7 @@ def still(direction, overlap=0.0):
     return (x, y, z, x * x, x * y, x * z, y * y, y * z, narrow(overlap) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "towards",
     [
@@ -138,6 +141,7 @@ def test_a_tilted_journal_wears_its_own_slope_into_the_edge():
         assert abs(wide - 2 * half) < 6 * np.pi / around
 
 
+@pytest.mark.slow
 def test_both_ends_of_a_parallel_journal_wear_its_whole_length_evenly():
     wear_map = cylinder(72, 12)
     places = [[(*ALONG_X, 0.0, narrow(1e-6), end) for end in (-1.0, 1.0)]] * 10

@@ -34,6 +34,7 @@ def phases(rig, duration, saves):
     return jc.simulate(rig, duration, save=saves, integrator=tight).modes("B")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("saves", [pytest.param(1001, marks=pytest.mark.slow), 51])
 def test_instants_of_elastic_impacts(saves):
     """Straight flights of two clearances, and half a swing in the wall; also where a saving
@@ -71,6 +72,7 @@ def test_instants_of_a_run_with_events_do_not_hang_on_its_saves():
     assert "between the saving times" in by_saves.combined_modes().attrs["instants"]
 
 
+@pytest.mark.slow
 def test_where_events_were_not_kept_the_saves_tell():
     """One event of four is kept: the rest of the interval is told by saves, with a warning."""
     duration = 4.0 * (2 * CLEARANCE / SPEED + LASTS)
@@ -82,6 +84,7 @@ def test_where_events_were_not_kept_the_saves_tell():
     assert known == ["start of the run", *["event", "saving times"] * 2]
 
 
+@pytest.mark.slow
 def test_what_lasts_is_contact():
     """Under a load a journal comes back from its first impacts less and less, then stays."""
     found = phases(journal(20.0, damping=600.0), 0.05, 2001)

@@ -316,6 +316,7 @@ def test_error_over_a_run_recovers_deviations_and_adds_up(wobbling):
     assert len(plot.pointing_budget(error).axes) == 4
 
 
+@pytest.mark.slow
 def test_error_against_another_run_names_the_motion(wobbling):
     run, q, deviations = wobbling
     ideal = posed(q + np.array([1e-3, -2e-3]), 0 * deviations)
@@ -336,6 +337,7 @@ def test_error_against_another_run_names_the_motion(wobbling):
     assert np.abs(same.exact).max() < 1e-15 and np.abs(same.model).max() < 1e-15
 
 
+@pytest.mark.slow
 def test_error_maps_and_differentiates_at_zero_deviation():
     links = chain(antenna(), "ground", TIP)
 
@@ -378,6 +380,7 @@ def test_response_differentiates_with_and_without_deviations(wobbling):
     assert abs(float(found[3, 11])) > 1e-4
 
 
+@pytest.mark.slow
 def test_response_is_the_rms_or_the_peak(wobbling):
     angle = jc.pointing_error(wobbling[0], TIP, "arm").pointing_angle
     assert float(jc.response.PointingAngle(TIP, "arm")(wobbling[0])) == pytest.approx(

@@ -43,6 +43,7 @@ def test_responses_are_what_their_names_say(run):
     assert float(error(run)) == pytest.approx(np.sqrt((com[:, 1] ** 2).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("contact", "integrator"),
     [
@@ -97,6 +98,7 @@ def test_a_function_has_the_unit_and_the_needs_that_it_is_given(run):
         jc.response.FromFunction(lambda run: run.time[-1], "s", needs="force")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "integrator",
     [pytest.param(jc.integrator.FixedStep(5e-6), marks=pytest.mark.slow), jc.integrator.Adaptive()],

@@ -116,6 +116,7 @@ def test_sticking_planar_joint_equals_an_independent_solution():
     assert errors[1] < 2e-4 and errors[1] < 0.5 * errors[0]
 
 
+@pytest.mark.slow
 def test_amplitude_falls_from_ideal_over_planar_to_spatial(periodic):
     """(b) The spatial joint's ends carry the moments too, so it rubs more."""
     swings = np.array(

@@ -24,6 +24,7 @@ def forces(run):
     return {name: np.asarray(run.contact(name).normal_force).sum(axis=1) for name in JOINTS}
 
 
+@pytest.mark.slow
 def test_ideal_joints_move_as_the_linkage_says():
     """Two four-bars in a row: circles of the rods about pins that are known."""
     run = jc.simulate(flap("ideal"), 1 / FREQUENCY, save=11)
@@ -38,6 +39,7 @@ def test_ideal_joints_move_as_the_linkage_says():
         np.testing.assert_allclose(ARM * shaft[:2, 1], pin - [pivot, -ARM], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_shaft_keeps_its_speed_while_its_joint_is_free(run):
     free = (np.asarray(run.contact("J4").indentation) < 0).all(axis=1)
     between = free[1:] & free[:-1]
@@ -86,6 +88,7 @@ def test_bad_input_is_refused_by_name():
         flap(lever_ratio=0.0)
 
 
+@pytest.mark.slow
 def test_where_all_joints_stay_in_contact_the_shaft_is_that_of_ideal_joints(run):
     """From the paper's first impacts to the turn of the stroke; a figure of the flap's study."""
     ideal = jc.simulate(flap("ideal"), DURATION, save=SAVES)

@@ -307,6 +307,7 @@ def frictionless(kind, integrator):
     )
 
 
+@pytest.mark.slow
 def test_without_friction_the_reactions_are_those_of_the_ideal_joint():
     run, force, expected = frictionless("guide", jc.integrator.NonColliding(2.5e-4))
     # The first step knows no acceleration yet: an error of order h^2, which decays as the loop's

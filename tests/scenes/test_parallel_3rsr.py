@@ -107,6 +107,7 @@ def force_of_level_motion(time, period):
     return np.stack([horizontal, vertical], axis=1)
 
 
+@pytest.mark.slow
 def test_the_multiplier_of_an_ideal_ball_is_the_force_of_the_closed_form(ideal):
     wanted, outwards = force_of_level_motion(np.asarray(ideal.time), QUIET), OUTWARDS[1]
     assert "S2" in ideal.mechanism.topology.loops

@@ -27,6 +27,7 @@ def test_a_failure_can_be_pickled():
     np.testing.assert_array_equal(copy.trajectory.time, caught.value.trajectory.time)
 
 
+@pytest.mark.slow
 def test_under_a_transformation_it_names_what_to_do():
     with pytest.raises(ValueError, match="throw=False"):
         jax.jit(lambda clearance: run(clearance).time)(2e-4)

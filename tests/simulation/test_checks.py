@@ -33,6 +33,7 @@ def test_a_torn_loop_ends_the_run(name):
         jc.simulate(ideal(rpm), 0.05, save=51, integrator=integrator)
 
 
+@pytest.mark.slow
 def test_a_drifting_loop_carries_a_sentence_and_a_projected_one_none():
     """The loop was open by 7 mm where projection holds it to 2e-8 m."""
     integrator = jc.integrator.NonColliding(1e-3)
@@ -53,6 +54,7 @@ def test_checks_stand_in_a_table_with_the_joint_and_the_limit():
     assert "loop drift" in str(found) and str(found).startswith(found.result)
 
 
+@pytest.mark.slow
 def test_a_run_that_grew_without_bound_says_what_was_beyond_its_limit_before():
     """It said "inf of what friction takes", and where it became infinite nothing of why."""
     rig = jc.scenes.slider_crank(crank_speed=500 * RPM)

@@ -90,6 +90,7 @@ def test_short_steps_in_contact_are_judged_by_their_own_length():
     assert np.isclose(figure(contact_steps=20), figure(step=1e-6), rtol=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene", ["slider_crank", pytest.param("four_bar", marks=pytest.mark.slow)]
 )

@@ -50,6 +50,7 @@ def thrown():
     return lambda *numbers: tuple(map(np.asarray, go(*map(jnp.asarray, numbers))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("restitution", "share", "rebound"),
     [(0.2, 0.5, 0.95), (0.6, 0.5, 0.95), (0.9, 0.5, 0.5), (0.2, 2.0, 0.95)],

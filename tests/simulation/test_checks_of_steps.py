@@ -27,6 +27,7 @@ def beyond(run):
     return {check for check, worst, *_ in run.checks.rows() if worst > check.limit}
 
 
+@pytest.mark.slow
 def test_a_mechanism_that_gains_energy_from_nowhere_ends():
     """Steps just beyond what a damper allows: speeds of hundreds of rad/s, bounded by nothing but
     the geometry."""
@@ -112,6 +113,7 @@ def test_windows_of_long_adaptive_steps_have_a_finer_pass():
     assert found.checks.figures[Check.HALVED_MEAN_FORCES].worst.max() > 0.1 * off
 
 
+@pytest.mark.slow
 def test_contacts_crossed_in_one_step_are_said():
     """Peak forces are then those of the steps."""
     rig = jc.scenes.slider_crank()
@@ -140,6 +142,7 @@ def pushed_through(stiffness, integrator):
     return jc.simulate(soft, 0.02, save=11, integrator=integrator, throw=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", [jc.integrator.FixedStep(), jc.integrator.Adaptive()])
 def test_a_journal_that_sinks_in_is_said_and_ends_the_run_beyond_its_radius(integrator):
     """No contact law was made for it."""

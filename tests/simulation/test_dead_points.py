@@ -70,6 +70,7 @@ def test_drives_within_reach_reach_their_end():
         assert run.succeeded
 
 
+@pytest.mark.slow
 def test_a_loop_torn_by_long_steps_is_not_called_a_dead_point():
     scene = jc.scenes.slider_crank("ideal", crank_speed=2000.0)
     steps = jc.integrator.FixedStep(2e-3, "semi_implicit")
@@ -117,6 +118,7 @@ def change_point(coupler=0.25):
     )
 
 
+@pytest.mark.slow
 def test_a_run_that_ends_at_a_singular_position_says_so():
     """With the loop, and the time at which the crank points along the ground."""
     run = jc.simulate(change_point(), 1.0, save=101, integrator=RUNGS["implicit"], throw=False)

@@ -105,6 +105,7 @@ def found():
     return jc.positions(four_bar(), {"O": ANGLES}, both_ways=True)
 
 
+@pytest.mark.slow
 def test_without_clearance_bodies_stand_where_the_loop_closes():
     stands = jc.positions(four_bar(slack=""), {"O": ANGLES})
     closed = np.array([ideal_angles(angle) for angle in ANGLES])
@@ -182,6 +183,7 @@ def test_a_position_out_of_reach_is_named():
         jc.positions(crank, {"pin": [0.1, 0.6, 1.2]})
 
 
+@pytest.mark.slow
 def test_the_way_of_assembly_is_told_and_a_fall_to_the_other_is_found_out():
     """A four-bar closes in two ways, whose loops' determinants have opposite signs."""
     scene = posed(four_bar(""), ("O",))

@@ -24,6 +24,7 @@ def test_every_second_time_is_moved_to_just_before_the_next(count):
     np.testing.assert_allclose(left, 0.1 * np.diff(times)[second])
 
 
+@pytest.mark.slow
 def test_what_was_saved_at_times_that_are_moved_is_what_was_at_the_next():
     bearing = jc.clearance.PlanarJournalBearing(
         jc.contact.Hertz(stiffness=1e9),

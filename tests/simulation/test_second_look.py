@@ -95,6 +95,7 @@ def test_a_brief_run_is_looked_at_again_whatever_its_figures(pushed, monkeypatch
     assert not looked(dataclasses.replace(run, checks=checks))
 
 
+@pytest.mark.slow
 def test_what_few_steps_of_low_order_make_of_impacts_is_said():
     """A four-bar in 200 steps of "heun": a journal is a third of its clearance off where
     indentations rise by less than a twentieth in a step."""

@@ -51,6 +51,7 @@ def lost(run):
     return float(run.energy_balance().friction_loss[-1])
 
 
+@pytest.mark.slow
 def test_friction_that_stops_slip_within_a_step_is_said_where_its_loss_is_asked_for(pushed):
     """Beside a slide to rest by hand."""
     friction = MU * LOAD

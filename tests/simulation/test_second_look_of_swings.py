@@ -76,6 +76,7 @@ def test_where_a_shaken_pendulum_is_is_said():
     }
 
 
+@pytest.mark.slow
 def test_implicit_steps_whose_indentations_rise_by_a_fiftieth_are_looked_at_again():
     """A four-bar's journal is 5 % of its clearance off."""
     found = run_of(19, 27, jc.integrator.ImplicitStep(6e-6, rebound=1.0))

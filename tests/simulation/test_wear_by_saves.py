@@ -51,6 +51,7 @@ def test_places_between_which_a_contact_jumps_are_told_and_one_place_is_none(mod
     assert told(model, np.tile([0.3, 2.1, 0.5, -0.4], 2)) > Check.WEAR_BY_SAVES.limit
 
 
+@pytest.mark.slow
 def test_a_single_loss_over_a_wide_arc_is_told(model):
     """Of which fewer saving times tell nothing: nobody knows where on its arc it was lost. In one
     place, or like those beside it, it is right."""

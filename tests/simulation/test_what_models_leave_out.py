@@ -45,6 +45,7 @@ def figure(rig, integrator, check=Check.COULOMB_FRICTION, duration=0.01):
     return run, None if found is None else float(jnp.max(found.worst))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law", [pytest.param(THREE_ZONES, marks=pytest.mark.slow), jc.friction.Dahl()]
 )
@@ -71,6 +72,7 @@ def test_what_a_law_takes_beside_coulombs_is_told_as_large_as_it_is():
     assert share > 0.3 and share == pytest.approx(1 - lost[0] / lost[1], rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "rung", "wanted"),
     [
@@ -219,6 +221,7 @@ def test_the_force_that_would_move_a_part_in_its_gap_is_told(turning):
     assert share == pytest.approx(wanted, rel=0.01, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_part_that_lags_in_its_gap_says_so():
     """A ball pendulum let go: along its rod its force grows faster than the whole bob can follow in
     the gap; a tight compliant run tells how far off the force is."""
@@ -237,6 +240,7 @@ def test_a_part_that_lags_in_its_gap_says_so():
     assert any("follow it in the gap" in sentence for sentence in run.warnings)
 
 
+@pytest.mark.slow
 def test_ideal_joints_that_rub_in_a_loop_are_told_of_too():
     """Parallel hinges of a linkage carry loads in its plane as statics says, across it as each of
     them gives."""

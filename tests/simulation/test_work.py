@@ -91,6 +91,7 @@ def test_of_numbers_known_only_in_the_program_a_run_neither_hangs_nor_lies(of, n
     assert Outcome(int(outcome)) == Outcome.NOT_FINITE
 
 
+@pytest.mark.slow
 def test_many_steps_that_a_machine_does_take_are_not_refused():
     jc.simulate(RIG, 1e-7, integrator=STEP.FixedStep(1e-12), save=3)
     jc.simulate(RIG, 1e-6, integrator=STEP.FixedStep(1e-6, contact_steps=1e3), save=2)

@@ -138,6 +138,7 @@ print("ended")
 """
 
 
+@pytest.mark.slow
 def test_chunks_whose_responses_call_lapack_do_not_wait_for_each_other():
     """Two at once, each in a thread of XLA's pool that waits for that pool, wait for ever."""
     done = subprocess.run(

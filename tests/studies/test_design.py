@@ -388,6 +388,7 @@ def test_designs_are_quick():
     assert time.process_time() - begun < 20
 
 
+@pytest.mark.slow
 def test_a_design_whose_parts_cannot_be_made_does_not_hold():
     """A clearance of 20 um with a tolerance of 40 um "held": the samples below 0 were left out."""
     asked = jc.FunctionProblem(

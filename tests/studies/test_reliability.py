@@ -84,6 +84,7 @@ def test_second_order_bends_with_the_limit():
     assert found["breitung"].value == pytest.approx(ndtr(-3.0) / np.sqrt(1.9), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_sphere_is_found_by_subset_simulation():
     """No direction is the likeliest: points on a sphere fail with a chi square's probability."""
     problem = standard(lambda a, b, c: a**2 + b**2 + c**2, 3)
@@ -150,6 +151,7 @@ def not_differentiable(a, b, c):
     return jax.pure_callback(form, shape, a, b, c, vmap_method="broadcast_all")
 
 
+@pytest.mark.slow
 def test_a_limit_beyond_all_bounds_is_told_after_few_runs():
     """It took 94 400 runs to say nothing of where the limit lies."""
     names = [f"part {i}" for i in range(4)]

@@ -63,6 +63,7 @@ def test_sobol_indices(problem, share):
     assert told(found.warnings, share, found.runs) and str(found).endswith(found.warnings[0])
 
 
+@pytest.mark.slow
 def test_shapley_effects_surface_and_what_corrects_it(problem, share):
     found = jc.shapley_effects(problem, 64)
     assert told(found.warnings, share, found.runs) and str(found).endswith(found.warnings[0])
@@ -84,6 +85,7 @@ def test_the_worst_case_tells_whose_run_warns(problem):
     assert found.warnings and str(found).endswith(found.warnings[-1])
 
 
+@pytest.mark.slow
 def test_reliability(problem, share):
     middle = float(np.median(jc.monte_carlo(problem, 64).responses["slider"]))
     limit = jc.limit_state.Above("slider", middle)

@@ -86,6 +86,7 @@ def test_between_stages_and_until_a_limit(lived):
     assert np.isinf(never.cycles) and "not 1." in never.sentence
 
 
+@pytest.mark.slow
 def test_wear_that_hangs_on_the_saving_times_is_told(lived):
     """Four cells of the wall for a saving interval make waves of 3 % of the depth (of a quarter
     where arcs were widened by the contact): told by cycles whose intervals are cells, true of
@@ -138,6 +139,7 @@ def test_volume_of_a_constant_load_is_that_of_archard():
     )
 
 
+@pytest.mark.slow
 def test_a_life_of_two_cycles_is_two_cycles():
     """Nothing is carried on where nothing is saved by it."""
     fast = eqx.tree_at(
