@@ -105,9 +105,10 @@ def compiled(kind):
         # unequal weights: what is not a number in one row cannot cancel in the sum over rows
         return value, forward, pull(1.0 + jnp.arange(value.shape[0]))
 
-    # The older emitters of XLA for CPUs compile a reverse derivative of scalar code up to seven times
-    # faster (measured).
-    return compiled_quickly(everything, AROUND_A_KERNEL)
+    # The older emitters of XLA for CPUs compile a reverse derivative of scalar code up to seven
+    # times faster (measured). Numbers of Python would be constants of the program.
+    compiled = compiled_quickly(everything, AROUND_A_KERNEL)
+    return lambda *given: compiled(*jax.tree.map(jnp.asarray, given))
 
 
 def assert_finite(tree, words):
