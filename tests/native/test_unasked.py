@@ -8,9 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.interpreters import partial_eval as pe
 
 import jaxclear as jc
 from jaxclear.native import Kept, by_columns, loop, once, scan, while_loop
+from jaxclear.native.columns import columns_p
 
 PLACE = jnp.array([1.0, 0.7, 0.5])
 LONG = jnp.linspace(-1.0, 1.0, 200)
@@ -79,7 +81,6 @@ WAYS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("function", [swung, written, called])
 def test_every_pair_of_results_is_what_it_is_among_all(function, way):
@@ -108,6 +109,20 @@ def test_a_scan_keeps_the_tables_that_are_asked_for(built):
     assert len(program.tables) == 1 and not program.long
     # The number of turns, and the place.
     assert len(program.body.in_avals) - program.body_constants == 2
+
+
+@pytest.mark.parametrize("function", [swung, lambda p: by_columns(swung, p)])
+def test_the_rule_is_the_same_whether_jax_tells_which_inputs_are_used_or_not(function):
+    """As JAX 0.12 does and 0.11 does not."""
+    program = jax.make_jaxpr(function)(PLACE)
+    (equation,) = (e for e in program.eqns if e.primitive in (loop.loop_p, columns_p))
+    used = [True, *[False] * (len(equation.outvars) - 1)]
+    rule = pe.dce_rules[equation.primitive]
+    inputs, left = rule(used, equation)
+    live = [True] * len(equation.invars)
+    again, left_again = rule(used, live, equation)
+    assert inputs == again and left.outvars == left_again.outvars
+    assert len(left.outvars) < len(equation.outvars)
 
 
 def test_what_is_asked_of_columns_is_what_their_loops_work_out(built):
