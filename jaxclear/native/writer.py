@@ -100,7 +100,13 @@ class Writer:
         return word if self.lanes == 1 else f"splat ({kind} {word})"
 
     def put(self, right: str) -> str:
-        """A new register holding the right-hand side."""
+        """A register holding the right-hand side: that of before, where the same was written within
+        the current region, of what no memory that changes has a part in."""
+        if right.startswith("load") and "!invariant" not in right:
+            return self._new(right)
+        return self.once(("put", right), lambda: self._new(right))
+
+    def _new(self, right: str) -> str:
         name = self.fresh()
         self.lines.append(f"  {name} = {right}")
         return name
