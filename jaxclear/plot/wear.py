@@ -162,7 +162,10 @@ def wear_surface(
     )
     axis.set_xlabel("x [mm]")
     axis.set_ylabel("y [mm]")
-    axis.set_zlabel("z [mm]")
+    # Matplotlib stands it on its head where the view rises from behind.
+    axis.zaxis.set_rotate_label(False)
+    axis.set_zlabel("z [mm]", rotation=90)
+    axis.locator_params(nbins=5)
     title = f"Worn {surface} of {joint} seen from outside, depth × {factor:.0f}"
     axis.set_title(title + setting(run, joint), fontsize=10)
     axis.set_box_aspect((1, 1, wall.height))
