@@ -76,6 +76,8 @@ class Writer:
         self.turn = ""
         self._count = 0
         self._seen: dict[tuple, Any] = {}
+        # What it holds, in the order in which it came.
+        self._written: list[tuple] = []
         # How often arrays in memory have changed, by the register of the first sample's place.
         self._versions: dict[str, int] = {}
 
@@ -122,14 +124,17 @@ class Writer:
         """What `make` writes, written once within the current region."""
         if key not in self._seen:
             self._seen[key] = make()
+            self._written.append(key)
         return self._seen[key]
 
-    def enter(self) -> dict:
+    def enter(self) -> int:
         """Open a region whose registers are not visible behind it; hand the result to `leave`."""
-        return dict(self._seen)
+        return len(self._written)
 
-    def leave(self, before: dict) -> None:
-        self._seen = before
+    def leave(self, before: int) -> None:
+        for key in self._written[before:]:
+            del self._seen[key]
+        del self._written[before:]
 
     def operate(self, form: str, kind: str, *values: Any) -> str:
         """`form` with {type} and the operands {0}, {1}, ..."""
