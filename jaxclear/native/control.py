@@ -97,10 +97,7 @@ def _row_of_the_turn(writer, row, turn, kind):
         found = options[0]
         for number, option in enumerate(options[1:], 1):
             if option != found or number > 1:
-                here = writer.once(
-                    ("turn", turn, number),
-                    lambda n=number: writer.put(f"icmp eq i64 {turn}, {n}"),
-                )
+                here = writer.put(f"icmp eq i64 {turn}, {number}")
                 wide = writer.wide(kind)
                 yes, no = writer.text(option, kind), writer.text(found, kind)
                 found = writer.put(f"select i1 {here}, {wide} {yes}, {wide} {no}")

@@ -61,7 +61,7 @@ def _power(writer, equation, a, b):
 @rule("sin", "cos")
 def _sine(writer, equation, a):
     def one(x):
-        pair = writer.once(("sincos", x), lambda: writer.own("sincos", x))
+        pair = writer.own("sincos", x)
         wide = writer.wide(FLOAT)
         return writer.put(
             f"extractvalue {{{wide}, {wide}}} {pair}, {int(equation.primitive.name == 'cos')}"

@@ -122,8 +122,7 @@ def _put_entry(writer, out, place, value, kind):
         here: Any = True
         for i, at in zip(place, target, strict=True):
             if not known(i):
-                key = ("at", i, at)
-                test = writer.once(key, lambda i=i, at=at: compare(writer, "eq", WHOLE, i, at))
+                test = compare(writer, "eq", WHOLE, i, at)
                 here = (
                     test
                     if here is True

@@ -7,7 +7,6 @@ no rule raises `Unsupported`: the caller then leaves the program to XLA.
 """
 
 import struct
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -75,9 +74,8 @@ class Writer:
         # Register with the turn of a scan, the same for all samples.
         self.turn = ""
         self._count = 0
-        self._seen: dict[tuple, Any] = {}
-        # What it holds, in the order in which it came.
-        self._written: list[tuple] = []
+        # Registers that can be read here, by their right-hand sides, as they came.
+        self._seen: dict[str, str] = {}
         # How often arrays in memory have changed, by the register of the first sample's place.
         self._versions: dict[str, int] = {}
 
@@ -106,7 +104,9 @@ class Writer:
         the current region, of what no memory that changes has a part in."""
         if right.startswith("load") and "!invariant" not in right:
             return self._new(right)
-        return self.once(("put", right), lambda: self._new(right))
+        if right not in self._seen:
+            self._seen[right] = self._new(right)
+        return self._seen[right]
 
     def _new(self, right: str) -> str:
         name = self.fresh()
@@ -120,21 +120,13 @@ class Writer:
         self.lines.append(f"{label}:")
         self.block = label
 
-    def once(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """What `make` writes, written once within the current region."""
-        if key not in self._seen:
-            self._seen[key] = make()
-            self._written.append(key)
-        return self._seen[key]
-
     def enter(self) -> int:
         """Open a region whose registers are not visible behind it; hand the result to `leave`."""
-        return len(self._written)
+        return len(self._seen)
 
     def leave(self, before: int) -> None:
-        for key in self._written[before:]:
-            del self._seen[key]
-        del self._written[before:]
+        while len(self._seen) > before:
+            self._seen.popitem()
 
     def operate(self, form: str, kind: str, *values: Any) -> str:
         """`form` with {type} and the operands {0}, {1}, ..."""
