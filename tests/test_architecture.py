@@ -25,6 +25,7 @@ FLOORS = (
     ("formulations",),
     ("integrators", "scenes"),
     ("results",),
+    ("errors",),
     ("simulation", "mesh"),
     ("studies",),
     ("files", "plot"),

@@ -1,5 +1,6 @@
-"""A run's judgement of itself: the figures of its saving intervals gathered, and its end where they
-show that the numbers are certainly wrong.
+"""What a run finds out about itself that no finer run of the same model would tell, from its saved
+states: open loops, energy gained, indentation beyond the law, and what the model leaves out. The
+run ends where one of these is beyond what a run can mend.
 
 Nothing here touches the motion: what reached its end does so with the same numbers, bit for bit.
 """
@@ -12,31 +13,32 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent_reactions import touching
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
-from jaxclear.integrators.check_words import (
+from jaxclear.integrators.checks import (
     COLLARS,
     CONTACTS,
-    JOINTS,
     LOOPS,
     RUBBING,
     SLIDING,
-    SPEEDS,
     SURFACES,
     TOUCHING,
     UNHELD,
     WHOLE,
+    Check,
 )
-from jaxclear.integrators.checks import Check
+from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import energy, kinematics, loops
+from jaxclear.multibody.reach import shortest_part
 from jaxclear.multibody.system import System, longest_arm
 from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation import wear_by_cells
 from jaxclear.simulation.collars import (
     by_others,
     collared,
@@ -48,52 +50,33 @@ from jaxclear.simulation.collars import (
 )
 from jaxclear.simulation.coulomb_friction import coulomb_friction, laws_of_others
 from jaxclear.simulation.coulomb_friction import taken as rubbed_as_coulombs
-from jaxclear.simulation.damper_steps import damper_step, damping
-from jaxclear.simulation.found import met_by, seen_by, together
-from jaxclear.simulation.friction_steps import KINDS, contacts, friction_steps, rubbing, taken
 from jaxclear.simulation.gap_motion import gap_motion, in_gaps, masses, placed
 from jaxclear.simulation.indeterminate import indeterminate_forces, shared
 from jaxclear.simulation.looks import Looks, look
-from jaxclear.simulation.rebound import rebound_steps
-from jaxclear.simulation.tally import PEAKS, Figures, Tally
+from jaxclear.simulation.wear import Worn
 
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
 LEAST_LIFT = 0.01
 # Figures of every look beyond which a run ends.
 ENDING = (Check.INDENTATION, Check.LOOP_DRIFT)
+Figures = dict[Check, Float[Array, "*looks places"]]
 
 
-def refereed(
-    trajectory: Trajectory,
-    model: Model,
-    tally: Tally,
-    figures: Figures,
-    windows: dict[Check, Float[Array, " places"]],
-) -> Trajectory:
-    """The run with its checks: the worst that its integrator met, those of its `windows`, and those
-    that its saved states tell, with the `figures` of the saving intervals that end with a look. It
-    ends where one of these is beyond what a run can mend.
-    """
+def judged(trajectory: Trajectory, model: Model, begun: Worn) -> Trajectory:
+    """The run with its checks; `begun`: worn surfaces at its start. It ends where a look calls for
+    it."""
     history = trajectory.history
-    looks, ends = look(history, model, figures), jnp.asarray(history.time)[1:]
-    seen, rubbed, verdict = _of_saved_states(looks)
-    of_run = windows | rubbed
-    met, when = dict(tally.worst), dict(tally.when)
-    rebound = met.pop(Check.REBOUND_STEP, None)
-    if rebound is not None:
-        rises = met[Check.CONTACT_STEP], met[Check.INDENTATION]
-        of_run[Check.REBOUND_STEP] = rebound_steps(model, *rises, rebound)
-    places = _places(model, history.formulation)
-    met = _of_contacts(model.system, met) | of_run
-    kept = {check: met[check] for check in PEAKS if check in tally.worst}
-    met = jax.lax.stop_gradient(met) | kept
-    when |= {check: jnp.full(each.shape, ends[-1]) for check, each in of_run.items()}
-    seen = jax.lax.stop_gradient(seen)
-    checks = together(met_by(met, when, places), seen_by(seen, ends[looks.intervals], places))
-    if verdict is None:
+    looks, ends = look(history, model), jnp.asarray(history.time)[1:]
+    seen = _of_saved_states(looks)
+    of_run = dict(seen.of_run) | wear_by_cells.figures(model, begun, trajectory.worn)
+    if trajectory.extremes is not None:
+        depths = trajectory.extremes.indentation
+        of_run[Check.INDENTATION] = depths / _radii(model.system) if depths.size else depths
+    checks = _together(model, history.formulation, of_run, seen.figures, ends[looks.intervals])
+    if seen.verdict is None:
         return dataclasses.replace(trajectory, checks=checks)
-    bad = (verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
+    bad = (seen.verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
     worst, stops = jnp.argmax(bad), jnp.any(bad)
     first = jnp.asarray(looks.intervals)[worst]
     # As of every run that ended early, the last state is kept up to its planned end.
@@ -102,10 +85,36 @@ def refereed(
     return dataclasses.replace(
         trajectory,
         history=dataclasses.replace(history, states=states),
-        outcome=jnp.where(stops, verdict[worst], trajectory.outcome),
+        outcome=jnp.where(stops, seen.verdict[worst], trajectory.outcome),
         ended=jnp.where(stops, ends[first], trajectory.ended),
         checks=checks,
     )
+
+
+def _together(
+    model: Model,
+    formulation: AbstractFormulation,
+    of_run: Figures,
+    of_looks: Figures,
+    ends: Float[Array, " looks"],
+) -> Checks:
+    """All figures, those of looks as the worst that was met and when; what is not a number counts
+    as infinite. A short run would pay for every array that it hands over, so they are two rows."""
+    places = _places(model, formulation)
+    of_run = {check: each for check, each in of_run.items() if places[check.of]}
+    named = [(check, places[check.of]) for check in (*of_run, *of_looks)]
+    if not named:
+        return Checks()
+    worst, when = [jnp.concatenate(list(of_run.values()))] if of_run else [], []
+    when = [jnp.full(worst[0].shape, ends[-1])] if of_run else []
+    if of_looks:
+        figures = jnp.concatenate(list(of_looks.values()), axis=1)
+        figures = jnp.where(jnp.isnan(figures), jnp.inf, figures)
+        worst.append(jnp.max(figures, axis=0))
+        when.append(ends[jnp.argmax(figures, axis=0)])
+    found = jnp.concatenate(worst)
+    found = jax.lax.stop_gradient(jnp.where(jnp.isnan(found), jnp.inf, found))
+    return Checks(found, jnp.concatenate(when), tuple(named))
 
 
 def _ending(found: Figures, outcome: Any = None) -> Any:
@@ -119,19 +128,9 @@ def _ending(found: Figures, outcome: Any = None) -> Any:
     return outcome
 
 
-def _of_contacts(system: System, figures: Figures) -> Figures:
-    """The worst figures with those of contacts, which integrators keep in metres, beside what they
-    are measured by: the largest indentation of all, and the radius of each joint."""
-    if Check.INDENTATION not in figures:
-        return figures
-    depths = figures[Check.INDENTATION]
-    deepest = jnp.max(depths, initial=0.0)
-    rises = {
-        check: safe_divide(figures[check], deepest)
-        for check in (Check.CONTACT_STEP, Check.IMPACT_STEP)
-        if check in figures
-    }
-    return figures | rises | {Check.INDENTATION: depths / _radii(system)}
+def sunk_in(system: System, depths: Float[Array, " contacts"]) -> Bool[Array, ""]:
+    """Whether a contact is so deep [m] that its part has sunk into the wall that holds it."""
+    return jnp.any(depths > Check.INDENTATION.ends_at * _radii(system))
 
 
 def _radii(system: System) -> Float[Array, " contacts"]:
@@ -139,15 +138,16 @@ def _radii(system: System) -> Float[Array, " contacts"]:
     return sp.stack([radius for one in system.bearings.values() for radius in one.radii])
 
 
+def contact_names(model: Model) -> tuple[str, ...]:
+    """The joint of every possible contact."""
+    return tuple(name for name, kinds in model.layout.memories for _ in kinds)
+
+
 def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[str, ...]]:
     """Names of the places of figures."""
-    contacts = tuple(name for name, kinds in model.layout.memories for _ in kinds)
-    topology = model.system.topology
     return {
-        LOOPS: topology.loops,
-        SPEEDS: tuple(b.name for b in topology.branches for _ in range(b.speed_count)),
-        CONTACTS: contacts,
-        JOINTS: tuple(name for name, count in model.layout.impulses for _ in range(count)),
+        LOOPS: model.system.topology.loops,
+        CONTACTS: contact_names(model),
         SURFACES: tuple(slot.bearing for slot in model.layout.wear),
         RUBBING: tuple(laws_of_others(model, formulation)),
         COLLARS: collared(model),
@@ -162,8 +162,8 @@ class Seen(NamedTuple):
     """What the looks tell: figures by look, figures of the run as a whole, the `Outcome` that each
     look calls for (None: none ever ends a run)."""
 
-    figures: dict[Check, Float[Array, "looks places"]]
-    of_run: dict[Check, Float[Array, " contacts"]]
+    figures: Figures
+    of_run: Figures
     verdict: Int[Array, " looks"] | None
 
 
@@ -181,45 +181,31 @@ def _of_saved_states(looks: Looks) -> Seen:
         figures[Check.ENERGY_GAIN] = gains
         verdict = _ending({Check.ENERGY_GAIN: gains}, verdict)
     times = looks.history.time[looks.rows]
-    of_run = {check: friction_steps(model, told[check]) for check in KINDS if check in told}
+    of_run = {check: share_along(each) for check, each in said["along"].items()}
     if "rubbed" in said:
-        rubbed = said["rubbed"]
-        of_run[Check.COULOMB_FRICTION] = coulomb_friction(rubbed, times)
-    of_run |= {check: share_along(each) for check, each in said["along"].items()}
+        of_run[Check.COULOMB_FRICTION] = coulomb_friction(said["rubbed"], times)
     if "gaps" in said:
         heavy = masses(in_gaps(model), looks.history.mechanism)
         of_run[Check.GAP_MOTION] = gap_motion(said["gaps"], times, heavy)
     if "shared" in said:
         of_run[Check.INDETERMINATE_FORCE] = indeterminate_forces(said["shared"])
-    for check in (Check.DAMPER_STEP, Check.JOURNAL_REACH):
-        if check in told:
-            of_run[check] = jnp.max(told[check], axis=0, initial=0.0)
+    if Check.JOURNAL_REACH in told:
+        of_run[Check.JOURNAL_REACH] = jnp.max(told[Check.JOURNAL_REACH], axis=0, initial=0.0)
     return Seen(figures, of_run, verdict)
 
 
-def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
-    """What is worked out at every look, from the figures of its saving interval."""
+def _judging(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
+    """What is worked out at every look."""
     system, formulation = looks.model.system, looks.history.formulation
-    slides, driven = bool(rubbing(looks.model)), looks.history.mechanism.driven
-    sinks = bool(system.bearings) and not formulation.forces_are_means
+    driven, mechanism = looks.history.mechanism.driven, looks.history.mechanism
     others = laws_of_others(looks.model, formulation)
     collars, free = collared(looks.model), unheld(looks.model)
-    gaps, loose, mechanism = in_gaps(looks.model), sliding(system), looks.history.mechanism
+    gaps, loose = in_gaps(looks.model), sliding(system)
 
-    def judged(now: Instant, figures: Figures) -> dict[str, Any]:
+    def judged(now: Instant) -> dict[str, Any]:
         told: dict[Check, Array] = {}
-        steps = {check: figures[check] for check in KINDS if check in figures and slides}
-        length = figures.get(Check.DAMPER_STEP) if damping(system) else None
-        depths = figures.get(Check.INDENTATION)
-        if steps or length is not None:
-            met = contacts(now, formulation)
-            told |= taken(looks.model, met, 0.0 if depths is None else depths, steps)
-            told |= {} if length is None else {Check.DAMPER_STEP: damper_step(met, length)}
-        if depths is None and sinks:
-            told[Check.INDENTATION] = _depths(now, formulation) / _radii(system)
         told |= {Check.LOOP_DRIFT: _openings(now)} if system.closures else {}
-        judging = {} if depths is None else {Check.INDENTATION: depths / _radii(system)}
-        verdict = _ending(judging | {check: told[check] for check in ENDING if check in told})
+        verdict = _ending({check: told[check] for check in ENDING if check in told})
         said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
         # Worked out once, for all that ask.
         report = functools.cache(lambda name: formulation.contact(now, name))
@@ -240,13 +226,6 @@ def _judging(looks: Looks) -> Callable[[Instant, Figures], dict[str, Any]]:
         return said | ({} if driven else _energies(now, formulation))
 
     return judged
-
-
-def _depths(now: Instant, formulation: AbstractFormulation) -> Float[Array, " contacts"]:
-    """Indentation of every possible contact [m]."""
-    reports = formulation.forces(now).reports.values()
-    depths = [positive_part(point.indentation) for report in reports for point in report.points]
-    return sp.stack(depths)
 
 
 def _energies(now: Instant, formulation: AbstractFormulation) -> dict[str, Float[Array, "3"]]:
@@ -281,12 +260,13 @@ def _gains(small: Any, energies: Float[Array, "looks 3"], moved: bool) -> Float[
 
 
 def _openings(now: Instant) -> Float[Array, " loops"]:
-    """Largest residual of each loop's closure: displacements beside the longest arm, cosines as
+    """Largest residual of each loop's closure: displacements beside its shortest part, cosines as
     they are."""
-    openings, arm = [], longest_arm(now.model.system)
-    for closure in now.model.system.closures:
+    openings, system = [], now.model.system
+    for closure in system.closures:
         _, pose, _ = kinematics.relative_motion(closure, now.motions)
+        part = shortest_part(system, closure)
         values = zip(closure.rows, loops.residuals(closure.rows, pose), strict=True)
-        shares = [abs(x) / arm if len(row) == 1 else abs(x) for row, x in values]
+        shares = [abs(x) / part if len(row) == 1 else abs(x) for row, x in values]
         openings.append(jnp.max(sp.stack(shares), initial=0.0))
     return jnp.stack(openings)

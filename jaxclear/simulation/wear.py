@@ -32,19 +32,6 @@ def unworn(system: System) -> Worn:
     }
 
 
-def worn_faster(mechanism: Mechanism, share: float) -> Mechanism:
-    """The mechanism whose surfaces wear so many times as fast; itself for once."""
-    if share == 1.0:
-        return mechanism
-    is_wearing = lambda node: isinstance(node, Wearing)
-    faster = lambda node: (
-        eqx.tree_at(lambda own: own.acceleration, node, share * node.acceleration)
-        if is_wearing(node)
-        else node
-    )
-    return jax.tree.map(faster, mechanism, is_leaf=is_wearing)
-
-
 def worn_as_given(mechanism: Mechanism, given: Worn | None) -> Worn | None:
     """Depth maps from which a run sets out: those given [m], by joint and surface, zero where
     nothing is given; None for None. Raises `ValueError` with a sentence for what is no such map."""

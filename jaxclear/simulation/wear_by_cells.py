@@ -16,7 +16,9 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.integrators.checks import Check
 from jaxclear.multibody.system import wear_maps
 from jaxclear.simulation.wear import Worn
-from jaxclear.simulation.wear_by_saves import NEGLIGIBLE
+
+# A surface that wears less than this share of the one that wears most is judged beside that.
+NEGLIGIBLE = 0.01
 
 
 def figures(model: Model, begun: Worn, ended: Worn) -> dict[Check, Float[Array, " places"]]:

@@ -36,7 +36,7 @@ from jaxclear.studies.statistics.tolerance_interval import (
     free_interval,
     normal_interval,
 )
-from jaxclear.studies.warned import agreement, any_warning, counted, in_words, warned_of
+from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
 
 class MonteCarlo(AbstractShown):
@@ -113,7 +113,6 @@ class MonteCarlo(AbstractShown):
         text = f"{text} ({in_words(counts)})." if counts else f"{text}."
         told = (
             text,
-            agreement(self.nominal, counts),
             *self.doubts,
             *endless_sentences(self.problem, self.responses),
             self.unreached,

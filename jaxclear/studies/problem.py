@@ -28,22 +28,17 @@ from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.native import stoppable
 from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
-from jaxclear.simulation.bounciness import restitution_of
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import refusal
-from jaxclear.simulation.doubts import many_in_doubt
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
-from jaxclear.simulation.second_look import found_in_one
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
-from jaxclear.simulation.wear import worn_faster
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
@@ -229,21 +224,7 @@ class Problem(AbstractProblem):
         return load_steps(self.mechanism, self.integrator, times)
 
     def second_look(self, checks):
-        seen = self.integrator.formulation.seen(self.mechanism)
-        kept, passed = restitution_of(self.mechanism, checks), self._load_steps().passed
-        low_order = not self.integrator.follows_impacts
-        if not many_in_doubt(checks, bool(seen.topology.clearances), kept, low_order):
-            return checked_by(passed, Checks())
-
-        def again(integrator, worn=1.0, at=None):
-            shares = self.shares if at is None else (at - self.state.begins) / self.duration
-            places = lambda own: (own.integrator, own.mechanism, own.shares)
-            known = integrator, worn_faster(self.mechanism, worn), shares
-            problem = eqx.tree_at(places, self, known)
-            return jax.block_until_ready(_run_alone(problem, self.nominal()))
-
-        with stoppable():
-            return checked_by(passed, found_in_one(self.integrator, again))
+        return checked_by(self._load_steps().passed, Checks())
 
     def ending(self, outcome, ended):
         how = Outcome(outcome)
@@ -279,12 +260,6 @@ class Problem(AbstractProblem):
         return {what: getattr(self, what) for what in told} | places_of(
             self.mechanism, self.variables
         )
-
-
-@eqx.filter_jit
-def _run_alone(problem: Problem, values: Float[Array, " variables"]) -> Trajectory:
-    """The run of one set of values."""
-    return problem.started(values)[2]
 
 
 @eqx.filter_jit
