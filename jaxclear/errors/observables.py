@@ -7,7 +7,6 @@ clearance, forces beside the largest of all joints, wear beside the surface that
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -144,8 +143,8 @@ def _in_gaps(now: Instant) -> tuple:
 def apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
     """How far two runs are apart, by answer; `run`: the one that is judged, whose names are
     told."""
-    one, other = (type(each)(*map(_numbers, each)) for each in (one, other))
-    widest = 0.0 if one.rooms is None else float(np.max(one.rooms, initial=0.0))
+    one, other = (Observables(*map(_numbers, each)) for each in (one, other))
+    widest = 0.0 if one.rooms is None else float(np.max(np.asarray(one.rooms), initial=0.0))
     way = float(np.max(np.abs(one.centres - one.centres[:1]), initial=0.0))
     turned = float(np.max(np.abs(one.axes - one.axes[:1]), initial=0.0))
     far = lambda name: float(np.max(np.abs(getattr(one, name) - getattr(other, name)), initial=0.0))
@@ -169,10 +168,12 @@ def apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
         forces = getattr(one, part)
         if forces is not None and len(forces):
             found += _by_place(answer, part, "N", joints, forces, getattr(other, part))
-    if one.friction_loss is not None and max(one.friction_loss, other.friction_loss) > 0:
-        loss, most = float(one.friction_loss), LEAST_LOSS * float(one.turnover)
-        off = abs(loss - float(other.friction_loss))
-        found.append(Apart("friction loss", "losses", "", "J", loss, off, max(loss, most)))
+    if one.friction_loss is not None:
+        loss, less = (float(np.asarray(each.friction_loss)) for each in (one, other))
+        scale = max(loss, LEAST_LOSS * float(np.asarray(one.turnover)))
+        if max(loss, less) > 0:
+            row = "friction loss", "losses", "", "J", loss, abs(loss - less), scale
+            found.append(Apart(*row))
     places = [f"{joint}, {surface}" for joint, own in run.worn.items() for surface in own]
     if places:
         least = NO_WEAR * float(np.sqrt(np.max(one.area)))
@@ -189,10 +190,10 @@ def _numbers(values: Any) -> Any:
 def _gaps_apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
     if one.in_gaps is None:
         return []
-    off = np.max(np.abs(one.in_gaps - other.in_gaps), axis=(0, 2))
+    off = np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(0, 2))
     names = [n for n, b in run.history.model().system.bearings.items() for _ in b.radii]
     largest: dict[str, tuple[float, float]] = {}
-    for name, share, room in zip(names, off, one.rooms, strict=True):
+    for name, share, room in zip(names, off, np.asarray(one.rooms), strict=True):
         largest[name] = max(largest.get(name, (0.0, 0.0)), (float(share), float(room)))
     return [
         Apart("places in the gap", "gaps", name, "m", room, share * room, room)

@@ -188,9 +188,7 @@ def verified(
         lost = _lost(run, seen[0], repeated(plans[0], TENTH_DIGIT), promise.gaps)
     known = tuple(dataclasses.replace(each, verification=Unverified()) for each in replicas)
     since = float(run.time[0])
-    return dataclasses.replace(
-        run, verification=Verified(known, tuple(told), promise, lost, since)
-    )
+    return dataclasses.replace(run, verification=Verified(known, tuple(told), promise, lost, since))
 
 
 def _why_not(run: Trajectory, verify: bool | None) -> str:

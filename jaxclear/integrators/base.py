@@ -39,8 +39,8 @@ class Interval(NamedTuple):
 
 class Advance(NamedTuple):
     """Outcome of one interval: state at its end, steps accepted and rejected, what helps the next
-    interval to start, `Outcome`; the `peaks` of every possible contact in the interval (None: nothing
-    follows them); `events`: touches and releases, where the model asks for them."""
+    interval to start, `Outcome`; the `peaks` of every possible contact in the interval (None:
+    nothing follows them); `events`: touches and releases, where the model asks for them."""
 
     state: State
     accepted: Int[Array, ""]

@@ -45,7 +45,6 @@ from jaxclear.integrators.stepping import (
 from jaxclear.integrators.trust import GROWTH, NO_SECOND, trusted_steps, unknown_way
 from jaxclear.native import while_loop
 
-
 # Step [s] of studies that ask for no other.
 USUAL_STEP = 2e-5
 

@@ -79,7 +79,9 @@ def shortest_part(system: System, closure: Closure) -> Scalar:
     common = next(link for link in up[0] if link in up[1])
     for (_, marker), links in zip(ends, up, strict=True):
         place = marker.translation
-        for link in links[: links.index(common)]:
+        for link in links:
+            if link is None or link == common:
+                break
             squares.append(sp.dot(place, place))
             place = system.links[link].base.translation
         places.append(place)

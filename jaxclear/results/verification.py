@@ -1,5 +1,5 @@
-"""How far the numbers of a run are off: what a run holds of it, and what it answers. Which runs tell
-it, and by which standard answers, is the room `errors`.
+"""How far the numbers of a run are off: what a run holds of it, and what it answers. Which runs
+tell it, and by which standard answers, is the room `errors`.
 """
 
 import math

@@ -1,5 +1,5 @@
-"""Looks at some of a run's saved states, by which a run is judged: where they lie, and how functions
-of an instant are taken of them: all at once, so that what they share is worked out once.
+"""Looks at some of a run's saved states, by which a run is judged: where they lie, and how
+functions of an instant are taken of them: all at once, so that what they share is worked out once.
 """
 
 from collections.abc import Callable

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.numerics import safe_divide
