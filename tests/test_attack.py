@@ -12,8 +12,9 @@ from benchmarks.attacks.answers import RESPONSES
 from benchmarks.attacks.attempts import Finding, attempt
 from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.structures import structures
-from benchmarks.attacks.verdicts import ACCURACY, Verdict
+from benchmarks.attacks.verdicts import Verdict
 from benchmarks.claims import extremes
+from jaxclear.integrators.promise import REFERENCE
 from jaxclear.laws.friction import AbstractForceFriction
 
 
@@ -64,12 +65,12 @@ def test_a_number_beyond_the_accuracy_counts_as_wrong_unless_a_warning_concerns_
 ):
     """`error`, `doubt` (how far two references are apart) and `spread` (by how much the answer
     moves with the numbers' fifth digit) in units of the stated accuracy."""
-    limit = ACCURACY["Adaptive"]["mean force"]
+    limit = REFERENCE.mean_force
     found = verdicts.judged(
         errors(mean_force=error * limit),
         errors(mean_force=doubt * limit),
         errors(mean_force=spread * limit),
-        "Adaptive",
+        REFERENCE,
         frozenset(warned),
     )
     assert found == {"mean force": verdict}
