@@ -234,7 +234,7 @@ def _told(
     run: Trajectory, own: Observables, seen: list[Observables], promise: Promise
 ) -> list[Told]:
     """The standard answers of a run beside what its replicas say."""
-    rows = zip(*(apart(run, own, other) for other in seen), strict=True)
+    rows = zip(*(apart(run, own, other, seen[-1]) for other in seen), strict=True)
     return [
         Told(
             row[0],
