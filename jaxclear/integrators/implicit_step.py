@@ -1,15 +1,18 @@
 """Implicit steps through stiff contacts: their length follows the motion, not the stiffness."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from jaxclear.formulations import contact_rows
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.midpoint_step import surplus
-from jaxclear.formulations.model import Model
+from jaxclear.formulations.model import Model, State
+from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.integrators import vibration
@@ -23,6 +26,7 @@ from jaxclear.integrators.fine_motion import (
 )
 from jaxclear.integrators.peaks import among, nothing_met, risen, since
 from jaxclear.integrators.stepping import arrived, counted, divide, march
+from jaxclear.multibody.state import unpack_motion
 
 # Newton iterations on the contact laws: where force and damping grow with the indentation alike,
 # and where a damper beside the spring grows on its own.
@@ -201,6 +205,7 @@ class ImplicitStep(AbstractIntegrator):
         step, contacts = self._stepped(model), model.layout.contacts
         last, known, vibrates = warm_start
         state = self._sped_up(model, state, last, -h)
+        last = last.at[_depths(model)].set(_worn_deeper(model, interval.start, state, last))
         met = None
         if contacts:
             begun = positive_part(last[_depths(model)])
@@ -227,6 +232,17 @@ class ImplicitStep(AbstractIntegrator):
         end = self._sped_up(model, end, last[0], h)
         end, met, watch = self._trusted(model, end, met, watch, last)
         return arrived(end, steps, last, met, watch)
+
+
+def _worn_deeper(model: Model, time: Any, state: State, last: Array) -> Array:
+    """The indentations that a step is handed where an interval begins: of surfaces that wear those
+    that are left of what the interval before has lowered. A step knows them from the one before."""
+    depths = last[_depths(model)]
+    if not model.worn:
+        return depths
+    motion = unpack_motion(model.system, model.entries(state))
+    found = sp.stack(contact_rows.indentations(model, time, *motion))
+    return jnp.where(depths > 0, found, depths)
 
 
 def _depths(model: Model) -> slice:
