@@ -205,9 +205,9 @@ class ImplicitStep(AbstractIntegrator):
         step, contacts = self._stepped(model), model.layout.contacts
         last, known, vibrates = warm_start
         state = self._sped_up(model, state, last, -h)
-        last = last.at[_depths(model)].set(_worn_deeper(model, interval.start, state, last))
         met = None
         if contacts:
+            last = last.at[_depths(model)].set(_worn_deeper(model, interval.start, state, last))
             begun = positive_part(last[_depths(model)])
             peaks = nothing_met(begun, self.formulation.damped(model))._replace(depths=begun)
             derived = self._derived(model)

@@ -348,3 +348,25 @@ def test_a_bearing_without_friction_wears_as_on_a_tight_run():
     )
     # An impact that a step resolves hardly takes another path: a tenth of the volume.
     np.testing.assert_allclose(long, tight, rtol=0.1)
+
+
+def test_a_surface_worn_beneath_a_closed_contact_lets_the_journal_follow():
+    """Steps hand on how deep contacts are, and saving times lower the surface: a journal that wears
+    1.4 um off its bearing as it bounces was 6 % of its clearance elsewhere, however short the
+    steps. Those of 2 us are within 3e-5 of it, by their order."""
+    bearing = jc.clearance.PlanarJournalBearing(
+        jc.contact.Hertz(stiffness=1e9),
+        jc.friction.CoulombTanh(mu_kinetic=0.1, transition_speed=1e-2),
+        bearing_wear=jc.Wearing(jc.wear.Archard(wear_coefficient=0.1), (24, 1)),
+    )
+    rig = jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-3)},
+        {"B": jc.Connection(bearing, "ground", "journal")},
+        {"load": jc.load.Force(jc.Marker("journal"), (30.0, -100.0))},
+        speeds={"journal": (0.0, 0.0, 50.0)},
+    )
+    known, found = (
+        jc.simulate(rig, 0.02, save=201, integrator=own).body("journal").com[-1]
+        for own in (jc.integrator.FixedStep(1e-6), jc.integrator.ImplicitStep(2e-6, rebound=1.0))
+    )
+    np.testing.assert_allclose(found, known, atol=1e-3 * float(bearing.clearance))
