@@ -157,19 +157,17 @@ def verified(
     again: Callable[..., Trajectory],
     verify: bool | None,
 ) -> Trajectory:
-    """The run with what its replicas tell; `again(integrator, times, moved)`: the same run by
-    another integrator, saved at other times [s], its start moved by so much. `verify`: whether
-    replicas are run (None: where they take seconds at the most)."""
+    """The run with what its replicas tell; `again(replica, moved)`: the same run as that
+    `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where they take seconds at the most)."""
     why = _why_not(run, verify)
     if why:
         return dataclasses.replace(run, verification=Unverified(why))
-    wears = bool(run.worn)
-    plans = [replica(integrator, run.time, share, wears) for share in (HALF, QUARTER)]
+    plans = [replica(integrator, run.time, share) for share in (HALF, QUARTER)]
     if plans[0] is None:
         return dataclasses.replace(run, verification=Unverified("its steps cannot be refined"))
 
     def repeated(plan: Any, moved: float = 0.0) -> Trajectory:
-        return thinned(again(plan.integrator, plan.times, moved), plan.every)
+        return thinned(again(plan, moved), plan.every)
 
     promise, own = integrator.promise, observed(run)
     replicas = [repeated(plans[0])]
