@@ -59,11 +59,12 @@ class Told(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """Paths that hang on the tenth digit of the start: from when [s], and within which time errors
-    grow e-fold [s]."""
+    """A path that hangs on the tenth digit of the start: from when [s], within which time errors
+    grow e-fold [s], and the answers, by name, that no run tells therefore."""
 
     since: float
     growth: float
+    answers: frozenset[str]
 
 
 class Verified(AbstractVerification):
@@ -91,7 +92,7 @@ class Verified(AbstractVerification):
                 f"start (e-fold in {self.lost.growth:.2g} s): no run tells them; ask for means "
                 "over samples."
             )
-            beyond = [told for told in beyond if told.apart.part != "gaps"]
+            beyond = [told for told in beyond if _named(told.apart) not in self.lost.answers]
         if beyond:
             said.append(_sentence(beyond))
         return tuple(said)
@@ -158,7 +159,8 @@ def verified(
     verify: bool | None,
 ) -> Trajectory:
     """The run with what its replicas tell; `again(replica, moved)`: the same run as that
-    `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where they take seconds at the most)."""
+    `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where
+    they take seconds at the most)."""
     why = _why_not(run, verify)
     if why:
         return dataclasses.replace(run, verification=Unverified(why))
@@ -183,7 +185,7 @@ def verified(
         told = _told(run, own, seen, promise)
     lost = None
     if any(t.beyond and t.apart.part == "gaps" for t in told):
-        lost = _lost(run, seen[0], repeated(plans[0], TENTH_DIGIT), promise.gaps)
+        lost = _lost(run, seen[0], repeated(plans[0], TENTH_DIGIT), promise)
     known = tuple(dataclasses.replace(each, verification=Unverified()) for each in replicas)
     since = float(run.time[0])
     return dataclasses.replace(run, verification=Verified(known, tuple(told), promise, lost, since))
@@ -244,21 +246,23 @@ def _told(
     ]
 
 
-def _lost(
-    run: Trajectory, finer: Observables, moved: Trajectory, limit: float | None
-) -> Lost | None:
-    """Where a path hangs on the tenth digit of its start, from how far a finer run and the same
-    with its start moved are apart in gaps; None where they agree."""
-    if not moved.succeeded or limit is None:
+def _lost(run: Trajectory, finer: Observables, moved: Trajectory, promise: Promise) -> Lost | None:
+    """Where a path hangs on the tenth digit of its start, from how far a `finer` run and the same
+    with its start `moved` are apart; None where they agree."""
+    if not moved.succeeded or promise.gaps is None:
         return None
-    off = parted(finer, observed(moved))
-    beyond = off > limit
+    other = observed(moved)
+    off = parted(finer, other)
+    beyond = off > promise.gaps
     if not beyond.any():
         return None
     first = int(np.argmax(beyond))
     elapsed = float(run.time[first] - run.time[0])
     began = max(float(off[0]), TENTH_DIGIT)
-    return Lost(float(run.time[first]), elapsed / max(math.log(float(off[first]) / began), 1.0))
+    growth = elapsed / max(math.log(float(off[first]) / began), 1.0)
+    rows = [(row, getattr(promise, row.part)) for row in apart(run, finer, other)]
+    answers = (_named(row) for row, limit in rows if limit is not None and row.share > limit)
+    return Lost(float(run.time[first]), growth, frozenset(answers))
 
 
 def _named(one: Apart) -> str:
@@ -271,4 +275,7 @@ def _sentence(beyond: list[Told]) -> str:
     more = f" (and {len(beyond) - 1} more answers)" if len(beyond) > 1 else ""
     told = f"{worst.share:.2g} {WORDS[worst.apart.part]} ({worst.promised:g} promised)"
     name = _named(worst.apart)
-    return f"{name[0].upper()}{name[1:]}: error about {told}{more}; take shorter steps."
+    todo = "take shorter steps"
+    if worst.apart.answer == "worn depth":
+        todo = "save more often, which is when surfaces wear, or take shorter steps"
+    return f"{name[0].upper()}{name[1:]}: error about {told}{more}; {todo}."
