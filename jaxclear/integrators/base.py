@@ -18,6 +18,7 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import Events
 from jaxclear.integrators.peaks import Peaks
+from jaxclear.integrators.promise import IMPLICIT, Promise
 from jaxclear.multibody.mechanism import Mechanism
 
 
@@ -157,3 +158,8 @@ class AbstractIntegrator(AbstractQuantified):
         counted, for reverse-mode derivatives, into which a finer run that goes wrong would leak.
         """
         return None
+
+    @property
+    def promise(self) -> Promise:
+        """The largest errors with which a run by it says nothing of its numbers."""
+        return IMPLICIT

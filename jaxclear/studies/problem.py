@@ -28,27 +28,24 @@ from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.native import stoppable
 from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
-from jaxclear.simulation.bounciness import restitution_of
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import refusal
-from jaxclear.simulation.doubts import many_in_doubt
+from jaxclear.simulation.finer import finer, parts_of_intervals, saved_oftener
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
-from jaxclear.simulation.second_look import found_in_one
 from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
 from jaxclear.simulation.step_lengths import check_steps
-from jaxclear.simulation.wear import worn_faster
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
 from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.responses import by_name, check_responses
+from jaxclear.studies.promised import promised_of
+from jaxclear.studies.responses import Thinned, by_name, check_responses
 from jaxclear.studies.usual_integrator import usual_integrator
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,
@@ -228,22 +225,30 @@ class Problem(AbstractProblem):
         times = self.state.begins + self.shares * self.duration
         return load_steps(self.mechanism, self.integrator, times)
 
-    def second_look(self, checks):
-        seen = self.integrator.formulation.seen(self.mechanism)
-        kept, passed = restitution_of(self.mechanism, checks), self._load_steps().passed
-        low_order = not self.integrator.follows_impacts
-        if not many_in_doubt(checks, bool(seen.topology.clearances), kept, low_order):
-            return checked_by(passed, Checks())
+    def discretised(self):
+        return True
 
-        def again(integrator, worn=1.0, at=None):
-            shares = self.shares if at is None else (at - self.state.begins) / self.duration
-            places = lambda own: (own.integrator, own.mechanism, own.shares)
-            known = integrator, worn_faster(self.mechanism, worn), shares
-            problem = eqx.tree_at(places, self, known)
-            return jax.block_until_ready(_run_alone(problem, self.nominal()))
+    def replica(self, share=0.5):
+        """Finer runs: saving times are doubled where surfaces wear at them or counted steps lie
+        between them, and responses see runs at the times that were asked for."""
+        times = self.state.begins + self.shares * self.duration
+        integrator = finer(self.integrator, times, share)
+        if integrator is None:
+            return None
+        wears = any(wear_maps(prepare(self.mechanism)).values())
+        parts = parts_of_intervals(self.integrator, wears, share)
+        found = eqx.tree_at(lambda own: own.integrator, self, integrator)
+        if parts == 1:
+            return found
+        seen = {name: Thinned(own, parts) for name, own in self.response.items()}
+        places = lambda own: (own.response, own.shares)
+        return eqx.tree_at(places, found, (seen, saved_oftener(self.shares, parts)))
 
-        with stoppable():
-            return checked_by(passed, found_in_one(self.integrator, again))
+    def promised(self, response, size):
+        return promised_of(self.mechanism, self.integrator, self.response[response], size)
+
+    def doubts(self):
+        return checked_by(self._load_steps().passed, Checks()).warnings
 
     def ending(self, outcome, ended):
         how = Outcome(outcome)
@@ -279,12 +284,6 @@ class Problem(AbstractProblem):
         return {what: getattr(self, what) for what in told} | places_of(
             self.mechanism, self.variables
         )
-
-
-@eqx.filter_jit
-def _run_alone(problem: Problem, values: Float[Array, " variables"]) -> Trajectory:
-    """The run of one set of values."""
-    return problem.started(values)[2]
 
 
 @eqx.filter_jit

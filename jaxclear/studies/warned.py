@@ -99,16 +99,3 @@ def by_kind(codes: np.ndarray) -> dict[Check, int]:
 def in_words(counts: dict[Check, int]) -> str:
     """ "friction step in 12, loop drift in 3"."""
     return ", ".join(f"{check.label} in {count}" for check, count in counts.items())
-
-
-def agreement(nominal: Checks, counts: dict[Check, int]) -> str:
-    """How right the motion of a study's nominal sample is, where samples warn of their impacts'
-    steps and a second look at it (its `nominal` figures) has found nothing to be off."""
-    agreed = nominal.figures.get(Check.PLACE_IN_GAP)
-    if agreed is None or nominal.warnings or Check.IMPACT_STEP not in counts:
-        return ""
-    return (
-        "The nominal sample was gone through again with steps a quarter as long: its places in "
-        f"gaps agree within {np.max(agreed.worst):.2g} of the clearance, so that its impacts are "
-        "right, whatever their steps."
-    )
