@@ -159,7 +159,8 @@ def numerical_error(
         )
     sampling = study.statistic(statistic, response).error
     pairs = len(study.replicas.pairs(response)[0])
-    return NumericalError(*study.replicas.bias(response, statistic), sampling, pairs)
+    bias, uncertainty = study.replicas.bias(response, statistic)
+    return NumericalError(bias, uncertainty, sampling, pairs)
 
 
 def unverified(problem: AbstractProblem, replicas: Replicas | None) -> str:

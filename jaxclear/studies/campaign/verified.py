@@ -26,12 +26,12 @@ def known_replicas(folder: Path) -> Replicas | None:
     if not path.exists():
         return None
     kept = json.loads(path.read_text())
-    numbers = [
-        {name: np.array(own, float) for name, own in kept[side].items()}
+    own, finer = (
+        {name: np.array(numbers, float) for name, numbers in kept[side].items()}
         for side in ("own", "responses")
-    ]
-    ends = np.array(kept["outcome"], int), np.array(kept["ended"], float)
-    return Replicas(*numbers, *ends, kept["share"])
+    )
+    outcome, ended = np.array(kept["outcome"], int), np.array(kept["ended"], float)
+    return Replicas(own, finer, outcome, ended, kept["share"])
 
 
 def verify(samples: Samples, by: AbstractWork) -> None:
