@@ -11,6 +11,8 @@ import pytest
 from hypothesis import settings
 from jax.experimental.compilation_cache import compilation_cache
 
+from jaxclear.errors import verification
+
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 # HYPOTHESIS_PROFILE=searching draws anew in every run and prints how to repeat what fails.
 settings.register_profile("searching", deadline=None, print_blob=True)
@@ -42,3 +44,11 @@ def keep_settings():
     for name, value in before.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
+
+
+@pytest.fixture(autouse=True)
+def without_replicas(request, monkeypatch):
+    """Runs have replicas where a test asks for them (`verify=True`) or is marked `verified`: the
+    mechanics of most tests is that of single runs."""
+    if request.node.get_closest_marker("verified") is None:
+        monkeypatch.setattr(verification, "MOST_STEPS", -1)

@@ -10,16 +10,16 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.ground.quantity import Scalar, constant, count, quantity
+from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import AbstractIntegrator, Advance
 from jaxclear.integrators.error_control import Solved, solve, stepped_by_hand
 from jaxclear.integrators.impacts import EndingAtTouches, TakingImpactSpeeds
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas
 from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.promise import LOOSE, REFERENCE
 from jaxclear.integrators.saltation import equations, motion_of
 from jaxclear.integrators.state_group import state_group
-from jaxclear.integrators.stepping import figures_of_peaks
 from jaxclear.integrators.trust import NO_SECOND, trusted
 from jaxclear.integrators.unresolved import FollowingErrors, resolved, unfollowed
 from jaxclear.multibody.reach import narrowest_gap
@@ -94,12 +94,9 @@ class Adaptive(AbstractIntegrator):
     most_steps: int = count(200_000, "most steps between two saving times", kw_only=True)
 
     @property
-    def usual_step(self):
-        return 0.0
-
-    @property
-    def places_in_gaps(self):
-        return True
+    def promise(self):
+        rtol = concrete(self.rtol)
+        return REFERENCE if rtol is not None and rtol <= LOOSEST else LOOSE
 
     def with_finer_steps(self, share):
         finer = share**FINER_TOLERANCE * LOOSEST / jnp.maximum(self.rtol, LOOSEST)
@@ -151,16 +148,12 @@ class Adaptive(AbstractIntegrator):
 
     def _controller(self, model, interval):
         """The error control of an interval, which ends steps where contacts close and part."""
-        # Finer steps are shorter too, also where errors ask for no more than one.
-        length = interval.stop - interval.start
-        longest = jnp.where(interval.share < 1, interval.share * length, jnp.inf)
-        if self.largest_step is not None:
-            longest = jnp.minimum(longest, self.largest_step)
-        finer = interval.share**FINER_TOLERANCE
+        longest = jnp.inf if self.largest_step is None else self.largest_step
+        finer = 1.0
         if model.system.bearings:
             narrow = narrowest_gap(model.system) / longest_arm(model.system)
             loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * narrow)
-            finer = finer * loosest / jnp.maximum(self.rtol, loosest)
+            finer = loosest / jnp.maximum(self.rtol, loosest)
         control = diffrax.PIDController(
             rtol=self.rtol * finer,
             atol=self.atol * finer,
@@ -219,7 +212,7 @@ class Adaptive(AbstractIntegrator):
         through = rest.system.bearings and self.through_contacts
         rates = own.rates if through else lambda arrays, _, *now: plain(arrays, *now)
         controller = self._controller(model, interval)
-        first = jnp.where(step > 0, interval.share * usual, 1e-2 * length)
+        first = jnp.where(step > 0, usual, 1e-2 * length)
         found, failed = self._solved(
             self._term(model, rates),
             self._solver(rest, size, own, growth, interval.peaks),
@@ -231,10 +224,9 @@ class Adaptive(AbstractIntegrator):
         # A remainder of rounding, shorter than the smallest step, has been taken.
         reached = (failed == Outcome.REACHED) | (found.time >= stop)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
-        figures, events, usual = {}, None, found.wish
+        peaks, events, usual = None, None, found.wish
         if rest.system.bearings:
             _, _, peaks, events, growth = found.kept
-            figures = figures_of_peaks(peaks)
             # As long as a flight it may go through a wall: rounding then decides what follows.
             usual = (found.time - start) / jnp.maximum(found.accepted, 1)
         elif growth is not None:
@@ -245,13 +237,13 @@ class Adaptive(AbstractIntegrator):
         if through:
             instants = () if events is None else events[:2]
             most = _most_growth(model, controller)
-            moving = trusted((state, figures, instants), growth, most)
-            state, figures, instants = derived_once(NO_SECOND, moving)
+            moving = trusted((state, peaks, instants), growth, most)
+            state, peaks, instants = derived_once(NO_SECOND, moving)
             if events is not None:
                 events = events._replace(times=instants[0], rates=instants[1])
         elif growth is not None:
             state = resolved(state, growth)
-        return Advance(state, *steps, (usual, growth), outcome, figures, events)
+        return Advance(state, *steps, (usual, growth), outcome, peaks, events)
 
     def _solved(self, term, solver, controller, span, state, args):
         """Where a solver ends, and why where that is before the end."""

@@ -15,7 +15,6 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
-from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import Events
 from jaxclear.integrators.peaks import Peaks
 from jaxclear.integrators.promise import IMPLICIT, Promise
@@ -27,31 +26,28 @@ class Interval(NamedTuple):
 
     `error_weights` scale each entry's error for an error control; 0 where an entry only follows the
     others. Where `running` is False the run has ended before and the outcome will be ignored: an
-    integrator may then save the work. `share` of its usual length that a step is to have (of its
-    usual error, where steps follow an error). `peaks`: the largest indentations [m] and forces [N]
-    of the run so far (None: not followed), for their derivatives.
+    integrator may then save the work. `peaks`: the largest indentations [m] and forces [N] of the
+    run so far (None: not followed), for their derivatives.
     """
 
     start: Scalar
     stop: Scalar
     error_weights: Float[Array, " n"]
     running: Bool[Array, ""]
-    share: Scalar | float = 1.0
     peaks: Peaks | None = None
 
 
 class Advance(NamedTuple):
     """Outcome of one interval: state at its end, steps accepted and rejected, what helps the next
-    interval to start, `Outcome`; and the worst of the `figures` that it has kept, for each place of
-    a `Check` (each possible contact, say; None: it keeps none). `events`: touches and releases,
-    where the model asks for them."""
+    interval to start, `Outcome`; the `peaks` of every possible contact in the interval (None:
+    nothing follows them); `events`: touches and releases, where the model asks for them."""
 
     state: State
     accepted: Int[Array, ""]
     rejected: Int[Array, ""]
     warm_start: Any
     outcome: Int[Array, ""]
-    figures: dict[Check, Float[Array, " places"]] | None = None
+    peaks: Peaks | None = None
     events: Events | None = None
 
 
@@ -140,24 +136,6 @@ class AbstractIntegrator(AbstractQuantified):
     def held(self, step: Scalar) -> "AbstractIntegrator":
         """Itself with no step longer than this [s], where it finds their length itself."""
         return self
-
-    @property
-    def places_in_gaps(self) -> bool:
-        """Whether it is meant to tell where in their gaps parts are at an instant."""
-        return False
-
-    @property
-    def follows_impacts(self) -> bool:
-        """Whether its steps are of an order beyond 2: contacts may rise farther in each."""
-        return False
-
-    @property
-    def usual_step(self) -> Scalar | None:
-        """Length [s] of its steps, which heed `Interval.share`, so that a run can check itself with
-        finer ones; 0 where it finds their length itself. None: it does neither, or its steps are
-        counted, for reverse-mode derivatives, into which a finer run that goes wrong would leak.
-        """
-        return None
 
     @property
     def promise(self) -> Promise:

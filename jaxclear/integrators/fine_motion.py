@@ -23,13 +23,19 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import derived, derived_once, moved, zeros_with
 from jaxclear.integrators import vibration
-from jaxclear.integrators.checks import Check
 from jaxclear.integrators.mid_step import moves
 from jaxclear.integrators.motion_parts import followed
 from jaxclear.integrators.peaks import Peaks, nothing_met
 from jaxclear.integrators.saltation import closed, motion_of
 from jaxclear.integrators.stepping import SLIVER
-from jaxclear.integrators.trust import GROWTH, NO_SECOND, beside, trusted_steps, unknown_way
+from jaxclear.integrators.trust import (
+    GROWTH,
+    NO_SECOND,
+    PARTED,
+    beside,
+    trusted_steps,
+    unknown_way,
+)
 from jaxclear.integrators.vibration import FIGURES, Vibration
 from jaxclear.multibody.reach import gaps_passed
 
@@ -57,9 +63,9 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
     """A step with the derivative of the motion beside it, as a function of (arrays, clock, state,
     last, met, beside).
 
-    `plain(arrays, clock, y, last, met)`: the state at its end, what it leaves to the next, and (the
-    largest rise of each indentation in a step, the peaks) until then. `arrays`: of
-    the model, and of all else; `clock`: its start and length [s]; `rest`: of the model."""
+    `plain(arrays, clock, y, last, met)`: the state at its end, what it leaves to the next, and the
+    peaks until then. `arrays`: of the model, and of all else; `clock`: its start and length [s];
+    `rest`: of the model."""
     motion = motion_of(formulation, rest)
 
     def remember(arrays, y, contacts, length):
@@ -81,18 +87,17 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
         arrays, clock, y, *_ = numbers
         way, clock_way, state, _, met_way, beside = tangents
         found = step(*numbers)
-        end, now, (rise, _), _ = found
+        end, now, *_ = found
         beside, met_way = jax.tree.map(moved, (beside, met_way))
         longer = moved(clock_way[1]) if moves(clock_way) else None
         ways = way[0], (clock_way[0], longer), moved(state)
         begun = y + beside.away
-        ended = _parted(motion, remember, (arrays[0], clock, begun), ways, met_way[1], beside)
+        ended = _parted(motion, remember, (arrays[0], clock, begun), ways, met_way, beside)
         there, gone, higher, beside = ended
         away = there - end
         share = gaps_passed(eqx.combine(arrays[0], rest).system, away)
         beside = beside._replace(away=away, parted=jnp.maximum(beside.parted, share))
-        still = jax.tree.map(jnp.zeros_like, (now, rise))
-        return found, (gone, still[0], (still[1], higher), beside)
+        return found, (gone, jax.tree.map(jnp.zeros_like, now), higher, beside)
 
     known.defjvp(moving, symbolic_zeros=True)
     return known
@@ -126,7 +131,7 @@ def _parted(
     if moving:
         state = state - moved(time_way) * rates(time, y)
     aware = lambda y, contacts: remember(arrays, y, contacts, whole)
-    together = beside.parted <= Check.PLACE_IN_GAP.limit
+    together = beside.parted <= PARTED
     known = together, y, beside.growth, beside.vibrates, (beside.peaks, higher)
     part = followed(motion, aware, (arrays, time, whole), (way, state), known)
     y, state, (highest, higher) = part.y, part.way, part.peaks

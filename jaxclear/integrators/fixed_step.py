@@ -13,19 +13,17 @@ import jax.numpy as jnp
 
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.ground.quantity import Scalar, constant, count, quantity
+from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.ground.wording import unknown
 from jaxclear.integrators import chatter, vibration
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.explicit_methods import (
     ANGLES,
     CHAINS,
     ON_GROUPS,
     ORDERS,
-    STABLE_DAMPING,
     chosen_length,
     explicit_step,
 )
@@ -36,16 +34,19 @@ from jaxclear.integrators.fine_motion import (
     trusted_beside,
 )
 from jaxclear.integrators.mid_step import through_touches
-from jaxclear.integrators.peaks import among, nothing_met, since
+from jaxclear.integrators.peaks import among, nothing_met, risen, since
+from jaxclear.integrators.promise import FIRST_ORDER, RUNGE_KUTTA, STUDIES
 from jaxclear.integrators.stepping import (
     arrived,
-    contacts_met,
     counted,
     divide,
     resolved,
 )
 from jaxclear.integrators.trust import GROWTH, NO_SECOND, trusted_steps, unknown_way
 from jaxclear.native import while_loop
+
+# Step [s] of studies that ask for no other.
+USUAL_STEP = 2e-5
 
 
 class FixedStep(AbstractIntegrator):
@@ -77,7 +78,7 @@ class FixedStep(AbstractIntegrator):
 
     pathwise: ClassVar = True
     projects: ClassVar = True
-    step: Scalar = quantity(2e-5, "s", "largest step", above=0)
+    step: Scalar = quantity(USUAL_STEP, "s", "largest step", above=0)
     method: str = eqx.field(static=True, default="rk4")
     steps_per_save: int | None = count(None, "steps between two saving times", kw_only=True)
     contact_steps: Scalar | None = quantity(
@@ -113,16 +114,12 @@ class FixedStep(AbstractIntegrator):
         return True
 
     @property
-    def places_in_gaps(self):
-        return ORDERS[self.method] > 1
-
-    @property
-    def follows_impacts(self):
-        return ORDERS[self.method] > 2
-
-    @property
-    def usual_step(self):
-        return self.asked_step()
+    def promise(self):
+        if ORDERS[self.method] < 2:
+            return FIRST_ORDER
+        step = concrete(self.step)
+        usual = self.method == "rk4" and step is not None and step <= USUAL_STEP
+        return STUDIES if usual else RUNGE_KUTTA
 
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:
@@ -210,10 +207,10 @@ class FixedStep(AbstractIntegrator):
         impact speeds that it has begun with are those at its end."""
         if met is None:
             return None
-        (before, *_), (after, *_) = steps
-        own, damped = self.formulation, met[1].forces is not None
+        after, *_ = steps[1]
+        own, damped = self.formulation, met.forces is not None
         forces = own.normal_forces(model, end, after) if damped else None
-        return contacts_met(met, before.depths, after.depths, forces)
+        return risen(met, after.depths, forces)
 
     def _trusted(self, model, end, met, watch, last):
         """All that was found, where its derivative can be trusted; rates at events have none."""
@@ -255,7 +252,7 @@ class FixedStep(AbstractIntegrator):
             end, last, met, watch = counted(scanned, self.steps_per_save, first[1:])
         found = end, self._all_met(model, met, interval.peaks), watch
         end, met, watch = self._trusted(model, *found, last)
-        return arrived(end, steps, last, met, self._judged(h), Check.IMPACT_STEP, watch)
+        return arrived(end, steps, last, met, watch)
 
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
@@ -275,15 +272,9 @@ class FixedStep(AbstractIntegrator):
         watch = watch_from(model, interval.start, state)
         first = (interval.start, jnp.zeros((), int), state, warm_start, met, watch)
         _, steps, end, last, met, watch = while_loop(lambda carry: carry[0] < stop, one, first)
-        judged = self._judged(shortest)
         found = end, self._all_met(model, met, interval.peaks), watch
         end, met, watch = self._trusted(model, *found, last)
-        return arrived(end, steps, last, met, judged, Check.IMPACT_STEP, watch)
-
-    def _judged(self, h):
-        """What checks of friction and damping judge steps in contact of this length [s] by."""
-        stable = STABLE_DAMPING[ORDERS[self.method]]
-        return {Check.FRICTION_STEP: h, Check.DAMPER_STEP: h / stable}
+        return arrived(end, steps, last, met, watch)
 
     def _nothing_met(self, model, last, so_far):
         """What was met before the first step, behind these peaks of the run; None where nothing
@@ -292,9 +283,9 @@ class FixedStep(AbstractIntegrator):
             return None
         depths = last[0].depths
         begun = nothing_met(depths, self.formulation.damped(model))
-        return jnp.zeros_like(depths), since(so_far, begun) if self._derived(model) else begun
+        return since(so_far, begun) if self._derived(model) else begun
 
     def _all_met(self, model, met, so_far):
         """What was met in an interval, its peaks with the derivatives of those of the run."""
         known = met is None or self._derived(model)
-        return met if known else (met[0], among(so_far, met[1]))
+        return met if known else among(so_far, met)

@@ -11,10 +11,9 @@ from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.midpoint_step import surplus
 from jaxclear.formulations.model import Model
 from jaxclear.ground.numerics import positive_part
-from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
+from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.fine_motion import (
     beside_steps,
@@ -22,13 +21,9 @@ from jaxclear.integrators.fine_motion import (
     so_far,
     trusted_beside,
 )
-from jaxclear.integrators.peaks import among, nothing_met, since
-from jaxclear.integrators.stepping import arrived, contacts_met, counted, divide, march
+from jaxclear.integrators.peaks import among, nothing_met, risen, since
+from jaxclear.integrators.stepping import arrived, counted, divide, march
 
-# A journal that creeps is moved by the vibration of its contact too, which bias damps at every
-# turn: as steps longer by so many times the bias. With what `CREEP_STEP` allows, no loss of
-# friction was off by more than a tenth where steps damp as they come (benchmarks/attack.py).
-DAMPED = 20.0
 # Newton iterations on the contact laws: where force and damping grow with the indentation alike,
 # and where a damper beside the spring grows on its own.
 ITERATIONS, DAMPED_ITERATIONS = 2, 8
@@ -91,14 +86,6 @@ class ImplicitStep(AbstractIntegrator):
     )
     steps_per_save: int | None = count(None, "steps between two saving times", kw_only=True)
 
-    @property
-    def places_in_gaps(self):
-        return concrete(self.rebound) == 1
-
-    @property
-    def usual_step(self):
-        return self.asked_step()
-
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:
             return None
@@ -153,7 +140,7 @@ class ImplicitStep(AbstractIntegrator):
             if met is None:
                 return end, now, None
             forces = now[-model.layout.contacts :] if damped else None
-            return end, now, contacts_met(met, last[depths], now[depths], forces)
+            return end, now, risen(met, now[depths], forces)
 
         if not self._derived(model):
 
@@ -219,7 +206,7 @@ class ImplicitStep(AbstractIntegrator):
             begun = positive_part(last[_depths(model)])
             peaks = nothing_met(begun, self.formulation.damped(model))._replace(depths=begun)
             derived = self._derived(model)
-            met = jnp.zeros_like(begun), since(interval.peaks, peaks) if derived else peaks
+            met = since(interval.peaks, peaks) if derived else peaks
 
         def one(index, state, carried):
             last, met, watch = carried
@@ -236,13 +223,10 @@ class ImplicitStep(AbstractIntegrator):
             turn = lambda index, carry: one(index, *carry)
             end, (last, met, watch) = counted(turn, self.steps_per_save, (state, carried))
         if contacts and not self._derived(model):
-            met = met[0], among(interval.peaks, met[1])
+            met = among(interval.peaks, met)
         end = self._sped_up(model, end, last[0], h)
         end, met, watch = self._trusted(model, end, met, watch, last)
-        judged = {Check.CREEP_STEP: h * (1 + DAMPED * self._bias)}
-        if contacts:
-            judged[Check.REBOUND_STEP] = jnp.stack([h, jnp.asarray(self.rebound, float)])
-        return arrived(end, steps, last, met, judged, watch=watch)
+        return arrived(end, steps, last, met, watch)
 
 
 def _depths(model: Model) -> slice:

@@ -55,8 +55,8 @@ def through_touches(
 
     `plain(arrays, clock, state, last)`: its length [s], the state at its end and what it leaves to
     the next: the contacts at its start and its length; `length(clock, contacts, last)`: the length
-    by these contacts; `seen(arrays, end, met, (last, now))`: what was met of the contacts
-    (`contacts_met`), by what this step and the one before leave. `arrays`: of the model, all else,
+    by these contacts; `seen(arrays, end, met, (last, now))`: the peaks of the contacts, by what
+    this step and the one before leave. `arrays`: of the model, all else,
     and peaks before the interval; `clock`: begins with the time [s]. `growth`: see `trust`."""
     motion = saltation.motion_of(formulation, rest)
 
@@ -90,11 +90,10 @@ def through_touches(
         grown = judged(motion, begun, gap, apart, end)
         gone = jnp.where(apart.changed, apart.way, gone)
         stop = clock_way[0] if times[1] is None else moved(clock_way[0]) + moved(longer)
-        ways = way[0], (clock_way[0], state), (stop, gone), met_way[1]
-        higher = _higher(motion, begun, (end, apart.contacts, met[1], arrays[2]), ways)
+        ways = way[0], (clock_way[0], state), (stop, gone), met_way
+        higher = _higher(motion, begun, (end, apart.contacts, met, arrays[2]), ways)
         told = moving_with(end[0], growth), seen(arrays, end, met, (last, now))
-        still = jnp.zeros_like(met[0])
-        return (h, end, now, *told), (longer, gone, left, grown, (still, higher))
+        return (h, end, now, *told), (longer, gone, left, grown, higher)
 
     known.defjvp(moving, symbolic_zeros=True)
     return known

@@ -13,6 +13,7 @@ from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator, Interval
 from jaxclear.integrators.mid_impact import known_at_end, nothing_moved, through_impacts
+from jaxclear.integrators.promise import RIGID
 from jaxclear.integrators.stepping import divide, searching_steps
 from jaxclear.integrators.trust import NO_SECOND, trusted_impacts
 from jaxclear.multibody.topology import rubbing_in
@@ -88,8 +89,8 @@ class MoreauJean(AbstractIntegrator):
     project: bool = eqx.field(static=True, default=True, kw_only=True)
 
     @property
-    def usual_step(self):
-        return self.asked_step()
+    def promise(self):
+        return RIGID
 
     def with_finer_steps(self, share):
         return eqx.tree_at(lambda own: own.step, self, share * self.step)

@@ -12,6 +12,7 @@ from jaxclear.formulations.permanent_friction import NonCollidingSettings
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.promise import PERMANENT
 from jaxclear.integrators.stepping import searching_steps
 
 # Last change of friction in a search, relative to its bound, beyond which it may be far from the
@@ -68,8 +69,8 @@ class NonColliding(AbstractIntegrator):
     regularised: bool = eqx.field(static=True, default=False, kw_only=True)
 
     @property
-    def usual_step(self):
-        return self.asked_step()
+    def promise(self):
+        return PERMANENT
 
     def with_finer_steps(self, share):
         return eqx.tree_at(lambda own: own.step, self, share * self.step)

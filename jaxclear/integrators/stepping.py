@@ -10,10 +10,9 @@ import jax.numpy as jnp
 
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.integrators.base import Advance, Interval
-from jaxclear.integrators.checks import Check
 from jaxclear.integrators.events import Watch
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.integrators.peaks import Peaks, risen
+from jaxclear.integrators.peaks import Peaks
 from jaxclear.native import while_loop
 
 # Share of a step by which rounding may miss the end of an interval.
@@ -23,13 +22,13 @@ MOST_STEPS = 1e12
 
 
 def divide(interval: Interval, step: Any, fixed: int | None = None) -> tuple[Any, Any]:
-    """(number of steps, their length [s]): the fewest equal ones no longer than `step`, more by the
-    share of their length that the interval asks for; or the `fixed` number. Where that is more
+    """(number of steps, their length [s]): the fewest equal ones no longer than `step`, or the
+    `fixed` number. Where that is more
     than any run takes (a step of 0, which only a traced number can be here) one step of nan.
     """
     start, stop = interval.start, interval.stop
     count = jnp.maximum(jnp.ceil((stop - start) / step * (1 - SLIVER)), 1.0)
-    count = jnp.ceil(count / interval.share) if fixed is None else jnp.asarray(float(fixed))
+    count = count if fixed is None else jnp.asarray(float(fixed))
     known = count <= MOST_STEPS
     return jnp.where(known, count, 1.0).astype(int), (stop - start) / jnp.where(
         known, count, jnp.nan
@@ -63,45 +62,18 @@ def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
     return jax.checkpoint(through, prevent_cse=False)(first)
 
 
-def contacts_met(met: tuple, before: Any, after: Any, forces: Any = None) -> tuple:
-    """(largest rise of an indentation within a step [m], `Peaks`) of each contact, after another
-    step from indentations `before` to those `after` it, where contacts that damp are pressed by
-    `forces` [N] (None: none damps); `met` until then.
-
-    What rises to no more than 0 does not count, as these are 0 in the beginning. What is not a
-    number is not met: every operation is paid for in every step. Only of the peaks derivatives are
-    wanted.
-    """
-    rise, known = met
-    further = jax.lax.stop_gradient(jnp.minimum(after, after - before))
-    return jnp.where(further > rise, further, rise), risen(known, after, forces)
-
-
-def figures_of_peaks(peaks: Peaks) -> dict[Check, Any]:
-    """Peaks by the check that judges them."""
-    pressed = {} if peaks.forces is None else {Check.LARGEST_FORCE: peaks.forces}
-    return {Check.INDENTATION: peaks.depths} | pressed
-
-
 def arrived(
     end: Any,
     steps: Any,
     warm_start: Any,
-    met: tuple | None = None,
-    judged: dict | None = None,
-    rises: Check = Check.CONTACT_STEP,
+    met: Peaks | None = None,
     watch: Watch | None = None,
 ) -> Advance:
-    """The answer of steps that are never rejected, and that have `met` so deep contacts; `judged`:
-    what checks judge steps by, the length [s] of those in contact for friction and damping;
-    `rises`: the check that judges by how much indentations rise in a step; `watch`: events on the
-    way."""
+    """The answer of steps that are never rejected, and that have `met` so deep contacts; `watch`:
+    events on the way."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
-    figures = {} if judged is None else dict(judged)
-    if met is not None:
-        figures |= {rises: met[0]} | figures_of_peaks(met[1])
     events = None if watch is None else watch.events
-    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, figures, events)
+    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, met, events)
 
 
 def searching_steps(

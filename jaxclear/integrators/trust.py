@@ -14,7 +14,6 @@ from jaxtyping import Array
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved
-from jaxclear.integrators.checks import Check
 
 # What a second derivative through contacts is told.
 NO_SECOND = (
@@ -33,9 +32,10 @@ MOST_ERROR = 0.01
 GROWTH = 8
 # Whether a contact was over in too few steps, among these.
 LOST = 3
-# Beyond this share of the largest indentation in one step an impact is that of the steps
-# (`Check.IMPACT_STEP`).
-RISE = Check.IMPACT_STEP.limit
+# Beyond this share of the largest indentation in one step an impact is that of the steps.
+RISE = 0.35
+# Share of the narrowest gap by which a run may part from the motion whose derivative it has.
+PARTED = 0.03
 # A contact that rises by a share r of its largest indentation in a step leaves an error of so many
 # r^2 of the gap (rk4, a slider-crank and a bouncing journal).
 OF_A_RISE = 3e-3
@@ -96,7 +96,7 @@ def trusted_impacts(found: Any, growth: Array) -> Any:
 def beside(found: Any, parted: Scalar) -> Any:
     """What was found of a run; its derivative is nan where the motion of which it is the derivative
     has `parted` from the run itself by too large a share of the gap."""
-    return _where(lambda parted: parted <= Check.PLACE_IN_GAP.limit, found, parted)
+    return _where(lambda parted: parted <= PARTED, found, parted)
 
 
 def _where(fine: Callable, found: Any, growth: Array, *numbers: Scalar) -> Any:

@@ -14,7 +14,11 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST
 from jaxclear.ground.quantity import Scalar
 from jaxclear.multibody.contact_point import depths
+from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.system import System, longest_arm
+
+# Joints of a body that are nearer than this share of the longest arm are at one place.
+AT_ONE_PLACE = 1e-6
 
 
 def turning(system: System) -> Bool[np.ndarray, " coordinates"]:
@@ -59,3 +63,38 @@ def gaps_passed(system: System, way: Float[Array, " state"]) -> Scalar:
     """By how much places move at the most where a state moves so [1], beside the narrowest gap."""
     arms = reaches(system, longest_arm(system))
     return jnp.max(arms * abs(way[: len(arms)]), initial=0.0) / narrowest_gap(system)
+
+
+def shortest_part(system: System, closure: Closure) -> Scalar:
+    """The shortest distance [m] within a body between two joints of a loop, beside which it is
+    judged how far it is open; joints at one place leave none. The longest arm where all are."""
+    inboard = {
+        i: None if system.links[i].parent < 0 else subtree[system.links[i].parent]
+        for subtree in system.topology.subtrees
+        for i in subtree
+    }
+    ends = (closure.parent_link, closure.parent), (closure.child_link, closure.child)
+    squares, places = [], []
+    up = [_up_to_ground(link, inboard) for link, _ in ends]
+    common = next(link for link in up[0] if link in up[1])
+    for (_, marker), links in zip(ends, up, strict=True):
+        place = marker.translation
+        for link in links:
+            if link is None or link == common:
+                break
+            squares.append(sp.dot(place, place))
+            place = system.links[link].base.translation
+        places.append(place)
+    across = sp.minus(*places)
+    squares.append(sp.dot(across, across))
+    own, arm = jnp.asarray(sp.stack(squares), float), longest_arm(system)
+    shortest = jnp.min(jnp.where(own > (AT_ONE_PLACE * arm) ** 2, own, jnp.inf))
+    return jnp.sqrt(jnp.minimum(shortest, arm * arm))
+
+
+def _up_to_ground(link: int | None, inboard: dict[int, int | None]) -> list[int | None]:
+    """A link and those that carry it, the ground (None) last."""
+    found = [link]
+    while found[-1] is not None:
+        found.append(inboard[found[-1]])
+    return found

@@ -22,7 +22,6 @@ from jaxclear.ground.kinds import as_given
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import Scalar, count
 from jaxclear.ground.wording import described
-from jaxclear.integrators.checks import Check
 from jaxclear.multibody.own_numbers import coordinate_units
 from jaxclear.results.abstract_response import REACHES, AbstractResponse, concerned, unit_of
 from jaxclear.results.tip import checked_through, checked_tip, tip_errors
@@ -212,18 +211,18 @@ class PeakContactForce(AbstractResponse):
 def _largest_met(run: Trajectory, joint: str) -> Scalar:
     """Largest force [N] of any step, and elastic force at the deepest indentation; 0 where none was
     kept, and of contacts whose law changes with the radius as worn."""
-    figures = run.checks.figures
-    if Check.INDENTATION not in figures or run.formulation.forces_are_means:
+    extremes = run.extremes
+    if extremes is None or run.formulation.forces_are_means:
         return jnp.zeros(())
     bearing = run.history.model().system.bearings[joint]
     depths, *forces = (
-        [figure.worst[k] for k, place in enumerate(figure.places) if place == joint]
-        for figure in map(figures.get, (Check.INDENTATION, Check.LARGEST_FORCE))
-        if figure is not None
+        [each[k] for k, place in enumerate(extremes.contacts) if place == joint]
+        for each in (extremes.indentation, extremes.force)
+        if each is not None
     )
     found = [
-        laws.contact.elastic_force(jnp.where(jnp.isfinite(radius), share * radius, 0.0))
-        for laws, share, radius in zip(bearing.contact_laws, depths, bearing.radii, strict=True)
+        laws.contact.elastic_force(depth)
+        for laws, depth in zip(bearing.contact_laws, depths, strict=True)
         if laws.unfitted is None
     ]
     return jnp.max(jnp.stack([jnp.zeros(()), *found, *itertools.chain(*forces)]))

@@ -4,6 +4,7 @@ Poses, contacts, reactions and energies are computed from the saved states when 
 pays for none of them. The methods here are fronts of the functions that do it.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from jaxclear.results.histories import (
 from jaxclear.results.saved_state import SavedMotion, State
 from jaxclear.results.singular_position import singular_position
 from jaxclear.results.state_history import StateHistory
+from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
 
 
 class RunStats(eqx.Module):
@@ -51,11 +53,22 @@ class RunStats(eqx.Module):
         return explain(np.max(self.verdict))
 
 
+class Extremes(eqx.Module):
+    """The largest of all steps, whatever the saving times: `indentation` [m] of every possible
+    contact and normal `force` [N] (None: no contact damps, so that it follows from the
+    indentation); `contacts`: their joints."""
+
+    indentation: Float[Array, "*batch contacts"]
+    force: Float[Array, "*batch contacts"] | None
+    contacts: tuple[str, ...] = eqx.field(static=True)
+
+
 class Trajectory(AbstractShown):
     """A simulated run. `history` holds the states; `worn` are depth maps [m] by joint and surface
     at the end, `outcome` tells how the run ended (an `Outcome`), `ended` when [s], `stats` what it
-    cost, `checks` what it found out about its own numbers; `noted`: touches and releases, where
-    they were asked for.
+    cost, `checks` what no finer run would tell of it, `verification` how far its numbers are off;
+    `extremes`: of all its steps (None: its integrator follows none); `noted`: touches and releases,
+    where they were asked for.
     """
 
     history: StateHistory
@@ -64,7 +77,9 @@ class Trajectory(AbstractShown):
     ended: Float[Array, ""]
     stats: RunStats
     checks: Checks = eqx.field(default_factory=Checks)
+    extremes: Extremes | None = None
     noted: Events | None = None
+    verification: AbstractVerification = eqx.field(default_factory=Unverified)
 
     @property
     def mechanism(self) -> Mechanism:
@@ -118,17 +133,28 @@ class Trajectory(AbstractShown):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence for each of its `checks` beyond its limit; empty for a clean run. Of one that
-        ended early, those of boundless figures only where there is no other."""
+        """A sentence for each of its `checks` beyond its limit, and one for answers whose numerical
+        error is beyond what the integrator promises; empty for a clean run. Of one that ended
+        early, those of boundless figures only where there is no other."""
         if self.succeeded:
-            return self.checks.warnings
+            return self.checks.warnings + self.verification.warnings
         return self.checks.before_the_end or self.checks.warnings
+
+    def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
+        """The value of a response, or of any function of a run that returns a number, and its
+        numerical error: twice what half the steps (tolerances 16 times tighter, twice the saving
+        times where surfaces wear) change. Without replicas the error is nan, and the estimate says
+        why.
+
+        Source: Richardson 1911, doi:10.1098/rsta.1911.0009; Roache 1994, J. Fluids Eng. 116, 405.
+        """
+        return self.verification.estimate(self, response)
 
     def __str__(self) -> str:
         if np.ndim(self.outcome) or is_traced(self.outcome):
             return repr(self)
         steps = f"{int(self.accepted_steps)} steps, {len(self.time)} saved instants"
-        lines = [self.result, f"{float(self.ended):.6g} s in {steps}.", str(self.checks)]
+        lines = [self.result, f"{float(self.ended):.6g} s in {steps}.", str(self.verification)]
         topology = self.mechanism.topology
         known = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
         return "\n".join([*lines, *known])
@@ -272,7 +298,7 @@ class Trajectory(AbstractShown):
         """Everything as an xarray Dataset with units."""
         said = {"result": self.result, "warnings": " ".join(self.warnings)}
         attributes = {**said, "accepted_steps": int(self.accepted_steps)}
-        attributes.update(self.checks.attributes())
+        attributes.update(self.checks.attributes() | self.verification.attributes())
         return dataset.to_dataset(self.history, self.worn, attributes)
 
     def to_vtk(self, folder: Any, *, frames: int = 200, meshes: Any = None) -> Path:

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.wording import public_name
-from jaxclear.integrators.checks import Check
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.results.trajectory import Trajectory
 
@@ -21,8 +20,7 @@ STABLE = 2.78
 def told_of_bristles(trajectory: Trajectory) -> str:
     """Why a run of one mechanism ended, with a sentence more where explicit steps went on until the
     bristles of a friction law were no numbers."""
-    explicit = Check.FRICTION_STEP in trajectory.checks.figures
-    if int(trajectory.outcome) != Outcome.NOT_FINITE or not explicit:
+    if int(trajectory.outcome) != Outcome.NOT_FINITE:
         return trajectory.result
     mechanism = trajectory.history.mechanism
     lengths = {}

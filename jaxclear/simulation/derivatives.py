@@ -33,6 +33,7 @@ COMPUTED = lambda run: (
     run.worn,
     run.ended,
     run.noted,
+    run.extremes,
     run.checks,
 )
 

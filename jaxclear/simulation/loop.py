@@ -16,32 +16,38 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.base import model_of
 from jaxclear.formulations.model import Model, State
-from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.base import AbstractIntegrator, Interval
+from jaxclear.integrators.events import Events
 from jaxclear.integrators.outcome import Outcome
+from jaxclear.integrators.peaks import Peaks, newest
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import readings, rubbing_joints
-from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict
+from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict, while_loop
 from jaxclear.results.state_history import StateHistory
-from jaxclear.results.trajectory import RunStats, Trajectory
-from jaxclear.simulation import spot_checks, wear_by_cells, wear_by_saves
+from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
+from jaxclear.simulation import progress
 from jaxclear.simulation.beginning import Past
-from jaxclear.simulation.looks import looked_at
-from jaxclear.simulation.referee import refereed
-from jaxclear.simulation.shadows import in_memory, kept_of_shadows, where_shadows_go_on
-from jaxclear.simulation.spot_checks import COARSE_ON, ON, Plan
+from jaxclear.simulation.error_weights import error_weights
+from jaxclear.simulation.invariants import contact_names, judged, sunk_in
 from jaxclear.simulation.step_lengths import with_few_enough_steps
-from jaxclear.simulation.tally import nothing_yet
-from jaxclear.simulation.turns import Carry, Left, turns_of
-from jaxclear.simulation.wear import Pending, Worn, pending_wear, unworn, worn_so_far
+from jaxclear.simulation.wear import (
+    Losses,
+    Pending,
+    Worn,
+    left_its_surface,
+    losses,
+    pending_wear,
+    unworn,
+    worn_at_once,
+    worn_so_far,
+    worn_where_lost,
+)
 
-# Worn surfaces stand in memory.
-LONG: Any = Carry._make(name in ("worn", "read") for name in Carry._fields)
 # What a derivative in reverse mode is told where the run is neither pushed forwards nor one kernel.
 NOT_BACKWARDS = (
     "a derivative in reverse mode (jax.grad, jax.vjp, jax.jacrev, jax.hessian) does not go through "
@@ -67,6 +73,43 @@ class Extras(NamedTuple):
     discrete: bool = False
 
 
+class Span(NamedTuple):
+    """A saving interval from `start` to `stop` [s]; `progress`: its share of the whole run."""
+
+    start: Float[Array, " turns"]
+    stop: Float[Array, " turns"]
+    progress: Float[Array, " turns"]
+
+
+class Carry(NamedTuple):
+    """What a run hands from turn to turn; `worn` are its worn surfaces (none where they are not to
+    wear on), `read` these as gaps read them, `ended` [s] is the last saving time that it reached,
+    `steps` those accepted and rejected so far, `peaks` the largest of every contact (None: no
+    integrator follows them)."""
+
+    state: State
+    worn: Worn
+    read: Worn
+    warm_start: Any
+    outcome: Int[Array, ""]
+    ended: Float[Array, ""]
+    steps: tuple[Int[Array, ""], Int[Array, ""]]
+    peaks: Peaks | None
+
+
+# Worn surfaces stand in memory.
+LONG: Any = Carry._make(name in ("worn", "read") for name in Carry._fields)
+
+
+class Left(NamedTuple):
+    """What a turn leaves, and what is left of all: states, worn surfaces as gaps saw them, events
+    (None: nobody asks)."""
+
+    states: State
+    read: Worn
+    noted: Events | None
+
+
 def run(
     mechanism: Mechanism,
     coordinates: Array,
@@ -75,9 +118,11 @@ def run(
     integrator: AbstractIntegrator,
     extras: Extras = Extras(),
     past: Past = Past(),
+    updates: Any = 1,
 ) -> Trajectory:
     """The pure core of `simulate`: from consistent coordinates and speeds, and what is left of a
-    past, to a trajectory."""
+    past, to a trajectory. `updates`: of worn surfaces in a saving interval, where steps are not
+    counted; events are then those of its last part."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     model = model_of(mechanism, formulation, extras.balance)
     model = dataclasses.replace(model, events=extras.events, discrete=extras.discrete)
@@ -87,36 +132,30 @@ def run(
     if past.remembered is not None:
         state = state.at[layout.remembered].set(past.remembered)
     worn = unworn(model.system) if past.worn is None else past.worn
-    means = formulation.forces_are_means
-    plan = spot_checks.plan(times, integrator.usual_step, means)
     read = readings(model.system, worn)
     seen = dataclasses.replace(model, worn=read)
     warm_start = _first_warm_start(seen, integrator, times[0], state)
+    turn = _Turn(model, integrator, extras.report)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
-    begun, whole = (state, read, warm_start), _whole(integrator, extras, worn)
-    turn, shapes, unpack = turns_of(model, integrator, extras.report, begun, whole)
-    tally = nothing_yet(shapes, model, state, len(plan.windows), means)
-    first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), tally)
-    if whole:
-        pending = pending_wear(model.system, layout, state) if worn else None
-        done = _in_one_kernel(plan, turn, functools.partial(_settled, model), (first, pending))
+    first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), None)
+    first = first._replace(peaks=turn.nothing_met(first))
+    spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
+    if _whole(integrator, extras, worn):
+        last, left = _in_one_kernel(turn, first, spans, updates)
     else:
-        done = _from_save_to_save(plan, turn, first)
+        counted = integrator.steps_between_saves
+        last, left = _from_save_to_save(turn, first, spans, counted, updates)
     if _sweeps_outside_kernels(model, integrator, warm_start):
-        done = forwards_only(NOT_THROUGH_SWEEPS, done)
-    last, left, ends = done
-    states, read = left.saved
-    states = integrator.known_states(seen, times, states, last.state, last.warm_start)
-    noted, figures = unpack(left)
-    history = StateHistory(mechanism, formulation, times, states, read, extras.balance)
-    stats = RunStats(*last.steps, verdict(last.outcome))
+        last, left = forwards_only(NOT_THROUGH_SWEEPS, (last, left))
+    states = integrator.known_states(seen, times, left.states, last.state, last.warm_start)
+    history = StateHistory(mechanism, formulation, times, states, left.read, extras.balance)
+    stats, noted = RunStats(*last.steps, verdict(last.outcome)), left.noted
     if noted is not None:
         noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
-    trajectory = Trajectory(history, last.worn, last.outcome, last.ended, stats, noted=noted)
-    windows = spot_checks.figures(model, plan, states, ends, last.tally, means)
-    windows |= wear_by_saves.figures(model, worn, last.worn, states)
-    windows |= wear_by_cells.figures(model, worn, last.worn)
-    return refereed(trajectory, model, last.tally, figures, windows)
+    met = last.peaks
+    extremes = None if met is None else Extremes(*met, contact_names(model))
+    ends = history, last.worn, last.outcome, last.ended, stats
+    return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
 
 
 def _whole(integrator: AbstractIntegrator, extras: Extras, worn: Worn) -> bool:
@@ -148,153 +187,162 @@ def _sweeps_outside_kernels(model: Model, integrator: AbstractIntegrator, warm_s
     return (counted or begun) and any(joint.friction is not None for joint in joints)
 
 
-def _settled(
-    model: Model, now: Carry, pending: Pending | None, unless: Any = False
-) -> tuple[Carry, Pending | None]:
-    """What a run hands from turn to turn, once its surfaces are worn by what it has lost."""
-    if pending is None:
-        return now, None
-    found = now.worn, now.read, pending
-    worn, read, pending = worn_so_far(model.system, model.layout, found, now.state, unless)
-    return now._replace(worn=worn, read=read), pending
+class _Turn:
+    """One turn of the loop, from a saving time to the next, as a function of (`Carry`, `Span`)."""
+
+    def __init__(self, model: Model, integrator: AbstractIntegrator, report: bool):
+        self.model, self.report = model, report
+        self.arrays, rest = eqx.partition((model, integrator), eqx.is_array)
+
+        def advance(arrays, read, ahead, state, warm_start):
+            model, integrator = eqx.combine(arrays, rest)
+            seen = dataclasses.replace(model, worn=read)
+            return integrator.advance(seen, ahead, state, warm_start)
+
+        # Traced once, however often a turn stands in the program.
+        self.advance = jax.jit(advance)
+
+    def nothing_met(self, first: Carry) -> Peaks | None:
+        """Peaks before the first turn; None where the integrator follows none."""
+        number = jnp.zeros(())
+        ahead = self._ahead(Span(number, number, number), jnp.ones((), bool), None)
+        given = self.arrays, first.read, ahead, first.state, first.warm_start
+        met = jax.eval_shape(self.advance, *given).peaks
+        return jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), met)
+
+    def _ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
+        weights, none = error_weights(self.model), jnp.full(self.model.layout.contacts, -jnp.inf)
+        if not none.size:
+            return Interval(span.start, span.stop, weights, running)
+        known = Peaks(none, none) if peaks is None else peaks
+        known = known._replace(forces=none) if known.forces is None else known
+        return Interval(span.start, span.stop, weights, running, known)
+
+    def motion(self, now: Carry, span: Span) -> tuple[Carry, Losses, Events | None]:
+        """What is handed on but for worn surfaces, what these lose, and events."""
+        if self.report:
+            jax.debug.callback(progress.advance, span.progress)
+        model, layout = self.model, self.model.layout
+        running = (now.outcome == Outcome.REACHED).astype(bool)
+        ahead = self._ahead(span, running, now.peaks)
+        result = self.advance(self.arrays, now.read, ahead, now.state, now.warm_start)
+        sound = jnp.all(jnp.isfinite(result.state))
+        reached = closure_coordinates.anchored(model.system, layout, span.stop, result.state)
+        state = jnp.where(running & sound, reached, now.state)
+        # What is not held to a tolerance (worn volumes, energies) can be lost while the steps still
+        # succeed.
+        failed = ~sound & (result.outcome == Outcome.REACHED)
+        found = jnp.where(failed, Outcome.NOT_FINITE, result.outcome)
+        gone = left_its_surface(model.system, layout, result.state)
+        if gone is not False:
+            found = jnp.where(gone, Outcome.OFF_THE_WALLS, found)
+        if result.peaks is not None:
+            sunk = (found == Outcome.REACHED) & sunk_in(model.system, result.peaks.depths)
+            found = jnp.where(sunk, Outcome.SUNK_IN, found)
+        outcome = jnp.where(running, found, now.outcome)
+        ended = jnp.where(running & (outcome == Outcome.REACHED), span.stop, now.ended)
+        more = lambda before, new: before + jnp.where(running, new, 0)
+        steps = jax.tree.map(more, now.steps, (result.accepted, result.rejected))
+        largest = lambda known, met: newest(known, met, running & ~jnp.isnan(known))
+        peaks = jax.tree.map(largest, now.peaks, result.peaks)
+        after = Carry(state, now.worn, now.read, result.warm_start, outcome, ended, steps, peaks)
+        return after, losses(layout, now.state, state), result.events
 
 
-def _in_one_kernel(
-    plan: Plan, turn: Callable, settled: Callable, begun: tuple[Carry, Pending | None]
-) -> tuple[Carry, Left, Array | None]:
-    """(what the last turn hands on, what is left: states and worn surfaces at all saving times and
-    the rest by saving intervals, the states at the ends of the windows' turns), turn by turn in the
-    order in which they are gone through. Before a turn surfaces are `settled`."""
-    parts = plan.parts
-    lengths = parts.stop - parts.first
-    order = np.concatenate(list(map(np.arange, parts.first, parts.stop)))
-    own, goes_on = (np.repeat(each, lengths) for each in (parts.own, parts.goes_on))
-    turns = jax.tree.map(lambda each: each[order], plan.turns)
-    kept = _kept(plan.intervals, begun[0], order, own)
-    if not len(plan.windows):
+def _in_parts(loop: Callable, part: Callable, updates: Any, begun: Any, span: Span) -> Any:
+    """What is handed on and left behind a saving interval that is gone through in so many equal
+    parts, by a while `loop`; `part`: (what is handed on, span) -> (that, what is left)."""
+    length = (span.stop - span.start) / updates
 
-        def alone(carry, span):
-            now, pending = settled(*carry)
-            now, left = turn(now, span)
-            return (now, pending), left
+    def turn(now):
+        index, carry, _ = now
+        begins = jnp.where(index == 0, span.start, span.start + index * length)
+        last = index + 1 == updates
+        ends = jnp.where(last, span.stop, span.start + (index + 1) * length)
+        return index + 1, *part(carry, Span(begins, ends, span.progress / updates))
 
-        done, left = scan(alone, begun, turns, kept, (LONG, True))
-        return _at_last(settled, done), Left(*left), None
-
-    part = lambda carry: (carry.state, carry.warm_start, carry.outcome)
-    names = "state", "warm_start", "outcome"
-    but = lambda carry, part: carry._replace(**dict(zip(names, part, strict=True)))
-    shadow, unpacked = in_memory(part(begun[0]))
-
-    def one(carry, row):
-        now, shadow, pending = carry
-        span, is_own, follows, followed = row
-        now, pending = settled(now, pending, follows)
-        of_begin = where_shadows_go_on(follows, shadow, unpacked, part(now))
-        begin = but(now, of_begin) if goes_on.any() else now
-        end, left = turn(begin, span)
-        if goes_on.any():
-            shadow = kept_of_shadows(followed, shadow, (*part(end)[:2], now.outcome))
-        after = but(end, _choose(is_own, part(end), part(now)))
-        return (after, shadow, pending), (*left, _end(end))
-
-    shadows = np.where(own, np.sum(~own), np.cumsum(~own) - 1)
-    kept.append(Kept(shadows, np.sum(~own)))
-    followed = np.append(goes_on[1:], False)
-    carry, rows = (begun[0], shadow, begun[1]), (turns, own, goes_on, followed)
-    (last, _, pending), (*left, ends) = scan(one, carry, rows, kept, (LONG, True, True))
-    return _at_last(settled, (last, pending)), Left(*left), ends
+    left = jax.eval_shape(part, begun, span)[1]
+    nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), left)
+    return loop(lambda now: now[0] < updates, turn, (jnp.zeros((), int), begun, nothing))[1:]
 
 
-def _kept(count: int, first: Carry, order: np.ndarray, own: np.ndarray) -> list[Kept]:
-    """How what turns leave is kept, of a run of so many saving intervals that are gone through in
-    this order, some of them not its `own`."""
-    looks = looked_at(count)
-    numbers = np.searchsorted(looks, order)
-    seen = own & (looks[numbers.clip(max=len(looks) - 1)] == order)
-    return [
-        Kept(np.where(own, order + 1, count + 1), count + 1, (first.state, first.read)),
-        Kept(np.where(own, order, count), count),
-        Kept(np.where(seen, numbers, len(looks)), len(looks)),
-    ]
+def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Left]:
+    """(what the last turn hands on, what is left at all saving times). Before a turn surfaces are
+    worn by what the one before lost, and after the last by what that lost."""
+    model, count = turn.model, len(spans.start)
+    pending = pending_wear(model.system, model.layout, first.state) if first.worn else None
 
+    def settled(now: Carry, pending: Pending | None) -> tuple[Carry, Pending | None]:
+        if pending is None:
+            return now, None
+        found = now.worn, now.read, pending
+        worn, read, pending = worn_so_far(model.system, model.layout, found, now.state)
+        return now._replace(worn=worn, read=read), pending
 
-def _at_last(settled: Callable, done: tuple[Carry, Pending | None]) -> Carry:
-    """What the last turn hands on, its surfaces worn by what it lost."""
-    if done[1] is None:
-        return done[0]
-    last = lambda now, _: (settled(*now), ())
-    return scan(last, done, np.zeros(1), long=(LONG, True))[0][0]
+    def part(carry, span):
+        now, pending = settled(*carry)
+        now, _, noted = turn.motion(now, span)
+        return (now, pending), noted
+
+    def by_kernel(condition, body, begun):
+        return while_loop(condition, body, begun, (False, (LONG, True), False))
+
+    def one(carry, span):
+        wears = pending is not None
+        go = functools.partial(_in_parts, by_kernel, part, updates) if wears else part
+        carry, noted = go(carry, span)
+        return carry, ((carry[0].state, carry[0].read), noted)
+
+    rows = np.arange(count)
+    kept = [Kept(rows + 1, count + 1, (first.state, first.read)), Kept(rows, count)]
+    done, ((states, read), noted) = scan(one, (first, pending), spans, kept, (LONG, True))
+    if pending is not None:
+        last = lambda now, _: (settled(*now), ())
+        done = scan(last, done, np.zeros(1), long=(LONG, True))[0]
+    return done[0], Left(states, read, noted)
 
 
 def _from_save_to_save(
-    plan: Plan, turn: Callable, first: Carry
-) -> tuple[Carry, Left, Array | None]:
-    """As `_in_one_kernel`, each turn by itself; windows are gone through after the run, from what
-    its turns began with, so that these pay nothing for them."""
-    if not len(plan.windows):
-        last, rows = jax.lax.scan(turn, first, plan.turns)
-        return last, _from_the_start(first.state, rows), None
+    turn: _Turn, first: Carry, spans: Span, counted: int | None, updates: Any
+) -> tuple[Carry, Left]:
+    """As `_in_one_kernel`, each turn by itself, behind which XLA wears surfaces; of a `counted`
+    number of steps it goes backwards through them."""
+    system = turn.model.system
+    motion = turn.motion if counted is not None or not first.read else _as_a_kernel(turn.motion)
+    wear = worn_where_lost if counted is None else worn_at_once
+
+    def part(now, span):
+        worn, read = now.worn, now.read
+        now, lost, noted = motion(now._replace(worn={}), span)
+        left = read, noted
+        if worn:
+            worn, read = wear(system, worn, read, lost)
+        return now._replace(worn=worn, read=read), left
 
     def one(now, span):
-        after, left = turn(now, span)
-        return after, (left, ravel_pytree(now.warm_start)[0])
+        wears = first.worn and counted is None
+        go = functools.partial(_in_parts, jax.lax.while_loop, part, updates) if wears else part
+        now, (read, noted) = go(now, span)
+        return now, (now.state, read, noted)
 
-    own = jax.tree.map(lambda each: each[: plan.intervals], plan.turns)
-    last, (rows, begun) = jax.lax.scan(one, first, own)
-    ends = _through_windows(plan, turn, (first, last), rows.saved, begun)
-    return forwards_only(NOT_BACKWARDS, (last, _from_the_start(first.state, rows), ends))
-
-
-def _through_windows(
-    plan: Plan,
-    turn: Callable,
-    run: tuple[Carry, Carry],
-    saved: tuple[Float[Array, "turns n"], Worn],
-    begun: Float[Array, "turns k"],
-) -> Float[Array, "shadows n"]:
-    """States at the ends of the windows' turns, of a `run` with such a beginning and end, of whose
-    turns this is left: the state after each and the surfaces that it saw, and what warm-started
-    it. Surfaces do not wear in windows."""
-    (first, last), (states, read) = run, saved
-    states = jnp.concatenate([first.state[None], states])
-    begun = jnp.concatenate([begun, ravel_pytree(last.warm_start)[0][None]])
-    unpacked = ravel_pytree(first.warm_start)[1]
-    # What goes on from the run's own turn begins where that has ended.
-    ends_own = np.array([plan.whole and name == COARSE_ON for name in plan.names])
-    follows = np.array([name in ON for name in plan.names]) & ~ends_own
-    at = np.repeat(plan.windows, len(plan.names))
-    begins = at + np.tile(ends_own, len(plan.windows))
-    reached = plan.times[at] <= last.ended
-    outcomes = jnp.where(reached, Outcome.REACHED, last.outcome).astype(last.outcome.dtype)
-
-    def one(shadow, row):
-        span, state, warm_start, surfaces, outcome, goes_on = row
-        state, warm_start = _choose(goes_on, shadow, (state, warm_start))
-        now = last._replace(worn={}, read=surfaces, state=state, outcome=outcome)
-        end, _ = turn(now._replace(warm_start=unpacked(warm_start)), span)
-        return (end.state, ravel_pytree(end.warm_start)[0]), _end(end)
-
-    spans = jax.tree.map(lambda each: each[plan.intervals :], plan.turns)
-    surfaces = jax.tree.map(lambda depths: depths[at], read)
-    goes_on = jnp.asarray(np.tile(follows, len(plan.windows)))
-    rows = spans, states[begins], begun[begins], surfaces, outcomes, goes_on
-    return jax.lax.scan(one, (first.state, begun[0]), rows)[1]
-
-
-def _end(end: Carry) -> State:
-    """The state at the end of a window's turn; nan where it has been lost."""
-    return jnp.where(end.outcome == Outcome.NOT_FINITE, jnp.nan, end.state)
-
-
-def _from_the_start(state: State, left: Left) -> Left:
-    """What all turns have left, with the state at the start and the surfaces that the first one
-    saw in front, and only the figures that go with a look."""
-    states, read = left.saved
+    last, (states, read, noted) = jax.lax.scan(one, first, spans)
+    joined = lambda begun, rows: jnp.concatenate([begun[None], rows])
     read = jax.tree.map(lambda depths: jnp.concatenate([depths[:1], depths]), read)
-    states = jnp.concatenate([state[None], states])
-    return Left((states, read), left.noted, left.figures[looked_at(len(left.figures))])
+    return last, Left(joined(first.state, states), read, noted)
 
 
-def _choose(condition: Any, these: Any, those: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), these, those)
+def _as_a_kernel(motion: Callable) -> Callable:
+    """A turn's motion as a kernel of its own, between whose calls surfaces wear: XLA would start
+    each of its operations on a few numbers by itself."""
+
+    def alone(now: Carry, span: Span) -> tuple:
+        read = now.read
+
+        def turn(now, _):
+            after, *left = motion(now._replace(read=read), span)
+            return after._replace(read={}), left
+
+        after, left = scan(turn, now._replace(read={}), np.zeros(1))
+        return after._replace(read=read), *jax.tree.map(lambda each: each[0], left)
+
+    return alone

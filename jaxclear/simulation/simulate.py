@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxclear.errors.replicas import Replica
+from jaxclear.errors.verification import verified
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
@@ -29,7 +31,6 @@ from jaxclear.simulation.derivatives import backwards, guarded
 from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.saving import checked_saving
-from jaxclear.simulation.second_look import looked_at_again
 from jaxclear.simulation.step_comparison import (
     compared,
     in_other_steps,
@@ -37,7 +38,6 @@ from jaxclear.simulation.step_comparison import (
     run_where_alike,
 )
 from jaxclear.simulation.step_lengths import check_steps
-from jaxclear.simulation.wear import worn_faster
 
 
 class SimulationError(RuntimeError):
@@ -58,15 +58,15 @@ class SimulationError(RuntimeError):
 FEW_COORDINATES = 32
 
 
-def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past):
+def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, updates):
     """A run that can be differentiated forwards and backwards."""
     given = mechanism, coordinates, speeds, times, past
     if not is_compared(mechanism, integrator):
-        whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4])
+        whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4], updates)
         return backwards(whole, integrator, *given)
 
     def in_steps(share, integrator, *moving):
-        return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4])
+        return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4], updates)
 
     steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
     known = compared(in_steps, run_where_alike, steps)
@@ -165,6 +165,7 @@ def simulate(
     balance: bool = False,
     progress_bar: bool = False,
     throw: bool = True,
+    verify: bool | None = None,
 ) -> Trajectory:
     """Simulate a mechanism for `duration` [s] from its own start.
 
@@ -172,7 +173,9 @@ def simulate(
     touches and releases too; worn surfaces are updated at these times. `integrator`:
     `jaxclear.integrator.Adaptive()` by default. `state`: where the run begins instead, such as
     `run.state()` of another one; saving times, worn volumes and energies count from there.
-    `balance`: also integrate the energies that `Trajectory.energy_balance` needs. Changing numbers,
+    `balance`: also integrate the energies that `Trajectory.energy_balance` needs. `verify`: whether
+    the run is repeated in finer steps, which tells the errors of its numbers (`estimate`, `print`);
+    by default up to 100 000 steps, and not where the run is traced. Changing numbers,
     duration or tolerances does not compile again; changing the number of saving times does. Raises
     `ValueError` for a mechanism that cannot start and for a derivative through contacts that open
     and close (see `jaxclear.sensitivity`), and, unless `throw=False`, `SimulationError` with a
@@ -181,6 +184,8 @@ def simulate(
     check_double_precision()
     check_duration(duration)
     check_flags("simulate", balance=balance, progress_bar=progress_bar, throw=throw)
+    if verify is not None:
+        check_flags("simulate", verify=verify)
     _check_compiling()
     integrator = Adaptive() if integrator is None else integrator
     check_run(mechanism, integrator)
@@ -194,10 +199,15 @@ def simulate(
     with stoppable(), progress.bar(progress_bar, "simulating"):
         extras = Extras(balance, progress_bar, saving.events)
         runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run
-        begun = lambda worn: (worn_faster(mechanism, worn), start.coordinates, start.speeds)
-        again = lambda own, worn=1.0, at=saved: runs(*begun(worn), at, own, extras, past)
-        trajectory = diagnosed(guarded(jax.block_until_ready(again(integrator)), integrator))
-        trajectory = judged_by(passed, looked_at_again(trajectory, integrator, again))
+
+        def again(how: Replica, moved: float = 0.0) -> Trajectory:
+            begun = start.coordinates + moved if moved else start.coordinates
+            given = mechanism, begun, start.speeds, jnp.asarray(how.times)
+            more = how.integrator, extras, past, jnp.asarray(how.updates)
+            return jax.block_until_ready(runs(*given, *more))
+
+        trajectory = diagnosed(guarded(again(Replica(integrator, saved)), integrator))
+        trajectory = verified(judged_by(passed, trajectory), integrator, again, verify)
     if throw:
         _check_end(trajectory)
     return trajectory

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.numerics import safe_divide
@@ -30,19 +29,6 @@ def unworn(system: System) -> Worn:
         name: {surface: jnp.zeros(wear_map.cells) for surface, (wear_map, _) in surfaces.items()}
         for name, surfaces in wear_maps(system).items()
     }
-
-
-def worn_faster(mechanism: Mechanism, share: float) -> Mechanism:
-    """The mechanism whose surfaces wear so many times as fast; itself for once."""
-    if share == 1.0:
-        return mechanism
-    is_wearing = lambda node: isinstance(node, Wearing)
-    faster = lambda node: (
-        eqx.tree_at(lambda own: own.acceleration, node, share * node.acceleration)
-        if is_wearing(node)
-        else node
-    )
-    return jax.tree.map(faster, mechanism, is_leaf=is_wearing)
 
 
 def worn_as_given(mechanism: Mechanism, given: Worn | None) -> Worn | None:

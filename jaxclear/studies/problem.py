@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.errors.replicas import between, replica
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
@@ -34,7 +35,6 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
 from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import refusal
-from jaxclear.simulation.finer import finer, parts_of_intervals, saved_oftener
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
@@ -85,6 +85,8 @@ class Problem(AbstractProblem):
     integrator: AbstractIntegrator
     state: State
     past: Past
+    # Of worn surfaces in a saving interval.
+    updates: Array
     correlation: Float[Array, "variables variables"] | None
     # JAX sorts the keys of a dictionary; the order in which things were given is kept here.
     names: tuple[str, ...] = eqx.field(static=True)
@@ -128,6 +130,7 @@ class Problem(AbstractProblem):
         self.state = State() if state is None else state
         seen = self.integrator.formulation.seen(mechanism)
         self.past = past_of(seen, self.integrator.formulation, self.state)
+        self.updates = jnp.asarray(1)
         self.integrator = self._load_steps().integrator
         self.determined, motion = (), self.state.motion
         if motion is None:
@@ -184,7 +187,8 @@ class Problem(AbstractProblem):
         else:
             start = carried_on(mechanism, *motion.moving)
         extras = Extras(events=self.events, discrete=discrete)
-        found = run(mechanism, *start[:2], times, self.integrator, extras, self.past)
+        given = mechanism, *start[:2], times, self.integrator, extras, self.past
+        found = run(*given, self.updates)
         return mechanism, start, found
 
     def evaluate(
@@ -229,20 +233,19 @@ class Problem(AbstractProblem):
         return True
 
     def replica(self, share=0.5):
-        """Finer runs: saving times are doubled where surfaces wear at them or counted steps lie
-        between them, and responses see runs at the times that were asked for."""
+        """Runs in finer steps, whose surfaces wear more often; where steps between saving times are
+        counted there are more of these, and responses see runs at those that were asked for."""
         times = self.state.begins + self.shares * self.duration
-        integrator = finer(self.integrator, times, share)
-        if integrator is None:
+        how = replica(self.integrator, times, share)
+        if how is None:
             return None
-        wears = any(wear_maps(prepare(self.mechanism)).values())
-        parts = parts_of_intervals(self.integrator, wears, share)
-        found = eqx.tree_at(lambda own: own.integrator, self, integrator)
-        if parts == 1:
+        places = lambda own: (own.integrator, own.updates)
+        found = eqx.tree_at(places, self, (how.integrator, jnp.asarray(how.updates)))
+        if how.every == 1:
             return found
-        seen = {name: Thinned(own, parts) for name, own in self.response.items()}
-        places = lambda own: (own.response, own.shares)
-        return eqx.tree_at(places, found, (seen, saved_oftener(self.shares, parts)))
+        seen = {name: Thinned(own, how.every) for name, own in self.response.items()}
+        shares = jnp.asarray(between(self.shares, how.every))
+        return eqx.tree_at(lambda own: (own.response, own.shares), found, (seen, shares))
 
     def promised(self, response, size):
         return promised_of(self.mechanism, self.integrator, self.response[response], size)

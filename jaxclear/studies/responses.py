@@ -7,9 +7,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxclear.errors.replicas import thinned
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described
-from jaxclear.simulation.finer import thinned
 from jaxclear.studies.base import is_one_number
 
 __all__ = ["Thinned", "by_name", "check_responses", "one_number"]

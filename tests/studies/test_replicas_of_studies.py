@@ -4,7 +4,6 @@ of scipy, and a problem whose paths part."""
 import re
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ import scipy
 
 import jaxclear as jc
 from jaxclear.plot.studies import _warned_samples
-from jaxclear.simulation.finer import saved_oftener, step_taken, thinned
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.batch import evaluate_chunk
 from jaxclear.studies.campaign import work
@@ -76,8 +74,6 @@ def test_the_bias_of_euler_steps_is_that_of_the_closed_form(study):
 def test_a_replica_has_that_share_of_the_steps_that_were_taken(share):
     """Saving times 0.1 s apart shorten steps of 0.03 s to 0.025 s."""
     problem = falling(integrator=jc.integrator.FixedStep(0.03, "euler"))
-    times = problem.shares * problem.duration
-    assert float(step_taken(times, 0.03)) == pytest.approx(0.025)
     replica = problem.replica(share)
     assert float(replica.integrator.step) == pytest.approx(share * 0.025)
     at = jnp.tile(problem.nominal(), (CHUNK, 1))
@@ -139,31 +135,27 @@ def test_responses_see_finer_runs_at_the_times_that_were_asked_for(how):
     assert told.bias == 0 and told.uncertainty == 0 and told.is_resolved
 
 
-def test_worn_surfaces_are_updated_twice_as_often_in_a_replica():
-    rig = jc.scenes.slider_crank(wear=True)
-    asked = {"volume": jc.response.WornVolume("B"), "force": jc.response.MeanContactForce("B")}
+def test_worn_surfaces_are_updated_twice_as_often_by_the_same_program():
+    """What wears in a replica is what a run with twice the saving times and half the steps wears;
+    nothing is compiled for it."""
+    rig, traced = jc.scenes.slider_crank(wear=True), []
+    volume = jc.response.WornVolume("B")
+
+    def counted(run):
+        traced.append(1)
+        return volume(run)
+
     clearance = {"c": jc.Variable(lambda r: r.connections["B"].joint.clearance, tolerance=1e-6)}
-    how = {"integrator": jc.integrator.FixedStep(1e-5), "save": 5, "duration": 2e-3}
-    problem = jc.Problem(rig, asked, clearance, **how)
-    replica = problem.replica()
-    run = replica.rerun(problem.nominal(), 0, 1)
-    np.testing.assert_allclose(run.time, np.linspace(0, 2e-3, 9), rtol=1e-12)
-    rare = thinned(run, 2)
-    np.testing.assert_allclose(rare.time, np.linspace(0, 2e-3, 5), rtol=1e-12)
-    # What was worn and pushed is that of the whole run; surfaces are those at these times.
-    for response in asked.values():
-        assert response(rare) == response(run)
-    pairs = zip(jax.tree.leaves(rare.history.read), jax.tree.leaves(run.history.read), strict=True)
-    for seldom, often in pairs:
-        np.testing.assert_array_equal(seldom, often[::2])
-    assert thinned(run, 1) is run
-    assert replica.response["volume"](run) == asked["volume"](run)
-
-
-def test_intervals_are_cut_into_equal_parts():
-    times = jnp.array([0.0, 0.1, 0.4])
-    np.testing.assert_allclose(saved_oftener(times, 2), [0, 0.05, 0.1, 0.25, 0.4])
-    assert saved_oftener(times, 3)[-1] == times[-1]
+    asked = {"duration": 2e-3, "integrator": jc.integrator.FixedStep(1e-5), "save": 5}
+    problem = jc.Problem(rig, counted, clearance, **asked)
+    found = jc.monte_carlo(problem, 2, chunk=2)
+    assert len(traced) == 1
+    often = asked | {"integrator": jc.integrator.FixedStep(5e-6), "save": 9}
+    finer = jc.Problem(rig, volume, clearance, **often)
+    told = evaluate_chunk(finer, jnp.asarray(found.values)).responses["response"]
+    assert np.all(np.asarray(told) > 0)
+    np.testing.assert_allclose(found.replicas.responses["response"], told, rtol=1e-6)
+    assert np.all(found.replicas.errors("response") > 1e-6 * np.asarray(told))
 
 
 def test_the_same_samples_have_replicas_whatever_the_chunks_and_growth(study):
@@ -382,10 +374,10 @@ def test_a_folder_of_an_earlier_version_says_what_it_had_found(tmp_path):
     recorded = dict(group.attrs["recorded"])
     for name in ("by_steps", "known_doubts", "promises"):
         del recorded[name]
-    second_look = [["LOAD_STEP", [0.3], [0.0], ["push"]]]
+    second_look = [["PLACE_IN_GAP", [0.07], [0.5], ["B"]]]
     group.attrs.put(dict(group.attrs) | {"second_look": second_look, "recorded": recorded})
     (said,) = jc.open_campaign(tmp_path).sample.doubts
-    assert said.startswith("A second look at the nominal sample, kept from before: Steps pass over")
+    assert said.startswith("A second look at the nominal sample, kept from before: ")
     found = jc.campaign(asked, 32, folder=tmp_path)
     assert found.sample.doubts == (said,) and found.sample.replicas.count == 16
 

@@ -1,0 +1,221 @@
+"""The standard answers of a run, and how far two runs of one mechanism are apart in them.
+
+Places are judged beside the longest way of a body, or a hundred times the widest gap if that is
+more: bodies that go less far only move within their gaps. Places in gaps are judged beside the
+clearance, forces beside the largest of all joints, wear beside the surface that wears most.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxclear.formulations.model import Instant
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.pose import REST
+from jaxclear.multibody import contact_point, kinematics
+from jaxclear.multibody.reach import rooms
+from jaxclear.multibody.system import longest_arm, wear_maps
+from jaxclear.results import histories
+from jaxclear.results.response import PeakContactForce
+from jaxclear.results.state_history import columns, over_time
+from jaxclear.results.trajectory import Trajectory
+
+# A body that goes less far than so many of the widest gap is judged beside that.
+GAPS = 100.0
+# Share of the energy turned over below which friction takes nothing that a user would read.
+LEAST_LOSS = 1e-3
+# Worn depth, beside the root of its surface's area, below which nothing wears: a thousand million
+# such runs take less than an atom off a bearing.
+NO_WEAR = 1e-17
+
+
+class Observables(NamedTuple):
+    """Centres of mass [m] and axes of the bodies over time; where parts are in the gap of each
+    contact, beside its width, and that width [m]; mean and peak normal force of each joint [N]
+    (None: not known between saving times); what friction has taken and what was turned over [J]
+    (None: no balance); worn volumes [m3], depths [m] and areas [m2] of the surfaces; the longest
+    arm [m]."""
+
+    centres: Float[Array, "time bodies 3"]
+    axes: Float[Array, "time bodies 9"]
+    in_gaps: Float[Array, "time contacts 3"] | None
+    rooms: Float[Array, " contacts"] | None
+    mean_force: Float[Array, " joints"]
+    peak_force: Float[Array, " joints"] | None
+    friction_loss: Float[Array, ""] | None
+    turnover: Float[Array, ""] | None
+    volume: Float[Array, " surfaces"]
+    depth: Float[Array, " surfaces"]
+    area: Float[Array, " surfaces"]
+    arm: Float[Array, ""]
+
+
+class Apart(NamedTuple):
+    """How far two runs are apart in an `answer`: by its `part` of the promise and its `place`, in
+    its `unit`, beside the `scale` by which it is judged; `value`: what the answer is."""
+
+    answer: str
+    part: str
+    place: str
+    unit: str
+    value: float
+    off: float
+    scale: float
+
+    @property
+    def share(self) -> float:
+        """The difference beside the scale."""
+        return self.off / self.scale if self.scale > 0 else (0.0 if self.off == 0 else np.inf)
+
+
+def _observed(run: Trajectory) -> Observables:
+    history, model = run.history, run.history.model()
+    system, duration = model.system, run.time[-1] - run.time[0]
+
+    def at(now: Instant) -> tuple:
+        links = list(zip(system.links, now.motions, strict=True))
+        centres = tuple(
+            motion.pose.point(sp.scale(safe_divide(1.0, link.mass), link.first_moment))
+            for link, motion in links
+        )
+        axes = tuple(tuple(x for row in m.pose.rotation for x in row) for _, m in links)
+        return centres, axes, _in_gaps(now)
+
+    centres, axes, inside = (
+        columns(each) if each else jnp.zeros((len(run.time), 0, k))
+        for each, k in zip(over_time(history, at), (3, 9, 3), strict=True)
+    )
+    joints = run.formulation.contact_joints(run.mechanism)
+    stacked = lambda each: jnp.stack(each) if each else jnp.zeros(0)
+    mean = stacked([histories.contact_impulse(history, name)[-1] / duration for name in joints])
+    peaks = None
+    if run.extremes is not None and not run.formulation.forces_are_means:
+        peaks = stacked([PeakContactForce(name)(run) for name in joints])
+    lost, turned = None, None
+    if history.balanced:
+        energies = histories.energies(history)
+        lost = energies.friction_loss[-1]
+        turned = jnp.max(energies.kinetic) + jnp.max(jnp.abs(energies.input))
+    places = [(joint, surface) for joint, own in run.worn.items() for surface in own]
+    volumes = [histories.worn_volume(history, *place)[-1] for place in places]
+    depths = [jnp.max(run.worn[joint][surface]) for joint, surface in places]
+    maps, opens = wear_maps(system), bool(system.bearings)
+    areas = [jnp.sum(maps[joint][surface][0].areas()) for joint, surface in places]
+    return Observables(
+        centres,
+        axes,
+        inside if opens else None,
+        rooms(system) if opens else None,
+        mean,
+        peaks,
+        lost,
+        turned,
+        stacked(volumes),
+        stacked(depths),
+        stacked(areas),
+        jnp.asarray(longest_arm(system), float),
+    )
+
+
+# Compiled once for all runs of a kind.
+observed = compiled_quickly(_observed, AROUND_A_KERNEL)
+
+
+def _in_gaps(now: Instant) -> tuple:
+    """Where each contact's parts are in their gap, beside its width: the vector from the middle
+    along which it closes, in the bearing's axes."""
+    found: list[Any] = []
+    for name, bearing in now.model.system.bearings.items():
+        _, pose, _ = kinematics.relative_motion(bearing.closure, now.motions)
+        drawn = contact_point.depths(bearing.joint, REST, {})
+        contacts = contact_point.gap_function(bearing.joint, pose, now.model.worn.get(name, {}))
+        for room, contact in zip(drawn, contacts, strict=True):
+            width = abs(room)
+            share = safe_divide(contact.indentation + width, width)
+            found.append(sp.scale(share, contact.slope))
+    return tuple(found)
+
+
+def apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
+    """How far two runs are apart, by answer; `run`: the one that is judged, whose names are
+    told."""
+    one, other = (Observables(*map(_numbers, each)) for each in (one, other))
+    widest = 0.0 if one.rooms is None else float(np.max(np.asarray(one.rooms), initial=0.0))
+    way = float(np.max(np.abs(one.centres - one.centres[:1]), initial=0.0))
+    turned = float(np.max(np.abs(one.axes - one.axes[:1]), initial=0.0))
+    far = lambda name: float(np.max(np.abs(getattr(one, name) - getattr(other, name)), initial=0.0))
+    arm = float(one.arm)
+    found = [
+        Apart("places of bodies", "places", "", "m", way, far("centres"), max(way, GAPS * widest)),
+        Apart(
+            "orientation of bodies",
+            "places",
+            "",
+            "rad",
+            turned,
+            far("axes"),
+            max(turned, GAPS * widest / arm if arm > 0 else 0.0),
+        ),
+    ]
+    found += _gaps_apart(run, one, other)
+    joints = run.formulation.contact_joints(run.mechanism)
+    of_joints = (("mean contact force", "mean_force"), ("peak contact force", "peak_force"))
+    for answer, part in of_joints:
+        forces = getattr(one, part)
+        if forces is not None and len(forces):
+            found += _by_place(answer, part, "N", joints, forces, getattr(other, part))
+    if one.friction_loss is not None:
+        loss, less = (float(np.asarray(each.friction_loss)) for each in (one, other))
+        scale = max(loss, LEAST_LOSS * float(np.asarray(one.turnover)))
+        if max(loss, less) > 0:
+            row = "friction loss", "losses", "", "J", loss, abs(loss - less), scale
+            found.append(Apart(*row))
+    places = [f"{joint}, {surface}" for joint, own in run.worn.items() for surface in own]
+    if places:
+        least = NO_WEAR * float(np.sqrt(np.max(one.area)))
+        of_wear = one.volume, other.volume, least * float(np.max(one.area))
+        found += _by_place("worn volume", "losses", "m^3", places, *of_wear)
+        found += _by_place("worn depth", "losses", "m", places, one.depth, other.depth, least)
+    return found
+
+
+def _numbers(values: Any) -> Any:
+    return None if values is None else np.asarray(values)
+
+
+def _gaps_apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
+    if one.in_gaps is None:
+        return []
+    off = np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(0, 2))
+    names = [n for n, b in run.history.model().system.bearings.items() for _ in b.radii]
+    largest: dict[str, tuple[float, float]] = {}
+    for name, share, room in zip(names, off, np.asarray(one.rooms), strict=True):
+        largest[name] = max(largest.get(name, (0.0, 0.0)), (float(share), float(room)))
+    return [
+        Apart("places in the gap", "gaps", name, "m", room, share * room, room)
+        for name, (share, room) in largest.items()
+    ]
+
+
+def _by_place(
+    answer: str, part: str, unit: str, places: Any, one: Any, other: Any, least: float = 0.0
+) -> list[Apart]:
+    """Of an answer by place, judged beside the largest of all, or beside the `least` that
+    counts."""
+    scale = max(float(np.max(np.abs(one))), least)
+    rows = zip(places, one, other, strict=True)
+    return [
+        Apart(answer, part, place, unit, float(x), abs(float(x) - float(y)), scale)
+        for place, x, y in rows
+    ]
+
+
+def parted(one: Observables, other: Observables) -> Float[np.ndarray, " time"]:
+    """By saving time how far parts are elsewhere in their gaps, beside these; 0 without gaps."""
+    if one.in_gaps is None:
+        return np.zeros(len(one.centres))
+    return np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(1, 2))

@@ -1,0 +1,94 @@
+"""How far the numbers of a run are off: what a run holds of it, and what it answers. Which runs
+tell it, and by which standard answers, is the room `errors`.
+"""
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.ground.shown import AbstractShown
+
+# Digits of a value beyond the first of its error.
+DIGITS = 2
+
+
+class Estimate(AbstractShown):
+    """A number drawn from a run: its `value`, its numerical `error` (nan: not known) in the same
+    unit, and, in `why`, what the error comes from or why it is not known."""
+
+    value: Any
+    error: Any
+    why: str = eqx.field(static=True, default="")
+
+    def __str__(self) -> str:
+        value, error = float(np.asarray(self.value)), float(np.asarray(self.error))
+        if not math.isfinite(error):
+            return f"{value:.6g} ({self.why})"
+        return f"{with_error(value, error)}"
+
+
+def with_error(value: float, error: float) -> str:
+    """A number beside its error, no more digits of it than the error lets stand."""
+    if not (error > 0 and value != 0 and math.isfinite(value)):
+        return f"{value:.6g} ± {error:.2g}"
+    known = math.floor(math.log10(abs(value))) - math.floor(math.log10(error)) + DIGITS
+    return f"{value:.{min(max(known, 1), 15)}g} ± {error:.2g}"
+
+
+class AbstractVerification(AbstractShown):
+    """What is known of a run's numerical errors."""
+
+    @property
+    @abstractmethod
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for answers beyond what the integrator promises."""
+
+    @property
+    @abstractmethod
+    def beyond(self) -> frozenset[str]:
+        """The parts of the promise (`Promise`'s fields) beyond which some answer is."""
+
+    @abstractmethod
+    def estimate(self, run: Any, response: Callable[[Any], Any]) -> Estimate:
+        """The value of a response of this run, and its error."""
+
+    @abstractmethod
+    def table(self) -> Any:
+        """A pandas table of the standard answers: value, error, unit, the error as a share and what
+        is promised of it."""
+
+    @abstractmethod
+    def attributes(self) -> dict[str, str]:
+        """What goes as text with saved data."""
+
+
+class Unverified(AbstractVerification):
+    """Of a run without replicas: nobody has looked, and `why`."""
+
+    why: str = eqx.field(static=True, default="verify=False")
+
+    def __str__(self) -> str:
+        return f"Not verified: {self.why}."
+
+    @property
+    def warnings(self):
+        return ()
+
+    @property
+    def beyond(self):
+        return frozenset()
+
+    def estimate(self, run, response):
+        return Estimate(response(run), math.nan, f"not verified: {self.why}")
+
+    def table(self):
+        import pandas
+
+        return pandas.DataFrame(columns=["answer", "value", "error", "unit", "share", "promised"])
+
+    def attributes(self):
+        return {"verification": str(self)}

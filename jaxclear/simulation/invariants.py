@@ -1,0 +1,363 @@
+"""What a run finds out about itself that no finer run of the same model would tell, from up to
+`MOST` of its saved states and its worn surfaces: open loops, energy gained, indentation beyond the
+law, scars narrower than a cell, and what the model leaves out (`model_limits`). The run ends where
+one of these is beyond what a run can mend.
+
+Nothing here touches the motion: what reached its end does so with the same numbers, bit for bit.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxclear.components.wear_map import AbstractWearMap
+from jaxclear.formulations.base import AbstractFormulation
+from jaxclear.formulations.model import Instant, Model
+from jaxclear.formulations.permanent_reactions import touching
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.ground.quantity import constant
+from jaxclear.integrators.checks import (
+    COLLARS,
+    CONTACTS,
+    LOOPS,
+    RUBBING,
+    SLIDING,
+    SURFACES,
+    TOUCHING,
+    UNHELD,
+    WHOLE,
+    Check,
+)
+from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.outcome import Outcome
+from jaxclear.multibody import energy, kinematics, loops, state
+from jaxclear.multibody.reach import shortest_part
+from jaxclear.multibody.system import System, longest_arm, wear_maps
+from jaxclear.native import through_rows
+from jaxclear.results.state_history import StateHistory
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.model_limits import (
+    by_others,
+    collared,
+    coulomb_friction,
+    gap_motion,
+    in_gaps,
+    indeterminate_forces,
+    laws_of_others,
+    left,
+    masses,
+    placed,
+    pressed,
+    rubbed_as_coulombs,
+    share_along,
+    shared,
+    sliding,
+    unheld,
+)
+from jaxclear.simulation.wear import Worn
+
+# Saved states of a run, at most, that are looked at: a loop that has come open stays so for long.
+MOST = 50
+# A surface that wears less than this share of the one that wears most is judged beside that.
+NEGLIGIBLE = 0.01
+# Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
+# rest are moved by stay far below it.
+LEAST_LIFT = 0.01
+# Figures of every look beyond which a run ends.
+ENDING = (Check.INDENTATION, Check.LOOP_DRIFT)
+Figures = dict[Check, Float[Array, "*looks places"]]
+
+
+class Looks(NamedTuple):
+    """The saving `intervals` at whose ends a run looks, at its start too; its `history`, of which
+    nothing is differentiated, and its `model`."""
+
+    intervals: np.ndarray
+    history: StateHistory
+    model: Model
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Their places among the saving times, the start in front."""
+        return np.concatenate([[0], 1 + self.intervals])
+
+    def of(self, function: Callable[[Instant], dict[str, Any]]) -> dict[str, Any]:
+        """What a function of an instant says of every look. No derivatives."""
+        rows, times, states = self.rows, jnp.asarray(self.history.time), self.history.states
+        worn = self.history.read
+        # Means of forces are those from one look to the next.
+        begins, ends = np.append(rows[:1], rows[:-1]), np.append(rows[1:2], rows[1:])
+        impulses = range(self.model.layout.impulse_start, self.model.layout.energy_start)
+
+        def seen(row: Any, begin: Any, end: Any) -> dict[str, Any]:
+            before, after = (_numbers_of(states, k, impulses) for k in (begin, end))
+            length = times[end] - times[begin]
+            means = [(late - early) / length for early, late in zip(before, after, strict=True)]
+            time, entries = times[row], _numbers_of(states, row)
+            read = jax.tree.map(lambda depths: depths[row], worn)
+            model, system = self.model, self.model.system
+            q, v = state.unpack_motion(system, entries)
+            now = Model(system, read, model.stabilisation, model.layout, model.projects)
+            motions = kinematics.link_motions(system, q, v, time)
+            return sp.dense(function(Instant(now, motions, q, v, time, entries, means)))
+
+        return through_rows(seen, rows, begins, ends)
+
+
+def _numbers_of(rows: Array, row: Any, columns: Any = None) -> list[Array]:
+    """The numbers of a row of many, one by one: so a kernel reads any number of them by index."""
+    columns = range(rows.shape[1]) if columns is None else columns
+    return [jax.lax.dynamic_slice(rows, (row, k), (1, 1))[0, 0] for k in columns]
+
+
+def look(history: StateHistory, model: Model) -> Looks:
+    """The looks of a run at itself: up to `MOST`, evenly spread, the last saving time among
+    them."""
+    count = len(history.time) - 1
+    intervals = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
+    return Looks(intervals, *constant((history, model)))
+
+
+def judged(trajectory: Trajectory, model: Model, begun: Worn) -> Trajectory:
+    """The run with its checks; `begun`: worn surfaces at its start. It ends where a look calls for
+    it."""
+    history = trajectory.history
+    looks, ends = look(history, model), jnp.asarray(history.time)[1:]
+    seen = _of_saved_states(looks)
+    of_run = dict(seen.of_run) | wear_by_cells(model, begun, trajectory.worn)
+    if trajectory.extremes is not None:
+        depths = trajectory.extremes.indentation
+        of_run[Check.INDENTATION] = depths / _radii(model.system) if depths.size else depths
+    checks = _together(model, history.formulation, of_run, seen.figures, ends[looks.intervals])
+    if seen.verdict is None:
+        return dataclasses.replace(trajectory, checks=checks)
+    bad = (seen.verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
+    worst, stops = jnp.argmax(bad), jnp.any(bad)
+    first = jnp.asarray(looks.intervals)[worst]
+    # As of every run that ended early, the last state is kept up to its planned end.
+    later = (jnp.arange(len(history.time)) > first + 1)[:, None]
+    states = jnp.where(stops & later, history.states[first + 1], history.states)
+    return dataclasses.replace(
+        trajectory,
+        history=dataclasses.replace(history, states=states),
+        outcome=jnp.where(stops, seen.verdict[worst], trajectory.outcome),
+        ended=jnp.where(stops, ends[first], trajectory.ended),
+        checks=checks,
+    )
+
+
+def _together(
+    model: Model,
+    formulation: AbstractFormulation,
+    of_run: Figures,
+    of_looks: Figures,
+    ends: Float[Array, " looks"],
+) -> Checks:
+    """All figures, those of looks as the worst that was met and when; what is not a number counts
+    as infinite. A short run would pay for every array that it hands over, so they are two rows."""
+    places = _places(model, formulation)
+    of_run = {check: each for check, each in of_run.items() if places[check.of]}
+    named = [(check, places[check.of]) for check in (*of_run, *of_looks)]
+    if not named:
+        return Checks()
+    worst, when = [jnp.concatenate(list(of_run.values()))] if of_run else [], []
+    when = [jnp.full(worst[0].shape, ends[-1])] if of_run else []
+    if of_looks:
+        figures = jnp.concatenate(list(of_looks.values()), axis=1)
+        figures = jnp.where(jnp.isnan(figures), jnp.inf, figures)
+        worst.append(jnp.max(figures, axis=0))
+        when.append(ends[jnp.argmax(figures, axis=0)])
+    found = jnp.concatenate(worst)
+    found = jax.lax.stop_gradient(jnp.where(jnp.isnan(found), jnp.inf, found))
+    return Checks(found, jnp.concatenate(when), tuple(named))
+
+
+def _ending(found: Figures, outcome: Any = None) -> Any:
+    """`Outcome` that figures at an instant call for, `REACHED` where none is certainly wrong, or
+    else this one; None where there is none."""
+    for check, each in found.items():
+        if np.isfinite(check.ends_at):
+            bad = jnp.any(~(each <= check.ends_at), axis=-1)
+            known = int(Outcome.REACHED) if outcome is None else outcome
+            outcome = jnp.where(bad, int(check.outcome), known)
+    return outcome
+
+
+def sunk_in(system: System, depths: Float[Array, " contacts"]) -> Bool[Array, ""]:
+    """Whether a contact is so deep [m] that its part has sunk into the wall that holds it."""
+    return jnp.any(depths > Check.INDENTATION.ends_at * _radii(system))
+
+
+def _radii(system: System) -> Float[Array, " contacts"]:
+    """Radius of journal or ball in every possible contact [m]."""
+    return sp.stack([radius for one in system.bearings.values() for radius in one.radii])
+
+
+def contact_names(model: Model) -> tuple[str, ...]:
+    """The joint of every possible contact."""
+    return tuple(name for name, kinds in model.layout.memories for _ in kinds)
+
+
+def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[str, ...]]:
+    """Names of the places of figures."""
+    return {
+        LOOPS: model.system.topology.loops,
+        CONTACTS: contact_names(model),
+        SURFACES: tuple(slot.bearing for slot in model.layout.wear),
+        RUBBING: tuple(laws_of_others(model, formulation)),
+        COLLARS: collared(model),
+        UNHELD: unheld(model),
+        SLIDING: sliding(model.system),
+        TOUCHING: tuple(held.name for held in touching(model.system)),
+        WHOLE: ("",),
+    }
+
+
+class Seen(NamedTuple):
+    """What the looks tell: figures by look, figures of the run as a whole, the `Outcome` that each
+    look calls for (None: none ever ends a run)."""
+
+    figures: Figures
+    of_run: Figures
+    verdict: Int[Array, " looks"] | None
+
+
+def _of_saved_states(looks: Looks) -> Seen:
+    """What a run's looks at its saved states tell."""
+    model, system = looks.model, looks.model.system
+    means = looks.history.formulation.forces_are_means
+    said = looks.of(_judging(looks))
+    energies = said.get("energies")
+    # Without the start.
+    told, verdict = jax.tree.map(lambda each: each[1:], (said["told"], said.get("verdict")))
+    figures = {check: told[check] for check in ENDING if check in told}
+    if energies is not None:
+        gains = _gains(_small_energy(system), energies, means)[1:, None]
+        figures[Check.ENERGY_GAIN] = gains
+        verdict = _ending({Check.ENERGY_GAIN: gains}, verdict)
+    times = looks.history.time[looks.rows]
+    of_run = {check: share_along(each) for check, each in said["along"].items()}
+    if "rubbed" in said:
+        of_run[Check.COULOMB_FRICTION] = coulomb_friction(said["rubbed"], times)
+    if "gaps" in said:
+        heavy = masses(in_gaps(model), looks.history.mechanism)
+        of_run[Check.GAP_MOTION] = gap_motion(said["gaps"], times, heavy)
+    if "shared" in said:
+        of_run[Check.INDETERMINATE_FORCE] = indeterminate_forces(said["shared"])
+    if Check.JOURNAL_REACH in told:
+        of_run[Check.JOURNAL_REACH] = jnp.max(told[Check.JOURNAL_REACH], axis=0, initial=0.0)
+    return Seen(figures, of_run, verdict)
+
+
+def _judging(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
+    """What is worked out at every look."""
+    system, formulation = looks.model.system, looks.history.formulation
+    driven, mechanism = looks.history.mechanism.driven, looks.history.mechanism
+    others = laws_of_others(looks.model, formulation)
+    collars, free = collared(looks.model), unheld(looks.model)
+    gaps, loose = in_gaps(looks.model), sliding(system)
+
+    def judged(now: Instant) -> dict[str, Any]:
+        told: dict[Check, Array] = {}
+        told |= {Check.LOOP_DRIFT: _openings(now)} if system.closures else {}
+        verdict = _ending({check: told[check] for check in ENDING if check in told})
+        said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
+        # Worked out once, for all that ask.
+        report = functools.cache(lambda name: formulation.contact(now, name))
+        said |= {"rubbed": rubbed_as_coulombs(others, report)} if others else {}
+        told_of = lambda names: [report(name) for name in names]
+        said["along"] = {}
+        if collars:
+            said["along"][Check.COLLAR_FORCE] = pressed(told_of(collars), [True] * len(collars))
+        if free:
+            counted = [not held for held in by_others(now, mechanism, free)]
+            said["along"][Check.UNHELD_FORCE] = pressed(told_of(free), counted)
+        if loose:
+            told[Check.JOURNAL_REACH] = left(system, {name: report(name) for name in loose})
+        if gaps:
+            said["gaps"] = placed({name: report(name) for name in gaps}, now, mechanism)
+        sharing = shared(now, report, mechanism)
+        said |= {} if sharing is None else {"shared": sharing}
+        return said | ({} if driven else _energies(now, formulation))
+
+    return judged
+
+
+def _energies(now: Instant, formulation: AbstractFormulation) -> dict[str, Float[Array, "3"]]:
+    """Kinetic energy, potential energy, at most stored in contacts [J]; nothing where a load gives
+    energy from outside."""
+    forces = formulation.forces(now)
+    if not sp.is_zero(forces.external_power):
+        return {}
+    kinetic, potential = energy.mechanical_energy(now.model.system, forces)
+    points = [point for report in forces.reports.values() for point in report.points]
+    stored = sp.total(point.normal_force * positive_part(point.indentation) for point in points)
+    return {"energies": sp.stack([kinetic, potential, stored])}
+
+
+def _small_energy(system: System) -> Any:
+    """What lifts all masses by `LEAST_LIFT` of the longest arm [J]: what is at rest has no other
+    energy to compare with."""
+    mass = sp.total(link.mass for link in system.links)
+    gravity = safe_sqrt(jnp.asarray(sp.dot(system.gravity, system.gravity), float))
+    return LEAST_LIFT * mass * gravity * longest_arm(system)
+
+
+def _gains(small: Any, energies: Float[Array, "looks 3"], moved: bool) -> Float[Array, " looks"]:
+    """Energy above that of the start beside all that there was to change, and a `small` one [J].
+    `moved`: rigid contacts that overlap at the start are moved apart, whatever that takes."""
+    if moved:
+        energies = energies.at[0].max(energies[1])
+    kinetic, potential, stored = energies.T
+    start = kinetic[0] + potential[0] + stored[0]
+    scale = start - jnp.min(potential) + jnp.max(kinetic) + small
+    return safe_divide(positive_part(kinetic + potential - start), scale)
+
+
+def _openings(now: Instant) -> Float[Array, " loops"]:
+    """Largest residual of each loop's closure: displacements beside its shortest part, cosines as
+    they are."""
+    openings, system = [], now.model.system
+    for closure in system.closures:
+        _, pose, _ = kinematics.relative_motion(closure, now.motions)
+        part = shortest_part(system, closure)
+        values = zip(closure.rows, loops.residuals(closure.rows, pose), strict=True)
+        shares = [abs(x) / part if len(row) == 1 else abs(x) for row, x in values]
+        openings.append(jnp.max(sp.stack(shares), initial=0.0))
+    return jnp.stack(openings)
+
+
+def wear_by_cells(model: Model, begun: Worn, ended: Worn) -> Figures:
+    """By how much the deepest place of each contact's surface is less deep over three cells to a
+    side, beside its depth; 0 of a surface that has lost nothing since the run began. A scar hardly
+    wider than a cell hangs on their number: a mean over three to a side is nine times as far off as
+    that over one where a scar is smooth, and what it makes of the deepest place tells how wide that
+    is."""
+    if not ended or not model.layout.wear:
+        return {}
+    begun, ended = jax.lax.stop_gradient((begun, ended))
+    least = NEGLIGIBLE * jnp.max(jnp.stack([*map(jnp.max, jax.tree.leaves(ended))]))
+    shares = {}
+    for joint, surfaces in wear_maps(model.system).items():
+        for surface, (wear_map, _) in surfaces.items():
+            depth, before = ended[joint][surface], begun[joint][surface]
+            share = narrowness(wear_map, depth, least)
+            shares[joint, surface] = jnp.where(jnp.any(depth > before), share, 0.0)
+    places = [shares[slot.bearing, slot.surface] for slot in model.layout.wear]
+    return {Check.WEAR_BY_CELLS: jnp.stack(places)}
+
+
+def narrowness(
+    wear_map: AbstractWearMap, depth: Float[Array, "around along"], least: Array | float = 0.0
+) -> Array:
+    """By how much the deepest place is less deep over three cells to a side, beside its depth, or
+    beside the `least` [m] that counts."""
+    deepest = jnp.max(depth)
+    return safe_divide(deepest - jnp.max(wear_map.over_three(depth)), jnp.maximum(deepest, least))
