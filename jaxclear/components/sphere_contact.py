@@ -229,7 +229,8 @@ def _travel(
     both, more = _sum_and_difference(spread)
     moves = both > STILL
     some = _along_the_wall(normal)
-    spread = spread + drowned * drowned * jnp.outer(some, some)
+    # Cells with unlike sides would tell which way rounding points.
+    spread = jnp.where(moves, spread, 0.0) + drowned * drowned * jnp.outer(some, some)
     of_both, of_more = _sum_and_difference(spread)
     largest = spread - 0.5 * (of_both - of_more) * across
     x, y, z = (largest[i, i] for i in range(3))
