@@ -121,7 +121,7 @@ def test_what_is_kept_is_what_was_found(tmp_path):
 def test_a_run_warns_of_answers_whose_told_errors_are_beyond_its_promise(told, failed, warned):
     """`offset` is not promised; `failed`: parts beyond the promise of a run without figures."""
     promised = RUNGE_KUTTA._replace(gaps=None)
-    run = SimpleNamespace(checks=Checks(), verification=SimpleNamespace(beyond=failed))
+    run = SimpleNamespace(invariants=Checks(), verification=SimpleNamespace(beyond=failed))
     assert verdicts.concerned(run, told, promised) == frozenset(warned)
 
 

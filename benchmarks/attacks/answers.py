@@ -21,7 +21,7 @@ import jaxclear as jc
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.results.state_history import over_time
 from jaxclear.results.verification import Unverified
-from jaxclear.simulation.referee import openings
+from jaxclear.simulation.invariants import openings
 
 RESPONSES = (
     "place",

@@ -155,7 +155,7 @@ def concerned(
     limits = accuracy(promised)
     off = {name for name, error in told.items() if _beyond(error, limits[name])}
     failed = {name for name, part in PARTS.items() if part in run.verification.beyond}
-    return of_checks(run.checks, shared) | (off if told else failed)
+    return of_checks(run.invariants, shared) | (off if told else failed)
 
 
 def _beyond(error: float, limit: float | None) -> bool:

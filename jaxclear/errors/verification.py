@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Bool, Float
 
-from jaxclear.errors.observables import Apart, Observables, apart, observed, parted
+from jaxclear.errors.observables import Observables, apart, observed, parted
 from jaxclear.errors.replicas import replica, thinned
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.base import AbstractIntegrator
@@ -44,13 +45,24 @@ WORDS = {
 
 
 class Told(NamedTuple):
-    """A standard answer with its told `error` in its unit, that `share`, and what is `promised` of
-    it (None: nothing)."""
+    """A standard `answer` of a `part` of the promise at a `place`, its `value` and told `error` in
+    its `unit`, the error as the `share` by which it is judged, what is `promised` of it (None:
+    nothing), and whether it is `lost`: no run tells it."""
 
-    apart: Apart
+    answer: str
+    part: str
+    place: str
+    unit: str
+    value: float
     error: float
     share: float
     promised: float | None
+    lost: bool
+
+    @property
+    def name(self) -> str:
+        """The answer with its place."""
+        return f'{self.answer}, "{self.place}"' if self.place else self.answer
 
     @property
     def beyond(self) -> bool:
@@ -58,43 +70,46 @@ class Told(NamedTuple):
         return self.promised is not None and not self.share <= self.promised
 
 
-class Lost(NamedTuple):
-    """Paths that hang on the tenth digit of the start: from when [s], and within which time errors
-    grow e-fold [s]."""
-
-    since: float
-    growth: float
-
-
 class Verified(AbstractVerification):
-    """A run with `replicas`, as responses see them, the coarser one first; `told`: its standard
-    answers; `promise`: of its integrator; `lost`: where its path is no answer (None: it is one);
-    `since` [s]: where the run began, from where on errors count."""
+    """A run with `replicas`, as responses see them, the coarser one first; `numbers`: value, error
+    and share of each of the standard `answers` (answer, part, place, unit); `promise`: of its
+    integrator; `lost`: which of them hang on the tenth digit of the start, and `path`: from when on
+    [s], and within which time errors grow e-fold [s] (None: its path is an answer); `since` [s]:
+    where the run began, from where on errors count."""
 
     replicas: tuple[Trajectory, ...]
-    told: tuple[Told, ...] = eqx.field(static=True)
-    promise: Promise = eqx.field(static=True)
-    lost: Lost | None = eqx.field(static=True, default=None)
-    since: float = eqx.field(static=True, default=0.0)
+    numbers: Float[np.ndarray, "answers 3"]
+    lost: Bool[np.ndarray, " answers"]
+    path: Float[np.ndarray, "2"] | None
+    since: Float[np.ndarray, ""]
+    promise: Promise
+    answers: tuple[tuple[str, str, str, str], ...] = eqx.field(static=True)
+
+    @property
+    def told(self) -> tuple[Told, ...]:
+        """The standard answers."""
+        rows = zip(self.answers, self.numbers.tolist(), self.lost.tolist(), strict=True)
+        return tuple(
+            Told(*names, value, error, share, getattr(self.promise, names[1]), lost)
+            for names, (value, error, share), lost in rows
+        )
 
     @property
     def beyond(self):
-        return frozenset(told.apart.part for told in self.told if told.beyond)
+        return frozenset(told.part for told in self.told if told.beyond)
 
     @property
     def warnings(self):
         beyond = sorted((t for t in self.told if t.beyond), key=lambda t: -t.share / t.promised)
         said = []
-        if self.lost is not None:
+        if self.path is not None:
+            since, growth = map(float, self.path)
             said.append(
-                f"From {self.lost.since:.3g} s on places in gaps hang on the tenth digit of the "
-                f"start (e-fold in {self.lost.growth:.2g} s): no run tells them; ask for means "
-                "over samples."
+                f"From {since:.3g} s on places in gaps hang on the tenth digit of the start "
+                f"(e-fold in {growth:.2g} s): no run tells them; ask for means over samples."
             )
-            beyond = [told for told in beyond if told.apart.part != "gaps"]
-        if beyond:
-            said.append(_sentence(beyond))
-        return tuple(said)
+        answers = [told for told in beyond if not told.lost]
+        return (*said, *([_sentence(answers)] if answers else []))
 
     def estimate(self, run, response):
         value = response(run)
@@ -104,7 +119,7 @@ class Verified(AbstractVerification):
 
     def _how(self) -> str:
         steps = "half" if len(self.replicas) == 1 else "half and quarter"
-        since = f", since {self.since:.6g} s" if self.since else ""
+        since = f", since {float(self.since):.6g} s" if self.since else ""
         return f"twice what {steps} steps change{since}"
 
     def promised(self, response: Any) -> float | None:
@@ -115,33 +130,23 @@ class Verified(AbstractVerification):
     def table(self):
         import pandas
 
-        return pandas.DataFrame(
-            [
-                {
-                    "answer": _named(each.apart),
-                    "value": each.apart.value,
-                    "error": each.error,
-                    "unit": each.apart.unit,
-                    "share": each.share,
-                    "promised": each.promised,
-                }
-                for each in self.told
-            ]
-        )
+        columns = ("name", "value", "error", "unit", "share", "promised")
+        rows = [[getattr(told, column) for column in columns] for told in self.told]
+        return pandas.DataFrame(rows, columns=["answer", *columns[1:]])
 
     def attributes(self):
-        rows = [f"{_named(t.apart)}: {t.error:.2g} {t.apart.unit}" for t in self.told]
+        rows = [f"{t.name}: {t.error:.2g} {t.unit}" for t in self.told]
         return {"numerical errors": "; ".join(rows)}
 
     def __str__(self) -> str:
-        names = [_named(told.apart) for told in self.told]
-        width = max(map(len, names))
+        width = max(len(told.name) for told in self.told)
         lines = [f"{'answer':{width}}  {'value ± numerical error':28}{'share':>9}{'promised':>10}"]
-        for name, (one, error, share, promised) in zip(names, self.told, strict=True):
-            number = f"{with_error(one.value, error)} {one.unit}"
-            own = "–" if promised is None else f"{100 * promised:.2g} %"
-            mark = "  <- beyond" if promised is not None and not share <= promised else ""
-            lines.append(f"{name:{width}}  {number:28}{100 * share:7.2g} %{own:>10}{mark}")
+        for told in self.told:
+            number = f"{with_error(told.value, told.error)} {told.unit}"
+            own = "–" if told.promised is None else f"{100 * told.promised:.2g} %"
+            mark = "  lost" if told.lost else "  <- beyond" if told.beyond else ""
+            share = f"{100 * told.share:.2g} %"
+            lines.append(f"{told.name:{width}}  {number:28}{share:>9}{own:>10}{mark}")
         return "\n".join([*lines, f"Numerical errors are {self._how()}."])
 
 
@@ -157,38 +162,43 @@ def verified(
     again: Callable[..., Trajectory],
     verify: bool | None,
 ) -> Trajectory:
-    """The run with what its replicas tell; `again(integrator, times, moved)`: the same run by
-    another integrator, saved at other times [s], its start moved by so much. `verify`: whether
-    replicas are run (None: where they take seconds at the most)."""
+    """The run with what its replicas tell; `again(replica, moved)`: the same run as that
+    `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where
+    they take seconds at the most)."""
     why = _why_not(run, verify)
     if why:
         return dataclasses.replace(run, verification=Unverified(why))
-    wears = bool(run.worn)
-    plans = [replica(integrator, run.time, share, wears) for share in (HALF, QUARTER)]
+    plans = [replica(integrator, run.time, share) for share in (HALF, QUARTER)]
     if plans[0] is None:
         return dataclasses.replace(run, verification=Unverified("its steps cannot be refined"))
 
     def repeated(plan: Any, moved: float = 0.0) -> Trajectory:
-        return thinned(again(plan.integrator, plan.times, moved), plan.every)
+        return thinned(again(plan, moved), plan.every)
 
     promise, own = integrator.promise, observed(run)
-    replicas = [repeated(plans[0])]
-    if not replicas[0].succeeded:
-        return dataclasses.replace(run, verification=Failed(replicas[0].result))
-    seen = [observed(replicas[0])]
-    told = _told(run, own, seen, promise)
-    if any(t.promised is not None and not t.share <= DOUBT * t.promised for t in told):
-        replicas.append(repeated(plans[1]))
-        if not replicas[1].succeeded:
-            return dataclasses.replace(run, verification=Failed(replicas[1].result))
-        seen.append(observed(replicas[1]))
-        told = _told(run, own, seen, promise)
-    lost = None
-    if any(t.beyond and t.apart.part == "gaps" for t in told):
-        lost = _lost(run, seen[0], repeated(plans[0], TENTH_DIGIT), promise.gaps)
+    replicas: list[Trajectory] = []
+    seen: list[Observables] = []
+    for plan in plans:
+        replicas.append(repeated(plan))
+        if not replicas[-1].succeeded:
+            return dataclasses.replace(run, verification=Failed(replicas[-1].result))
+        seen.append(observed(replicas[-1]))
+        rows = list(zip(*(apart(run, own, other, seen[-1]) for other in seen), strict=True))
+        shares = [(float(told_error([each.share for each in row])), row[0].part) for row in rows]
+        limits = [(share, getattr(promise, part)) for share, part in shares]
+        if not any(limit is not None and not share <= DOUBT * limit for share, limit in limits):
+            break
+    errors = [float(told_error([each.off for each in row])) for row in rows]
+    values = zip(rows, errors, shares, strict=True)
+    numbers = np.array([[row[0].value, error, share] for row, error, (share, _) in values])
+    path, lost = None, np.zeros(len(rows), bool)
+    if any(p == "gaps" and promise.gaps is not None and not x <= promise.gaps for x, p in shares):
+        path, lost = _lost(run, seen[0], repeated(plans[0], TENTH_DIGIT), promise)
     known = tuple(dataclasses.replace(each, verification=Unverified()) for each in replicas)
-    since = float(run.time[0])
-    return dataclasses.replace(run, verification=Verified(known, tuple(told), promise, lost, since))
+    answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
+    since = np.asarray(run.time[0])
+    found = Verified(known, numbers, lost, path, since, promise, answers)
+    return dataclasses.replace(run, verification=found)
 
 
 def _why_not(run: Trajectory, verify: bool | None) -> str:
@@ -230,47 +240,32 @@ class Failed(AbstractVerification):
         return {"verification": str(self)}
 
 
-def _told(
-    run: Trajectory, own: Observables, seen: list[Observables], promise: Promise
-) -> list[Told]:
-    """The standard answers of a run beside what its replicas say."""
-    rows = zip(*(apart(run, own, other, seen[-1]) for other in seen), strict=True)
-    return [
-        Told(
-            row[0],
-            float(told_error([each.off for each in row])),
-            float(told_error([each.share for each in row])),
-            getattr(promise, row[0].part),
-        )
-        for row in rows
-    ]
-
-
 def _lost(
-    run: Trajectory, finer: Observables, moved: Trajectory, limit: float | None
-) -> Lost | None:
-    """Where a path hangs on the tenth digit of its start, from how far a finer run and the same
-    with its start moved are apart in gaps; None where they agree."""
-    if not moved.succeeded or limit is None:
-        return None
-    off = parted(finer, observed(moved))
-    beyond = off > limit
-    if not beyond.any():
-        return None
+    run: Trajectory, finer: Observables, moved: Trajectory, promise: Promise
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """(from when on [s] a path hangs on the tenth digit of its start, and within which time errors
+    grow e-fold [s]; None where it does not; which answers are lost by that), from how far a `finer`
+    run and the same with its start `moved` are apart."""
+    other = observed(moved)
+    rows = [(row, getattr(promise, row.part)) for row in apart(run, finer, other, finer)]
+    lost = np.array([limit is not None and row.share > limit for row, limit in rows])
+    off = parted(finer, other)
+    beyond = off > promise.gaps
+    if not moved.succeeded or not beyond.any():
+        return None, np.zeros(len(rows), bool)
     first = int(np.argmax(beyond))
     elapsed = float(run.time[first] - run.time[0])
     began = max(float(off[0]), TENTH_DIGIT)
-    return Lost(float(run.time[first]), elapsed / max(math.log(float(off[first]) / began), 1.0))
-
-
-def _named(one: Apart) -> str:
-    return f'{one.answer}, "{one.place}"' if one.place else one.answer
+    growth = elapsed / max(math.log(float(off[first]) / began), 1.0)
+    return np.array([float(run.time[first]), growth]), lost
 
 
 def _sentence(beyond: list[Told]) -> str:
     """What is off, by how much, and what to do, of the answers that are furthest beyond."""
     worst = beyond[0]
     more = f" (and {len(beyond) - 1} more answers)" if len(beyond) > 1 else ""
-    told = f"{worst.share:.2g} {WORDS[worst.apart.part]} ({worst.promised:g} promised)"
-    name = _named(worst.apart)
-    return f"{name[0].upper()}{name[1:]}: error about {told}{more}; take shorter steps."
+    told = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
+    todo = "take shorter steps"
+    if worst.answer == "worn depth":
+        todo = "save more often, which is when surfaces wear, or take shorter steps"
+    return f"{worst.name[0].upper()}{worst.name[1:]}: error about {told}{more}; {todo}."

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxclear.errors.replicas import Replica
 from jaxclear.errors.verification import verified
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
@@ -57,15 +58,15 @@ class SimulationError(RuntimeError):
 FEW_COORDINATES = 32
 
 
-def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past):
+def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, updates):
     """A run that can be differentiated forwards and backwards."""
     given = mechanism, coordinates, speeds, times, past
     if not is_compared(mechanism, integrator):
-        whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4])
+        whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4], updates)
         return backwards(whole, integrator, *given)
 
     def in_steps(share, integrator, *moving):
-        return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4])
+        return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4], updates)
 
     steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
     known = compared(in_steps, run_where_alike, steps)
@@ -199,12 +200,13 @@ def simulate(
         extras = Extras(balance, progress_bar, saving.events)
         runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run
 
-        def again(own: AbstractIntegrator, at: Any, moved: float = 0.0) -> Trajectory:
+        def again(how: Replica, moved: float = 0.0) -> Trajectory:
             begun = start.coordinates + moved if moved else start.coordinates
-            found = runs(mechanism, begun, start.speeds, jnp.asarray(at), own, extras, past)
-            return jax.block_until_ready(found)
+            given = mechanism, begun, start.speeds, jnp.asarray(how.times)
+            more = how.integrator, extras, past, jnp.asarray(how.updates)
+            return jax.block_until_ready(runs(*given, *more))
 
-        trajectory = diagnosed(guarded(again(integrator, saved), integrator))
+        trajectory = diagnosed(guarded(again(Replica(integrator, saved)), integrator))
         trajectory = verified(judged_by(passed, trajectory), integrator, again, verify)
     if throw:
         _check_end(trajectory)
