@@ -10,7 +10,6 @@ from jaxclear import plot
 from jaxclear.commands.reported import report_warnings
 from jaxclear.integrators import Check, Checks
 from jaxclear.integrators.figures import Figure
-from jaxclear.integrators.reasons import REASONS
 from jaxclear.plot.canvas import MOST_SENTENCES, canvas, captioned
 from jaxclear.results.pointing_error import pointing_error
 
@@ -22,13 +21,9 @@ def clean():
 
 
 def warning(run):
-    """The run, its worn volume found to change with its steps."""
+    """The run, whose contact sinks in too far."""
     found = Figure(jnp.array([7.3]), jnp.array([1e-4]), ("B",))
-    return dataclasses.replace(run, checks=Checks.of({Check.HALVED_WEAR: found}))
-
-
-def test_every_check_has_a_reason_for_its_limit():
-    assert set(REASONS) == set(Check) and all(REASONS.values())
+    return dataclasses.replace(run, checks=Checks.of({Check.INDENTATION: found}))
 
 
 def texts(figure):
@@ -68,13 +63,13 @@ def test_a_caption_hides_nothing():
 def test_the_command_line_tells_warnings(clean, capsys):
     report_warnings({"clean": clean, "clearance 0.2 mm": warning(clean)})
     said = capsys.readouterr().out.splitlines()
-    assert len(said) == 1 and said[0].startswith("warning, clearance 0.2 mm: With steps of half")
+    assert len(said) == 1 and said[0].startswith("warning, clearance 0.2 mm: The indentation")
 
 
 def test_saved_data_carries_the_warnings_and_figures(clean):
     attributes = warning(clean).to_dataset().attrs
     assert attributes["warnings"] == warning(clean).warnings[0]
-    assert attributes["check_halved_wear"] == f"7.3 (limit {Check.HALVED_WEAR.limit:g}), joint B"
+    assert attributes["check_indentation"] == f"7.3 (limit {Check.INDENTATION.limit:g}), joint B"
 
 
 def test_a_pointing_error_tells_what_its_run_warns_of(clean):

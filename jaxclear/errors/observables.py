@@ -26,6 +26,8 @@ from jaxclear.results.trajectory import Trajectory
 
 # A body that goes less far than so many of the widest gap is judged beside that.
 GAPS = 100.0
+# Share of the longest arm, and of a radian, by which rounding moves what is at rest.
+AT_REST = 1e-9
 # Share of the energy turned over below which friction takes nothing that a user would read.
 LEAST_LOSS = 1e-3
 # Worn depth, beside the root of its surface's area, below which nothing wears: a thousand million
@@ -146,20 +148,15 @@ def apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
     one, other = (Observables(*map(_numbers, each)) for each in (one, other))
     widest = 0.0 if one.rooms is None else float(np.max(np.asarray(one.rooms), initial=0.0))
     way = float(np.max(np.abs(one.centres - one.centres[:1]), initial=0.0))
-    turned = float(np.max(np.abs(one.axes - one.axes[:1]), initial=0.0))
-    far = lambda name: float(np.max(np.abs(getattr(one, name) - getattr(other, name)), initial=0.0))
+    turned = _angle(one.axes, one.axes[:1])
+    off = float(np.max(np.abs(one.centres - other.centres), initial=0.0))
     arm = float(one.arm)
+    ways = max(way, GAPS * widest, AT_REST * arm)
+    angles = max(turned, GAPS * widest / arm if arm > 0 else 0.0, AT_REST)
+    turned_off = _angle(one.axes, other.axes)
     found = [
-        Apart("places of bodies", "places", "", "m", way, far("centres"), max(way, GAPS * widest)),
-        Apart(
-            "orientation of bodies",
-            "places",
-            "",
-            "rad",
-            turned,
-            far("axes"),
-            max(turned, GAPS * widest / arm if arm > 0 else 0.0),
-        ),
+        Apart("places of bodies", "places", "", "m", way, off, ways),
+        Apart("orientation of bodies", "places", "", "rad", turned, turned_off, angles),
     ]
     found += _gaps_apart(run, one, other)
     joints = run.formulation.contact_joints(run.mechanism)
@@ -170,7 +167,7 @@ def apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
             found += _by_place(answer, part, "N", joints, forces, getattr(other, part))
     if one.friction_loss is not None:
         loss, less = (float(np.asarray(each.friction_loss)) for each in (one, other))
-        scale = max(loss, LEAST_LOSS * float(np.asarray(one.turnover)))
+        scale = max(loss, LEAST_LOSS * float(np.asarray(one.turnover))) or less
         if max(loss, less) > 0:
             row = "friction loss", "losses", "", "J", loss, abs(loss - less), scale
             found.append(Apart(*row))
@@ -181,6 +178,13 @@ def apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
         found += _by_place("worn volume", "losses", "m^3", places, *of_wear)
         found += _by_place("worn depth", "losses", "m", places, one.depth, other.depth, least)
     return found
+
+
+def _angle(one: Any, other: Any) -> float:
+    """The largest angle [rad] between axes."""
+    apart = np.sum(np.square(np.asarray(one) - np.asarray(other)), axis=-1)
+    half = np.sqrt(np.max(apart, initial=0.0) / 8)
+    return float(2 * np.arcsin(np.minimum(half, 1.0)))
 
 
 def _numbers(values: Any) -> Any:
@@ -204,9 +208,10 @@ def _gaps_apart(run: Trajectory, one: Observables, other: Observables) -> list[A
 def _by_place(
     answer: str, part: str, unit: str, places: Any, one: Any, other: Any, least: float = 0.0
 ) -> list[Apart]:
-    """Of an answer by place, judged beside the largest of all, or beside the `least` that
-    counts."""
-    scale = max(float(np.max(np.abs(one))), least)
+    """Of an answer by place, judged beside the largest of all (of the `other` run's where there
+    is none in this), or beside the `least` that counts."""
+    largest = float(np.max(np.abs(one))) or float(np.max(np.abs(other)))
+    scale = max(largest, least)
     rows = zip(places, one, other, strict=True)
     return [
         Apart(answer, part, place, unit, float(x), abs(float(x) - float(y)), scale)

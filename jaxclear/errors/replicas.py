@@ -12,17 +12,24 @@ import numpy as np
 
 from jaxclear.ground.quantity import concrete
 from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.events import Events
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.results.trajectory import Trajectory
+
+# Share of a run's time in which steps may be as long as the run's own.
+NEXT_TO_NOTHING = 0.01
 
 
 class Replica(NamedTuple):
     """How a replica is run: by an `integrator`, saved at these `times` [s], of which every so
-    many-th is one of the run's own."""
+    many-th is one of the run's own; its `work` beside that of the run; how far its start is `moved`
+    [rad, m]."""
 
     integrator: AbstractIntegrator
     times: Any
     every: int
+    work: float
+    moved: float = 0.0
 
 
 def replica(
@@ -32,7 +39,7 @@ def replica(
     whole number; None where the integrator knows no finer steps. `wears`: some surface does."""
     every = round(1 / share)
     if integrator.steps_between_saves is not None:
-        return Replica(integrator, between(times, every), every)
+        return Replica(integrator, between(times, every), every, every)
     asked, times = concrete(integrator.asked_step()), np.asarray(times)
     if integrator.asked_step() is None:
         finer = integrator.with_finer_steps(share)
@@ -42,14 +49,22 @@ def replica(
         finer = integrator.with_finer_steps(share * step_taken(times, asked) / asked)
     if finer is None:
         return None
-    return Replica(finer, between(times, every), every) if wears else Replica(finer, times, 1)
+    return (
+        Replica(finer, between(times, every), every, every)
+        if wears
+        else Replica(finer, times, 1, every)
+    )
 
 
 def step_taken(times: Any, asked: float) -> float:
     """The shortest step [s] that is taken between saving times [s] where one of `asked` [s] is
-    asked for: steps end at all of them."""
+    asked for (steps end at all of them), but for intervals that together are next to nothing: of
+    two saving times side by side no step is to be that short everywhere."""
     intervals = np.diff(np.asarray(times))
-    return float(np.min(intervals / np.maximum(np.ceil(intervals / asked * (1 - SLIVER)), 1)))
+    taken = intervals / np.maximum(np.ceil(intervals / asked * (1 - SLIVER)), 1)
+    order = np.argsort(taken)
+    passed = np.cumsum(intervals[order])
+    return float(taken[order][np.searchsorted(passed, NEXT_TO_NOTHING * passed[-1])])
 
 
 def between(times: Any, every: int) -> np.ndarray:
@@ -71,4 +86,19 @@ def thinned(run: Trajectory, every: int) -> Trajectory:
         states=history.states[::every],
         read=jax.tree.map(lambda depths: depths[::every], history.read),
     )
-    return dataclasses.replace(run, history=kept, noted=None)
+    noted = None if run.noted is None else _joined(run.noted, every)
+    return dataclasses.replace(run, history=kept, noted=noted)
+
+
+def _joined(noted: Events, every: int) -> Events:
+    """The events of so many saving intervals at a time, of each contact the first ones."""
+    counts = np.asarray(noted.counts)
+    most = noted.times.shape[-1]
+    missing = np.arange(most) >= counts[..., None]
+    together = lambda each: np.concatenate([each[k::every] for k in range(every)], axis=-1)
+    first = np.argsort(together(missing), axis=-1, stable=True)[..., :most]
+    kept = (
+        np.take_along_axis(together(np.asarray(each)), first, axis=-1)
+        for each in (noted.times, noted.rates)
+    )
+    return Events(*kept, counts.reshape(-1, every, counts.shape[-1]).sum(axis=1))

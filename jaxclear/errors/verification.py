@@ -13,182 +13,48 @@ J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
 
-import equinox as eqx
+import jax
 import numpy as np
 
-from jaxclear.errors.observables import Apart, Observables, apart, observed, parted
-from jaxclear.errors.replicas import replica, thinned
+from jaxclear.errors.observables import Observables, apart, observed, parted
+from jaxclear.errors.replicas import Replica, replica, thinned
+from jaxclear.errors.told import HALF, QUARTER, Failed, Lost, Told, Verified, told
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.promise import PART_OF, Promise
-from jaxclear.results.abstract_response import AbstractResponse
+from jaxclear.native import stoppable
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.results.verification import AbstractVerification, Estimate, Unverified, with_error
+from jaxclear.results.verification import AbstractVerification, Unverified
 
-HALF, QUARTER = 0.5, 0.25
 # Share of the promise from which on a second replica is asked.
 DOUBT = 0.5
 # Steps of a run up to which its replicas are run unasked: seconds in any mechanism.
 MOST_STEPS = 100_000
 # By how much of a radian or of a metre the start of a replica is moved.
 TENTH_DIGIT = 1e-10
-WORDS = {
-    "places": "of the longest way",
-    "gaps": "of the clearance",
-    "mean_force": "of the largest",
-    "peak_force": "of the largest",
-    "losses": "of the largest",
-}
-
-
-class Told(NamedTuple):
-    """A standard answer with its told `error` in its unit, that `share`, and what is `promised` of
-    it (None: nothing)."""
-
-    apart: Apart
-    error: float
-    share: float
-    promised: float | None
-
-    @property
-    def beyond(self) -> bool:
-        """Whether the error is beyond what is promised."""
-        return self.promised is not None and not self.share <= self.promised
-
-
-class Lost(NamedTuple):
-    """Paths that hang on the tenth digit of the start: from when [s], and within which time errors
-    grow e-fold [s]."""
-
-    since: float
-    growth: float
-
-
-class Verified(AbstractVerification):
-    """A run with `replicas`, as responses see them, the coarser one first; `told`: its standard
-    answers; `promise`: of its integrator; `lost`: where its path is no answer (None: it is one);
-    `since` [s]: where the run began, from where on errors count."""
-
-    replicas: tuple[Trajectory, ...]
-    told: tuple[Told, ...] = eqx.field(static=True)
-    promise: Promise = eqx.field(static=True)
-    lost: Lost | None = eqx.field(static=True, default=None)
-    since: float = eqx.field(static=True, default=0.0)
-
-    @property
-    def beyond(self):
-        return frozenset(told.apart.part for told in self.told if told.beyond)
-
-    @property
-    def warnings(self):
-        beyond = sorted((t for t in self.told if t.beyond), key=lambda t: -t.share / t.promised)
-        said = []
-        if self.lost is not None:
-            said.append(
-                f"From {self.lost.since:.3g} s on places in gaps hang on the tenth digit of the "
-                f"start (e-fold in {self.lost.growth:.2g} s): no run tells them; ask for means "
-                "over samples."
-            )
-            beyond = [told for told in beyond if told.apart.part != "gaps"]
-        if beyond:
-            said.append(_sentence(beyond))
-        return tuple(said)
-
-    def estimate(self, run, response):
-        value = response(run)
-        values = [response(each) for each in self.replicas]
-        error = told_error([abs(np.asarray(value) - np.asarray(each)) for each in values])
-        return Estimate(value, error, self._how())
-
-    def _how(self) -> str:
-        steps = "half" if len(self.replicas) == 1 else "half and quarter"
-        since = f", since {self.since:.6g} s" if self.since else ""
-        return f"twice what {steps} steps change{since}"
-
-    def promised(self, response: Any) -> float | None:
-        """The share that is promised of a response; None for nothing."""
-        needs = response.drawn_from() if isinstance(response, AbstractResponse) else "anything"
-        return getattr(self.promise, PART_OF.get(needs, ""), None)
-
-    def table(self):
-        import pandas
-
-        return pandas.DataFrame(
-            [
-                {
-                    "answer": _named(each.apart),
-                    "value": each.apart.value,
-                    "error": each.error,
-                    "unit": each.apart.unit,
-                    "share": each.share,
-                    "promised": each.promised,
-                }
-                for each in self.told
-            ]
-        )
-
-    def attributes(self):
-        rows = [f"{_named(t.apart)}: {t.error:.2g} {t.apart.unit}" for t in self.told]
-        return {"numerical errors": "; ".join(rows)}
-
-    def __str__(self) -> str:
-        names = [_named(told.apart) for told in self.told]
-        width = max(map(len, names))
-        lines = [f"{'answer':{width}}  {'value ± numerical error':28}{'share':>9}{'promised':>10}"]
-        for name, (one, error, share, promised) in zip(names, self.told, strict=True):
-            number = f"{with_error(one.value, error)} {one.unit}"
-            own = "–" if promised is None else f"{100 * promised:.2g} %"
-            mark = "  <- beyond" if promised is not None and not share <= promised else ""
-            lines.append(f"{name:{width}}  {number:28}{100 * share:7.2g} %{own:>10}{mark}")
-        return "\n".join([*lines, f"Numerical errors are {self._how()}."])
-
-
-def told_error(differences: list[Any]) -> Any:
-    """The error that differences from the half, and the quarter, tell of steps of order 1."""
-    errors = [d / (1 - share) for d, share in zip(differences, (HALF, QUARTER), strict=False)]
-    return np.max(errors, axis=0)
 
 
 def verified(
     run: Trajectory,
     integrator: AbstractIntegrator,
-    again: Callable[..., Trajectory],
+    again: Callable[[Replica], Trajectory],
     verify: bool | None,
 ) -> Trajectory:
-    """The run with what its replicas tell; `again(integrator, times, moved)`: the same run by
-    another integrator, saved at other times [s], its start moved by so much. `verify`: whether
-    replicas are run (None: where they take seconds at the most)."""
+    """The run with what its replicas tell; `again`: runs one. `verify`: whether they are run (None:
+    where they take seconds at the most). What goes wrong in them, Ctrl-C too, leaves the run as it
+    is."""
     why = _why_not(run, verify)
-    if why:
-        return dataclasses.replace(run, verification=Unverified(why))
-    wears = bool(run.worn)
-    plans = [replica(integrator, run.time, share, wears) for share in (HALF, QUARTER)]
-    if plans[0] is None:
-        return dataclasses.replace(run, verification=Unverified("its steps cannot be refined"))
-
-    def repeated(plan: Any, moved: float = 0.0) -> Trajectory:
-        return thinned(again(plan.integrator, plan.times, moved), plan.every)
-
-    promise, own = integrator.promise, observed(run)
-    replicas = [repeated(plans[0])]
-    if not replicas[0].succeeded:
-        return dataclasses.replace(run, verification=Failed(replicas[0].result))
-    seen = [observed(replicas[0])]
-    told = _told(run, own, seen, promise)
-    if any(t.promised is not None and not t.share <= DOUBT * t.promised for t in told):
-        replicas.append(repeated(plans[1]))
-        if not replicas[1].succeeded:
-            return dataclasses.replace(run, verification=Failed(replicas[1].result))
-        seen.append(observed(replicas[1]))
-        told = _told(run, own, seen, promise)
-    lost = None
-    if any(t.beyond and t.apart.part == "gaps" for t in told):
-        lost = _lost(run, seen[0], repeated(plans[0], TENTH_DIGIT), promise.gaps)
-    known = tuple(dataclasses.replace(each, verification=Unverified()) for each in replicas)
-    since = float(run.time[0])
-    return dataclasses.replace(run, verification=Verified(known, tuple(told), promise, lost, since))
+    known: AbstractVerification = Unverified(why)
+    if not why:
+        try:
+            with stoppable():
+                known = _verification(run, integrator, again)
+        except KeyboardInterrupt:
+            known = Unverified("interrupted")
+        except (MemoryError, jax.errors.JaxRuntimeError) as error:
+            reason = str(error).partition("\n")[0] or "out of memory"
+            known = Unverified(f"a replica could not be run: {reason}")
+    return dataclasses.replace(run, verification=known)
 
 
 def _why_not(run: Trajectory, verify: bool | None) -> str:
@@ -204,46 +70,30 @@ def _why_not(run: Trajectory, verify: bool | None) -> str:
     return ""
 
 
-class Failed(AbstractVerification):
-    """Of a run whose replica ended early; `result` says why."""
-
-    result: str = eqx.field(static=True)
-
-    def __str__(self) -> str:
-        return self.warnings[0]
-
-    @property
-    def warnings(self):
-        return (f"With shorter steps the same run fails, so its numbers may be off: {self.result}",)
-
-    @property
-    def beyond(self):
-        return frozenset(Promise._fields)
-
-    def estimate(self, run, response):
-        return Estimate(response(run), math.nan, self.warnings[0])
-
-    def table(self):
-        return Unverified().table()
-
-    def attributes(self):
-        return {"verification": str(self)}
-
-
-def _told(
-    run: Trajectory, own: Observables, seen: list[Observables], promise: Promise
-) -> list[Told]:
-    """The standard answers of a run beside what its replicas say."""
-    rows = zip(*(apart(run, own, other) for other in seen), strict=True)
-    return [
-        Told(
-            row[0],
-            float(told_error([each.off for each in row])),
-            float(told_error([each.share for each in row])),
-            getattr(promise, row[0].part),
-        )
-        for row in rows
-    ]
+def _verification(
+    run: Trajectory, integrator: AbstractIntegrator, again: Callable[[Replica], Trajectory]
+) -> AbstractVerification:
+    own = integrator.counting_in(run.history.model().system)
+    plans = [replica(own, run.time, share, bool(run.worn)) for share in (HALF, QUARTER)]
+    if None in plans:
+        return Unverified("its steps cannot be refined")
+    repeated = lambda plan: thinned(again(plan), plan.every)
+    promise, here = integrator.promise, observed(run)
+    replicas: list[Trajectory] = []
+    seen: list[Observables] = []
+    rows: list[Told] = []
+    for plan in plans:
+        replicas.append(repeated(plan))
+        if not replicas[-1].succeeded:
+            return Failed(replicas[-1].result)
+        seen.append(observed(replicas[-1]))
+        rows = told([apart(run, here, other) for other in seen], promise)
+        if not any(t.promised is not None and not t.share <= DOUBT * t.promised for t in rows):
+            break
+    lost = None
+    if any(each.beyond and each.part == "gaps" for each in rows):
+        lost = _lost(run, seen[0], repeated(plans[0]._replace(moved=TENTH_DIGIT)), promise.gaps)
+    return Verified(tuple(replicas), rows, lost, float(run.time[0]), promise, integrator.remedy)
 
 
 def _lost(
@@ -261,16 +111,3 @@ def _lost(
     elapsed = float(run.time[first] - run.time[0])
     began = max(float(off[0]), TENTH_DIGIT)
     return Lost(float(run.time[first]), elapsed / max(math.log(float(off[first]) / began), 1.0))
-
-
-def _named(one: Apart) -> str:
-    return f'{one.answer}, "{one.place}"' if one.place else one.answer
-
-
-def _sentence(beyond: list[Told]) -> str:
-    """What is off, by how much, and what to do, of the answers that are furthest beyond."""
-    worst = beyond[0]
-    more = f" (and {len(beyond) - 1} more answers)" if len(beyond) > 1 else ""
-    told = f"{worst.share:.2g} {WORDS[worst.apart.part]} ({worst.promised:g} promised)"
-    name = _named(worst.apart)
-    return f"{name[0].upper()}{name[1:]}: error about {told}{more}; take shorter steps."

@@ -19,6 +19,7 @@ from jaxclear.integrators.events import Events
 from jaxclear.integrators.peaks import Peaks
 from jaxclear.integrators.promise import IMPLICIT, Promise
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.system import System
 
 
 class Interval(NamedTuple):
@@ -132,6 +133,15 @@ class AbstractIntegrator(AbstractQuantified):
         """Itself with steps of this share of their length, or tolerances tighter by its fourth
         power where it finds their length itself; None where they are counted."""
         return None
+
+    def counting_in(self, system: System) -> "AbstractIntegrator":
+        """Itself with the numbers that count in a mechanism, where these are not those given."""
+        return self
+
+    @property
+    def remedy(self) -> str:
+        """What makes the errors of a run by it smaller."""
+        return "take shorter steps"
 
     def held(self, step: Scalar) -> "AbstractIntegrator":
         """Itself with no step longer than this [s], where it finds their length itself."""

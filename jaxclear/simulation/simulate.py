@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxclear.errors.replicas import Replica
+from jaxclear.errors.told import HALF
 from jaxclear.errors.verification import verified
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
@@ -195,17 +197,22 @@ def simulate(
     mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state)
     saved = begins + times
     integrator, passed = load_steps(mechanism, integrator, saved)
-    with stoppable(), progress.bar(progress_bar, "simulating"):
+    whole = 1.0 if verify is False else 1.0 + 1 / HALF
+    with progress.bar(progress_bar, "simulating", whole) as part:
         extras = Extras(balance, progress_bar, saving.events)
         runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run
 
-        def again(own: AbstractIntegrator, at: Any, moved: float = 0.0) -> Trajectory:
-            begun = start.coordinates + moved if moved else start.coordinates
-            found = runs(mechanism, begun, start.speeds, jnp.asarray(at), own, extras, past)
-            return jax.block_until_ready(found)
+        def again(own: Replica) -> Trajectory:
+            begun = start.coordinates + own.moved if own.moved else start.coordinates
+            at = jnp.asarray(own.times)
+            with part(own.work):
+                found = runs(mechanism, begun, start.speeds, at, own.integrator, extras, past)
+                return jax.block_until_ready(found)
 
-        trajectory = diagnosed(guarded(again(integrator, saved), integrator))
-        trajectory = verified(judged_by(passed, trajectory), integrator, again, verify)
+        with stoppable():
+            trajectory = again(Replica(integrator, saved, 1, 1.0))
+            trajectory = judged_by(passed, diagnosed(guarded(trajectory, integrator)))
+        trajectory = verified(trajectory, integrator, again, verify)
     if throw:
         _check_end(trajectory)
     return trajectory

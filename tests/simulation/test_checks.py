@@ -50,19 +50,29 @@ def test_checks_stand_in_a_table_with_the_joint_and_the_limit():
     table = found.checks.table()
     drift = table[table.check == "loop drift"].iloc[0]
     assert drift.joint == "B" and drift.within and drift.concerns == "motion"
-    assert drift.figure == pytest.approx(float(found.drift()["B"].max()) / 0.12, rel=1e-9)
-    assert "loop drift" in str(found) and str(found).startswith(found.result)
+    # Beside the crank, the shortest part of the loop.
+    assert drift.figure == pytest.approx(float(found.drift()["B"].max()) / 0.05, rel=1e-9)
+    assert str(found).startswith(found.result)
+
+
+@pytest.mark.parametrize("rung", [jc.integrator.ImplicitStep, jc.integrator.NonColliding])
+def test_a_short_crank_that_comes_off_is_said(rung):
+    """The loop of a crank of 50 mm was open by 0.08 mm without a word, judged beside the rod."""
+    run = jc.simulate(ideal(2000), 0.02, save=21, integrator=rung(2.5e-4))
+    opened = float(run.drift()["B"].max())
+    assert 0.05 * Check.LOOP_DRIFT.limit < opened < 0.12 * Check.LOOP_DRIFT.limit
+    (said,) = run.warnings
+    assert said.startswith('The loop closed by joint "B" is open by 0.0016 of its shortest part')
 
 
 @pytest.mark.slow
 def test_a_run_that_grew_without_bound_says_what_was_beyond_its_limit_before():
-    """It said "inf of what friction takes", and where it became infinite nothing of why."""
+    """Where it became infinite it said nothing of why."""
     rig = jc.scenes.slider_crank(crank_speed=500 * RPM)
     integrator = jc.integrator.FixedStep(2e-4)
     ended = jc.simulate(rig, 0.05, save=51, integrator=integrator, throw=False)
     (warning,) = ended.warnings
     assert not ended.succeeded and warning.startswith("Within a step the indentation")
-    assert len(ended.checks.warnings) > 5 and "inf of" in " ".join(ended.checks.warnings).lower()
     infinite = eqx.tree_at(lambda run: run.outcome, ended, jnp.asarray(int(Outcome.NOT_FINITE)))
     assert infinite.result.endswith(f"{Outcome.NOT_FINITE.sentence} {warning}")
 
