@@ -1,7 +1,7 @@
 """Replicas of a run: the same question with everything that discretises it refined. Steps are so
 many times shorter than those that were taken (tolerances tighter by the fourth power, where steps
-follow an error), and where surfaces wear or the steps between saving times are counted there are so
-many times as many saving times.
+follow an error), surfaces wear so many times as often, and where the steps between saving times are
+counted there are so many times as many of these.
 """
 
 import dataclasses
@@ -21,39 +21,33 @@ NEXT_TO_NOTHING = 0.01
 
 
 class Replica(NamedTuple):
-    """How a replica is run: by an `integrator`, saved at these `times` [s], of which every so
-    many-th is one of the run's own; its `work` beside that of the run; how far its start is `moved`
-    [rad, m]."""
+    """How a run is made: by an `integrator`, saved at these `times` [s], of which every so many-th
+    is asked for; in every saving interval surfaces wear by so many `updates`."""
 
     integrator: AbstractIntegrator
     times: Any
-    every: int
-    work: float
-    moved: float = 0.0
+    every: int = 1
+    updates: int = 1
+
+    @property
+    def work(self) -> float:
+        """About so many times the run's own."""
+        return float(max(self.every, self.updates))
 
 
-def replica(
-    integrator: AbstractIntegrator, times: Any, share: float, wears: bool
-) -> Replica | None:
+def replica(integrator: AbstractIntegrator, times: Any, share: float) -> Replica | None:
     """How a run that is saved at these times [s] is repeated with steps of this share, one of a
-    whole number; None where the integrator knows no finer steps. `wears`: some surface does."""
-    every = round(1 / share)
+    whole number; None where the integrator knows no finer steps."""
+    finer = round(1 / share)
     if integrator.steps_between_saves is not None:
-        return Replica(integrator, between(times, every), every, every)
-    asked, times = concrete(integrator.asked_step()), np.asarray(times)
-    if integrator.asked_step() is None:
-        finer = integrator.with_finer_steps(share)
-    elif asked is None:
-        return None
-    else:
-        finer = integrator.with_finer_steps(share * step_taken(times, asked) / asked)
-    if finer is None:
-        return None
-    return (
-        Replica(finer, between(times, every), every, every)
-        if wears
-        else Replica(finer, times, 1, every)
-    )
+        return Replica(integrator, between(times, finer), finer)
+    if integrator.asked_step() is not None:
+        asked = concrete(integrator.asked_step())
+        if asked is None:
+            return None
+        share = share * step_taken(times, asked) / asked
+    own = integrator.with_finer_steps(share)
+    return None if own is None else Replica(own, np.asarray(times), updates=finer)
 
 
 def step_taken(times: Any, asked: float) -> float:

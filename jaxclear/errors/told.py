@@ -2,7 +2,6 @@
 as an estimate, and the sentences where an error is beyond what the integrator promises.
 """
 
-import dataclasses
 import functools
 import math
 from typing import Any, NamedTuple
@@ -11,9 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Bool, Float
 
-from jaxclear.errors.observables import Apart
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.promise import PART_OF, Promise
 from jaxclear.results.abstract_response import AbstractResponse
@@ -29,21 +27,27 @@ WORDS = {
     "losses": "of the largest",
 }
 HEAD = ("answer", "value ± error", "share", "promised")
-# Depths hang on the saving times, at which surfaces are worn.
-DEPTH = "worn depth"
 
 
 class Told(NamedTuple):
-    """A standard answer `name`, by its `part` of the promise: its `value` and told `error` in its
-    `unit`, the error as a `share`, and what is `promised` of that (None: nothing)."""
+    """A standard `answer` of a `part` of the promise at a `place`, its `value` and told `error` in
+    its `unit`, the error as the `share` by which it is judged, what is `promised` of it (None:
+    nothing), and whether it is `lost`: no run tells it."""
 
-    name: str
+    answer: str
     part: str
+    place: str
     unit: str
-    value: Any
-    error: Any
-    share: Any
+    value: float
+    error: float
+    share: float
     promised: float | None
+    lost: bool
+
+    @property
+    def name(self) -> str:
+        """The answer with its place."""
+        return f'{self.answer}, "{self.place}"' if self.place else self.answer
 
     @property
     def beyond(self) -> bool:
@@ -51,49 +55,30 @@ class Told(NamedTuple):
         return self.promised is not None and not self.share <= self.promised
 
 
-class Answer(NamedTuple):
-    """Of a standard answer what is no number of the run."""
-
-    name: str
-    part: str
-    unit: str
-    promised: float | None
-
-
-class Lost(NamedTuple):
-    """Paths that hang on the tenth digit of the start: from when [s], and within which time errors
-    grow e-fold [s]."""
-
-    since: Any
-    growth: Any
-
-
 class Verified(AbstractVerification):
-    """A run with `replicas`, as responses see them, the coarser one first; of its `answers` the
-    `numbers`: value, told error and the error's share; `promise`: of its integrator; `lost`: where
-    its path is no answer (None: it is one); `since` [s]: where the run began, from where on errors
-    count; `remedy`: what makes them smaller."""
+    """A run with `replicas`, as responses see them, the coarser one first; `numbers`: value, error
+    and share of each of the standard `answers` (answer, part, place, unit); `promise`: of its
+    integrator; `lost`: which of them hang on the tenth digit of the start, and `path`: from when on
+    [s], and within which time errors grow e-fold [s] (None: its path is an answer); `since` [s]:
+    where the run began, from where on errors count; `remedy`: what makes them smaller."""
 
     replicas: tuple[Trajectory, ...]
-    answers: tuple[Answer, ...] = eqx.field(static=True)
-    numbers: Float[Array, "answers 3"]
-    lost: Lost | None
-    since: Any
-    promise: Promise = eqx.field(static=True)
+    numbers: Float[np.ndarray, "answers 3"]
+    lost: Bool[np.ndarray, " answers"]
+    path: Float[np.ndarray, "2"] | None
+    since: Float[np.ndarray, ""]
+    promise: Promise
+    answers: tuple[tuple[str, str, str, str], ...] = eqx.field(static=True)
     remedy: str = eqx.field(static=True)
-
-    def __init__(self, replicas, told, lost, since, promise, remedy):
-        of_one = Unverified("a replica of another run")
-        self.replicas = tuple(dataclasses.replace(run, verification=of_one) for run in replicas)
-        self.answers = tuple(Answer(t.name, t.part, t.unit, t.promised) for t in told)
-        self.numbers = np.array([(t.value, t.error, t.share) for t in told], float).reshape(-1, 3)
-        self.lost, self.since, self.promise, self.remedy = lost, since, promise, remedy
 
     @property
     def told(self) -> tuple[Told, ...]:
         """The standard answers."""
-        rows = zip(self.answers, self.numbers, strict=True)
-        return tuple(Told(a.name, a.part, a.unit, *row, a.promised) for a, row in rows)
+        rows = zip(self.answers, self.numbers.tolist(), self.lost.tolist(), strict=True)
+        return tuple(
+            Told(*names, value, error, share, getattr(self.promise, names[1]), lost)
+            for names, (value, error, share), lost in rows
+        )
 
     @property
     def beyond(self):
@@ -103,25 +88,24 @@ class Verified(AbstractVerification):
     def warnings(self):
         beyond = sorted((t for t in self.told if t.beyond), key=lambda t: -t.share / t.promised)
         said = []
-        if self.lost is not None:
-            since, growth = self.lost
+        if self.path is not None:
+            since, growth = map(float, self.path)
             said.append(
                 f"From {since:.3g} s on places in gaps hang on the start's tenth digit (e-fold in "
                 f"{growth:.2g} s): no run tells them; ask means over samples."
             )
-            beyond = [told for told in beyond if told.part != "gaps"]
-        if beyond:
-            said.append(self._sentence(beyond))
-        return tuple(said)
+        answers = [told for told in beyond if not told.lost]
+        return (*said, *([self._sentence(answers)] if answers else []))
 
     def _sentence(self, beyond: list[Told]) -> str:
         """What is off, by how much, and what to do, of the answers that are furthest beyond."""
-        worst, name = beyond[0], beyond[0].name
-        others = {1: "", 2: " (and one more answer)"}
-        remedy = "save more often" if name.startswith(DEPTH) else self.remedy
-        more = others.get(len(beyond), f" (and {len(beyond) - 1} more answers)")
-        by = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
-        return f"{name[0].upper()}{name[1:]}: error about {by}{more}; {remedy}."
+        worst, others = beyond[0], len(beyond) - 1
+        more = f" (and {others} more answer{'s' * (others > 1)})" if others else ""
+        told = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
+        todo = self.remedy
+        if worst.answer == "worn depth":
+            todo = f"save more often, which is when surfaces wear, or {todo}"
+        return f"{worst.name[0].upper()}{worst.name[1:]}: error about {told}{more}; {todo}."
 
     def estimate(self, run, response):
         value = response(run)
@@ -142,7 +126,8 @@ class Verified(AbstractVerification):
 
     def _how(self) -> str:
         steps = "half" if len(self.replicas) == 1 else "half and quarter"
-        since = "" if is_traced(self.since) or not self.since else f", since {self.since:.6g} s"
+        began = not is_traced(self.since) and self.since != 0
+        since = f", since {float(self.since):.6g} s" if began else ""
         return f"twice what {steps} steps change{since}"
 
     def promised(self, response: Any) -> float | None:
@@ -153,12 +138,12 @@ class Verified(AbstractVerification):
     def table(self):
         import pandas
 
-        columns = ["answer", "value", "error", "unit", "share", "promised"]
-        rows = [(t.name, t.value, t.error, t.unit, t.share, t.promised) for t in self.told]
-        return pandas.DataFrame(rows, columns=columns)
+        columns = ("name", "value", "error", "unit", "share", "promised")
+        rows = [[getattr(told, column) for column in columns] for told in self.told]
+        return pandas.DataFrame(rows, columns=["answer", *columns[1:]])
 
     def attributes(self):
-        rows = [f"{told.name}: {told.error:.2g} {told.unit}" for told in self.told]
+        rows = [f"{t.name}: {t.error:.2g} {t.unit}" for t in self.told]
         return {"numerical errors": "; ".join(rows)}
 
     def __str__(self) -> str:
@@ -168,7 +153,8 @@ class Verified(AbstractVerification):
             for t in self.told
         ]
         name, number = (max(len(row[k]) for row in rows) for k in (0, 1))
-        marks = ("", *(" <" if told.beyond else "" for told in self.told))
+        of = lambda told: " lost" if told.lost else " beyond" if told.beyond else ""
+        marks = ("", *map(of, self.told))
         lines = [
             f"{row[0]:{name}}  {row[1]:{number}}  {row[2]:>9}  {row[3]:>8}{mark}"
             for row, mark in zip(rows, marks, strict=True)
@@ -219,17 +205,3 @@ def _told_error(value: Any, *values: Any) -> Any:
     with np.errstate(invalid="ignore"):
         found = richardson([abs(number - other) for other in others])
     return found if is_traced(found) else np.asarray(found)[()]
-
-
-def told(seen: list[list[Apart]], promise: Promise) -> list[Told]:
-    """The standard answers, from how far each is apart from that of every replica."""
-    found = []
-    for row in zip(*seen, strict=True):
-        one = row[0]
-        name = f'{one.answer}, "{one.place}"' if one.place else one.answer
-        error, share = (
-            float(richardson([getattr(each, what) for each in row])) for what in ("off", "share")
-        )
-        of_promise = getattr(promise, one.part)
-        found.append(Told(name, one.part, one.unit, one.value, error, share, of_promise))
-    return found

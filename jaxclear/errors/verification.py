@@ -19,9 +19,10 @@ import numpy as np
 
 from jaxclear.errors.observables import Observables, apart, observed, parted
 from jaxclear.errors.replicas import Replica, replica, thinned
-from jaxclear.errors.told import HALF, QUARTER, Failed, Lost, Told, Verified, told
+from jaxclear.errors.told import HALF, QUARTER, Failed, Verified, richardson
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.promise import Promise
 from jaxclear.native import stoppable
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import AbstractVerification, Unverified
@@ -32,17 +33,18 @@ DOUBT = 0.5
 MOST_STEPS = 100_000
 # By how much of a radian or of a metre the start of a replica is moved.
 TENTH_DIGIT = 1e-10
+OF_A_REPLICA = "a replica of another run"
 
 
 def verified(
     run: Trajectory,
     integrator: AbstractIntegrator,
-    again: Callable[[Replica], Trajectory],
+    again: Callable[..., Trajectory],
     verify: bool | None,
 ) -> Trajectory:
-    """The run with what its replicas tell; `again`: runs one. `verify`: whether they are run (None:
-    where they take seconds at the most). What goes wrong in them, Ctrl-C too, leaves the run as it
-    is."""
+    """The run with what its replicas tell; `again(replica, moved)`: the same run as that
+    `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where
+    they take seconds at the most). What goes wrong in them, Ctrl-C too, leaves the run as it is."""
     why = _why_not(run, verify)
     known: AbstractVerification = Unverified(why)
     if not why:
@@ -55,6 +57,44 @@ def verified(
             reason = str(error).partition("\n")[0] or "out of memory"
             known = Unverified(f"a replica could not be run: {reason}")
     return dataclasses.replace(run, verification=known)
+
+
+def _verification(
+    run: Trajectory, integrator: AbstractIntegrator, again: Callable[..., Trajectory]
+) -> AbstractVerification:
+    counting = integrator.counting_in(run.history.model().system)
+    plans = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
+    if None in plans:
+        return Unverified("its steps cannot be refined")
+
+    def repeated(plan: Replica, moved: float = 0.0) -> Trajectory:
+        return thinned(again(plan, moved), plan.every)
+
+    promise, own = integrator.promise, observed(run)
+    replicas: list[Trajectory] = []
+    seen: list[Observables] = []
+    for plan in plans:
+        replicas.append(repeated(plan))
+        if not replicas[-1].succeeded:
+            return Failed(replicas[-1].result)
+        seen.append(observed(replicas[-1]))
+        rows = list(zip(*(apart(run, own, other) for other in seen), strict=True))
+        shares = [(float(richardson([each.share for each in row])), row[0].part) for row in rows]
+        limits = [(share, getattr(promise, part)) for share, part in shares]
+        if not any(limit is not None and not share <= DOUBT * limit for share, limit in limits):
+            break
+    errors = [float(richardson([each.off for each in row])) for row in rows]
+    values = zip(rows, errors, shares, strict=True)
+    numbers = np.array([[row[0].value, error, share] for row, error, (share, _) in values])
+    path, lost = None, np.zeros(len(rows), bool)
+    if any(p == "gaps" and promise.gaps is not None and not x <= promise.gaps for x, p in shares):
+        path, lost = _lost(run, seen[0], repeated(plans[0], TENTH_DIGIT), promise)
+    known = tuple(
+        dataclasses.replace(each, verification=Unverified(OF_A_REPLICA)) for each in replicas
+    )
+    answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
+    since = np.asarray(run.time[0])
+    return Verified(known, numbers, lost, path, since, promise, answers, integrator.remedy)
 
 
 def _why_not(run: Trajectory, verify: bool | None) -> str:
@@ -70,44 +110,21 @@ def _why_not(run: Trajectory, verify: bool | None) -> str:
     return ""
 
 
-def _verification(
-    run: Trajectory, integrator: AbstractIntegrator, again: Callable[[Replica], Trajectory]
-) -> AbstractVerification:
-    own = integrator.counting_in(run.history.model().system)
-    plans = [replica(own, run.time, share, bool(run.worn)) for share in (HALF, QUARTER)]
-    if None in plans:
-        return Unverified("its steps cannot be refined")
-    repeated = lambda plan: thinned(again(plan), plan.every)
-    promise, here = integrator.promise, observed(run)
-    replicas: list[Trajectory] = []
-    seen: list[Observables] = []
-    rows: list[Told] = []
-    for plan in plans:
-        replicas.append(repeated(plan))
-        if not replicas[-1].succeeded:
-            return Failed(replicas[-1].result)
-        seen.append(observed(replicas[-1]))
-        rows = told([apart(run, here, other) for other in seen], promise)
-        if not any(t.promised is not None and not t.share <= DOUBT * t.promised for t in rows):
-            break
-    lost = None
-    if any(each.beyond and each.part == "gaps" for each in rows):
-        lost = _lost(run, seen[0], repeated(plans[0]._replace(moved=TENTH_DIGIT)), promise.gaps)
-    return Verified(tuple(replicas), rows, lost, float(run.time[0]), promise, integrator.remedy)
-
-
 def _lost(
-    run: Trajectory, finer: Observables, moved: Trajectory, limit: float | None
-) -> Lost | None:
-    """Where a path hangs on the tenth digit of its start, from how far a finer run and the same
-    with its start moved are apart in gaps; None where they agree."""
-    if not moved.succeeded or limit is None:
-        return None
-    off = parted(finer, observed(moved))
-    beyond = off > limit
-    if not beyond.any():
-        return None
+    run: Trajectory, finer: Observables, moved: Trajectory, promise: Promise
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """(from when on [s] a path hangs on the tenth digit of its start, and within which time errors
+    grow e-fold [s]; None where it does not; which answers are lost by that), from how far a `finer`
+    run and the same with its start `moved` are apart."""
+    other = observed(moved)
+    rows = [(row, getattr(promise, row.part)) for row in apart(run, finer, other)]
+    lost = np.array([limit is not None and row.share > limit for row, limit in rows])
+    off = parted(finer, other)
+    beyond = off > promise.gaps
+    if not moved.succeeded or not beyond.any():
+        return None, np.zeros(len(rows), bool)
     first = int(np.argmax(beyond))
     elapsed = float(run.time[first] - run.time[0])
     began = max(float(off[0]), TENTH_DIGIT)
-    return Lost(float(run.time[first]), elapsed / max(math.log(float(off[first]) / began), 1.0))
+    growth = elapsed / max(math.log(float(off[first]) / began), 1.0)
+    return np.array([float(run.time[first]), growth]), lost

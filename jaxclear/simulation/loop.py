@@ -8,6 +8,7 @@ save to save.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -20,19 +21,19 @@ from jaxtyping import Array, Float, Int
 from jaxclear.formulations.base import model_of
 from jaxclear.formulations.model import Model, State
 from jaxclear.integrators.base import AbstractIntegrator, Interval
-from jaxclear.integrators.events import Events
+from jaxclear.integrators.events import Events, together
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.peaks import Peaks, newest
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import readings, rubbing_joints
-from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict
+from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict, while_loop
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.error_weights import error_weights
-from jaxclear.simulation.referee import contact_names, judged, sunk_in
+from jaxclear.simulation.invariants import contact_names, judged, sunk_in
 from jaxclear.simulation.step_lengths import with_few_enough_steps
 from jaxclear.simulation.wear import (
     Losses,
@@ -117,9 +118,11 @@ def run(
     integrator: AbstractIntegrator,
     extras: Extras = Extras(),
     past: Past = Past(),
+    updates: Any = 1,
 ) -> Trajectory:
     """The pure core of `simulate`: from consistent coordinates and speeds, and what is left of a
-    past, to a trajectory."""
+    past, to a trajectory. `updates`: of worn surfaces in a saving interval, where steps are not
+    counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     model = model_of(mechanism, formulation, extras.balance)
     model = dataclasses.replace(model, events=extras.events, discrete=extras.discrete)
@@ -138,9 +141,10 @@ def run(
     first = first._replace(peaks=turn.nothing_met(first))
     spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
     if _whole(integrator, extras, worn):
-        last, left = _in_one_kernel(turn, first, spans)
+        last, left = _in_one_kernel(turn, first, spans, updates)
     else:
-        last, left = _from_save_to_save(turn, first, spans, integrator.steps_between_saves)
+        counted = integrator.steps_between_saves
+        last, left = _from_save_to_save(turn, first, spans, counted, updates)
     if _sweeps_outside_kernels(model, integrator, warm_start):
         last, left = forwards_only(NOT_THROUGH_SWEEPS, (last, left))
     states = integrator.known_states(seen, times, left.states, last.state, last.warm_start)
@@ -245,7 +249,26 @@ class _Turn:
         return after, losses(layout, now.state, state), result.events
 
 
-def _in_one_kernel(turn: _Turn, first: Carry, spans: Span) -> tuple[Carry, Left]:
+def _in_parts(loop: Callable, part: Callable, updates: Any, begun: Any, span: Span) -> Any:
+    """What is handed on and left behind a saving interval that is gone through in so many equal
+    parts, by a while `loop`; `part`: (what is handed on, span) -> (that, what is left: by the last
+    part, and the events of all)."""
+    length = (span.stop - span.start) / updates
+
+    def turn(now):
+        index, carry, (_, noted) = now
+        begins = jnp.where(index == 0, span.start, span.start + index * length)
+        last = index + 1 == updates
+        ends = jnp.where(last, span.stop, span.start + (index + 1) * length)
+        carry, (left, more) = part(carry, Span(begins, ends, span.progress / updates))
+        return index + 1, carry, (left, None if more is None else together(noted, more))
+
+    left = jax.eval_shape(part, begun, span)[1]
+    nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), left)
+    return loop(lambda now: now[0] < updates, turn, (jnp.zeros((), int), begun, nothing))[1:]
+
+
+def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Left]:
     """(what the last turn hands on, what is left at all saving times). Before a turn surfaces are
     worn by what the one before lost, and after the last by what that lost."""
     model, count = turn.model, len(spans.start)
@@ -258,10 +281,19 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span) -> tuple[Carry, Left]
         worn, read, pending = worn_so_far(model.system, model.layout, found, now.state)
         return now._replace(worn=worn, read=read), pending
 
-    def one(carry, span):
+    def part(carry, span):
         now, pending = settled(*carry)
         now, _, noted = turn.motion(now, span)
-        return (now, pending), ((now.state, now.read), noted)
+        return (now, pending), ((), noted)
+
+    def by_kernel(condition, body, begun):
+        return while_loop(condition, body, begun, (False, (LONG, True), False))
+
+    def one(carry, span):
+        wears = pending is not None
+        go = functools.partial(_in_parts, by_kernel, part, updates) if wears else part
+        carry, (_, noted) = go(carry, span)
+        return carry, ((carry[0].state, carry[0].read), noted)
 
     rows = np.arange(count)
     kept = [Kept(rows + 1, count + 1, (first.state, first.read)), Kept(rows, count)]
@@ -273,7 +305,7 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span) -> tuple[Carry, Left]
 
 
 def _from_save_to_save(
-    turn: _Turn, first: Carry, spans: Span, counted: int | None
+    turn: _Turn, first: Carry, spans: Span, counted: int | None, updates: Any
 ) -> tuple[Carry, Left]:
     """As `_in_one_kernel`, each turn by itself, behind which XLA wears surfaces; of a `counted`
     number of steps it goes backwards through them."""
@@ -281,13 +313,19 @@ def _from_save_to_save(
     motion = turn.motion if counted is not None or not first.read else _as_a_kernel(turn.motion)
     wear = worn_where_lost if counted is None else worn_at_once
 
-    def one(now, span):
+    def part(now, span):
         worn, read = now.worn, now.read
         now, lost, noted = motion(now._replace(worn={}), span)
-        left = now.state, read, noted
+        left = read, noted
         if worn:
             worn, read = wear(system, worn, read, lost)
         return now._replace(worn=worn, read=read), left
+
+    def one(now, span):
+        wears = first.worn and counted is None
+        go = functools.partial(_in_parts, jax.lax.while_loop, part, updates) if wears else part
+        now, (read, noted) = go(now, span)
+        return now, (now.state, read, noted)
 
     last, (states, read, noted) = jax.lax.scan(one, first, spans)
     joined = lambda begun, rows: jnp.concatenate([begun[None], rows])

@@ -59,15 +59,15 @@ class SimulationError(RuntimeError):
 FEW_COORDINATES = 32
 
 
-def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past):
+def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, updates):
     """A run that can be differentiated forwards and backwards."""
     given = mechanism, coordinates, speeds, times, past
     if not is_compared(mechanism, integrator):
-        whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4])
+        whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4], updates)
         return backwards(whole, integrator, *given)
 
     def in_steps(share, integrator, *moving):
-        return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4])
+        return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4], updates)
 
     steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
     known = compared(in_steps, run_where_alike, steps)
@@ -202,15 +202,15 @@ def simulate(
         extras = Extras(balance, progress_bar, saving.events)
         runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run
 
-        def again(own: Replica) -> Trajectory:
-            begun = start.coordinates + own.moved if own.moved else start.coordinates
-            at = jnp.asarray(own.times)
-            with part(own.work):
-                found = runs(mechanism, begun, start.speeds, at, own.integrator, extras, past)
-                return jax.block_until_ready(found)
+        def again(how: Replica, moved: float = 0.0) -> Trajectory:
+            begun = start.coordinates + moved if moved else start.coordinates
+            given = mechanism, begun, start.speeds, jnp.asarray(how.times)
+            more = how.integrator, extras, past, jnp.asarray(how.updates)
+            with part(how.work):
+                return jax.block_until_ready(runs(*given, *more))
 
         with stoppable():
-            trajectory = again(Replica(integrator, saved, 1, 1.0))
+            trajectory = again(Replica(integrator, saved))
             trajectory = judged_by(passed, diagnosed(guarded(trajectory, integrator)))
         trajectory = verified(trajectory, integrator, again, verify)
     if throw:

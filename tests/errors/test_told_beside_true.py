@@ -185,7 +185,7 @@ def test_paths_that_hang_on_the_tenth_digit_are_no_answer_but_means_are():
     run = jc.simulate(rig, 0.08, save=501)
     said = run.warnings[0]
     assert said.startswith("From 0.0") and "start's tenth digit (e-fold in 0.00" in said
-    assert 0.01 < run.verification.lost.since < 0.08
+    assert 0.01 < run.verification.path[0] < 0.08
     assert not any(said.startswith("Places in the gap") for said in run.warnings)
     mean = jc.response.MeanContactForce("B")
     found = run.estimate(mean)

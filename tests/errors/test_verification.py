@@ -13,7 +13,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.errors.replicas import between, step_taken
-from jaxclear.errors.told import Lost, Told, Verified
+from jaxclear.errors.told import Verified
 from jaxclear.errors.verification import MOST_STEPS
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.promise import REFERENCE
@@ -276,8 +276,11 @@ def test_a_table_fits_a_screen_and_a_sentence_a_line(worn):
     assert max(map(len, table)) <= 80
     rows = worn.verification.table()
     assert list(rows.answer)[-1] == 'worn depth, "B, bearing"' and (rows.error >= 0).all()
-    told = (Told('peak contact force, "crank pin"', "peak_force", "N", 1e3, 300.0, 0.3, 0.05),) * 3
-    said = Verified((), told, Lost(0.3, 0.029), 0.0, REFERENCE, "take shorter steps").warnings
+    names = (("peak contact force", "peak_force", "crank pin", "N"),) * 3
+    numbers, lost = np.array([[1e3, 300.0, 0.3]] * 3), np.zeros(3, bool)
+    path, begun = np.array([0.3, 0.029]), np.zeros(())
+    given = (), numbers, lost, path, begun, REFERENCE, names, "take shorter steps"
+    said = Verified(*given).warnings
     assert len(said) == 2 and max(len(sentence.split()) for sentence in said) <= 26
     assert said[1].endswith("(and 2 more answers); take shorter steps.")
 
