@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
@@ -37,15 +37,16 @@ NO_WEAR = 1e-17
 
 class Observables(NamedTuple):
     """Centres of mass [m] and axes of the bodies over time; where parts are in the gap of each
-    contact, beside its width, and that width [m]; mean and peak normal force of each joint [N]
-    (None: not known between saving times); what friction has taken and what was turned over [J]
-    (None: no balance); worn volumes [m3], depths [m] and areas [m2] of the surfaces; the longest
-    arm [m]."""
+    contact, beside its width, that width [m], and the number of its joint; mean and peak normal
+    force of each joint [N] (None: not known between saving times); what friction has taken and what
+    was turned over [J] (None: no balance); worn volumes [m3], depths [m] and areas [m2] of the
+    surfaces; the longest arm [m]."""
 
     centres: Float[Array, "time bodies 3"]
     axes: Float[Array, "time bodies 9"]
     in_gaps: Float[Array, "time contacts 3"] | None
     rooms: Float[Array, " contacts"] | None
+    owners: Int[Array, " contacts"] | None
     mean_force: Float[Array, " joints"]
     peak_force: Float[Array, " joints"] | None
     friction_loss: Float[Array, ""] | None
@@ -92,6 +93,7 @@ def _observed(run: Trajectory) -> Observables:
         for each, k in zip(over_time(history, at), (3, 9, 3), strict=True)
     )
     joints = run.formulation.contact_joints(run.mechanism)
+    contacts = [(name, k) for name, own in system.bearings.items() for k in range(len(own.radii))]
     stacked = lambda each: jnp.stack(each) if each else jnp.zeros(0)
     mean = stacked([histories.contact_impulse(history, name)[-1] / duration for name in joints])
     peaks = None
@@ -112,6 +114,7 @@ def _observed(run: Trajectory) -> Observables:
         axes,
         inside if opens else None,
         rooms(system) if opens else None,
+        jnp.asarray([list(joints).index(name) for name, _ in contacts]) if opens else None,
         mean,
         peaks,
         lost,
@@ -195,7 +198,8 @@ def _gaps_apart(run: Trajectory, one: Observables, other: Observables) -> list[A
     if one.in_gaps is None:
         return []
     off = np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(0, 2))
-    names = [n for n, b in run.history.model().system.bearings.items() for _ in b.radii]
+    joints = list(run.formulation.contact_joints(run.mechanism))
+    names = [joints[int(owner)] for owner in np.asarray(one.owners)]
     largest: dict[str, tuple[float, float]] = {}
     for name, share, room in zip(names, off, np.asarray(one.rooms), strict=True):
         largest[name] = max(largest.get(name, (0.0, 0.0)), (float(share), float(room)))

@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.errors.observables import Observables, apart, observed, parted
@@ -62,7 +63,9 @@ def verified(
 def _verification(
     run: Trajectory, integrator: AbstractIntegrator, again: Callable[..., Trajectory]
 ) -> AbstractVerification:
-    counting = integrator.counting_in(run.history.model().system)
+    promise, own, counting = integrator.promise, observed(run), integrator
+    if own.rooms is not None:
+        counting = integrator.counting_in(jnp.min(own.rooms), own.arm)
     plans = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
     if None in plans:
         return Unverified("its steps cannot be refined")
@@ -70,7 +73,6 @@ def _verification(
     def repeated(plan: Replica, moved: float = 0.0) -> Trajectory:
         return thinned(again(plan, moved), plan.every)
 
-    promise, own = integrator.promise, observed(run)
     replicas: list[Trajectory] = []
     seen: list[Observables] = []
     for plan in plans:

@@ -109,11 +109,8 @@ class Adaptive(AbstractIntegrator):
         )
         return own if self.largest_step is None else own.held(share * self.largest_step)
 
-    def counting_in(self, system):
-        if not system.bearings:
-            return self
-        narrow = narrowest_gap(system) / longest_arm(system)
-        loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * narrow)
+    def counting_in(self, gap, arm):
+        loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * (gap / arm))
         finer = loosest / jnp.maximum(self.rtol, loosest)
         sizes = lambda own: (own.rtol, own.atol)
         return eqx.tree_at(sizes, self, (self.rtol * finer, self.atol * finer))
@@ -167,7 +164,9 @@ class Adaptive(AbstractIntegrator):
     def _controller(self, model, interval):
         """The error control of an interval, which ends steps where contacts close and part."""
         longest = jnp.inf if self.largest_step is None else self.largest_step
-        counting = self.counting_in(model.system)
+        counting, system = self, model.system
+        if system.bearings:
+            counting = self.counting_in(narrowest_gap(system), longest_arm(system))
         control = diffrax.PIDController(
             rtol=counting.rtol,
             atol=counting.atol,

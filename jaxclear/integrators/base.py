@@ -19,7 +19,6 @@ from jaxclear.integrators.events import Events
 from jaxclear.integrators.peaks import Peaks
 from jaxclear.integrators.promise import IMPLICIT, Promise
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.system import System
 
 
 class Interval(NamedTuple):
@@ -134,8 +133,9 @@ class AbstractIntegrator(AbstractQuantified):
         power where it finds their length itself; None where they are counted."""
         return None
 
-    def counting_in(self, system: System) -> "AbstractIntegrator":
-        """Itself with the numbers that count in a mechanism, where these are not those given."""
+    def counting_in(self, gap: Any, arm: Any) -> "AbstractIntegrator":
+        """Itself with the numbers that count where the narrowest gap and the longest arm are these
+        [m], if those given do not."""
         return self
 
     @property

@@ -78,7 +78,7 @@ class AbstractVerification(AbstractShown):
 class Unverified(AbstractVerification):
     """Of a run without replicas: nobody has looked, and `why`."""
 
-    why: str = eqx.field(static=True, default="verify=False")
+    why: str = eqx.field(static=True, default="it has no replicas")
 
     def __str__(self) -> str:
         return f"Not verified: {self.why}."

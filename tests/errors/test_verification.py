@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.errors.replicas import between, step_taken
+from jaxclear.errors.replicas import between, step_taken, thinned
 from jaxclear.errors.told import Verified
 from jaxclear.errors.verification import MOST_STEPS
 from jaxclear.integrators.outcome import Outcome
@@ -130,6 +130,9 @@ def test_responses_see_a_replica_at_the_saving_times_of_the_run(worn):
     touches = worn.estimate(lambda run: run.events()["time [s]"].iloc[0])
     assert 0 < touches.value < 0.03 and touches.error < 1e-5
     assert half.noted.counts.sum() == worn.noted.counts.sum()
+    (rarer, own) = thinned(worn, 2), worn.noted
+    np.testing.assert_array_equal(rarer.noted.counts, own.counts[::2] + own.counts[1::2])
+    assert rarer.events().equals(worn.events()) and len(rarer.time) == 6
     wear = worn.estimate(jc.response.WornVolume("B"))
     assert wear.error < 0.1 * wear.value
 
