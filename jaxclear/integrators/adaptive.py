@@ -101,7 +101,8 @@ class Adaptive(AbstractIntegrator):
         return REFERENCE if rtol is not None and rtol <= LOOSEST else LOOSE
 
     def with_finer_steps(self, share):
-        finer = jnp.minimum(1.0, jnp.maximum(share**FINER_TOLERANCE, ROUNDING / self.rtol))
+        finer = share**FINER_TOLERANCE * LOOSEST / jnp.maximum(self.rtol, LOOSEST)
+        finer = jnp.minimum(1.0, jnp.maximum(finer, ROUNDING / self.rtol))
         if not is_traced(finer) and finer > ROUNDED_OFF:
             return None
         own = eqx.tree_at(

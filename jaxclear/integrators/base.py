@@ -130,7 +130,8 @@ class AbstractIntegrator(AbstractQuantified):
 
     def with_finer_steps(self, share: Scalar) -> "AbstractIntegrator | None":
         """Itself with steps of this share of their length, or tolerances tighter by its fourth
-        power where it finds their length itself; None where they are counted."""
+        power where it finds their length itself; None where they are counted, or as fine as numbers
+        allow."""
         return None
 
     def counting_in(self, gap: Any, arm: Any) -> "AbstractIntegrator":

@@ -19,6 +19,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.wording import described
 from jaxclear.integrators.events import Events
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
@@ -141,13 +142,17 @@ class Trajectory(AbstractShown):
         return self.checks.before_the_end or self.checks.warnings
 
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
-        """The value of a response, or of any function of a run that returns a number, and its
-        numerical error: twice what half the steps (tolerances 16 times tighter, twice the saving
-        times where surfaces wear) change. Without replicas the error is nan, and the estimate says
-        why.
+        """The value of a response, or of any function of a run that returns numbers, and its
+        numerical error: twice what half the steps (tolerances 16 times tighter, surfaces worn twice
+        as often) change. Without replicas the error is nan, and the estimate says why.
 
         Source: Richardson 1911, doi:10.1098/rsta.1911.0009; Roache 1994, J. Fluids Eng. 116, 405.
         """
+        if not callable(response):
+            raise ValueError(
+                f"{described(response)} was given to be estimated; it must be a response, such as "
+                'jaxclear.response.MeanContactForce("B"), or a function of a run.'
+            )
         return self.verification.estimate(self, response)
 
     def __str__(self) -> str:

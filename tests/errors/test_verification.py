@@ -91,9 +91,9 @@ def test_whatever_is_drawn_from_a_run_has_an_error_or_why_not(name, verified):
         assert known in found.why and math.isnan(found.error)
 
 
-def test_a_response_that_fails_fails(verified):
-    with pytest.raises(ValueError, match="joint or floating body"):
-        verified.estimate(jc.response.FinalCoordinate("A"))
+def test_what_is_no_response_is_answered_with_a_sentence(verified):
+    with pytest.raises(ValueError, match="it must be a response, such as"):
+        verified.estimate("mean force")
 
 
 def test_what_nobody_has_looked_at_says_so():
@@ -197,26 +197,23 @@ def test_a_replica_that_fails_says_so_and_leaves_the_run(monkeypatch, verified):
     assert math.isnan(run.estimate(last).error)
 
 
-def _raise(error):
-    raise error
+@pytest.mark.parametrize(
+    ("error", "why"),
+    [
+        (KeyboardInterrupt, "interrupted"),
+        (None, "interrupted"),
+        (MemoryError, "a replica could not be run: out of memory"),
+    ],
+    ids=["Ctrl-C", "Ctrl-C in a kernel", "out of memory"],
+)
+def test_what_stops_a_replica_keeps_the_run(error, why, monkeypatch, verified):
+    def stopped(run):
+        if error is not None:
+            raise error
+        stop()
+        return run
 
-
-def _stopped(run):
-    stop()
-    return run
-
-
-STOPS = {
-    "Ctrl-C": (lambda run: _raise(KeyboardInterrupt()), "interrupted"),
-    "Ctrl-C in a kernel": (_stopped, "interrupted"),
-    "out of memory": (lambda run: _raise(MemoryError()), "a replica could not be run"),
-}
-
-
-@pytest.mark.parametrize("name", STOPS)
-def test_what_stops_a_replica_keeps_the_run(name, monkeypatch, verified):
-    second, why = STOPS[name]
-    others(monkeypatch, second)
+    others(monkeypatch, stopped)
     run = swing(verify=True)
     assert str(run.verification).startswith(f"Not verified: {why}") and run.warnings == ()
     np.testing.assert_array_equal(run.states, verified.states)
