@@ -19,7 +19,6 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import AbstractShown
-from jaxclear.ground.wording import described
 from jaxclear.integrators.events import Events
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
@@ -36,7 +35,12 @@ from jaxclear.results.histories import (
 from jaxclear.results.saved_state import SavedMotion, State
 from jaxclear.results.singular_position import singular_position
 from jaxclear.results.state_history import StateHistory
-from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
+from jaxclear.results.verification import (
+    AbstractVerification,
+    Estimate,
+    Unverified,
+    checked,
+)
 
 
 class RunStats(eqx.Module):
@@ -148,12 +152,7 @@ class Trajectory(AbstractShown):
 
         Source: Richardson 1911, doi:10.1098/rsta.1911.0009; Roache 1994, J. Fluids Eng. 116, 405.
         """
-        if not callable(response):
-            raise ValueError(
-                f"{described(response)} was given to be estimated; it must be a response, such as "
-                'jaxclear.response.MeanContactForce("B"), or a function of a run.'
-            )
-        return self.verification.estimate(self, response)
+        return self.verification.estimate(self, checked(response))
 
     def __str__(self) -> str:
         if np.ndim(self.outcome) or is_traced(self.outcome):

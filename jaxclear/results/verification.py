@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.wording import described
 
 # Digits of a value beyond the first of its error.
 DIGITS = 2
@@ -38,6 +39,16 @@ class Estimate(AbstractShown):
         count = sum(np.size(each) for each in values)
         told = f"each ± {most:.2g} at the most" if math.isfinite(most) else self.why
         return f"{count} numbers ({told})"
+
+
+def checked(response: Any) -> Any:
+    """What is to be estimated. Raises `ValueError` where it is no function."""
+    if callable(response):
+        return response
+    raise ValueError(
+        f"{described(response)} was given to be estimated; it must be a response, such as "
+        'jaxclear.response.MeanContactForce("B"), or a function of a run.'
+    )
 
 
 def with_error(value: float, error: float) -> str:
