@@ -8,6 +8,7 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.quantity import concrete
@@ -91,8 +92,6 @@ def _joined(noted: Events, every: int) -> Events:
     missing = np.arange(most) >= counts[..., None]
     together = lambda each: np.concatenate([each[k::every] for k in range(every)], axis=-1)
     first = np.argsort(together(missing), axis=-1, stable=True)[..., :most]
-    kept = (
-        np.take_along_axis(together(np.asarray(each)), first, axis=-1)
-        for each in (noted.times, noted.rates)
-    )
-    return Events(*kept, counts.reshape(-1, every, counts.shape[-1]).sum(axis=1))
+    kept = lambda each: jnp.asarray(np.take_along_axis(together(np.asarray(each)), first, axis=-1))
+    of_all = counts.reshape(-1, every, counts.shape[-1]).sum(axis=1)
+    return Events(kept(noted.times), kept(noted.rates), jnp.asarray(of_all))

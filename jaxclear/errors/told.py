@@ -111,9 +111,9 @@ class Verified(AbstractVerification):
         value = response(run)
         try:
             values = [response(each) for each in self.replicas]
-        except Exception as error:
+        except Exception as failure:
             # What is found in a run need not be in its replica: a tenth impact, a row of a table.
-            return Estimate(value, math.nan, f"in finer steps the same fails: {error}")
+            return Estimate(value, math.nan, f"in finer steps the same fails: {failure}")
         try:
             error = jax.tree.map(_told_error, value, *values)
         except (TypeError, ValueError):

@@ -66,8 +66,9 @@ def _verification(
     promise, own, counting = integrator.promise, observed(run), integrator
     if own.rooms is not None:
         counting = integrator.counting_in(jnp.min(own.rooms), own.arm)
-    plans = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
-    if None in plans:
+    found = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
+    plans = [plan for plan in found if plan is not None]
+    if len(plans) < len(found):
         return Unverified("its steps cannot be refined")
 
     def repeated(plan: Replica, moved: float = 0.0) -> Trajectory:
