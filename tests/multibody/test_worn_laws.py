@@ -7,7 +7,6 @@ import pytest
 import jaxclear as jc
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.pose import REST
-from jaxclear.integrators import Check
 from jaxclear.laws.stiffness import HERTZ_SPHERE
 from jaxclear.multibody import contact_point
 from jaxclear.multibody.loops import Relative
@@ -143,9 +142,9 @@ def test_an_ideal_joint_has_no_worn_radius(name):
 
 
 @pytest.mark.slow
-def test_peaks_and_damping_of_a_ball_are_those_of_the_law_as_worn():
-    """A ball at rest whose load grows by a thirtieth, in steps that follow its damper well: by the
-    law as made it would press a third harder, and its damper would be what that is off by."""
+def test_peaks_of_a_ball_are_those_of_the_law_as_worn():
+    """A ball at rest whose load grows by a thirtieth: by the law as made it would press a third
+    harder."""
     worn = {"S": {"socket": np.full((12, 12), CLEARANCE)}}
     state = jc.seated(rig(ball(True), 600.0), worn)
     run = jc.simulate(
@@ -158,4 +157,3 @@ def test_peaks_and_damping_of_a_ball_are_those_of_the_law_as_worn():
     largest = float(run.contact("S").normal_force.max())
     assert largest > 600
     assert float(jc.response.PeakContactForce("S")(run)) == pytest.approx(largest, rel=1e-9)
-    assert run.checks.figures[Check.DAMPER_STEP].worst.max() < 0.05
