@@ -29,6 +29,7 @@ def test_steps_on_groups_count_what_bristles_slide_from_the_touch_on_too():
     np.testing.assert_allclose(found, worn(27, TIGHT), rtol=2e-3)
 
 
+@pytest.mark.verified
 def test_what_bristles_wear_in_too_long_steps_is_said():
     """Within two hundredths is promised: indentations rise by a fifth in a step, and four parts in
     a hundred are missing."""

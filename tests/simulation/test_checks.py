@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.integrators import Check, Outcome
+from jaxclear.integrators import Outcome
+from jaxclear.integrators.checks import Check
 from jaxclear.simulation.simulate import run
 
 RPM = 2 * np.pi / 60
@@ -41,13 +42,13 @@ def test_a_drifting_loop_carries_a_sentence_and_a_projected_one_none():
     held = jc.simulate(ideal(2000, jc.Projection()), 0.02, save=21, integrator=integrator)
     said = drifting.result
     assert "with warnings" in said or "A loop came open" in said
-    assert Check.LOOP_DRIFT not in {c for c, worst, *_ in held.checks.rows() if worst > c.limit}
+    assert Check.LOOP_DRIFT not in {c for c, worst, *_ in held.invariants.rows() if worst > c.limit}
 
 
 def test_checks_stand_in_a_table_with_the_joint_and_the_limit():
     found = jc.simulate(ideal(500), 0.002, save=3, integrator=jc.integrator.ImplicitStep())
     assert found.warnings == () and found.result == "The run reached its end."
-    table = found.checks.table()
+    table = found.invariants.table()
     drift = table[table.check == "loop drift"].iloc[0]
     assert drift.joint == "B" and drift.within and drift.concerns == "motion"
     # Beside the crank, the shortest part of the loop.
@@ -88,7 +89,7 @@ def test_a_batch_keeps_the_figures_of_every_sample():
         return run(faster, start.coordinates, speed * start.speeds, times, integrator)
 
     found = jax.vmap(one)(jnp.array([1.0, 500.0]))
-    assert found.checks.any_beyond().tolist() == [False, True]
+    assert found.invariants.any_beyond().tolist() == [False, True]
     assert found.outcome.tolist() == [0, jc.integrator.Outcome.LOOP_TORN]
     assert found.ended[1] == times[1]
     np.testing.assert_array_equal(found.states[1, 1], found.states[1, 2])

@@ -40,7 +40,7 @@ def told(rung, saves=jc.Saving(7), scene=jc.scenes.slider_crank):
         start = assemble_arrays(rig)
         extras = simulation.Extras(events=saves.events)
         run = simulation.run(rig, start.coordinates, start.speeds, times, integrator, extras)
-        figures = {check.name: figure.worst for check, figure in run.checks.figures.items()}
+        figures = {check.name: figure.worst for check, figure in run.invariants.figures.items()}
         return run.states, figures, run.noted, run.accepted_steps, run.ended, run.outcome
 
     def watched(program, lanes):

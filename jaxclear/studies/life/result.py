@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.ground.datasets import provenance
 from jaxclear.ground.shown import AbstractShown
-from jaxclear.integrators import Checks
+from jaxclear.integrators.figures import Checks
 from jaxclear.results.response import concerned
 from jaxclear.results.saved_state import State
 from jaxclear.simulation.wear import Worn
