@@ -23,7 +23,7 @@ def clean():
 def warning(run):
     """The run, whose contact sinks in too far."""
     found = Figure(jnp.array([7.3]), jnp.array([1e-4]), ("B",))
-    return dataclasses.replace(run, checks=Checks.of({Check.INDENTATION: found}))
+    return dataclasses.replace(run, invariants=Checks.of({Check.INDENTATION: found}))
 
 
 def texts(figure):
