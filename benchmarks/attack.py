@@ -1,19 +1,21 @@
 """Random mechanisms, laws, rungs, speeds and loads: is any number wrong without a sentence?
 
     python -m benchmarks.attack [--quick] [--json FILE] [--only K ...] [--draws N] [--kept FILE]
-        [--first N] [--case N]
+        [--first N] [--builders] [--case N]
 
 Every case is a mechanism with numbers of its own. It is run by references, one ten times tighter
 than the other and one whose numbers are off in the fifth digit, and then as users run it. Every
-response is right within the accuracy that the book states for the rung; or the run said that it may
-not be (it was refused, ended early, or carries a warning that concerns the response); or the
+response is right within what the rung promises; or the run said that it may not be (it was refused,
+ended early, tells an error beyond that, or carries a warning that concerns the response); or the
 references disagree, which the run should have said too (chaotic motion); or it is silently wrong.
+The errors that runs tell are put beside the true ones.
 `--case N` prints all about case N. What `--kept` finds in its file is not run again, and what is
 run is added to it.
 """
 
 import argparse
 import json
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -38,6 +40,17 @@ SAVES = 201
 QUICK_EVERY, QUICK_DRAWS = 6, 3
 # What a run may not be.
 BAD = (Verdict.WRONG, Verdict.UNSAID, Verdict.RAW)
+# What an answer of a run turns out to be, and between which shares of the true error a told one is
+# told.
+ANSWERED = (
+    Verdict.RIGHT,
+    "right, yet warned",
+    Verdict.SAID,
+    Verdict.UNDECIDABLE,
+    Verdict.UNSAID,
+    Verdict.WRONG,
+)
+TOLD = (0.5, 10.0)
 
 
 class Row(NamedTuple):
@@ -117,7 +130,7 @@ def judged(
         begun = time.process_time()
         run = attempt(case, integrator, Asked(SAVES, structure.balance))
         spent = time.process_time() - begun
-        found = find(run, references(rung, integrator), rung.kind)
+        found = find(run, references(rung, integrator), rungs.promise_of(rung, integrator))
         words = "default" if integrator is None else describe(integrator)
         number = number_of(structure, draw)
         rows.append(Row(number, structure.name, name, words, found, spent))
@@ -150,6 +163,51 @@ def by_response(rows: list[Row]) -> list[dict[str, Any]]:
         }
         for name in RESPONSES
     ]
+
+
+def by_answer(rows: list[Row]) -> list[dict[str, Any]]:
+    """Answers by rung and verdict, right ones parted by whether they are warned of."""
+    table = []
+    for rung in [*dict.fromkeys(row.rung for row in rows), "all"]:
+        counts = Counter(
+            "right, yet warned"
+            if verdict == Verdict.RIGHT and name in row.found.warned
+            else verdict
+            for row in rows
+            if rung in (row.rung, "all")
+            for name, verdict in row.found.verdicts.items()
+        )
+        table.append(
+            {"rung": rung, "answers": counts.total()}
+            | {str(each): counts[each] for each in ANSWERED}
+        )
+    return table
+
+
+def told_beside_true(rows: list[Row]) -> list[dict[str, Any]]:
+    """By rung and by response, of answers whose error is decided and beyond a tenth of what is
+    promised, how many runs tell it as too small, as it is, and as too large."""
+    found = [
+        (row.rung, name, row.found.told[name] / error)
+        for row in rows
+        for name, error in row.found.errors.items()
+        if name in row.found.told and _counts(row.found, name)
+    ]
+    table = []
+    for label in [*dict.fromkeys(rung for rung, _, _ in found), *RESPONSES, "all"]:
+        own = [ratio for rung, name, ratio in found if label in (rung, name, "all")]
+        if own:
+            small, large = (sum(x < TOLD[0] for x in own), sum(not x <= TOLD[1] for x in own))
+            within = 100.0 * (len(own) - small - large) / len(own)
+            row = {"of": label, "answers": len(own), "told too small": small}
+            table.append(row | {"told too large": large, "told [%]": within})
+    return table
+
+
+def _counts(found: Finding, name: str) -> bool:
+    limit, error = found.limits[name], found.errors[name]
+    known = limit is not None and math.isfinite(error)
+    return known and error > limit / 10 and found.between[name] <= verdicts.DECISIVE * error
 
 
 def accused(rows: list[Row]) -> list[dict[str, Any]]:
@@ -186,9 +244,10 @@ def explain(number: int, one: Attack) -> None:
         print(f"\n{row.rung}, {row.integrator}: {row.verdict} ({row.seconds:.2g} s CPU)")
         found = row.found
         for name in found.verdicts:
+            told = found.told.get(name, float("nan"))
             print(
                 f"  {name:14s} {found.verdicts[name]:22s} error {found.errors[name]:9.2e}"
-                f"  references apart {found.doubts[name]:9.2e}"
+                f"  told {told:9.2e}  references apart {found.doubts[name]:9.2e}"
             )
         for sentence in found.said:
             print("  said:", sentence)
@@ -202,6 +261,7 @@ def _options(description: str | None) -> argparse.Namespace:
     parser.add_argument("--only", type=int, nargs="*", metavar="K", help="these structures")
     parser.add_argument("--draws", type=int, metavar="N", help="draws of each structure")
     parser.add_argument("--first", type=int, default=0, metavar="N", help="the first of these")
+    parser.add_argument("--builders", action="store_true", help="the first one of each builder")
     parser.add_argument("--kept", type=Path, metavar="FILE", help="runs that are done, as lines")
     return parser.parse_args()
 
@@ -243,6 +303,9 @@ def chosen(options: argparse.Namespace) -> list[Structure]:
     everything = structures()
     if options.only:
         return [everything[k] for k in options.only]
+    if options.builders:
+        first = {one.build: one for one in reversed(everything)}
+        everything = [one for one in everything if one is first[one.build]]
     mixed = [one for first in range(QUICK_EVERY) for one in everything[first::QUICK_EVERY]]
     return everything[::QUICK_EVERY] if options.quick else mixed
 
@@ -254,6 +317,8 @@ def tables(rows: list[Row]) -> dict[str, list[dict[str, Any]]]:
         "accuracy that a silent run is held to": verdicts.stated(),
         f"runs by rung, {mechanisms} mechanisms": summary(rows),
         f"answers by response, {mechanisms} mechanisms": by_response(rows),
+        f"answers by rung, {mechanisms} mechanisms": by_answer(rows),
+        "told beside true": told_beside_true(rows),
     }
     return found | ({"wrong without a sentence": accused(rows)} if accused(rows) else {})
 

@@ -2,18 +2,22 @@
 right one, and that a few of its cases are clean.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import jaxclear as jc
 from benchmarks import attack
-from benchmarks.attacks import laws, merged, verdicts
+from benchmarks.attacks import ideal, laws, merged, verdicts
 from benchmarks.attacks.answers import RESPONSES
-from benchmarks.attacks.attempts import Finding, attempt
+from benchmarks.attacks.attempts import Asked, Finding, attempt
 from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.structures import structures
-from benchmarks.attacks.verdicts import ACCURACY, Verdict
+from benchmarks.attacks.verdicts import Verdict
 from benchmarks.claims import extremes
+from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.promise import REFERENCE, RUNGE_KUTTA
 from jaxclear.laws.friction import AbstractForceFriction
 
 
@@ -64,12 +68,12 @@ def test_a_number_beyond_the_accuracy_counts_as_wrong_unless_a_warning_concerns_
 ):
     """`error`, `doubt` (how far two references are apart) and `spread` (by how much the answer
     moves with the numbers' fifth digit) in units of the stated accuracy."""
-    limit = ACCURACY["Adaptive"]["mean force"]
+    limit = REFERENCE.mean_force
     found = verdicts.judged(
         errors(mean_force=error * limit),
         errors(mean_force=doubt * limit),
         errors(mean_force=spread * limit),
-        "Adaptive",
+        REFERENCE,
         frozenset(warned),
     )
     assert found == {"mean force": verdict}
@@ -93,6 +97,9 @@ def test_what_is_kept_is_what_was_found(tmp_path):
         {"place": 0.0, "mean force": np.inf},
         ("a sentence",),
         frozenset({"mean force"}),
+        {"place": 2e-3, "mean force": np.inf},
+        {"place": 1e-3, "peak force": None},
+        {"place": 0.0, "mean force": 1e-9},
     )
     row = attack.Row(17, "pendulum, Hertz", "default", "Adaptive()", found, 0.25)
     file = tmp_path / "kept"
@@ -100,6 +107,48 @@ def test_what_is_kept_is_what_was_found(tmp_path):
     keep(file, "17", [row])
     keep(file, "18", [])
     assert known(file, attack.Row) == {"17": [row], "18": []}
+
+
+@pytest.mark.parametrize(
+    ("told", "failed", "warned"),
+    [
+        ({"mean force": 0.03, "worn depth": 0.03}, (), ()),
+        ({"mean force": 0.06, "worn depth": 0.03}, (), ("mean force",)),
+        ({"mean force": np.nan, "offset": 9.0}, (), ("mean force",)),
+        ({}, ("losses",), ("friction loss", "worn volume", "worn depth")),
+    ],
+)
+def test_a_run_warns_of_answers_whose_told_errors_are_beyond_its_promise(told, failed, warned):
+    """`offset` is not promised; `failed`: parts beyond the promise of a run without figures."""
+    promised = RUNGE_KUTTA._replace(gaps=None)
+    run = SimpleNamespace(invariants=Checks(), verification=SimpleNamespace(beyond=failed))
+    assert verdicts.concerned(run, told, promised) == frozenset(warned)
+
+
+def row_of(told, true, apart=0.0, rung="default"):
+    """A run whose place is off by so many times its promise, and what it tells of that."""
+    found = Finding(
+        Verdict.RIGHT, {}, {"place": true}, {}, (), told={"place": told}, limits={"place": 1.0}
+    )
+    return attack.Row(1, "pendulum", rung, "", found._replace(between={"place": apart}), 0.0)
+
+
+def test_told_errors_stand_beside_true_ones_that_count():
+    counted = [row_of(told, 0.5) for told in (0.1, 0.3, 2.0, 5.1)]
+    small, unsure = row_of(9.0, 0.09), row_of(9.0, 0.3, apart=0.2)
+    (default, *_, everything) = attack.told_beside_true([*counted, small, unsure])
+    wanted = {"answers": 4, "told too small": 1, "told too large": 1, "told [%]": 50.0}
+    assert default == {"of": "default"} | wanted and everything == {"of": "all"} | wanted
+
+
+def test_a_run_without_contacts_tells_errors_of_its_reactions():
+    slide = next(one for one in structures() if one.build is ideal.shaken_slide)
+    coarse, fine = (
+        attempt(slide.case(0), jc.integrator.FixedStep(step), Asked(saves=11)).told
+        for step in (5e-4, 2.5e-4)
+    )
+    assert set(coarse) == {"place", "mean force", "peak force"}
+    assert all(0 < fine[name] < 0.2 * coarse[name] for name in coarse)
 
 
 def test_tables_of_several_attacks_are_added_up():

@@ -7,6 +7,8 @@ references are saved so often that their peaks are those of the saved instants.
 """
 
 import warnings
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,6 +20,7 @@ import jaxclear as jc
 from benchmarks.attacks import answers, rungs, verdicts
 from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.verdicts import Verdict
+from jaxclear.integrators.promise import Promise
 from jaxclear.multibody.system import prepare
 from jaxclear.simulation.wear import unworn
 
@@ -27,33 +30,39 @@ NUDGE = 1e-5
 # Saving times of a compliant reference for each of a run: its peaks are the largest forces there,
 # which the responses that are judged have no part in.
 DENSE = 100
+NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 class Asked(NamedTuple):
     """How a case is run: number of saving times, whether the energy balance is kept, the depth
     [m] to which surfaces are worn at the start, on one side (None: new), and how often it is saved
-    for each of these times."""
+    for each of these times; whether replicas
+    tell its errors."""
 
     saves: int = 201
     balance: bool = True
     worn: float | None = None
     every: int = 1
+    verify: bool = True
 
 
 class Attempt(NamedTuple):
     """What came of a run: its answers, or the sentence it ended with; `raw`: no sentence but a
-    traceback; `warned`: the responses that its warnings concern, `sentences` the warnings."""
+    traceback; `warned`: the responses that its warnings concern, `sentences` the warnings; `told`:
+    the errors that it tells of its responses, as shares."""
 
     answers: Any
     ended: str
     raw: bool = False
     warned: frozenset[str] = frozenset()
     sentences: tuple[str, ...] = ()
+    told: Mapping[str, float] = NONE
 
 
 class Finding(NamedTuple):
     """Verdict on a run; verdicts, errors and doubts (how far references are apart) by response,
-    what was said, and the responses that were warned of."""
+    what was said, the responses that were warned of, the errors that the run told of them, what is
+    promised of them, and how far the references of these very numbers are apart."""
 
     verdict: Verdict
     verdicts: dict[str, Verdict]
@@ -61,6 +70,9 @@ class Finding(NamedTuple):
     doubts: dict[str, float]
     said: tuple[str, ...]
     warned: frozenset[str] = frozenset()
+    told: Mapping[str, float] = NONE
+    limits: Mapping[str, float | None] = NONE
+    between: Mapping[str, float] = NONE
 
 
 def attempt(case: Case, integrator: Any, asked: Asked) -> Attempt:
@@ -73,10 +85,11 @@ def attempt(case: Case, integrator: Any, asked: Asked) -> Attempt:
         if not run.succeeded:
             return Attempt(None, run.result)
         wears = answers.surfaces(case.mechanism)
-        found = answers.read(run, asked.balance, wears, asked.every)
-        found = jax.tree.map(np.asarray, found)
+        found, told = answers.read(run, asked.balance, wears, asked.every), answers.told(run)
         shared = verdicts.OF_ALL_MODELS if case.seated else verdicts.OF_THE_MODEL
-        return Attempt(found, "", False, verdicts.concerned(run, shared), run.warnings)
+        promised = (integrator or jc.integrator.Adaptive()).promise
+        warned = verdicts.concerned(run, told, promised, shared)
+        return Attempt(found, "", False, warned, run.warnings, told)
     except ValueError as error:
         return Attempt(None, str(error))
     except Exception as error:
@@ -92,6 +105,7 @@ def _run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
         state=_begin(case, integrator, asked),
         balance=asked.balance,
         throw=False,
+        verify=asked.verify,
     )
 
 
@@ -119,6 +133,7 @@ def judges(case: Case, model: str, step: float | None, asked: Asked) -> tuple[At
     loose, tight = rungs.references(model, step)
     rig = case.reference or case.mechanism
     near = nudged(rig)
+    asked = asked._replace(verify=False)
     if model == "compliant" and rig.topology.clearances:
         asked = asked._replace(every=DENSE)
     return tuple(
@@ -139,8 +154,8 @@ def nudged(rig: jc.Mechanism) -> jc.Mechanism:
     return jax.tree.map(moved, rig)
 
 
-def find(run: Attempt, known: tuple[Attempt, ...], kind: str) -> Finding:
-    """The verdict on a run beside its references, held to the accuracy of its `kind`."""
+def find(run: Attempt, known: tuple[Attempt, ...], promise: Promise) -> Finding:
+    """The verdict on a run beside its references, held to what is promised of it."""
     said = tuple(sentence for sentence in (run.ended, *run.sentences) if sentence)
     if run.raw:
         return Finding(Verdict.RAW, {}, {}, {}, said)
@@ -155,6 +170,8 @@ def find(run: Attempt, known: tuple[Attempt, ...], kind: str) -> Finding:
     doubts, spread = answers.apart(loose, tight), answers.apart(near, tight)
     sampled = answers.sampling(tight)
     spread = {name: max(value, sampled.get(name, value)) for name, value in spread.items()}
-    found = verdicts.judged(errors, doubts, spread, kind, run.warned)
+    found = verdicts.judged(errors, doubts, spread, promise, run.warned)
     unsure = {name: max(doubts[name], spread[name]) for name in errors}
-    return Finding(verdicts.worst(found.values()), found, errors, unsure, said, run.warned)
+    verdict = verdicts.worst(found.values())
+    limits = verdicts.accuracy(promise)
+    return Finding(verdict, found, errors, unsure, said, run.warned, run.told, limits, doubts)

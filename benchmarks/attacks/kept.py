@@ -9,6 +9,9 @@ from typing import Any
 from benchmarks.attacks.attempts import Finding
 from benchmarks.attacks.verdicts import Verdict
 
+# What earlier files do not have.
+LATER = ("told", "limits", "between")
+
 
 def keep(path: Path | None, key: str, rows: list[Any]) -> None:
     """Add the rows of a case, named tuples with what was `found`, to the file, if there is one."""
@@ -30,7 +33,8 @@ def known(path: Path | None, kind: Any) -> dict[str, list[Any]]:
 
 
 def _plain(found: Finding) -> dict[str, Any]:
-    return found._asdict() | {"warned": sorted(found.warned)}
+    parts = {name: dict(getattr(found, name)) for name in LATER}
+    return found._asdict() | {"warned": sorted(found.warned)} | parts
 
 
 def _found(plain: dict[str, Any]) -> Finding:
@@ -41,4 +45,5 @@ def _found(plain: dict[str, Any]) -> Finding:
         plain["doubts"],
         tuple(plain["said"]),
         frozenset(plain["warned"]),
+        *(plain.get(name, {}) for name in LATER),
     )

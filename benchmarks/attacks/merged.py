@@ -11,8 +11,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-# A share of the runs that are right.
-SHARE, OF = "right, yet warned [%]", "right"
+# Shares, and of which count each is one.
+SHARES = {"right, yet warned [%]": "right", "told [%]": "answers"}
 # Tables that hold what all runs are judged by, alike in every file, and single runs.
 RULES, RUNS = "accuracy that a silent run is held to", "wrong without a sentence"
 Table = list[dict[str, Any]]
@@ -24,11 +24,12 @@ def added(tables: list[Table]) -> Table:
     found: dict[str, dict[str, Any]] = {}
     for row in (row for table in tables for row in table):
         own = found.setdefault(row[label], {label: row[label]})
-        if SHARE in row:
-            warned = own.get(SHARE, 0.0) * own.get(OF, 0) + row[SHARE] * row[OF]
-            own[SHARE] = warned / max(own.get(OF, 0) + row[OF], 1)
+        for share, of in SHARES.items():
+            if share in row:
+                counted = own.get(share, 0.0) * own.get(of, 0) + row[share] * row[of]
+                own[share] = counted / max(own.get(of, 0) + row[of], 1)
         for name, count in row.items():
-            if name not in (label, SHARE):
+            if name != label and name not in SHARES:
                 own[name] = own.get(name, 0) + count
     order = list(tables[0][0])
     rows = [{name: row[name] for name in order} for row in found.values()]

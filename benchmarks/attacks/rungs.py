@@ -12,45 +12,47 @@ from typing import Any, NamedTuple
 import jaxclear as jc
 from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.numbers import Draw
+from jaxclear.integrators.promise import STUDIES, Promise
 from jaxclear.studies.usual_integrator import usual_integrator
 
 I = jc.integrator  # noqa: E741
 
 
 class Rung(NamedTuple):
-    """`make(draw, case)`: the integrator, None for the one that `simulate` takes unasked; `kind`:
-    whose accuracy it is held to."""
+    """`make(draw, case)`: the integrator, None for the one that `simulate` takes unasked;
+    `promised`: what it is held to (None: to what its integrator promises)."""
 
     make: Callable[[Draw, Case], Any]
-    kind: str
     model: str = "compliant"
+    promised: Promise | None = None
+
+
+def promise_of(rung: Rung, integrator: Any) -> Promise:
+    """What this integrator of a rung is held to."""
+    return rung.promised or (integrator or I.Adaptive()).promise
 
 
 # Steps [s] are drawn about those that the book names.
 RUNGS: dict[str, Rung] = {
-    "default": Rung(lambda n, _: None, "Adaptive"),
-    "default of studies": Rung(lambda _, case: of_studies(case), "default of studies"),
-    "FixedStep as it comes": Rung(lambda n, _: I.FixedStep(), "default of studies"),
-    "Adaptive, tight": Rung(lambda n, _: _adaptive(n.log(1e-9, 1e-7, 1e-8)), "Adaptive"),
-    "Adaptive, loose": Rung(lambda n, _: _adaptive(n.log(1e-6, 1e-4, 1e-5)), "Adaptive, loose"),
-    "FixedStep": Rung(lambda n, _: I.FixedStep(n.log(1e-6, 1e-4, 2e-5)), "FixedStep rk4"),
+    "default": Rung(lambda n, _: None),
+    "default of studies": Rung(lambda _, case: of_studies(case), promised=STUDIES),
+    "FixedStep as it comes": Rung(lambda n, _: I.FixedStep(), promised=STUDIES),
+    "Adaptive, tight": Rung(lambda n, _: _adaptive(n.log(1e-9, 1e-7, 1e-8))),
+    "Adaptive, loose": Rung(lambda n, _: _adaptive(n.log(1e-6, 1e-4, 1e-5))),
+    "FixedStep": Rung(lambda n, _: I.FixedStep(n.log(1e-6, 1e-4, 2e-5))),
     "FixedStep semi_implicit": Rung(
-        lambda n, _: I.FixedStep(n.log(1e-6, 1e-4, 1e-5), "semi_implicit"), "FixedStep order 1"
+        lambda n, _: I.FixedStep(n.log(1e-6, 1e-4, 1e-5), "semi_implicit")
     ),
-    "FixedStep heun": Rung(
-        lambda n, _: I.FixedStep(n.log(1e-6, 1e-4, 1e-5), "heun"), "FixedStep rk4"
-    ),
+    "FixedStep heun": Rung(lambda n, _: I.FixedStep(n.log(1e-6, 1e-4, 1e-5), "heun")),
     "FixedStep, contact_steps": Rung(
-        lambda n, _: I.FixedStep(n.log(1e-5, 1e-3, 1e-4), contact_steps=20), "FixedStep rk4"
+        lambda n, _: I.FixedStep(n.log(1e-5, 1e-3, 1e-4), contact_steps=20)
     ),
     "FixedStep munthe_kaas4": Rung(
-        lambda n, _: I.FixedStep(n.log(1e-6, 1e-4, 2e-5), "munthe_kaas4"), "FixedStep rk4"
+        lambda n, _: I.FixedStep(n.log(1e-6, 1e-4, 2e-5), "munthe_kaas4")
     ),
-    "ImplicitStep": Rung(lambda n, _: I.ImplicitStep(n.log(1e-5, 1e-3, 1e-4)), "ImplicitStep"),
-    "MoreauJean": Rung(lambda n, _: I.MoreauJean(n.log(1e-5, 1e-3, 1e-4)), "MoreauJean", "rigid"),
-    "NonColliding": Rung(
-        lambda n, _: I.NonColliding(n.log(1e-4, 1e-2, 1e-3)), "NonColliding", "permanent"
-    ),
+    "ImplicitStep": Rung(lambda n, _: I.ImplicitStep(n.log(1e-5, 1e-3, 1e-4))),
+    "MoreauJean": Rung(lambda n, _: I.MoreauJean(n.log(1e-5, 1e-3, 1e-4)), "rigid"),
+    "NonColliding": Rung(lambda n, _: I.NonColliding(n.log(1e-4, 1e-2, 1e-3)), "permanent"),
 }
 # Steps [s] of references.
 SHORTEST = 5e-7

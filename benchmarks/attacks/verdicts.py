@@ -1,7 +1,7 @@
 """Whether a run's answers are right, said to be doubtful, undecidable, or silently wrong.
 
-The accuracy a rung is held to when it says nothing stands in `ACCURACY`; the book's page on
-accuracy shows this table. It is that of the model the rung has.
+A rung that says nothing is held to what its integrator promises (`jaxclear.integrators.promise`);
+the book's page on accuracy shows this table. It is that of the model the rung has.
 """
 
 from enum import StrEnum
@@ -9,44 +9,52 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.attacks.answers import RESPONSES
+from jaxclear.integrators import promise
 from jaxclear.integrators.checks import Check
+from jaxclear.integrators.promise import Promise
 from jaxclear.results.abstract_response import REACHES
-
-
-def _accuracy(
-    place: float, offset: float | None, mean: float, peak: float | None, loss: float, drift: float
-) -> dict[str, float | None]:
-    """One row of the table: losses are those of friction and wear."""
-    values = (place, offset, mean, peak, loss, loss, loss, drift)
-    return dict(zip(RESPONSES, values, strict=True))
 
 
 # Of every rung: the limit beyond which a run warns of it.
 DRIFT = Check.LOOP_DRIFT.limit
-# A journal that may be anywhere in its gap is off by two clearances, of the hundred by which places
-# are measured at least.
-GAP = 0.02
-# Largest error of a run that reached its end and says nothing: shares, as `answers` takes them.
-# None: not promised.
-ACCURACY: dict[str, dict[str, float | None]] = {
-    "Adaptive": _accuracy(0.001, 0.02, 0.02, 0.05, 0.02, DRIFT),
-    "Adaptive, loose": _accuracy(0.005, 0.1, 0.1, 0.2, 0.1, DRIFT),
-    "default of studies": _accuracy(0.005, 0.05, 0.02, 0.1, 0.02, DRIFT),
-    "FixedStep rk4": _accuracy(0.005, 0.05, 0.05, 0.2, 0.05, DRIFT),
-    "FixedStep order 1": _accuracy(GAP, None, 0.1, 0.3, 0.1, DRIFT),
-    "ImplicitStep": _accuracy(GAP, None, 0.1, 0.5, 0.1, DRIFT),
-    "MoreauJean": _accuracy(GAP, None, 0.1, None, 0.1, DRIFT),
-    "NonColliding": _accuracy(GAP, None, 0.05, None, 0.05, DRIFT),
+# Which part of a promise holds of each response.
+PARTS = {
+    "place": "places",
+    "offset": "gaps",
+    "mean force": "mean_force",
+    "peak force": "peak_force",
+    "friction loss": "losses",
+    "worn volume": "losses",
+    "worn depth": "losses",
 }
+# Of every kind of rung, as the book names it.
+PROMISES = {
+    "Adaptive": promise.REFERENCE,
+    "Adaptive, loose": promise.LOOSE,
+    "default of studies": promise.STUDIES,
+    "FixedStep rk4": promise.RUNGE_KUTTA,
+    "FixedStep order 1": promise.FIRST_ORDER,
+    "ImplicitStep": promise.IMPLICIT,
+    "MoreauJean": promise.RIGID,
+    "NonColliding": promise.PERMANENT,
+}
+
+
+def accuracy(promised: Promise) -> dict[str, float | None]:
+    """Largest error of a run that reached its end and says nothing: shares by response, as
+    `answers` takes them. None: not promised."""
+    return {name: getattr(promised, part) for name, part in PARTS.items()} | {"drift": DRIFT}
 
 
 def stated() -> list[dict[str, str]]:
     """The table as the book shows it."""
     return [
         {"rung": kind}
-        | {name: "–" if limit is None else f"{100 * limit:g} %" for name, limit in row.items()}
-        for kind, row in ACCURACY.items()
+        | {
+            name: "–" if limit is None else f"{100 * limit:g} %"
+            for name, limit in accuracy(promised).items()
+        }
+        for kind, promised in PROMISES.items()
     ]
 
 
@@ -84,9 +92,9 @@ DRAWN_FROM: dict[str, str] = {
 }
 
 
-# What speaks of laws and loads, which references share; and of a model beside others, which those
-# of another model judge.
-OF_ALL_MODELS = {Check.INDENTATION}
+# What speaks of laws, loads and cells, which references share; and of a model beside others, which
+# those of another model judge.
+OF_ALL_MODELS = {Check.INDENTATION, Check.WEAR_BY_CELLS}
 OF_THE_MODEL = OF_ALL_MODELS | {
     Check.COULOMB_FRICTION,
     Check.COLLAR_FORCE,
@@ -100,7 +108,7 @@ def judged(
     errors: dict[str, float],
     doubts: dict[str, float],
     spread: dict[str, float],
-    kind: str,
+    promised: Promise,
     warned: frozenset[str],
 ) -> dict[str, Verdict]:
     """Verdict on each response by its error.
@@ -110,8 +118,9 @@ def judged(
     make a right answer doubtful; `warned`: the responses that the run's warnings concern.
     """
     found: dict[str, Verdict] = {}
+    limits = accuracy(promised)
     for name, error in errors.items():
-        limit = ACCURACY[kind][name]
+        limit = limits[name]
         if limit is None or (np.isnan(error) and np.isnan(doubts[name])):
             continue
         # Drift is measured on the run itself.
@@ -137,18 +146,25 @@ def worst(verdicts: Any) -> Verdict:
     return max(verdicts, key=order.index, default=Verdict.RIGHT)
 
 
-def concerned(run: Any, shared: set[Check] = OF_THE_MODEL) -> frozenset[str]:
-    """The responses that a run's warnings concern, those `shared` with its references aside. Where
-    there are no contacts the mean force is that of reactions at the saved instants."""
-    touches = bool(run.formulation.contact_joints(run.mechanism))
-    return of_checks(run.checks, {} if touches else {"mean force": "peak forces"}, shared)
-
-
-def of_checks(
-    checks: Any, drawn: dict[str, str] | None = None, shared: set[Check] = OF_THE_MODEL
+def concerned(
+    run: Any, told: dict[str, float], promised: Promise, shared: set[Check] = OF_THE_MODEL
 ) -> frozenset[str]:
+    """The responses that a run warns of: those whose `told` errors are beyond what its integrator
+    has `promised` (all, where its replicas failed), and those that its checks concern, those
+    `shared` with its references aside."""
+    limits = accuracy(promised)
+    off = {name for name, error in told.items() if _beyond(error, limits[name])}
+    failed = {name for name, part in PARTS.items() if part in run.verification.beyond}
+    return of_checks(run.invariants, shared) | (off if told else failed)
+
+
+def _beyond(error: float, limit: float | None) -> bool:
+    return limit is not None and not error <= limit
+
+
+def of_checks(checks: Any, shared: set[Check] = OF_THE_MODEL) -> frozenset[str]:
     """The responses that figures beyond their limits concern; those that are `shared` judge no
-    rung. `drawn`: what of a run some of them are drawn from, where not as usual."""
+    rung."""
     beyond = {check for check, flag in checks.beyond().items() if np.any(flag)} - shared
     reached = {part for check in beyond for part in REACHES[check.concerns]}
-    return frozenset(name for name, part in (DRAWN_FROM | (drawn or {})).items() if part in reached)
+    return frozenset(name for name, part in DRAWN_FROM.items() if part in reached)

@@ -2,7 +2,8 @@
 
 Places are judged beside the longest way of a body, or a hundred times the widest gap if that is
 more: bodies that go less far only move within their gaps. Places in gaps are judged beside the
-clearance, forces beside the largest of all joints, wear beside the surface that wears most.
+clearance, forces beside the largest of all joints, wear beside the surface that wears most; all of
+them as the finest run tells them, as errors are shares of what an answer is.
 """
 
 from typing import Any, NamedTuple
@@ -145,17 +146,20 @@ def _in_gaps(now: Instant) -> tuple:
     return tuple(found)
 
 
-def apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
-    """How far two runs are apart, by answer; `run`: the one that is judged, whose names are
-    told."""
-    one, other = (Observables(*map(_numbers, each)) for each in (one, other))
+def apart(
+    run: Trajectory, one: Observables, other: Observables, finest: Observables
+) -> list[Apart]:
+    """How far two runs are apart, by answer; `run`: the first of them, which is judged and whose
+    names are told; `finest`: the run that is nearest to what answers are, beside which they are
+    judged."""
+    one, other, finest = (Observables(*map(_numbers, each)) for each in (one, other, finest))
     widest = 0.0 if one.rooms is None else float(np.max(np.asarray(one.rooms), initial=0.0))
-    way = float(np.max(np.abs(one.centres - one.centres[:1]), initial=0.0))
-    turned = _angle(one.axes, one.axes[:1])
-    off = float(np.max(np.abs(one.centres - other.centres), initial=0.0))
     arm = float(one.arm)
-    ways = max(way, GAPS * widest, AT_REST * arm)
-    angles = max(turned, GAPS * widest / arm if arm > 0 else 0.0, AT_REST)
+    way, longest = (_way(each.centres) for each in (one, finest))
+    turned, most = (_angle(each.axes, each.axes[:1]) for each in (one, finest))
+    ways = max(longest, GAPS * widest, AT_REST * arm)
+    angles = max(most, GAPS * widest / arm if arm > 0 else 0.0, AT_REST)
+    off = float(np.max(np.abs(one.centres - other.centres), initial=0.0))
     turned_off = _angle(one.axes, other.axes)
     found = [
         Apart("places of bodies", "places", "", "m", way, off, ways),
@@ -165,22 +169,30 @@ def apart(run: Trajectory, one: Observables, other: Observables) -> list[Apart]:
     joints = run.formulation.contact_joints(run.mechanism)
     of_joints = (("mean contact force", "mean_force"), ("peak contact force", "peak_force"))
     for answer, part in of_joints:
-        forces = getattr(one, part)
-        if forces is not None and len(forces):
-            found += _by_place(answer, part, "N", joints, forces, getattr(other, part))
+        forces = [getattr(each, part) for each in (one, other, finest)]
+        if forces[0] is not None and len(forces[0]):
+            found += _by_place(answer, part, "N", joints, *forces)
     if one.friction_loss is not None:
-        loss, less = (float(np.asarray(each.friction_loss)) for each in (one, other))
-        scale = max(loss, LEAST_LOSS * float(np.asarray(one.turnover))) or less
+        loss, less, last = (float(np.asarray(each.friction_loss)) for each in (one, other, finest))
+        scale = max(last, LEAST_LOSS * float(np.asarray(finest.turnover))) or max(loss, less)
         if max(loss, less) > 0:
             row = "friction loss", "losses", "", "J", loss, abs(loss - less), scale
             found.append(Apart(*row))
     places = [f"{joint}, {surface}" for joint, own in run.worn.items() for surface in own]
     if places:
         least = NO_WEAR * float(np.sqrt(np.max(one.area)))
-        of_wear = one.volume, other.volume, least * float(np.max(one.area))
-        found += _by_place("worn volume", "losses", "m^3", places, *of_wear)
-        found += _by_place("worn depth", "losses", "m", places, one.depth, other.depth, least)
+        volumes = one.volume, other.volume, finest.volume
+        found += _by_place(
+            "worn volume", "losses", "m^3", places, *volumes, least * float(np.max(one.area))
+        )
+        depths = one.depth, other.depth, finest.depth
+        found += _by_place("worn depth", "losses", "m", places, *depths, least)
     return found
+
+
+def _way(history: Any) -> float:
+    """The longest way from where it begins."""
+    return float(np.max(np.abs(history - history[:1]), initial=0.0))
 
 
 def _angle(one: Any, other: Any) -> float:
@@ -210,11 +222,18 @@ def _gaps_apart(run: Trajectory, one: Observables, other: Observables) -> list[A
 
 
 def _by_place(
-    answer: str, part: str, unit: str, places: Any, one: Any, other: Any, least: float = 0.0
+    answer: str,
+    part: str,
+    unit: str,
+    places: Any,
+    one: Any,
+    other: Any,
+    finest: Any,
+    least: float = 0.0,
 ) -> list[Apart]:
-    """Of an answer by place, judged beside the largest of all (of the `other` run's where there
-    is none in this), or beside the `least` that counts."""
-    largest = float(np.max(np.abs(one))) or float(np.max(np.abs(other)))
+    """Of an answer by place, judged beside the `finest` one that is largest (of all runs where
+    there is none in this), or beside the `least` that counts."""
+    largest = float(np.max(np.abs(finest))) or float(np.max(np.abs(one)))
     scale = max(largest, least)
     rows = zip(places, one, other, strict=True)
     return [

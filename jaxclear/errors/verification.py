@@ -81,7 +81,7 @@ def _verification(
         if not replicas[-1].succeeded:
             return Failed(replicas[-1].result)
         seen.append(observed(replicas[-1]))
-        rows = list(zip(*(apart(run, own, other) for other in seen), strict=True))
+        rows = list(zip(*(apart(run, own, other, seen[-1]) for other in seen), strict=True))
         shares = [(float(richardson([each.share for each in row])), row[0].part) for row in rows]
         limits = [(share, getattr(promise, part)) for share, part in shares]
         if not any(limit is not None and not share <= DOUBT * limit for share, limit in limits):
@@ -120,7 +120,7 @@ def _lost(
     grow e-fold [s]; None where it does not; which answers are lost by that), from how far a `finer`
     run and the same with its start `moved` are apart."""
     other = observed(moved)
-    rows = [(row, getattr(promise, row.part)) for row in apart(run, finer, other)]
+    rows = [(row, getattr(promise, row.part)) for row in apart(run, finer, other, finer)]
     lost = np.array([limit is not None and row.share > limit for row, limit in rows])
     off = parted(finer, other)
     beyond = off > promise.gaps

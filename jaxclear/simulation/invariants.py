@@ -266,7 +266,7 @@ def _judging(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
 
     def judged(now: Instant) -> dict[str, Any]:
         told: dict[Check, Array] = {}
-        told |= {Check.LOOP_DRIFT: _openings(now)} if system.closures else {}
+        told |= {Check.LOOP_DRIFT: openings(now)} if system.closures else {}
         verdict = _ending({check: told[check] for check in ENDING if check in told})
         said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
         # Worked out once, for all that ask.
@@ -321,7 +321,7 @@ def _gains(small: Any, energies: Float[Array, "looks 3"], moved: bool) -> Float[
     return safe_divide(positive_part(kinetic + potential - start), scale)
 
 
-def _openings(now: Instant) -> Float[Array, " loops"]:
+def openings(now: Instant) -> Float[Array, " loops"]:
     """Largest residual of each loop's closure: displacements beside its shortest part, cosines as
     they are."""
     openings, system = [], now.model.system
