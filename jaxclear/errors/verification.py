@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from jaxclear.errors.observables import Apart, Observables, apart, observed, parted
+from jaxclear.errors.accuracy import DRAWN, Asked, Seen, named
+from jaxclear.errors.observables import Apart, parted
 from jaxclear.errors.replicas import replica, thinned
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.base import AbstractIntegrator
@@ -40,6 +41,7 @@ WORDS = {
     "mean_force": "of the largest",
     "peak_force": "of the largest",
     "losses": "of the largest",
+    DRAWN: "of itself",
 }
 
 
@@ -69,13 +71,15 @@ class Lost(NamedTuple):
 class Verified(AbstractVerification):
     """A run with `replicas`, as responses see them, the coarser one first; `told`: its standard
     answers; `promise`: of its integrator; `lost`: where its path is no answer (None: it is one);
-    `since` [s]: where the run began, from where on errors count."""
+    `since` [s]: where the run began, from where on errors count; `why`: what its integrator was
+    chosen for ("": it was given)."""
 
     replicas: tuple[Trajectory, ...]
     told: tuple[Told, ...] = eqx.field(static=True)
     promise: Promise = eqx.field(static=True)
     lost: Lost | None = eqx.field(static=True, default=None)
     since: float = eqx.field(static=True, default=0.0)
+    why: str = eqx.field(static=True, default="")
 
     @property
     def beyond(self):
@@ -118,7 +122,7 @@ class Verified(AbstractVerification):
         return pandas.DataFrame(
             [
                 {
-                    "answer": _named(each.apart),
+                    "answer": named(each.apart),
                     "value": each.apart.value,
                     "error": each.error,
                     "unit": each.apart.unit,
@@ -130,11 +134,11 @@ class Verified(AbstractVerification):
         )
 
     def attributes(self):
-        rows = [f"{_named(t.apart)}: {t.error:.2g} {t.apart.unit}" for t in self.told]
+        rows = [f"{named(t.apart)}: {t.error:.2g} {t.apart.unit}" for t in self.told]
         return {"numerical errors": "; ".join(rows)}
 
     def __str__(self) -> str:
-        names = [_named(told.apart) for told in self.told]
+        names = [named(told.apart) for told in self.told]
         width = max(map(len, names))
         lines = [f"{'answer':{width}}  {'value ± numerical error':28}{'share':>9}{'promised':>10}"]
         for name, (one, error, share, promised) in zip(names, self.told, strict=True):
@@ -142,7 +146,7 @@ class Verified(AbstractVerification):
             own = "–" if promised is None else f"{100 * promised:.2g} %"
             mark = "  <- beyond" if promised is not None and not share <= promised else ""
             lines.append(f"{name:{width}}  {number:28}{100 * share:7.2g} %{own:>10}{mark}")
-        return "\n".join([*lines, f"Numerical errors are {self._how()}."])
+        return "\n".join([*lines, f"Numerical errors are {self._how()}. {self.why}".rstrip()])
 
 
 def told_error(differences: list[Any]) -> Any:
@@ -156,11 +160,15 @@ def verified(
     integrator: AbstractIntegrator,
     again: Callable[..., Trajectory],
     verify: bool | None,
+    asked: Asked | None = None,
 ) -> Trajectory:
     """The run with what its replicas tell; `again(replica, moved)`: the same run as that
-    `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where they take seconds at the most)."""
+    `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where
+    they take seconds at the most). `asked`: the accuracy (None: what the integrator promises)."""
+    asked = Asked(integrator.promise) if asked is None else asked
     why = _why_not(run, verify)
     if why:
+        why = f"{why}. {asked.why.removesuffix('.')}" if asked.why else why
         return dataclasses.replace(run, verification=Unverified(why))
     plans = [replica(integrator, run.time, share) for share in (HALF, QUARTER)]
     if plans[0] is None:
@@ -169,24 +177,26 @@ def verified(
     def repeated(plan: Any, moved: float = 0.0) -> Trajectory:
         return thinned(again(plan, moved), plan.every)
 
-    promise, own = integrator.promise, observed(run)
+    own = asked.seen(run)
     replicas = [repeated(plans[0])]
     if not replicas[0].succeeded:
         return dataclasses.replace(run, verification=Failed(replicas[0].result))
-    seen = [observed(replicas[0])]
-    told = _told(run, own, seen, promise)
+    seen = [asked.seen(replicas[0])]
+    told = _told(run, own, seen, asked)
     if any(t.promised is not None and not t.share <= DOUBT * t.promised for t in told):
         replicas.append(repeated(plans[1]))
         if not replicas[1].succeeded:
             return dataclasses.replace(run, verification=Failed(replicas[1].result))
-        seen.append(observed(replicas[1]))
-        told = _told(run, own, seen, promise)
+        seen.append(asked.seen(replicas[1]))
+        told = _told(run, own, seen, asked)
     lost = None
-    if any(t.beyond and t.apart.part == "gaps" for t in told):
-        lost = _lost(run, seen[0], repeated(plans[0], TENTH_DIGIT), promise.gaps)
+    limits = [t.promised for t in told if t.beyond and t.apart.part == "gaps"]
+    if limits:
+        lost = _lost(run, asked, seen[0], repeated(plans[0], TENTH_DIGIT), min(limits))
     known = tuple(dataclasses.replace(each, verification=Unverified()) for each in replicas)
     since = float(run.time[0])
-    return dataclasses.replace(run, verification=Verified(known, tuple(told), promise, lost, since))
+    found = Verified(known, tuple(told), asked.promise, lost, since, asked.why)
+    return dataclasses.replace(run, verification=found)
 
 
 def _why_not(run: Trajectory, verify: bool | None) -> str:
@@ -228,30 +238,28 @@ class Failed(AbstractVerification):
         return {"verification": str(self)}
 
 
-def _told(
-    run: Trajectory, own: Observables, seen: list[Observables], promise: Promise
-) -> list[Told]:
-    """The standard answers of a run beside what its replicas say."""
-    rows = zip(*(apart(run, own, other) for other in seen), strict=True)
+def _told(run: Trajectory, own: Seen, seen: list[Seen], asked: Asked) -> list[Told]:
+    """The answers of a run beside what its replicas say."""
+    rows = zip(*(asked.apart(run, own, other) for other in seen), strict=True)
     return [
         Told(
             row[0],
             float(told_error([each.off for each in row])),
             float(told_error([each.share for each in row])),
-            getattr(promise, row[0].part),
+            asked.promised(row[0]),
         )
         for row in rows
     ]
 
 
 def _lost(
-    run: Trajectory, finer: Observables, moved: Trajectory, limit: float | None
+    run: Trajectory, asked: Asked, finer: Seen, moved: Trajectory, limit: float
 ) -> Lost | None:
     """Where a path hangs on the tenth digit of its start, from how far a finer run and the same
     with its start moved are apart in gaps; None where they agree."""
-    if not moved.succeeded or limit is None:
+    if not moved.succeeded:
         return None
-    off = parted(finer, observed(moved))
+    off = parted(finer.standard, asked.seen(moved).standard)
     beyond = off > limit
     if not beyond.any():
         return None
@@ -261,14 +269,10 @@ def _lost(
     return Lost(float(run.time[first]), elapsed / max(math.log(float(off[first]) / began), 1.0))
 
 
-def _named(one: Apart) -> str:
-    return f'{one.answer}, "{one.place}"' if one.place else one.answer
-
-
 def _sentence(beyond: list[Told]) -> str:
     """What is off, by how much, and what to do, of the answers that are furthest beyond."""
     worst = beyond[0]
     more = f" (and {len(beyond) - 1} more answers)" if len(beyond) > 1 else ""
     told = f"{worst.share:.2g} {WORDS[worst.apart.part]} ({worst.promised:g} promised)"
-    name = _named(worst.apart)
+    name = named(worst.apart)
     return f"{name[0].upper()}{name[1:]}: error about {told}{more}; take shorter steps."
