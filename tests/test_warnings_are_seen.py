@@ -4,13 +4,13 @@ import dataclasses
 
 import jax.numpy as jnp
 import pytest
+from jaxclear.integrators.reasons import REASONS
 
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.reported import report_warnings
 from jaxclear.integrators import Check, Checks
 from jaxclear.integrators.figures import Figure
-from jaxclear.integrators.reasons import REASONS
 from jaxclear.plot.canvas import MOST_SENTENCES, canvas, captioned
 from jaxclear.results.pointing_error import pointing_error
 

@@ -25,7 +25,7 @@ from jaxclear.components.wear_map import AbstractWearMap, CylinderMap
 from jaxclear.integrators import Check
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.scenes.parallel_3rsr import QUIET, parallel_3rsr
-from jaxclear.simulation.wear_by_cells import narrowness
+from jaxclear.simulation.invariants import narrowness
 
 RADIUS, LENGTH, CLEARANCE = 10e-3, 20e-3, 0.1e-3
 # Depth of the pin's scar [m], overlap of elastic contacts [m], fall of the tilted journal's [m].

@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Bool, Float
 
-from jaxclear.errors.accuracy import DRAWN, Asked, Seen, named
-from jaxclear.errors.observables import Apart, parted
+from jaxclear.errors.accuracy import DRAWN, Asked, Seen
+from jaxclear.errors.observables import parted
 from jaxclear.errors.replicas import replica, thinned
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.base import AbstractIntegrator
@@ -46,13 +47,24 @@ WORDS = {
 
 
 class Told(NamedTuple):
-    """A standard answer with its told `error` in its unit, that `share`, and what is `promised` of
-    it (None: nothing)."""
+    """A standard `answer` of a `part` of the promise at a `place`, its `value` and told `error` in
+    its `unit`, the error as the `share` by which it is judged, what is `promised` of it (None:
+    nothing), and whether it is `lost`: no run tells it."""
 
-    apart: Apart
+    answer: str
+    part: str
+    place: str
+    unit: str
+    value: float
     error: float
     share: float
     promised: float | None
+    lost: bool
+
+    @property
+    def name(self) -> str:
+        """The answer with its place."""
+        return f'{self.answer}, "{self.place}"' if self.place else self.answer
 
     @property
     def beyond(self) -> bool:
@@ -60,45 +72,48 @@ class Told(NamedTuple):
         return self.promised is not None and not self.share <= self.promised
 
 
-class Lost(NamedTuple):
-    """Paths that hang on the tenth digit of the start: from when [s], and within which time errors
-    grow e-fold [s]."""
-
-    since: float
-    growth: float
-
-
 class Verified(AbstractVerification):
-    """A run with `replicas`, as responses see them, the coarser one first; `told`: its standard
-    answers; `promise`: of its integrator; `lost`: where its path is no answer (None: it is one);
-    `since` [s]: where the run began, from where on errors count; `why`: what its integrator was
-    chosen for ("": it was given)."""
+    """A run with `replicas`, as responses see them, the coarser one first; `numbers`: value, error,
+    share and what is promised (nan: nothing) of each of the standard `answers` (answer, part,
+    place, unit); `promise`: of its integrator, or what was asked; `lost`: which of them hang on the tenth digit of the start, and `path`: from when on
+    [s], and within which time errors grow e-fold [s] (None: its path is an answer); `since` [s]:
+    where the run began, from where on errors count; `why`: what the integrator was chosen for ("":
+    it was given)."""
 
     replicas: tuple[Trajectory, ...]
-    told: tuple[Told, ...] = eqx.field(static=True)
-    promise: Promise = eqx.field(static=True)
-    lost: Lost | None = eqx.field(static=True, default=None)
-    since: float = eqx.field(static=True, default=0.0)
+    numbers: Float[np.ndarray, "answers 4"]
+    lost: Bool[np.ndarray, " answers"]
+    path: Float[np.ndarray, "2"] | None
+    since: Float[np.ndarray, ""]
+    promise: Promise
+    answers: tuple[tuple[str, str, str, str], ...] = eqx.field(static=True)
     why: str = eqx.field(static=True, default="")
 
     @property
+    def told(self) -> tuple[Told, ...]:
+        """The standard answers."""
+        rows = zip(self.answers, self.numbers.tolist(), self.lost.tolist(), strict=True)
+        return tuple(
+            Told(*names, *numbers, None if math.isnan(promised) else promised, lost)
+            for names, (*numbers, promised), lost in rows
+        )
+
+    @property
     def beyond(self):
-        return frozenset(told.apart.part for told in self.told if told.beyond)
+        return frozenset(told.part for told in self.told if told.beyond)
 
     @property
     def warnings(self):
         beyond = sorted((t for t in self.told if t.beyond), key=lambda t: -t.share / t.promised)
         said = []
-        if self.lost is not None:
+        if self.path is not None:
+            since, growth = map(float, self.path)
             said.append(
-                f"From {self.lost.since:.3g} s on places in gaps hang on the tenth digit of the "
-                f"start (e-fold in {self.lost.growth:.2g} s): no run tells them; ask for means "
-                "over samples."
+                f"From {since:.3g} s on places in gaps hang on the tenth digit of the start "
+                f"(e-fold in {growth:.2g} s): no run tells them; ask for means over samples."
             )
-            beyond = [told for told in beyond if told.apart.part != "gaps"]
-        if beyond:
-            said.append(_sentence(beyond))
-        return tuple(said)
+        answers = [told for told in beyond if not told.lost]
+        return (*said, *([_sentence(answers)] if answers else []))
 
     def estimate(self, run, response):
         value = response(run)
@@ -108,7 +123,7 @@ class Verified(AbstractVerification):
 
     def _how(self) -> str:
         steps = "half" if len(self.replicas) == 1 else "half and quarter"
-        since = f", since {self.since:.6g} s" if self.since else ""
+        since = f", since {float(self.since):.6g} s" if self.since else ""
         return f"twice what {steps} steps change{since}"
 
     def promised(self, response: Any) -> float | None:
@@ -119,33 +134,23 @@ class Verified(AbstractVerification):
     def table(self):
         import pandas
 
-        return pandas.DataFrame(
-            [
-                {
-                    "answer": named(each.apart),
-                    "value": each.apart.value,
-                    "error": each.error,
-                    "unit": each.apart.unit,
-                    "share": each.share,
-                    "promised": each.promised,
-                }
-                for each in self.told
-            ]
-        )
+        columns = ("name", "value", "error", "unit", "share", "promised")
+        rows = [[getattr(told, column) for column in columns] for told in self.told]
+        return pandas.DataFrame(rows, columns=["answer", *columns[1:]])
 
     def attributes(self):
-        rows = [f"{named(t.apart)}: {t.error:.2g} {t.apart.unit}" for t in self.told]
+        rows = [f"{t.name}: {t.error:.2g} {t.unit}" for t in self.told]
         return {"numerical errors": "; ".join(rows)}
 
     def __str__(self) -> str:
-        names = [named(told.apart) for told in self.told]
-        width = max(map(len, names))
+        width = max(len(told.name) for told in self.told)
         lines = [f"{'answer':{width}}  {'value ± numerical error':28}{'share':>9}{'promised':>10}"]
-        for name, (one, error, share, promised) in zip(names, self.told, strict=True):
-            number = f"{with_error(one.value, error)} {one.unit}"
-            own = "–" if promised is None else f"{100 * promised:.2g} %"
-            mark = "  <- beyond" if promised is not None and not share <= promised else ""
-            lines.append(f"{name:{width}}  {number:28}{100 * share:7.2g} %{own:>10}{mark}")
+        for told in self.told:
+            number = f"{with_error(told.value, told.error)} {told.unit}"
+            own = "–" if told.promised is None else f"{100 * told.promised:.2g} %"
+            mark = "  lost" if told.lost else "  <- beyond" if told.beyond else ""
+            share = f"{100 * told.share:.2g} %"
+            lines.append(f"{told.name:{width}}  {number:28}{share:>9}{own:>10}{mark}")
         return "\n".join([*lines, f"Numerical errors are {self._how()}. {self.why}".rstrip()])
 
 
@@ -178,25 +183,34 @@ def verified(
         return thinned(again(plan, moved), plan.every)
 
     own = asked.seen(run)
-    replicas = [repeated(plans[0])]
-    if not replicas[0].succeeded:
-        return dataclasses.replace(run, verification=Failed(replicas[0].result))
-    seen = [asked.seen(replicas[0])]
-    told = _told(run, own, seen, asked)
-    if any(t.promised is not None and not t.share <= DOUBT * t.promised for t in told):
-        replicas.append(repeated(plans[1]))
-        if not replicas[1].succeeded:
-            return dataclasses.replace(run, verification=Failed(replicas[1].result))
-        seen.append(asked.seen(replicas[1]))
-        told = _told(run, own, seen, asked)
-    lost = None
-    limits = [t.promised for t in told if t.beyond and t.apart.part == "gaps"]
-    if limits:
-        lost = _lost(run, asked, seen[0], repeated(plans[0], TENTH_DIGIT), min(limits))
+    replicas: list[Trajectory] = []
+    seen: list[Seen] = []
+    for plan in plans:
+        replicas.append(repeated(plan))
+        if not replicas[-1].succeeded:
+            return dataclasses.replace(run, verification=Failed(replicas[-1].result))
+        seen.append(asked.seen(replicas[-1]))
+        rows = list(zip(*(asked.apart(run, own, other) for other in seen), strict=True))
+        promised = np.array([_number(asked.promised(row[0])) for row in rows])
+        shares = np.array([float(told_error([each.share for each in row])) for row in rows])
+        if not np.any(~np.isnan(promised) & ~(shares <= DOUBT * promised)):
+            break
+    errors = [float(told_error([each.off for each in row])) for row in rows]
+    numbers = np.stack([[row[0].value for row in rows], errors, shares, promised], axis=1)
+    path, lost = None, np.zeros(len(rows), bool)
+    gaps = np.array([row[0].part == "gaps" for row in rows])
+    if np.any(gaps & ~np.isnan(promised) & ~(shares <= promised)):
+        limit = float(np.nanmin(promised[gaps]))
+        path, lost = _lost(run, asked, seen[0], repeated(plans[0], TENTH_DIGIT), limit)
     known = tuple(dataclasses.replace(each, verification=Unverified()) for each in replicas)
-    since = float(run.time[0])
-    found = Verified(known, tuple(told), asked.promise, lost, since, asked.why)
+    answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
+    since = np.asarray(run.time[0])
+    found = Verified(known, numbers, lost, path, since, asked.promise, answers, asked.why)
     return dataclasses.replace(run, verification=found)
+
+
+def _number(promised: float | None) -> float:
+    return math.nan if promised is None else promised
 
 
 def _why_not(run: Trajectory, verify: bool | None) -> str:
@@ -238,41 +252,32 @@ class Failed(AbstractVerification):
         return {"verification": str(self)}
 
 
-def _told(run: Trajectory, own: Seen, seen: list[Seen], asked: Asked) -> list[Told]:
-    """The answers of a run beside what its replicas say."""
-    rows = zip(*(asked.apart(run, own, other) for other in seen), strict=True)
-    return [
-        Told(
-            row[0],
-            float(told_error([each.off for each in row])),
-            float(told_error([each.share for each in row])),
-            asked.promised(row[0]),
-        )
-        for row in rows
-    ]
-
-
 def _lost(
     run: Trajectory, asked: Asked, finer: Seen, moved: Trajectory, limit: float
-) -> Lost | None:
-    """Where a path hangs on the tenth digit of its start, from how far a finer run and the same
-    with its start moved are apart in gaps; None where they agree."""
-    if not moved.succeeded:
-        return None
-    off = parted(finer.standard, asked.seen(moved).standard)
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """(from when on [s] a path hangs on the tenth digit of its start, and within which time errors
+    grow e-fold [s]; None where it does not; which answers are lost by that), from how far a `finer`
+    run and the same with its start `moved` are apart, in gaps by more than the `limit`."""
+    other = asked.seen(moved)
+    rows = [(row.share, asked.promised(row)) for row in asked.apart(run, finer, other)]
+    lost = np.array([most is not None and share > most for share, most in rows])
+    off = parted(finer.standard, other.standard)
     beyond = off > limit
-    if not beyond.any():
-        return None
+    if not moved.succeeded or not beyond.any():
+        return None, np.zeros(len(rows), bool)
     first = int(np.argmax(beyond))
     elapsed = float(run.time[first] - run.time[0])
     began = max(float(off[0]), TENTH_DIGIT)
-    return Lost(float(run.time[first]), elapsed / max(math.log(float(off[first]) / began), 1.0))
+    growth = elapsed / max(math.log(float(off[first]) / began), 1.0)
+    return np.array([float(run.time[first]), growth]), lost
 
 
 def _sentence(beyond: list[Told]) -> str:
     """What is off, by how much, and what to do, of the answers that are furthest beyond."""
     worst = beyond[0]
     more = f" (and {len(beyond) - 1} more answers)" if len(beyond) > 1 else ""
-    told = f"{worst.share:.2g} {WORDS[worst.apart.part]} ({worst.promised:g} promised)"
-    name = named(worst.apart)
-    return f"{name[0].upper()}{name[1:]}: error about {told}{more}; take shorter steps."
+    told = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
+    todo = "take shorter steps"
+    if worst.answer == "worn depth":
+        todo = "save more often, which is when surfaces wear, or take shorter steps"
+    return f"{worst.name[0].upper()}{worst.name[1:]}: error about {told}{more}; {todo}."

@@ -88,7 +88,12 @@ class Scene(AbstractQuantified):
         return "\n".join([*lines, *(f"  {what} {own}" for what, own in told.items() if own)])
 
     def simulate(
-        self, *, balance: bool = False, progress_bar: bool = False, throw: bool = True
+        self,
+        *,
+        balance: bool = False,
+        progress_bar: bool = False,
+        throw: bool = True,
+        verify: bool | None = None,
     ) -> Trajectory:
         """The run that the scene describes; arguments and errors as of `jaxclear.simulate`."""
         if self.positions is not None:
@@ -97,7 +102,8 @@ class Scene(AbstractQuantified):
                 "duration [s] in their place."
             )
         given = self._given()
-        flags = {"balance": balance, "progress_bar": progress_bar, "throw": throw}
+        flags: dict[str, Any] = {"balance": balance, "progress_bar": progress_bar, "throw": throw}
+        flags["verify"] = verify
         return simulate(self.mechanism, integrator=self.integrator, **given, **flags)
 
     def stand(self) -> Positions:

@@ -160,3 +160,19 @@ class Check(AbstractCheck):
     FRICTION_STEP = _gone(1, "friction step", 0.0125, "motion")
     DAMPER_STEP = _gone(15, "damper step", 0.75, "swinging forces")
     CREEP_STEP = _gone(9, "creep step", 0.1, "wear")
+
+
+# Those that runs are asked.
+LIVE = (
+    Check.LOOP_DRIFT,
+    Check.ENERGY_GAIN,
+    Check.INDENTATION,
+    Check.LOAD_STEP,
+    Check.WEAR_BY_CELLS,
+    Check.COULOMB_FRICTION,
+    Check.COLLAR_FORCE,
+    Check.UNHELD_FORCE,
+    Check.JOURNAL_REACH,
+    Check.INDETERMINATE_FORCE,
+    Check.GAP_MOTION,
+)

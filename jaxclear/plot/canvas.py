@@ -36,9 +36,9 @@ __all__ = [
 ]
 
 MILLI, MICRO = 1e3, 1e6
-# A caption holds so many sentences, in letters of this size [pt]; so many of them fill an inch, and
+# A caption is one line in letters of this size [pt]; so many of them fill an inch, and
 # a line is so high [inch].
-MOST_SENTENCES, LETTERS, PER_INCH, LINE = 3, 7, 18, 0.13
+LETTERS, PER_INCH, LINE = 7, 18, 0.13
 # Letters in a line of sentences within a panel.
 IN_PANEL = 70
 
@@ -88,7 +88,7 @@ class Panels(NamedTuple):
         if self.figure is not None:
             return captioned(self.figure, sentences)
         if sentences:
-            text = "\n".join(textwrap.fill(one, IN_PANEL) for one in _few(sentences))
+            text = _one_line(sentences, IN_PANEL)
             last = self.axes.flat[-1]
             place = {"transform": last.transAxes, "va": "bottom", "fontsize": 0.8 * LETTERS}
             # A panel in space has a depth besides.
@@ -157,13 +157,11 @@ def setting(run: Trajectory, joint: str) -> str:
 
 
 def captioned(figure: Figure, sentences: Sequence[str]) -> Figure:
-    """The figure, made higher by the sentences below it; as it is without any."""
+    """The figure, made higher by one line below it; as it is without any."""
     if not sentences:
         return figure
-    said = _few(sentences)
-    width = int(PER_INCH * figure.get_figwidth())
-    text = "\n".join(textwrap.fill(sentence, width) for sentence in said)
-    below = LINE * (text.count("\n") + 2)
+    text = _one_line(sentences, int(PER_INCH * figure.get_figwidth()))
+    below = 2 * LINE
     whole = figure.get_figheight() + below
     figure.set_figheight(whole)
     # The layout would set a legend outside the axes and a label of the figure upon each other.
@@ -176,11 +174,11 @@ def captioned(figure: Figure, sentences: Sequence[str]) -> Figure:
     return figure
 
 
-def _few(sentences: Sequence[str]) -> list[str]:
-    said = list(sentences[:MOST_SENTENCES])
-    if len(sentences) > MOST_SENTENCES:
-        said.append(f"And {len(sentences) - MOST_SENTENCES} more.")
-    return said
+def _one_line(sentences: Sequence[str], width: int) -> str:
+    """The first of the sentences, as far as there is room in so many letters, and how many more
+    there are."""
+    more = f" (+{len(sentences) - 1} more)" if len(sentences) > 1 else ""
+    return textwrap.shorten(sentences[0], width - len(more), placeholder=" …") + more
 
 
 def warned(figure: Figure | Panels, runs: Mapping[str, Trajectory]) -> Any:

@@ -33,7 +33,7 @@ from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.beginning import Past
 from jaxclear.simulation.error_weights import error_weights
-from jaxclear.simulation.referee import contact_names, judged, sunk_in
+from jaxclear.simulation.invariants import contact_names, judged, sunk_in
 from jaxclear.simulation.step_lengths import with_few_enough_steps
 from jaxclear.simulation.wear import (
     Losses,

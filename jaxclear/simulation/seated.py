@@ -81,7 +81,7 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
 def _first_reactions(mechanism: Mechanism) -> Trajectory:
     """A run so short that nothing moves, in which all journals touch; without friction where it
     would hang on reactions that are not unique."""
-    asked: dict[str, Any] = {"save": 2, "integrator": NonColliding(FIRST)}
+    asked: dict[str, Any] = {"save": 2, "integrator": NonColliding(FIRST), "verify": False}
     try:
         return simulate(mechanism, FIRST, **asked)
     except ReactionNotUnique:

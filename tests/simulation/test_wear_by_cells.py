@@ -10,7 +10,7 @@ from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wall_map import WallMap
 from jaxclear.components.wear_map import CylinderMap
 from jaxclear.integrators import Check
-from jaxclear.simulation.wear_by_cells import narrowness
+from jaxclear.simulation.invariants import narrowness
 
 LIMIT = Check.WEAR_BY_CELLS.limit
 LINE = CylinderMap((36, 1), 10e-3, 20e-3, 1e-4)

@@ -1,6 +1,7 @@
-"""What a run finds out about itself that no finer run of the same model would tell, from its saved
-states: open loops, energy gained, indentation beyond the law, and what the model leaves out. The
-run ends where one of these is beyond what a run can mend.
+"""What a run finds out about itself that no finer run of the same model would tell, from up to
+`MOST` of its saved states and its worn surfaces: open loops, energy gained, indentation beyond the
+law, scars narrower than a cell, and what the model leaves out (`model_limits`). The run ends where
+one of these is beyond what a run can mend.
 
 Nothing here touches the motion: what reached its end does so with the same numbers, bit for bit.
 """
@@ -15,11 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxclear.components.wear_map import AbstractWearMap
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent_reactions import touching
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.ground.quantity import constant
 from jaxclear.integrators.checks import (
     COLLARS,
     CONTACTS,
@@ -34,27 +37,36 @@ from jaxclear.integrators.checks import (
 )
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.multibody import energy, kinematics, loops
+from jaxclear.multibody import energy, kinematics, loops, state
 from jaxclear.multibody.reach import shortest_part
-from jaxclear.multibody.system import System, longest_arm
+from jaxclear.multibody.system import System, longest_arm, wear_maps
+from jaxclear.native import through_rows
+from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation import wear_by_cells
-from jaxclear.simulation.collars import (
+from jaxclear.simulation.model_limits import (
     by_others,
     collared,
+    coulomb_friction,
+    gap_motion,
+    in_gaps,
+    indeterminate_forces,
+    laws_of_others,
     left,
+    masses,
+    placed,
     pressed,
+    rubbed_as_coulombs,
     share_along,
+    shared,
     sliding,
     unheld,
 )
-from jaxclear.simulation.coulomb_friction import coulomb_friction, laws_of_others
-from jaxclear.simulation.coulomb_friction import taken as rubbed_as_coulombs
-from jaxclear.simulation.gap_motion import gap_motion, in_gaps, masses, placed
-from jaxclear.simulation.indeterminate import indeterminate_forces, shared
-from jaxclear.simulation.looks import Looks, look
 from jaxclear.simulation.wear import Worn
 
+# Saved states of a run, at most, that are looked at: a loop that has come open stays so for long.
+MOST = 50
+# A surface that wears less than this share of the one that wears most is judged beside that.
+NEGLIGIBLE = 0.01
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
 LEAST_LIFT = 0.01
@@ -63,13 +75,63 @@ ENDING = (Check.INDENTATION, Check.LOOP_DRIFT)
 Figures = dict[Check, Float[Array, "*looks places"]]
 
 
+class Looks(NamedTuple):
+    """The saving `intervals` at whose ends a run looks, at its start too; its `history`, of which
+    nothing is differentiated, and its `model`."""
+
+    intervals: np.ndarray
+    history: StateHistory
+    model: Model
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Their places among the saving times, the start in front."""
+        return np.concatenate([[0], 1 + self.intervals])
+
+    def of(self, function: Callable[[Instant], dict[str, Any]]) -> dict[str, Any]:
+        """What a function of an instant says of every look. No derivatives."""
+        rows, times, states = self.rows, jnp.asarray(self.history.time), self.history.states
+        worn = self.history.read
+        # Means of forces are those from one look to the next.
+        begins, ends = np.append(rows[:1], rows[:-1]), np.append(rows[1:2], rows[1:])
+        impulses = range(self.model.layout.impulse_start, self.model.layout.energy_start)
+
+        def seen(row: Any, begin: Any, end: Any) -> dict[str, Any]:
+            before, after = (_numbers_of(states, k, impulses) for k in (begin, end))
+            length = times[end] - times[begin]
+            means = [(late - early) / length for early, late in zip(before, after, strict=True)]
+            time, entries = times[row], _numbers_of(states, row)
+            read = jax.tree.map(lambda depths: depths[row], worn)
+            model, system = self.model, self.model.system
+            q, v = state.unpack_motion(system, entries)
+            now = Model(system, read, model.stabilisation, model.layout, model.projects)
+            motions = kinematics.link_motions(system, q, v, time)
+            return sp.dense(function(Instant(now, motions, q, v, time, entries, means)))
+
+        return through_rows(seen, rows, begins, ends)
+
+
+def _numbers_of(rows: Array, row: Any, columns: Any = None) -> list[Array]:
+    """The numbers of a row of many, one by one: so a kernel reads any number of them by index."""
+    columns = range(rows.shape[1]) if columns is None else columns
+    return [jax.lax.dynamic_slice(rows, (row, k), (1, 1))[0, 0] for k in columns]
+
+
+def look(history: StateHistory, model: Model) -> Looks:
+    """The looks of a run at itself: up to `MOST`, evenly spread, the last saving time among
+    them."""
+    count = len(history.time) - 1
+    intervals = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
+    return Looks(intervals, *constant((history, model)))
+
+
 def judged(trajectory: Trajectory, model: Model, begun: Worn) -> Trajectory:
     """The run with its checks; `begun`: worn surfaces at its start. It ends where a look calls for
     it."""
     history = trajectory.history
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
     seen = _of_saved_states(looks)
-    of_run = dict(seen.of_run) | wear_by_cells.figures(model, begun, trajectory.worn)
+    of_run = dict(seen.of_run) | wear_by_cells(model, begun, trajectory.worn)
     if trajectory.extremes is not None:
         depths = trajectory.extremes.indentation
         of_run[Check.INDENTATION] = depths / _radii(model.system) if depths.size else depths
@@ -270,3 +332,32 @@ def _openings(now: Instant) -> Float[Array, " loops"]:
         shares = [abs(x) / part if len(row) == 1 else abs(x) for row, x in values]
         openings.append(jnp.max(sp.stack(shares), initial=0.0))
     return jnp.stack(openings)
+
+
+def wear_by_cells(model: Model, begun: Worn, ended: Worn) -> Figures:
+    """By how much the deepest place of each contact's surface is less deep over three cells to a
+    side, beside its depth; 0 of a surface that has lost nothing since the run began. A scar hardly
+    wider than a cell hangs on their number: a mean over three to a side is nine times as far off as
+    that over one where a scar is smooth, and what it makes of the deepest place tells how wide that
+    is."""
+    if not ended or not model.layout.wear:
+        return {}
+    begun, ended = jax.lax.stop_gradient((begun, ended))
+    least = NEGLIGIBLE * jnp.max(jnp.stack([*map(jnp.max, jax.tree.leaves(ended))]))
+    shares = {}
+    for joint, surfaces in wear_maps(model.system).items():
+        for surface, (wear_map, _) in surfaces.items():
+            depth, before = ended[joint][surface], begun[joint][surface]
+            share = narrowness(wear_map, depth, least)
+            shares[joint, surface] = jnp.where(jnp.any(depth > before), share, 0.0)
+    places = [shares[slot.bearing, slot.surface] for slot in model.layout.wear]
+    return {Check.WEAR_BY_CELLS: jnp.stack(places)}
+
+
+def narrowness(
+    wear_map: AbstractWearMap, depth: Float[Array, "around along"], least: Array | float = 0.0
+) -> Array:
+    """By how much the deepest place is less deep over three cells to a side, beside its depth, or
+    beside the `least` [m] that counts."""
+    deepest = jnp.max(depth)
+    return safe_divide(deepest - jnp.max(wear_map.over_three(depth)), jnp.maximum(deepest, least))

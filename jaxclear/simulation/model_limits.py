@@ -1,0 +1,268 @@
+"""What the model of a formulation leaves out, told from a run's saved states.
+
+Of joints that always touch: the model puts the inner part where its force presses it, at once,
+while a body takes time for the way and lags where its force turns fast (`gap_motion`); rows of a
+loop that no motion changes carry nothing in the joint that closes it, though contacts would share
+what they can (`shared`); what collars carry is the reaction along the axis, which rubs and wears
+nothing, and without collars nothing but the model holds a journal there (`pressed`). And of
+friction that is taken as Coulomb's by the coefficients of another law: they are one where a joint
+slides fast and long, and others where it sticks, slides slowly, or its bristles yield
+(`coulomb_friction`).
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxclear.components.body import GROUND
+from jaxclear.formulations.base import AbstractFormulation, ContactReport
+from jaxclear.formulations.model import Instant, Model
+from jaxclear.formulations.permanent_reactions import Reaction, touching
+from jaxclear.formulations.unique_reactions import reactions_without_motion
+from jaxclear.ground import factorisation
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.system import System
+from jaxclear.simulation.bristles import settling_length
+
+# A joint that rubs less than this share of what the one that rubs most does is judged beside that.
+NEGLIGIBLE = 0.01
+# Beside the sum of the squares that rows add to forces: what keeps rows apart that add the same.
+DAMPING = 1e-9
+
+
+def in_gaps(model: Model) -> dict[str, Any]:
+    """The gap of each joint that always touches and has one."""
+    gaps = {one.name: getattr(one.joint, "gap", None) for one in touching(model.system)}
+    return {name: gap for name, gap in gaps.items() if gap is not None}
+
+
+def placed(
+    reports: dict[str, ContactReport], now: Instant, mechanism: Mechanism
+) -> Float[Array, "13 joints"]:
+    """Of joints that are told of at a look: the rotation of the bearing in the ground; as means
+    since the look before, where the inner part is in its gap, in the bearing's axes [m], and the
+    sum of the normal forces [N]."""
+    columns = []
+    for name, report in reports.items():
+        marker = mechanism.connections[name].parent
+        turn = marker.pose().rotation
+        index = now.model.system.topology.index(marker.body)
+        if index is not None:
+            frame = now.model.system.links[index].frame
+            turn = sp.product(now.motions[index].pose.after(frame).rotation, turn)
+        turned = [x for row in turn for x in row]
+        columns.append(sp.stack((*turned, *report.offset, jnp.sum(report.normal_force))))
+    return jnp.stack(columns, axis=1)
+
+
+def masses(names: Iterable[str], mechanism: Mechanism) -> Float[Array, " joints"]:
+    """The lighter of the bodies that each of these joints connects [kg]."""
+
+    def lighter(name: str) -> Any:
+        connection = mechanism.connections[name]
+        bodies = (connection.parent.body, connection.child.body)
+        return jnp.min(jnp.stack([mechanism.bodies[b].mass for b in bodies if b != GROUND]))
+
+    return jnp.stack([jnp.asarray(lighter(name), float) for name in names])
+
+
+def gap_motion(
+    found: Float[Array, "looks 13 joints"],
+    times: Float[Array, " looks"],
+    heavy: Float[Array, " joints"],
+) -> Float[Array, " joints"]:
+    """By joint the force that moves the lighter body along in the gap beside the forces there, from
+    where parts were `placed` at looks at these times [s]. Where a force turns round between two
+    looks, parts part, which `Trajectory.switchings` tells, and nothing is counted."""
+    if len(found) < 4:
+        return jnp.zeros(len(heavy))
+    # Halfway between two looks, for which means stand.
+    turns = 0.5 * (found[1:, :9] + found[:-1, :9]).reshape(-1, 3, 3, len(heavy))
+    places = jnp.einsum("labj,lbj->laj", turns, found[1:, 9:12])
+    times, forces = 0.5 * (times[1:] + times[:-1]), found[2:-1, 12]
+    lengths = jnp.diff(times)[:, None, None]
+    speeds = jnp.diff(places, axis=0) / lengths
+    between = 0.5 * (lengths[1:] + lengths[:-1])
+    moved = heavy * jnp.linalg.norm(jnp.diff(speeds, axis=0) / between, axis=1)
+    stays = jnp.sum(places[1:] * places[:-1], axis=1) > 0
+    counted = jnp.where(stays[1:] & stays[:-1], moved, 0.0)
+    width = between[:, 0]
+    return safe_divide(jnp.sum(width * counted, axis=0), jnp.sum(width * forces, axis=0))
+
+
+def shared(
+    now: Instant, report: Callable[[str], ContactReport], mechanism: Mechanism
+) -> Float[Array, "2 joints"] | None:
+    """Of each joint that always touches, at a look: the sum of the forces on its ends [N], and by
+    how much they are others where these rows carry what makes the squares of the forces on all ends
+    least, as equal contacts between rigid bodies would. None where there are no such rows.
+    `report`: what is told of a joint."""
+    held = touching(now.model.system)
+    rows = unmoved(now, mechanism) if held else []
+    if not rows:
+        return None
+    reports = [report(one.name) for one in held]
+    acting = [Reaction(tuple(one.force), tuple(one.torque)) for one in reports]
+    forces = [_on_ends(one, own) for one, own in zip(held, acting, strict=True)]
+    added = [
+        [
+            _on_ends(one, _sum(own, extra)) - force
+            for one, own, extra, force in zip(held, acting, row, forces, strict=True)
+        ]
+        for row in rows
+    ]
+    share = _least_squares(forces, added)
+    columns = []
+    for k, force in enumerate(forces):
+        others = force + sum(x * row[k] for x, row in zip(share, added, strict=True))
+        sizes, changed = _sizes(force), _sizes(others)
+        columns.append(jnp.stack([jnp.sum(sizes), jnp.sum(abs(changed - sizes))]))
+    return jnp.stack(columns, axis=1)
+
+
+def unmoved(now: Instant, mechanism: Mechanism) -> list[tuple[Reaction, ...]]:
+    """For each row of a loop that no motion changes: what a force 1 in it adds to the reactions of
+    the joints that always touch [N, N m]."""
+    system = now.model.system
+    in_space = any(len(body.inertia) > 1 for body in mechanism.bodies.values())
+    return reactions_without_motion(system, now.motions, now.q, touching(system), in_space)
+
+
+def _on_ends(one: Any, reaction: Reaction) -> Float[Array, "ends 3"]:
+    """The forces on a joint's ends [N] by its reaction alone, which are linear in it."""
+    none = 0.0 if one.joint.components == 1 else (0.0,) * one.joint.components
+    return jnp.stack([sp.stack(end.force) for end in one.joint.carrying_ends(*reaction, none)])
+
+
+def _sum(a: Reaction, b: Reaction) -> Reaction:
+    return Reaction(sp.plus(a.force, b.force), sp.plus(a.torque, b.torque))
+
+
+def _sizes(forces: Float[Array, "ends 3"]) -> Float[Array, " ends"]:
+    return jnp.stack([sp.norm(tuple(own)) for own in forces])
+
+
+def _least_squares(forces: list[Array], added: list[list[Array]]) -> tuple:
+    """How much of each row [N, N m] makes the sum of squares of the forces least."""
+    flat = [jnp.concatenate([own.ravel() for own in row]) for row in added]
+    acting = jnp.concatenate([own.ravel() for own in forces])
+    damping = DAMPING * sum(row @ row for row in flat) + jnp.finfo(float).tiny
+    matrix = [[a @ b + (damping if a is b else 0.0) for b in flat] for a in flat]
+    return factorisation.solve(factorisation.factor(matrix), tuple(-(a @ acting) for a in flat))
+
+
+def indeterminate_forces(found: Float[Array, "looks 2 joints"]) -> Float[Array, " joints"]:
+    """By joint how much its forces would be others, beside those of the joint that carries most."""
+    carried, others = jnp.sum(found, axis=0)
+    return safe_divide(others, jnp.max(carried, initial=0.0))
+
+
+def collared(model: Model) -> tuple[str, ...]:
+    """The bearings with collars that always touch."""
+    gaps = in_gaps(model)
+    return tuple(name for name, gap in gaps.items() if getattr(gap, "flange", None) is not None)
+
+
+def unheld(model: Model) -> tuple[str, ...]:
+    """The bearings without collars that always touch."""
+    return tuple(name for name, gap in in_gaps(model).items() if gap.left(0.0) is not None)
+
+
+def by_others(now: Instant, mechanism: Mechanism, names: tuple[str, ...]) -> list[bool]:
+    """Whether other joints may hold these along their axis: what they carry there is not unique."""
+    redundancy, joints = now.model.system.topology.redundancy, touching(now.model.system)
+    open_ = set() if redundancy is None else {*redundancy.joints}
+    for reactions in unmoved(now, mechanism):
+        own = zip(joints, reactions, strict=True)
+        open_ |= {one.name for one, reaction in own if not sp.is_zero(reaction.force[2])}
+    return [name in open_ for name in names]
+
+
+def sliding(system: System) -> tuple[str, ...]:
+    """The bearings without collars whose journals move in their gaps."""
+    gaps = {name: one.joint for name, one in system.bearings.items()}
+    return tuple(name for name, gap in gaps.items() if gap.left(0.0) is not None)
+
+
+def pressed(reports: list[ContactReport], counted: Iterable[bool]) -> Float[Array, "2 joints"]:
+    """Of joints that are told of at a look: force along the axis, if that is counted, and that of
+    its contacts [N]."""
+    forces = [report.force[2] if own else 0.0 for report, own in zip(reports, counted, strict=True)]
+    along = [abs(jnp.asarray(force, float)) for force in forces]
+    return jnp.stack([jnp.stack(along), jnp.stack([jnp.sum(r.normal_force) for r in reports])])
+
+
+def share_along(found: Float[Array, "looks 2 joints"]) -> Float[Array, " joints"]:
+    """By joint the share of all its forces that acts along its axis."""
+    along, across = jnp.sum(found, axis=0)
+    return safe_divide(along, along + across)
+
+
+def left(system: System, reports: dict[str, ContactReport]) -> Float[Array, " joints"]:
+    """By joint how much of its bearing a journal has left at a look, in lengths of the bearing."""
+    gaps = [system.bearings[name].joint for name in reports]
+    shares = [
+        gap.left(report.offset[2]) for gap, report in zip(gaps, reports.values(), strict=True)
+    ]
+    return jnp.stack([jnp.asarray(share, float) for share in shares])
+
+
+def laws_of_others(model: Model, formulation: AbstractFormulation) -> dict[str, Any]:
+    """By joint the friction law that is taken as Coulomb's and is another."""
+    if not formulation.rubs_as_coulombs:
+        return {}
+    laws = {
+        name: own.friction
+        for name, bearing in model.system.bearings.items()
+        for own in bearing.contact_laws
+        if own.friction is not None
+    }
+    laws |= {held.name: held.joint.friction for held in touching(model.system)}
+    return {name: law for name, law in laws.items() if law is not None and not law.set_valued}
+
+
+def rubbed_as_coulombs(
+    laws: dict[str, Any], report: Callable[[str], ContactReport]
+) -> Float[Array, "3 joints"]:
+    """Of each joint, of which a `report` tells at a look: the power [W] that Coulomb's law and its
+    own take, the larger of both, and how far they are apart; and what its bristles take until they
+    yield under the friction of this instant [J]."""
+    columns = []
+    for name, law in laws.items():
+        told = report(name)
+        contacts = zip(told.normal_force, told.traction, told.slip_speed, strict=True)
+        own = [_of_contact(law, *numbers) for numbers in contacts]
+        columns.append(jnp.stack([sum(part) for part in zip(*own, strict=True)]))
+    return jnp.stack(columns, axis=1)
+
+
+def _of_contact(law: Any, normal: Any, drag: Any, slip: Any) -> tuple[Any, Any, Any]:
+    """The same of one contact, from normal force [N], friction [N] and slip [m/s]."""
+    creep, settled = 0.0, 0.0
+    if law.bristles:
+        settled = drag * settling_length(law)
+    else:
+        # As the law begins, through rest: the slip at which its friction holds the contact.
+        creep = safe_divide(drag, normal * law.largest_slope(0.0))
+    slides = slip > creep
+    fast = jnp.where(slides, slip, 1.0)
+    coulombs = jnp.where(slides, normal * law.coulomb().bound(fast), drag) * slip
+    its_own = jnp.where(slides, normal * law.steady_coefficient(fast) * slip, drag * creep)
+    return jnp.maximum(coulombs, its_own), abs(coulombs - its_own), settled
+
+
+def coulomb_friction(
+    found: Float[Array, "looks 3 joints"], times: Float[Array, " looks"]
+) -> Float[Array, " joints"]:
+    """By joint the share of its friction loss that its own law takes and Coulomb's does not, or the
+    other way round, from what was told by `rubbed_as_coulombs` at looks at these times [s]."""
+    power, apart, settled = (found[:, k] for k in range(3))
+    widths = jnp.diff(times)[:, None]
+    over_run = lambda rate: jnp.sum(0.5 * widths * (rate[1:] + rate[:-1]), axis=0)
+    yielded = settled[0] + jnp.sum(abs(jnp.diff(settled, axis=0)), axis=0)
+    whole, other = over_run(power) + yielded, over_run(apart) + yielded
+    return safe_divide(other, jnp.maximum(whole, NEGLIGIBLE * jnp.max(whole, initial=0.0)))
