@@ -211,7 +211,9 @@ def mechanism(name: str, problem: jc.Problem, rare: float) -> list[dict]:
         share = np.mean(drawn > threshold)
         spread = np.sqrt((1 - share) / (share * PLAIN)) if share > 0 else None
         limit = Above(response, threshold)
-        ask = lambda seed, limit=limit: jc.reliability(problem, limit, variation=ACCURACY, seed=seed)
+        ask = lambda seed, limit=limit: jc.reliability(
+            problem, limit, variation=ACCURACY, seed=seed
+        )
         # No other reference than the studies' own mean: nobody runs that many.
         seeds = over_seeds(ask, 0.0, 1.0, SEEDS)
         del seeds["intervals that hold"]

@@ -75,10 +75,10 @@ class Told(NamedTuple):
 class Verified(AbstractVerification):
     """A run with `replicas`, as responses see them, the coarser one first; `numbers`: value, error,
     share and what is promised (nan: nothing) of each of the standard `answers` (answer, part,
-    place, unit); `promise`: of its integrator, or what was asked; `lost`: which of them hang on the tenth digit of the start, and `path`: from when on
-    [s], and within which time errors grow e-fold [s] (None: its path is an answer); `since` [s]:
-    where the run began, from where on errors count; `why`: what the integrator was chosen for ("":
-    it was given)."""
+    place, unit); `promise`: of its integrator, or what was asked; `lost`: which of them hang on the
+    tenth digit of the start, and `path`: from when on [s], and within which time errors grow e-fold
+    [s] (None: its path is an answer); `since` [s]: where the run began, from where on errors count;
+    `why`: what the integrator was chosen for ("": it was given)."""
 
     replicas: tuple[Trajectory, ...]
     numbers: Float[np.ndarray, "answers 4"]

@@ -1,5 +1,5 @@
-"""The integrator of a study that asks for an accuracy of its responses: chosen once, from runs of the
-nominal sample, so that all samples of a study are run alike.
+"""The integrator of a study that asks for an accuracy of its responses: chosen once, from runs of
+the nominal sample, so that all samples of a study are run alike.
 """
 
 from collections.abc import Callable, Mapping

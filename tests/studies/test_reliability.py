@@ -303,7 +303,7 @@ def test_design_points_are_those_of_openturns(name):
         ({"limit": Above("gup", 0.1)}, 'no response "gup" in this problem.*gap'),
         ({"methods": ()}, "methods of reliability is empty"),
         ({"methods": ("fosm",)}, 'no method of reliability "fosm"'),
-        ({"accuracy": 0.0}, "accuracy of reliability is 0"),
+        ({"variation": 0.0}, "variation of reliability is 0"),
         ({"surface": 3}, "what jaxclear.surface gives"),
     ],
 )

@@ -126,11 +126,11 @@ class Design(AbstractShown):
         if not self.verified:
             said.append("Not verified by runs of its own.")
         elif self.holds:
-            said.append(
-                f"All limits hold, by {self.seen_by} new runs, to within {100 * self.allowed_excess:g} %."
-            )
+            within = f"to within {100 * self.allowed_excess:g} %"
+            said.append(f"All limits hold, by {self.seen_by} new runs, {within}.")
         else:
-            broken = [self._broken(i) for i in np.flatnonzero(~(self.excess <= self.allowed_excess))]
+            beyond = np.flatnonzero(~(self.excess <= self.allowed_excess))
+            broken = [self._broken(i) for i in beyond]
             broken += [self._lost()] if self._too_lost else []
             said += [f"It does not hold: {'; '.join(broken)}."] if broken else []
             said += [f"It is not known to hold, by runs in doubt. {own}" for own in self._in_doubt]

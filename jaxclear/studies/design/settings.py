@@ -15,8 +15,8 @@ TENS = 40
 
 
 class DesignSettings(AbstractQuantified):
-    """`allowed_excess` [1]: by how much of itself a limit may be missed. `samples`: points at which a
-    surface, or a problem that answers at once, is taken; `check`: runs of a verification, `runs`:
+    """`allowed_excess` [1]: by how much of itself a limit may be missed. `samples`: points at which
+    a surface, or a problem that answers at once, is taken; `check`: runs of a verification, `runs`:
     of a surface (None: two for each term of a quadratic, 64 at least). `rounds`: verifications at
     the most. `method`: "slsqp", "optax" (an augmented Lagrangian), "noisy" (the same on new runs in
     every step, by score functions: for responses that jump, rattle or count, which no surface

@@ -5,7 +5,7 @@ is to last. A life chooses its own steps, so it is no compiled program; its cycl
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax

@@ -27,8 +27,8 @@ class Reliability(AbstractShown):
     `estimates` are the methods' own answers by name. `points` are the design points, likeliest
     first: the likeliest parts that fail. `surface` is what they were found on, None where it was
     the runs themselves. `runs` and `failed` count all runs, those of the search and the surface
-    too, and those of them that did not reach their end; `asked_variation` is the coefficient of variation
-    that was asked for; `notes` are sentences, as are `warnings`, of what the runs warn.
+    too, and those of them that did not reach their end; `asked_variation` is the coefficient of
+    variation that was asked for; `notes` are sentences, as are `warnings`, of what the runs warn.
     """
 
     problem: AbstractProblem
@@ -145,7 +145,9 @@ class Reliability(AbstractShown):
             )
             text += f", by {_named(self.method)}"
             if own.variation > self.asked_variation:
-                text += f"; {self.asked_variation:.0%} were asked for and take more runs (most_runs)"
+                text += (
+                    f"; {self.asked_variation:.0%} were asked for and take more runs (most_runs)"
+                )
         else:
             text += f" by {_named(self.method)}, whose error is not known: sample to know it"
         said = [f"{text}; {self.runs} runs in all.", *self._comparison(own), *self._lost(own)]
