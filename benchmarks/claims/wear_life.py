@@ -48,7 +48,7 @@ def closed_form_rows(laws: dict) -> list[dict[str, Any]]:
         asked = problem(wearing_ring(hyperbolic=hyperbolic))
         turns = ClosedForm(hyperbolic=hyperbolic).turns(depth)
         jc.wear_life(asked, 1)
-        schemes = [("3(2) pair", f"tolerance {x:g}", {"tolerance": x}) for x in TOLERANCES]
+        schemes = [("3(2) pair", f"tolerance {x:g}", {"accuracy": x}) for x in TOLERANCES]
         schemes += [("fixed factor", f"{n} jumps", {"jump": turns / n}) for n in JUMPS]
         for scheme, setting, given in schemes:
             life, spent = timed(asked, turns, **given)
@@ -118,7 +118,7 @@ def parallel_rows() -> list[dict[str, Any]]:
 
 def _parallel_row(name: str, asked: jc.Problem, most: int) -> dict[str, Any]:
     jax.clear_caches()
-    given = {"tolerance": 2e-2, "most": most}
+    given = {"accuracy": 2e-2, "most": most}
     _, first = timed(asked, MILLION, **given)
     life, spent = timed(asked, MILLION, **given)
     return {

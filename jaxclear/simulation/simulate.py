@@ -200,13 +200,9 @@ def simulate(
     contacts that open and close (see `jaxclear.sensitivity`), and, unless `throw=False`,
     `SimulationError` with a sentence for a run that ends early.
     """
-    check_double_precision()
-    check_duration(duration)
-    check_flags("simulate", balance=balance, progress_bar=progress_bar, throw=throw)
-    if verify is not None:
-        check_flags("simulate", verify=verify)
-    _check_compiling()
-    how, asked = How(save, state, balance, progress_bar, verify), None
+    how = How(save, state, balance, progress_bar, verify)
+    _check_asked(duration, how, throw)
+    asked = None
     if accuracy is not None:
         check_one_of_two("simulate", integrator)
         asked = of_run(accuracy)
@@ -218,6 +214,16 @@ def simulate(
     if throw:
         _check_end(trajectory)
     return trajectory
+
+
+def _check_asked(duration: Any, how: How, throw: bool) -> None:
+    """Raises where something is not what a run may be asked."""
+    check_double_precision()
+    check_duration(duration)
+    check_flags("simulate", balance=how.balance, progress_bar=how.progress_bar, throw=throw)
+    if how.verify is not None:
+        check_flags("simulate", verify=how.verify)
+    _check_compiling()
 
 
 def _simulated(
