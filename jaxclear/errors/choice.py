@@ -138,6 +138,21 @@ class _Search:
                     return
                 first += 1
             following = rung.finer(following)
+        self._leave(settings[first:])
+
+    def _leave(self, undecided: list[_Tried]) -> None:
+        """What is left where another run cannot be had: one that does not agree by chance counts by
+        what is known of it."""
+        if len(undecided) < 2:
+            return
+        one = self._told(undecided[0], undecided[1:3])
+        self.judged.append(one)
+        if one.told <= 1 and self._trusted(one):
+            self._keep(one, undecided[-1])
+
+    def _trusted(self, one: _Tried) -> bool:
+        """Whether a setting is under error control, or stands beside one that is."""
+        return one.rung.controlled or self.reference is not None
 
     def _affords(self, rung: Rung, setting: AbstractIntegrator, open_settings: list[_Tried]):
         """Whether a setting is worth a run, behind those that are not decided yet."""
@@ -168,7 +183,13 @@ class _Search:
         return _Tried(rung, setting, run, self.question.seen(run), work)
 
     def _judged(self, one: _Tried, finer: list[_Tried]) -> _Tried | None:
-        """A setting with its error, as far as finer ones tell it; None where another one must."""
+        """A setting with its error, as finer ones tell it; None where another one must."""
+        found = self._told(one, finer)
+        sure = found.told <= DOUBT and self._trusted(one)
+        return found if len(finer) > 1 or sure or found.told > 1 else None
+
+    def _told(self, one: _Tried, finer: list[_Tried]) -> _Tried:
+        """A setting with its error, as far as finer ones and the reference tell it."""
         if one.run is None or any(each.run is None for each in finer):
             return one._replace(told=math.inf, worst="the run")
         off = [self.question.beside(one.run, one.seen, each.seen) for each in finer]
@@ -178,9 +199,6 @@ class _Search:
             told = {name: max(error, known[name]) for name, error in told.items()}
         told = {name: math.inf if math.isnan(error) else error for name, error in told.items()}
         worst = max(told, key=lambda name: told[name])
-        sure = told[worst] <= DOUBT and (one.rung.controlled or self.reference is not None)
-        if len(finer) == 1 and told[worst] <= 1 and not sure:
-            return None
         return one._replace(told=told[worst], worst=worst)
 
     def _keep(self, one: _Tried, finest: _Tried) -> None:

@@ -1,5 +1,6 @@
-"""The integrator of a study that asks for an accuracy of its responses: chosen once, from runs of
-the nominal sample, so that all samples of a study are run alike.
+"""The integrator of a study: for an accuracy of its responses, chosen once, from runs of the
+nominal sample, so that all samples are run alike. Unasked the first guess is taken
+(`usual_integrator`), which costs no run, unless it takes so many steps that a choice pays.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,10 +12,15 @@ from jaxclear.errors.accuracy import beside, checked_accuracy
 from jaxclear.errors.choice import Chosen
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
+from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.simulate import How, chosen_for
+from jaxclear.studies.usual_integrator import usual_integrator
 
+# Steps of a guess beyond which runs choose in its place, and the accuracy for which they do: a
+# hundred such runs take longer than the choice compiles.
+DEAR, UNASKED = 200_000, 0.02
 # A share of every response, or numbers in units by name.
 Wanted = float | tuple[tuple[str, float], ...]
 
@@ -42,6 +48,19 @@ def chosen_integrator(
 
     seen = lambda run: {name: float(np.asarray(x)) for name, x in drawn(run).items()}
     return chosen_for(mechanism, duration, seen, apart, how)
+
+
+def unasked(
+    mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, how: How
+) -> tuple[AbstractIntegrator, str, Wanted | None]:
+    """The integrator of a study that asks for none, why, and the accuracy for which it was chosen
+    (None: it was not)."""
+    usual, why = usual_integrator(mechanism, duration)
+    step = usual.asked_step()
+    if not why or step is None or duration <= DEAR * step:
+        return usual, why, None
+    found = chosen_integrator(mechanism, response, duration, UNASKED, how)
+    return (found.integrator, found.why, UNASKED) if found.reached else (usual, why, None)
 
 
 def checked_asked(accuracy: Any, response: Mapping[str, Callable]) -> Wanted:

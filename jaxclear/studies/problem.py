@@ -49,10 +49,9 @@ from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
-from jaxclear.studies.chosen_integrator import checked_asked, chosen_integrator
+from jaxclear.studies.chosen_integrator import checked_asked, chosen_integrator, unasked
 from jaxclear.studies.inputs import correlation_matrix
 from jaxclear.studies.responses import by_name, check_responses
-from jaxclear.studies.usual_integrator import usual_integrator
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,
     check_variables,
@@ -76,7 +75,8 @@ class Problem(AbstractProblem):
     `jaxclear.response` have units, a plain function gets one by its `FromFunction`. `duration` [s].
     `integrator`: by default steps of a fixed length, because equal work for every sample is what
     batches and derivatives want: `FixedStep()`, or an `ImplicitStep` where friction would answer
-    faster than such steps resolve, or `Adaptive` where ideal joints rub; `why_integrator` says so.
+    faster than such steps resolve, or `Adaptive` where ideal joints rub, and where contacts want
+    more than 200 000 steps what `accuracy=0.02` chooses; `why_integrator` says so.
     `accuracy` in its place: the integrator is chosen by runs of the nominal sample, for the least
     work; 0.01 for 1 % of each response there, or {"response": number in its unit}.
     `save`: saving times or a `Saving`, as in `simulate`; `shares` [1] are the times, as shares of
@@ -129,15 +129,16 @@ class Problem(AbstractProblem):
         asked = as_saving(save)
         times = saving_times(check_duration(duration), asked.at)
         check_responses(self.response, self.variables, "a trajectory")
-        self.accuracy, chosen = None, (integrator, "")
+        given = mechanism, self.response, times[-1]
+        chosen = (integrator, "", None)
         if accuracy is not None:
             check_one_of_two("a Problem", integrator)
-            self.accuracy = checked_asked(accuracy, self.response)
-            how = How(asked, state)
-            chosen = chosen_integrator(mechanism, self.response, times[-1], self.accuracy, how)[:2]
+            wanted = checked_asked(accuracy, self.response)
+            found = chosen_integrator(*given, wanted, How(asked, state))
+            chosen = found.integrator, found.why, wanted
         elif integrator is None:
-            chosen = usual_integrator(mechanism, times[-1])
-        self.integrator, self.why_integrator = chosen
+            chosen = unasked(*given, How(asked, state))
+        self.integrator, self.why_integrator, self.accuracy = chosen
         self.events = checked_saving(asked, self.integrator).events
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
