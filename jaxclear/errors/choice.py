@@ -23,8 +23,9 @@ from jaxclear.results.trajectory import Trajectory
 # So many times the work of the usual steps of studies may go into a choice; at least as many
 # evaluations of forces as take seconds in any mechanism.
 PATIENCE, LEAST_BUDGET = 20.0, 4e6
-# Share of the duration over which a rung is tried first whose work nobody knows beforehand.
-PILOT = 1 / 32
+# Share of the duration over which a rung is tried first whose work nobody knows beforehand, and how
+# many times as long each further part is. It may take half of what is left.
+FIRST_PART, LONGER = 1 / 512, 8
 
 # A run by an integrator, over this share of the duration.
 Again = Callable[[AbstractIntegrator, float], Trajectory]
@@ -166,13 +167,17 @@ class _Search:
         return self.spent + known <= self.budget
 
     def _foreseen(self, rung: Rung, setting: AbstractIntegrator) -> float:
-        """Work of a run that finds its steps itself, from that of its first part; the steps that
-        end at saving times are as many there."""
-        run = self.again(setting, PILOT)
-        work = rung.work_of(run)
-        self.spent += work
+        """Work of a run that finds its steps itself, from runs of longer and longer first parts,
+        until one shows that it is too dear; steps that end at saving times are as many in each."""
         saves = rung.evaluations * len(self.question.times)
-        return max(work - saves, 0) / PILOT + saves
+        work, share = 0.0, FIRST_PART
+        while share < 1:
+            work = rung.work_of(self.again(setting, share))
+            self.spent += int(work)
+            work, share = LONGER * max(work - saves, 0) + saves, LONGER * share
+            if work > 0.5 * (self.budget - self.spent):
+                return math.inf
+        return work
 
     def _tried(self, rung: Rung, setting: AbstractIntegrator) -> _Tried:
         run = self.again(setting, 1.0)
