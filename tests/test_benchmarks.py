@@ -16,10 +16,8 @@ pytest.importorskip("numba")
 from benchmarks import measure
 from benchmarks.attacks import verdicts
 from benchmarks.by_hand import evaluation
-from benchmarks.claims import design, equations, flap, referee, work_precision, worn_depth
+from benchmarks.claims import design, equations, verification, work_precision, worn_depth
 from benchmarks.claims import four_bar_variants as scenes
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.fixed_step import FixedStep
 
 ROOT = Path(__file__).resolve().parents[1]
 BOOK, RESULTS = ROOT / "notebooks", ROOT / "benchmarks" / "results"
@@ -143,11 +141,6 @@ def test_a_table_of_the_book_says_which_call_measured_it():
     assert measured.origin(about, "second") == "`it`, today; `it --only one`, later, a machine."
 
 
-def test_what_a_run_does_not_check_is_null_in_the_results_of_the_flap():
-    run = SimpleNamespace(checks=SimpleNamespace(figures={}))
-    assert flap.figure(run, Check.CREEP_STEP) is None
-
-
 def test_a_global_search_without_a_candidate_that_keeps_its_limits_is_infinite():
     search = object.__new__(design.Evolution)
     search.question, search.best, search.best_place = None, float("inf"), np.zeros(0)
@@ -194,9 +187,8 @@ def test_stated_accuracy_of_the_book_is_that_of_the_attack():
     assert document["accuracy that a silent run is held to"] == verdicts.stated()
 
 
-def test_what_the_referee_takes_out_of_a_run_is_there_and_comes_back():
-    """It names places of the engine that others may move."""
-    before = FixedStep._nothing_met
-    with referee.unchecked():
-        assert FixedStep._nothing_met is not before
-    assert FixedStep._nothing_met is before
+def test_what_the_benchmark_takes_out_of_a_run_is_there_and_comes_back():
+    before = verification.loop.judged
+    with verification.unchecked():
+        assert verification.loop.judged is not before
+    assert verification.loop.judged is before
