@@ -126,7 +126,7 @@ class _Search:
         can be cheaper than the best, or the budget is spent."""
         settings: list[_Tried] = []
         first = 0
-        following = rung.first
+        following: AbstractIntegrator | None = rung.first
         while following is not None and self._affords(rung, following, settings[first:]):
             settings.append(self._tried(rung, following))
             while first + 1 < len(settings):

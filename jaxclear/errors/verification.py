@@ -94,8 +94,8 @@ class Verified(AbstractVerification):
         """The standard answers."""
         rows = zip(self.answers, self.numbers.tolist(), self.lost.tolist(), strict=True)
         return tuple(
-            Told(*names, *numbers, None if math.isnan(promised) else promised, lost)
-            for names, (*numbers, promised), lost in rows
+            Told(*names, value, error, share, None if math.isnan(most) else most, lost)
+            for names, (value, error, share, most), lost in rows
         )
 
     @property

@@ -28,7 +28,7 @@ Wanted = float | tuple[tuple[str, float], ...]
 def chosen_integrator(
     mechanism: Mechanism,
     response: Mapping[str, Callable],
-    duration: float,
+    duration: Any,
     asked: Wanted,
     how: How,
 ) -> Chosen:

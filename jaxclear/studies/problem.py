@@ -130,7 +130,7 @@ class Problem(AbstractProblem):
         times = saving_times(check_duration(duration), asked.at)
         check_responses(self.response, self.variables, "a trajectory")
         given = mechanism, self.response, times[-1]
-        chosen = (integrator, "", None)
+        chosen: Any = (integrator, "", None)
         if accuracy is not None:
             check_one_of_two("a Problem", integrator)
             wanted = checked_asked(accuracy, self.response)
