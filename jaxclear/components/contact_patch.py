@@ -47,6 +47,17 @@ class Elasticity(NamedTuple):
     root: Scalar
 
 
+class Overlapping(Protocol):
+    """How a part overlaps cells: its slope by the level is `cosine` times the share `at` that."""
+
+    @property
+    def cosine(self) -> Any: ...
+
+    def at(self, level: Scalar) -> tuple[Array, Array]:
+        """(mean over each cell of the overlap [m], where there is one; share of the cell where
+        there is) at an eccentricity [m]."""
+
+
 class Outline(NamedTuple):
     """How a part at eccentricity e [m] overlaps cells: by e `cosine` - `room`; `rounding`: half the
     change of that across a cell [m]."""
@@ -71,7 +82,7 @@ class Way(NamedTuple):
 
     along: Float[Array, "..."]
     nearest: Outline
-    half: Scalar
+    half: Array
     room: Float[Array, "around along"]
 
 
@@ -82,7 +93,7 @@ class Patch(NamedTuple):
     `start`: an eccentricity [m] near the solution and at or above it.
     """
 
-    outline: Outline
+    outline: Overlapping
     way: Way
     area: Float[Array, " along"]
     share: Float[Array, " along"] | Scalar
@@ -244,7 +255,7 @@ def depth_of(square: Scalar, cell: Scalar, clearance: Scalar) -> Scalar:
     return 0.5 * clearance * jnp.maximum(square, (LEAST_WIDTH * cell) ** 2)
 
 
-def arc_with_cell(half_arc: Scalar, cell: Scalar) -> Scalar:
+def arc_with_cell(half_arc: Scalar, cell: Array | float) -> Array:
     """Half of an arc [rad] over which, and over cells of this angle [rad], a mean is taken: as two
     spreads add up."""
     return jnp.sqrt(half_arc * half_arc + 0.25 * cell * cell)

@@ -41,10 +41,16 @@ class Wall(NamedTuple):
     clearance: Scalar
 
     @property
-    def cell(self) -> float:
-        """Mean of a cell's two sides at the equator [rad]."""
+    def sides(self) -> tuple[float, float]:
+        """Of a cell at the equator, around and along [rad]."""
         around, along = self.cells
-        return 0.5 * (2 * math.pi / around + math.pi / along)
+        return 2 * math.pi / around, math.pi / along
+
+    @property
+    def cell(self) -> float:
+        """The shorter side of a cell at the equator [rad]: a groove of that width is resolved where
+        it runs along the longer one."""
+        return min(self.sides)
 
     def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
@@ -62,12 +68,43 @@ class Wall(NamedTuple):
         return np.stack([np.cos(angles), np.sin(angles), bands * (2 * np.pi / around)], axis=1)
 
 
+class Swept(NamedTuple):
+    """How a ball overlaps cells at most, as it goes through an arc of this `half` [rad]: across its
+    way as `nearest` tells, and less beyond the arc; cells lie `away` so far from the middle of that
+    and are so `long` in its direction [rad]."""
+
+    nearest: Outline
+    away: Array
+    half: Scalar
+    long: Array
+
+    @property
+    def cosine(self) -> Array | Scalar:
+        """As of an `Outline`."""
+        return self.nearest.cosine
+
+    def at(self, level: Scalar) -> tuple[Array, Array]:
+        """As of an `Outline`: means over what a cell has of the arc, and of the parabolas beyond
+        it."""
+        overlap, share = self.nearest.at(level)
+        width = safe_sqrt(2.0 * safe_divide(overlap, self.nearest.room))
+
+        def until(place):
+            inside = jnp.clip(place, -self.half, self.half)
+            beyond = jnp.clip(place - inside, -width, width)
+            covered = inside + beyond
+            return covered, covered - beyond * safe_divide(beyond, width) ** 2 / 3.0
+
+        first, last = until(self.away - 0.5 * self.long), until(self.away + 0.5 * self.long)
+        covered, filled = ((b - a) / self.long for a, b in zip(first, last, strict=True))
+        return overlap * filled, share * covered
+
+
 class Loss(NamedTuple):
     """A volume [m3] that a `wall` loses to a ball that comes closest towards a direction of length
-    1 (0: without one), and goes through an arc of half that angle [rad] about it (with cosine and
-    sine, `turned`) in the direction of its `travel`, of length 1 or less where cells do not resolve
-    the arc; its `load` before anything is lost, and how
-    deep it would sink into an unworn wall (`sunk`) [m]."""
+    1 (0: without one), and goes through an arc of half that angle [rad] about it in the direction
+    of its `travel`, of length 1 or less where cells do not resolve the arc; its `load` before
+    anything is lost, and how deep it would sink into an unworn wall (`sunk`) [m]."""
 
     wall: Wall
     volume: Scalar
@@ -75,7 +112,6 @@ class Loss(NamedTuple):
     there: Array
     travel: Float[Array, "3"]
     half_arc: Scalar
-    turned: tuple[Scalar, Scalar]
     load: Elasticity
     sunk: Scalar
 
@@ -86,24 +122,31 @@ class Loss(NamedTuple):
 
     def patch(self, places: Float[Array, "*cells 3"], depth: Array, area: Array) -> Patch:
         """Cells in these directions, worn so deep [m], of this area [m2]; no start."""
-        clearance, (c, s) = self.wall.clearance, self.turned
-        ahead, sideways = places @ self.normal, jnp.abs(places @ self.travel)
-        inside = sideways * c < ahead * s
+        x, y, z = (places[..., i] for i in range(3))
+        ahead, sideways = places @ self.normal, places @ self.travel
         beside = safe_sqrt(ahead * ahead + sideways * sideways)
-        cosine = jnp.where(inside, beside, ahead * c + sideways * s)
+        # A cell's sides, along the mean normal and along the travel.
+        wide, high = self.wall.sides
+        level = safe_sqrt(x * x + y * y)
+        pairs = (self.normal, ahead), (self.travel, sideways)
+        around = [wide * (x * way[1] - y * way[0]) for way, _ in pairs]
+        along = [high * safe_divide(way[2] - z * share, level) for way, share in pairs]
+
+        def extent(a, b):
+            """Of a cell, along a part of the one and one of the other, as two spreads add up."""
+            first, second = (a * side[0] + b * side[1] for side in (around, along))
+            return safe_sqrt(first * first + second * second)
+
+        a, b = safe_divide(ahead, beside), safe_divide(sideways, beside)
         # Without a direction all are as near.
-        cosine, beside = (jnp.where(self.there, each, 1.0) for each in (cosine, beside))
-        rounded = lambda cosine: (
-            clearance * (0.5 * self.wall.cell * safe_sqrt(1.0 - cosine * cosine) + SHARPEST)
-        )
-        room = clearance + depth
-        way = Way(
-            direction_angle(ahead, sideways),
-            Outline(beside, room, rounded(beside)),
-            arc_with_cell(self.half_arc, self.wall.cell),
-            room,
-        )
-        return Patch(Outline(cosine, room, rounded(cosine)), way, area, 1.0, 0.0, self.load)
+        cosine = jnp.where(self.there, beside, 1.0)
+        away = jnp.where(self.there, direction_angle(ahead, jnp.abs(sideways)), 0.0)
+        room = self.wall.clearance + depth
+        nearest = Outline(cosine, room, self.wall.clearance * (0.5 * extent(a, b) + SHARPEST))
+        long = extent(-b, a) + SHARPEST
+        way = Way(away, nearest, arc_with_cell(self.half_arc, long), room)
+        outline = Swept(nearest, away, self.half_arc, long)
+        return Patch(outline, way, area, 1.0, 0.0, self.load)
 
     def in_column(self, column: Int[Array, ""]) -> Float[Array, "2"]:
         """Cosine and sine of its azimuth."""
@@ -129,7 +172,9 @@ class Loss(NamedTuple):
     def touched(self, level: Scalar) -> Touched:
         """Cells that the ball may overlap at a level: of a cap about its mean direction."""
         around, along = self.cells
-        reach = self.half_arc + angle_touched(level, self.wall.cell, self.wall.clearance)
+        # A cell that lies aslant of the travel is touched from as far as its diagonal.
+        diagonal = math.sqrt(2.0) * max(self.wall.sides)
+        reach = self.half_arc + angle_touched(level, diagonal, self.wall.clearance)
         column, row = self.wall.position(*self.normal)
         level = safe_sqrt(1.0 - self.normal[2] * self.normal[2])
         # A cap that holds a pole lies on all columns.
@@ -165,7 +210,6 @@ def loss_of(wall: Wall, volume: Scalar, features: Float[Array, "9"]) -> Loss:
         length > 0,
         travel,
         half_arc,
-        (jnp.cos(half_arc), jnp.sin(half_arc)),
         load,
         point_sunk(volume + load.overlap, wall.radius, wall.clearance),
     )
@@ -185,7 +229,8 @@ def _travel(
     both, more = _sum_and_difference(spread)
     moves = both > STILL
     some = _along_the_wall(normal)
-    spread = spread + drowned * drowned * jnp.outer(some, some)
+    # Cells with unlike sides would tell which way rounding points.
+    spread = jnp.where(moves, spread, 0.0) + drowned * drowned * jnp.outer(some, some)
     of_both, of_more = _sum_and_difference(spread)
     largest = spread - 0.5 * (of_both - of_more) * across
     x, y, z = (largest[i, i] for i in range(3))

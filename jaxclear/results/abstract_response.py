@@ -10,7 +10,7 @@ import equinox as eqx
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.results.trajectory import Trajectory
 
-__all__ = ["REACHES", "AbstractResponse", "concerned", "unit_of"]
+__all__ = ["REACHES", "AbstractResponse", "concerned", "needs_of", "unit_of"]
 
 # What is off in a run where one part of it is: forces follow the motion, wear follows forces.
 REACHES = {
@@ -46,10 +46,16 @@ class AbstractResponse(AbstractQuantified):
         """The response of a run."""
 
 
+def needs_of(response: Any) -> str:
+    """What of a run a response needs to be right, as `drawn_from` says; a plain function may need
+    "anything"."""
+    return response.drawn_from() if isinstance(response, AbstractResponse) else "anything"
+
+
 def concerned(response: Any, concerns: str) -> bool:
     """Whether a warning that `concerns` a part of a run concerns a response; any does that of a
     plain function."""
-    needs = response.drawn_from() if isinstance(response, AbstractResponse) else "anything"
+    needs = needs_of(response)
     return needs == "anything" or needs in REACHES.get(concerns, (needs,))
 
 

@@ -164,11 +164,24 @@ class AbstractProblem(AbstractQuantified):
     def ending(self, outcome: int, ended: float) -> str:
         """How a sample ended, as the rest of a sentence that begins with its values."""
 
-    def second_look(self, checks: Checks) -> Checks:
-        """What a second look at the nominal sample finds to be off (figures beyond their limits) or
-        how well it agrees (below them), where the samples' own `checks` (samples in front) bring
-        many in doubt; no figures where nothing is to be told."""
-        return Checks()
+    def discretised(self) -> bool:
+        """Whether its numbers are off by something that could be refined, as steps of a run."""
+        return False
+
+    def replica(self, share: float = 0.5) -> "AbstractProblem | None":
+        """The same question with all that discretises it refined, steps to a `share` [1] of their
+        length; None where nothing is discretised, or it cannot be refined. Of the same structure
+        wherever that is enough: a study then runs it by its own compiled program."""
+        return None
+
+    def promised(self, response: str, size: float) -> float | None:
+        """The largest error of its mean with which a response of this `size` (root mean square)
+        counts as right, in its unit; None where nothing is promised."""
+        return None
+
+    def doubts(self) -> tuple[str, ...]:
+        """A sentence for what is off in all samples alike, and known before any is run."""
+        return ()
 
     def remark(self) -> str:
         """What a user should know of how the samples were computed; "" for nothing."""

@@ -87,11 +87,13 @@ def evaluate_all(
     progress_bar: bool = False,
     label: str = "samples",
     function=evaluate_chunk,
+    kept_as: str = "asked",
 ) -> SampleResult:
-    """Outcomes of all samples, in the order of `values`; arrays on the host."""
+    """Outcomes of all samples, in the order of `values`; arrays on the host. `kept_as`: among which
+    sets of samples a folder counts them, if a study is kept."""
     keeper = KEEPER.get()
     if keeper is not None:
-        shown = {"progress_bar": progress_bar, "label": label}
+        shown = {"progress_bar": progress_bar, "label": label, "kept_as": kept_as}
         return keeper(problem, values, chunk=chunk, function=function, **shown)
     check_double_precision()
     samples = len(values)

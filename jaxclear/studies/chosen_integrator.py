@@ -40,11 +40,12 @@ def chosen_integrator(
     )
 
     def apart(run: Trajectory, one: dict, other: dict) -> dict[str, float]:
-        if isinstance(asked, float):
-            allowed = {name: asked * abs(one[name]) for name in response}
-        else:
-            allowed = dict(asked)
-        return {n: beside(abs(one[n] - other[n]), most) for n, most in allowed.items()}
+        wanted = {name: allowed(asked, name, abs(one[name])) for name in response}
+        return {
+            name: beside(abs(one[name] - other[name]), most)
+            for name, most in wanted.items()
+            if most is not None
+        }
 
     seen = lambda run: {name: float(np.asarray(x)) for name, x in drawn(run).items()}
     return chosen_for(mechanism, duration, seen, apart, how)
@@ -61,6 +62,11 @@ def unasked(
         return usual, why, None
     found = chosen_integrator(mechanism, response, duration, UNASKED, how)
     return (found.integrator, found.why, UNASKED) if found.reached else (usual, why, None)
+
+
+def allowed(asked: Wanted, response: str, size: float) -> float | None:
+    """The largest error that is asked of a response of this `size`, in its unit; None: any."""
+    return asked * size if isinstance(asked, float) else dict(asked).get(response)
 
 
 def checked_asked(accuracy: Any, response: Mapping[str, Callable]) -> Wanted:

@@ -13,6 +13,8 @@ from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.texts import in_texts
 
 __all__ = [
+    "FINER",
+    "finer_name",
     "of_corners",
     "of_corrected",
     "of_derivatives",
@@ -26,6 +28,13 @@ __all__ = [
 ]
 
 RESPONSE, VARIABLE = "response", "variable"
+# What responses of replicas are, which are those of the first samples.
+FINER = "of a finer run of the same sample"
+
+
+def finer_name(response: str) -> str:
+    """What the responses of replicas are called."""
+    return f"finer {response}"
 
 
 def of_samples(study: Any) -> Any:
@@ -44,6 +53,9 @@ def of_samples(study: Any) -> Any:
         worst = np.asarray(figure.worst).reshape(study.count, -1).max(axis=1)
         meaning = f"worst figure of this check, whose limit is {check.limit:g}"
         columns[f"check {check.name.lower()}"] = Column(("sample",), worst, "1", meaning)
+    if study.replicas is not None:
+        for name, values in study.replicas.responses.items():
+            columns[finer_name(name)] = Column(("replica",), values, problem.units()[name], FINER)
     told = {"result": study.sentence(), "seed": study.seed, "chunk": study.chunk}
     return dataset(columns, what="Monte Carlo", problem=in_texts(problem), **told)
 

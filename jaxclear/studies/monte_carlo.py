@@ -18,10 +18,12 @@ from jaxclear.studies.batch import chunk_size, evaluate_all
 from jaxclear.studies.datasets import of_samples
 from jaxclear.studies.endless import answered, check_told, endless_sentences, refuse_endless
 from jaxclear.studies.growing import FIRST_SAMPLES, Grown, first_of, responses_of, until_accurate
+from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.statistics.accuracy import asked_of
 from jaxclear.studies.statistics.error_budget import error_budget
 from jaxclear.studies.statistics.limits import Limits, check_limits, yield_of
+from jaxclear.studies.statistics.numerical_error import NumericalError
 from jaxclear.studies.statistics.scrambled import (
     Statistic,
     capability,
@@ -29,7 +31,7 @@ from jaxclear.studies.statistics.scrambled import (
     jackknifed,
     quantile,
 )
-from jaxclear.studies.statistics.summary import in_sentences, summary_row
+from jaxclear.studies.statistics.summary import failure, in_sentences, summary_row, table_of
 from jaxclear.studies.statistics.tolerance_interval import (
     SIDES,
     ToleranceInterval,
@@ -45,7 +47,8 @@ class MonteCarlo(AbstractShown):
 
     `values` (samples, variables) are the varied numbers, `responses` (samples,) by name, `checks`
     what each run found out about itself, `scrambling` (samples,) the independent part of the sample
-    that each belongs to: errors of statistics come from the differences between these.
+    that each belongs to: errors of statistics come from the differences between these. `replicas`
+    are finer runs of the first samples, which tell numerical errors (None: not verified).
     """
 
     problem: AbstractProblem
@@ -59,9 +62,9 @@ class MonteCarlo(AbstractShown):
     scrambling: np.ndarray = eqx.field(default_factory=lambda: np.zeros(0, int))
     # What was asked of the means (half of 95 % intervals, by response) and not reached.
     unreached: str = eqx.field(static=True, default="")
-    # What a second look at the nominal sample has found, where many samples are in doubt: what is
-    # off, or how well it agrees.
-    nominal: Checks = eqx.field(default_factory=Checks)
+    replicas: Replicas | None = None
+    # What a folder of an earlier version says to be off.
+    earlier: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def failed(self) -> np.ndarray:
@@ -71,7 +74,7 @@ class MonteCarlo(AbstractShown):
 
     def failures(self) -> dict[int, str]:
         """Why each failed sample failed, by its index."""
-        return {int(i): self._sentence(i) for i in self.failed}
+        return {int(i): failure(self, i) for i in self.failed}
 
     @property
     def warned(self) -> np.ndarray:
@@ -96,9 +99,22 @@ class MonteCarlo(AbstractShown):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """A sentence for what a run of the nominal values with steps a quarter as long has found to
-        be off, where the samples' own figures asked for one: it is off in about all of them."""
-        return tuple(f"A second look at the nominal sample: {s}" for s in self.nominal.warnings)
+        """A sentence for each response whose mean is off by more than is promised, as replicas
+        tell; for replicas that failed; and for what is off in all samples alike."""
+        return self.doubts_of(*self.problem.response_names)
+
+    def doubts_of(self, *responses: str) -> tuple[str, ...]:
+        """The `doubts` that concern these responses."""
+        told = () if self.replicas is None else self.replicas.doubts(self.problem, *responses)
+        return (*told, *self.problem.doubts(), *self.earlier)
+
+    def numerical_error(
+        self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
+    ) -> NumericalError:
+        """How far the mean, or another smooth function of a sample (samples,), is off by what
+        discretises runs, beside what chance leaves. Raises `ValueError` without replicas."""
+        check_known("response", response, self.responses, " in this study")
+        return numerical_error(self, response, statistic)
 
     def rerun(self, index: int) -> Any:
         """One sample alone, to look at one that failed or warned: a mechanism's run, bit for bit
@@ -114,6 +130,7 @@ class MonteCarlo(AbstractShown):
         told = (
             text,
             *self.doubts,
+            unverified(self.problem, self.replicas),
             *endless_sentences(self.problem, self.responses),
             self.unreached,
             self.problem.remark(),
@@ -123,34 +140,10 @@ class MonteCarlo(AbstractShown):
     def __str__(self) -> str:
         return "\n".join([self.sentence(), *in_sentences(self.summary())])
 
-    def _sentence(self, i):
-        named = ", ".join(
-            f"{n} = {v:.6g}" for n, v in zip(self.problem.names, self.values[i], strict=True)
-        )
-        ending = self.problem.ending(int(self.outcome[i]), float(self.ended[i]))
-        if self.outcome[i] == Outcome.REACHED:
-            ending = f"{ending.rstrip('.')}, but a response is not finite."
-        return f"With {named} {ending}"
-
     def table(self) -> Any:
         """All samples as a pandas table: variables, responses, result, warnings and the responses
         that these concern."""
-        import pandas
-
-        columns: dict[str, Any] = dict(zip(self.problem.names, self.values.T, strict=True))
-        columns |= self.responses
-        sentences = self.failures()
-        good = self.problem.ending(Outcome.REACHED, 0.0)
-        good = f"{good[0].upper()}{good[1:]}"
-        columns["result"] = [sentences.get(i, good) for i in range(self.count)]
-        warnings = self.warnings()
-        columns["warnings"] = [" ".join(warnings.get(i, ())) for i in range(self.count)]
-        concerned = {name: set(self.concerned(name)) for name in self.responses}
-        columns["in doubt"] = [
-            ", ".join(name for name, samples in concerned.items() if i in samples)
-            for i in range(self.count)
-        ]
-        return pandas.DataFrame(columns)
+        return table_of(self)
 
     def to_dataset(self) -> Any:
         """All samples as an xarray Dataset: variables and responses by name with units, how each
@@ -257,6 +250,7 @@ def monte_carlo(
     scramblings: int | None = None,
     accuracy: float | Mapping[str, float] | None = None,
     chunk: int | None = None,
+    verify: bool = True,
     progress_bar: bool = False,
 ) -> MonteCarlo:
     """Responses over a random sample of the variables.
@@ -266,11 +260,12 @@ def monte_carlo(
     every statistic. `accuracy`: half of the 95 % interval of each mean, as a share of the
     response's root mean square [1], or by response in its unit; samples are then doubled until it
     is reached, and `samples` are the most. `chunk`: samples run together, by
-    default what fits memory; all chunks share one compiled program. A sample that fails is counted,
-    named and kept; so is one whose run warns of its own numbers.
+    default what fits memory; all chunks share one compiled program. `verify`: the first 16 samples
+    are run again with finer steps, which tells `numerical_error` of every statistic. A sample that
+    fails is counted, named and kept; so is one whose run warns of its own numbers.
     """
     check_sampled(problem, samples, seed, sampling)
-    check_flags("monte_carlo", progress_bar=progress_bar)
+    check_flags("monte_carlo", verify=verify, progress_bar=progress_bar)
     if chunk is not None:
         check_count("chunk of monte_carlo", chunk)
     asked = asked_of(accuracy, problem.response_names)
@@ -292,8 +287,13 @@ def monte_carlo(
         short = until_accurate(problem, first_of(first, parts), samples, asked, grown)
     found, values = sample.found, sample.values
     ends = (np.asarray(found.outcome), np.asarray(found.ended))
-    responses, group = responses_of(problem, found), groups(len(values), parts)
-    looked = problem.second_look(found.checks)
-    return MonteCarlo(
-        problem, values, responses, *ends, seed, chunk, found.checks, group, short, looked
+    told = (
+        responses_of(problem, found),
+        *ends,
+        seed,
+        chunk,
+        found.checks,
+        groups(len(values), parts),
     )
+    replicas = replicas_of(problem, values, found, chunk, progress_bar) if verify else None
+    return MonteCarlo(problem, values, *told, short, replicas)

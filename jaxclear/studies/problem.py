@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.errors.replicas import between, replica
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
@@ -49,9 +50,15 @@ from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
-from jaxclear.studies.chosen_integrator import checked_asked, chosen_integrator, unasked
+from jaxclear.studies.chosen_integrator import (
+    allowed,
+    checked_asked,
+    chosen_integrator,
+    unasked,
+)
 from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.responses import by_name, check_responses
+from jaxclear.studies.promised import promised_of
+from jaxclear.studies.responses import Thinned, by_name, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,
     check_variables,
@@ -93,6 +100,8 @@ class Problem(AbstractProblem):
     integrator: AbstractIntegrator
     state: State
     past: Past
+    # Of worn surfaces in a saving interval.
+    updates: Array
     correlation: Float[Array, "variables variables"] | None
     # JAX sorts the keys of a dictionary; the order in which things were given is kept here.
     names: tuple[str, ...] = eqx.field(static=True)
@@ -148,6 +157,7 @@ class Problem(AbstractProblem):
         self.state = State() if state is None else state
         seen = self.integrator.formulation.seen(mechanism)
         self.past = past_of(seen, self.integrator.formulation, self.state)
+        self.updates = jnp.asarray(1)
         self.integrator = self._load_steps().integrator
         self.determined, motion = (), self.state.motion
         if motion is None:
@@ -203,7 +213,8 @@ class Problem(AbstractProblem):
         else:
             start = carried_on(mechanism, *motion.moving)
         extras = Extras(events=self.events, discrete=discrete)
-        found = run(mechanism, *start[:2], times, self.integrator, extras, self.past)
+        given = mechanism, *start[:2], times, self.integrator, extras, self.past
+        found = run(*given, self.updates)
         return mechanism, start, found
 
     def evaluate(
@@ -244,8 +255,31 @@ class Problem(AbstractProblem):
         times = self.state.begins + self.shares * self.duration
         return load_steps(self.mechanism, self.integrator, times)
 
-    def second_look(self, checks):
-        return checked_by(self._load_steps().passed, Checks())
+    def discretised(self):
+        return True
+
+    def replica(self, share=0.5):
+        """Runs in finer steps, whose surfaces wear more often; where steps between saving times are
+        counted there are more of these, and responses see runs at those that were asked for."""
+        times = self.state.begins + self.shares * self.duration
+        how = replica(self.integrator, times, share)
+        if how is None:
+            return None
+        places = lambda own: (own.integrator, own.updates)
+        found = eqx.tree_at(places, self, (how.integrator, jnp.asarray(how.updates)))
+        if how.every == 1:
+            return found
+        seen = {name: Thinned(own, how.every) for name, own in self.response.items()}
+        shares = jnp.asarray(between(self.shares, how.every))
+        return eqx.tree_at(lambda own: (own.response, own.shares), found, (seen, shares))
+
+    def promised(self, response, size):
+        if self.accuracy is None:
+            return promised_of(self.mechanism, self.integrator, self.response[response], size)
+        return allowed(self.accuracy, response, size)
+
+    def doubts(self):
+        return checked_by(self._load_steps().passed, Checks()).warnings
 
     def ending(self, outcome, ended):
         how = Outcome(outcome)

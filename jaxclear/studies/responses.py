@@ -1,16 +1,30 @@
 """Which responses are wanted of a mechanism, by name, and what they may answer."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxclear.errors.replicas import thinned
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described
 from jaxclear.studies.base import is_one_number
 
-__all__ = ["by_name", "check_responses", "one_number"]
+__all__ = ["Thinned", "by_name", "check_responses", "one_number"]
+
+
+class Thinned(eqx.Module):
+    """A response of a run whose saving intervals were cut into `parts`: it sees the run at the ends
+    of whole ones."""
+
+    function: Callable
+    parts: int = eqx.field(static=True)
+
+    def __call__(self, run: Any) -> Any:
+        """The response of such a run."""
+        return self.function(thinned(run, self.parts))
 
 
 def by_name(what: str, given: Any) -> dict[str, Any]:

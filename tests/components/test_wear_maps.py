@@ -18,6 +18,8 @@ from jaxclear.native import scan
 CLEARANCE = 0.1e-3
 CYLINDER = CylinderMap((12, 5), 10e-3, 20e-3, CLEARANCE)
 SPHERE = SphereMap((12, 6), 10e-3, CLEARANCE)
+# Cells eight times as wide as high, and the other way round.
+WIDE, HIGH = (SphereMap(cells, 10e-3, CLEARANCE) for cells in ((6, 24), (48, 3)))
 WALLS = WallMap((2, 12), 0.12, 0.01, 0.04, 0.01, CLEARANCE, 0.01)
 HUMP = BSpline.basis_element([-1.5, -0.5, 0.5, 1.5], extrapolate=False)
 
@@ -84,9 +86,11 @@ def wall_events():
     [
         (CYLINDER, cylinder_events()),
         (SPHERE, sphere_places(sphere_events())),
+        pytest.param(WIDE, sphere_places(sphere_events()), marks=pytest.mark.slow),
+        pytest.param(HIGH, sphere_places(sphere_events()), marks=pytest.mark.slow),
         (WALLS, wall_events()),
     ],
-    ids=["cylinder", "sphere", "walls"],
+    ids=["cylinder", "sphere", "wide", "high", "walls"],
 )
 def test_volume_is_conserved(wear_map, events):
     deposit, areas = eqx.filter_jit(wear_map.deposit), np.asarray(wear_map.areas())
@@ -105,9 +109,11 @@ def test_volume_is_conserved(wear_map, events):
     [
         pytest.param(CYLINDER, cylinder_events(), marks=pytest.mark.slow),
         (SPHERE, sphere_places(sphere_events())),
+        pytest.param(WIDE, sphere_places(sphere_events()), marks=pytest.mark.slow),
+        pytest.param(HIGH, sphere_places(sphere_events()), marks=pytest.mark.slow),
         pytest.param(WALLS, wall_events(), marks=pytest.mark.slow),
     ],
-    ids=["wall", "socket", "guide"],
+    ids=["wall", "socket", "wide", "high", "guide"],
 )
 def test_cell_by_cell_a_kernel_takes_off_what_the_whole_map_loses(wear_map, events):
     """And its reading is that of the depth; so are their slopes, and both of a batch."""

@@ -309,3 +309,45 @@ def test_a_ring_that_turns_about_a_loaded_journal_wears_evenly_and_by_archard():
     expected = float(law.wear_coefficient / law.hardness) * 100.0 * 3 * 2 * math.pi * RADIUS
     np.testing.assert_allclose(volume, expected, rtol=0.05)
     np.testing.assert_allclose(depth, volume / (2 * math.pi * RADIUS * LENGTH), rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [(24, 96), *(pytest.param(own, marks=pytest.mark.slow) for own in ((48, 96), (288, 20)))],
+)
+def test_a_socket_that_turns_about_a_loaded_ball_wears_hertz_contact_drawn_around(cells):
+    """What its law presses by d under a load F, (F/K)^(2/3), is a contact of half the width a =
+    R sqrt(d/c), whose pressure goes with sqrt(1 - (x^2 + y^2)/a^2). A turn draws it along x around
+    the socket: across, its integral is as 1 - (y/a)^2. Archard's volume k F s/H over a circle of
+    2 pi R and over 4/3 a, the area of that parabola beside its height, is the depth in the middle:
+    3 V/(8 pi R a). The deepest cells hold the mean of the parabola over a row beside the middle.
+    """
+    load, stiffness, speed, rate = 100.0, 1e10, 20 * math.pi, 200.0
+    joint = jc.clearance.BallSocket(
+        jc.contact.HuntCrossley(stiffness=stiffness, restitution=0.1),
+        socket_radius=RADIUS,
+        clearance=CLEARANCE,
+        socket_wear=jc.Wearing(jc.wear.Archard(), cells, rate),
+    )
+    turn = jc.joint.Revolute(drive=jc.drive.ConstantSpeed(speed))
+    mechanism = jc.Mechanism(
+        {"ring": jc.Body(1.0, (1e-3,) * 3), "ball": jc.Body(0.1, (1e-5,) * 3)},
+        {
+            "pivot": jc.Connection(turn, "ground", "ring"),
+            "B": jc.Connection(joint, "ring", "ball"),
+        },
+        {"load": jc.load.Force(jc.Marker("ball"), (0.0, -load, 0.0))},
+        # The ball stays as it is turned.
+        speeds={"B": (0.0, 0.0, -speed)},
+    )
+    run = jc.simulate(mechanism, 0.3, save=151, integrator=jc.integrator.NonColliding())
+    law = jc.wear.Archard()
+    slid = speed * 0.3 * RADIUS
+    volume = rate * float(law.wear_coefficient / law.hardness) * load * slid
+    half = RADIUS * math.sqrt((load / stiffness) ** (2 / 3) / CLEARANCE)
+    depth = 3 * volume / (8 * math.pi * RADIUS * half)
+    row = math.pi * RADIUS / cells[1]
+    # Its depth is a twentieth of the overlap d/2, so the wall hardly conforms; and a contact is
+    # widened by a cell, a hundredth of its width.
+    wanted = depth * (1 - (row / half) ** 2 / 3)
+    np.testing.assert_allclose(run.worn_depth("B", "socket").max(axis=1).mean(), wanted, rtol=0.03)

@@ -94,4 +94,4 @@ def test_a_study_is_held_to_the_push_too_and_says_what_its_steps_pass_over():
     found = held.evaluate(held.nominal()).responses["speed"]
     assert float(found) == pytest.approx(FORCE * LASTS / MASS, rel=1e-5)
     passing = question(jc.integrator.FixedStep(1e-4))
-    assert "push" in passing.second_look(passing.evaluate(passing.nominal()).checks).warnings[0]
+    assert "push" in passing.doubts()[0]

@@ -41,6 +41,7 @@ def campaign(
     study: Callable | None = None,
     seed: int | None = None,
     client: Any = None,
+    verify: bool = True,
     progress_bar: bool = False,
     **settings: Any,
 ) -> Any:
@@ -60,7 +61,8 @@ def campaign(
     machine, the same responses to the last bit in whatever chunks and threads it is computed; and
     `chunk`, samples in a file, rounded up to whole batches (an older folder keeps its own).
     `client`: a `dask.distributed.Client`, whose workers compute and write the chunks, in a folder
-    that all of them see. `progress_bar` shows rate, time left, failures.
+    that all of them see. `verify`: the first 16 samples have replicas, as in `monte_carlo`, kept as
+    well. `progress_bar` shows rate, time left, failures.
 
     `study`: another one to keep, `jaxclear.sensitivity`, `sobol_indices`, `shapley_effects`,
     `surface`, `worst_case`, `reliability`, `design`, `wear_life` or `wear_lives`, with its own
@@ -69,13 +71,14 @@ def campaign(
 
     Raises `ValueError` with a sentence for what cannot be asked, `ImportError` without zarr.
     """
-    check_flags("campaign", progress_bar=progress_bar)
+    check_flags("campaign", verify=verify, progress_bar=progress_bar)
     if study is not None:
         given = {"samples": samples, "seed": seed, "client": client}
+        given |= {"verify": None if verify else False}
         given |= {"chunk": settings.pop("chunk", None), "progress_bar": progress_bar or None}
         return kept_study(study, problem, folder, given, settings)
     samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
-    asked = _asked(problem, samples, seed, settings)
+    asked = _asked(problem, samples, seed, settings)._replace(verify=verify)
     checked_folder(folder)
     try:
         with _by(problem, client) as work:

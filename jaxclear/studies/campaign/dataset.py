@@ -17,6 +17,8 @@ from jaxclear.studies.campaign.layout import (
     WORST,
 )
 from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.campaign.verified import known_replicas
+from jaxclear.studies.datasets import FINER, finer_name
 
 __all__ = ["dataset_of"]
 
@@ -56,6 +58,11 @@ def dataset_of(samples: Samples) -> Any:
     turns = np.resize(np.arange(plan.scramblings, dtype=np.int32), plan.samples)
     told = {"units": "1", "long_name": "independent part of the sample"}
     columns["scrambling"] = xarray.Variable("sample", turns, told)
+    replicas = known_replicas(samples.folder)
+    units = dict(zip(recorded["response_names"], recorded["response_units"], strict=True))
+    for name, values in ({} if replicas is None else replicas.responses).items():
+        told = {"units": units[name], "long_name": FINER}
+        columns[finer_name(name)] = xarray.Variable("replica", values, told)
     # The marks themselves are longer than a number of netCDF's third version.
     done = (kept[FINISHED] != 0).astype("int8")
     columns[FINISHED] = done.assign_attrs(long_name="1 for a chunk that is finished")

@@ -12,6 +12,8 @@ __all__ = ["RecordedProblem", "in_json"]
 
 # The outcomes that a sentence tells of without what was computed.
 ENDED = "{ended:.6g}"
+# A size of responses beside which what is promised at least is nothing.
+LARGE = 1e100
 # A time [s] that no run ends at and no sentence holds otherwise.
 SOME_TIME = 987654.0
 
@@ -32,12 +34,18 @@ class RecordedProblem(AbstractProblem):
     # Of each response, where a folder tells: why it is infinite, and up to where it is told.
     endless_words: tuple[str, ...] = eqx.field(static=True, default=())
     most_told: tuple[float | None, ...] = eqx.field(static=True, default=())
+    # Whether its numbers are off by steps, what is off in all samples, and of each response what
+    # is promised of its mean: at least, and as a share of its size (None: nothing).
+    by_steps: bool = eqx.field(static=True, default=False)
+    known_doubts: tuple[str, ...] = eqx.field(static=True, default=())
+    promises: tuple[tuple[float, float] | None, ...] = eqx.field(static=True, default=())
 
     @classmethod
     def of_json(cls, told: dict[str, Any]) -> "RecordedProblem":
         """As `in_json` wrote it."""
         tuples = {key: tuple(own) if isinstance(own, list) else own for key, own in told.items()}
         tuples["concerns"] = tuple(map(tuple, told["concerns"]))
+        tuples["promises"] = tuple(own and tuple(own) for own in told.get("promises", ()))
         return cls(**tuples)
 
     def nominal(self):
@@ -55,6 +63,16 @@ class RecordedProblem(AbstractProblem):
     def told_up_to(self, response):
         most = dict(zip(self.response_names, self.most_told, strict=False)).get(response)
         return np.inf if most is None else most
+
+    def discretised(self):
+        return self.by_steps
+
+    def promised(self, response, size):
+        own = dict(zip(self.response_names, self.promises, strict=False)).get(response)
+        return None if own is None else max(own[0], own[1] * size)
+
+    def doubts(self):
+        return self.known_doubts
 
     def sample_memory(self):
         return 0
@@ -105,4 +123,13 @@ def in_json(problem: AbstractProblem) -> dict[str, Any]:
         "why": problem.remark(),
         "endless_words": [problem.endless(name) for name in problem.response_names],
         "most_told": [own if np.isfinite(own) else None for own in most],
+        "by_steps": problem.discretised(),
+        "known_doubts": problem.doubts(),
+        "promises": [_promise(problem, name) for name in problem.response_names],
     }
+
+
+def _promise(problem: AbstractProblem, response: str) -> tuple[float, float] | None:
+    """What is promised of the mean of a response at least, and as a share of its size."""
+    least, large = (problem.promised(response, size) for size in (0.0, LARGE))
+    return None if least is None or large is None else (least, large / LARGE)

@@ -4,6 +4,7 @@ A study asked the same again asks the same in the same order, and is answered fr
 where it was interrupted.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,23 +22,32 @@ from jaxclear.studies.texts import in_texts
 
 __all__ = ["kept_requests"]
 
-NAME = "asked-{:04d}"
+NAME = "{}-{:04d}"
 
 
 class _Requests:
-    """The sets of samples that a study asks for, one folder each, in their order."""
+    """The sets of samples that a study asks for, one folder each, in their order; those of each
+    kind are counted by themselves."""
 
     def __init__(self, folder: Path, what: str):
-        self.folder, self.what, self.count = folder, what, 0
+        self.folder, self.what = folder, what
+        self.count: Counter[str] = Counter()
 
     def answered(
-        self, problem: AbstractProblem, values: Any, *, chunk: int | None, function: Any, **shown
+        self,
+        problem: AbstractProblem,
+        values: Any,
+        *,
+        chunk: int | None,
+        function: Any,
+        kept_as: str,
+        **shown: Any,
     ) -> Any:
         """What `evaluate_all` gives for values (samples, variables), from the folder as far as it
         is there."""
-        place = self.folder / NAME.format(self.count)
+        place = self.folder / NAME.format(kept_as, self.count[kept_as])
         store = Store.opened(place, self.what, in_texts(problem))
-        self.count += 1
+        self.count[kept_as] += 1
         values = np.asarray(values)
         # Pieces of whole chunks: samples are computed as without a folder.
         chunk = chunk_size(problem, len(values), chunk)

@@ -1,7 +1,7 @@
 """What a campaign has found so far, read from its folder as it is asked for."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -14,9 +14,11 @@ from jaxclear.integrators.figures import Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of
 from jaxclear.studies.campaign.samples import Samples
+from jaxclear.studies.campaign.verified import known_replicas
 from jaxclear.studies.endless import answered
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.statistics.limits import Limits, check_limits
+from jaxclear.studies.statistics.numerical_error import NumericalError
 from jaxclear.studies.statistics.scrambled import Statistic
 from jaxclear.studies.statistics.summary import summary_row
 from jaxclear.studies.statistics.tolerance_interval import ToleranceInterval
@@ -128,6 +130,12 @@ class Campaign:
     def mean(self, response: str) -> Statistic:
         """Mean of a response."""
         return self._reduced(response).mean(response)
+
+    def numerical_error(
+        self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
+    ) -> NumericalError:
+        """As `MonteCarlo.numerical_error`."""
+        return self._reduced(response).numerical_error(response, statistic)
 
     def standard_deviation(self, response: str) -> Statistic:
         """Standard deviation of a response."""
@@ -248,7 +256,8 @@ class Campaign:
             found.checks,
             self._groups(),
             self._unfinished(),
-            self._samples.nominal(),
+            known_replicas(self.folder),
+            self._samples.earlier(),
         )
 
 

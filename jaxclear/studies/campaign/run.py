@@ -16,6 +16,7 @@ from jaxclear.studies.campaign.plan import Plan, usual_batch
 from jaxclear.studies.campaign.recorded import in_json
 from jaxclear.studies.campaign.result import READ, Campaign
 from jaxclear.studies.campaign.samples import Extended, Samples
+from jaxclear.studies.campaign.verified import verify
 from jaxclear.studies.campaign.work import AbstractWork, Heard
 from jaxclear.studies.growing import until_accurate
 from jaxclear.studies.sampling import groups
@@ -35,6 +36,8 @@ class Wanted(NamedTuple):
     accuracy: Asked | None
     # Whether its number of scramblings was asked for, and not the usual one.
     scrambled: bool
+    # Whether its first samples have replicas.
+    verify: bool = True
 
 
 def computed(by: AbstractWork, wanted: Wanted, folder: Any, shown: bool) -> Campaign:
@@ -46,7 +49,8 @@ def computed(by: AbstractWork, wanted: Wanted, folder: Any, shown: bool) -> Camp
     else:
         first = max(wanted.plan.samples, run.kept.plan.samples)
         short = until_accurate(by.problem, first, wanted.most, wanted.accuracy, run.grown)
-    run.kept.settle(by.problem.second_look)
+    if wanted.verify:
+        verify(run.kept, by)
     run.kept.tidy()
     return Campaign(run.kept, by.problem, short)
 

@@ -11,7 +11,7 @@ import secrets
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ from jaxclear.studies.store import checked_folder
 
 __all__ = ["Extended", "Samples"]
 
-# What is known of the nominal sample once all others are finished.
+# What versions up to 0.29 kept of the nominal sample.
 NOMINAL = "second_look"
 # Held while the plan is changed, or must not change.
 PLANNING = ".planning"
@@ -123,8 +123,7 @@ class Samples:
                 if self.plan.samples % self.plan.chunk:
                     # The last chunk is to have more samples.
                     self.arrays[FINISHED][self.plan.chunks - 1] = 0
-                kept = {name: own for name, own in self.told.items() if name != NOMINAL}
-                self.group.attrs.put(kept | {"plan": plan._asdict()})
+                self.group.attrs.put(self.told | {"plan": plan._asdict()})
         return Samples(self.folder)
 
     def trim(self) -> None:
@@ -207,37 +206,15 @@ class Samples:
         outcome = self.read(OUTCOME, at).astype(np.int32)
         return SampleResult(by_name, outcome, self.read(ENDED, at), Checks.of(figures))
 
-    def settle(self, look: Callable[[Checks], Checks]) -> None:
-        """Has the finished samples looked at, once, and keeps what was found. `look` is given the
-        worst figure of every check."""
-        if NOMINAL in self.told or not self.figures:
-            return
-        names = [check for check, _ in self.figures]
-        # Where the figures of each check begin; they stand together.
-        begins = {name: names.index(name) for name in names}
-        spans = (slice(*self.plan.span(n)) for n in self.finished())
-        parts = [np.maximum.reduceat(self.read(WORST, s), [*begins.values()], 1) for s in spans]
-        worst: Any = np.concatenate(parts)
-        own = {
-            Check[name]: Figure(worst[:, [i]], np.zeros_like(worst[:, [i]]), ("",))
-            for i, name in enumerate(begins)
-        }
-        self.told[NOMINAL] = [
-            [c.name, np.asarray(f.worst).tolist(), np.asarray(f.time).tolist(), list(f.places)]
-            for c, f in look(Checks.of(own)).figures.items()
-        ]
-        with self._planning() as current:
-            if current:
-                self.group.attrs.update({NOMINAL: self.told[NOMINAL]})
-
-    def nominal(self) -> Checks:
-        """What a second look at the nominal sample has found."""
+    def earlier(self) -> tuple[str, ...]:
+        """What a version up to 0.29 found to be off in a second look at the nominal sample."""
         kept: Any = self.told.get(NOMINAL, ())
         figures = {
             Check[name]: Figure(jnp.asarray(worst), jnp.asarray(when), tuple(places))
             for name, worst, when, places in kept
         }
-        return Checks.of(figures)
+        found = Checks.of(figures).warnings
+        return tuple(f"A second look at the nominal sample, kept from before: {s}" for s in found)
 
     @contextmanager
     def claimed(self, number: int) -> Iterator[bool]:

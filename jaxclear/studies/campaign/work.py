@@ -18,8 +18,9 @@ from jaxclear.studies.campaign.devices import devices
 from jaxclear.studies.campaign.plan import Evaluation, Plan, Program, Stopped
 from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.endless import answered
+from jaxclear.studies.replicas import replica_chunk
 
-__all__ = ["AbstractWork", "Heard", "Threads", "done", "failures"]
+__all__ = ["AbstractWork", "Heard", "Threads", "done", "failures", "finer"]
 
 # [s] between looks at whether others have finished the chunks that they are at.
 PATIENCE = 0.2
@@ -48,6 +49,16 @@ def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
         return failures(problem, found)
 
 
+def finer(problem: AbstractProblem, plan: Plan, values: np.ndarray) -> SampleResult | None:
+    """What samples of these values give in finer runs, in batches of the plan where they are of one
+    program; None where the problem has none."""
+    replica = problem.replica()
+    if replica is None:
+        return None
+    batch = replica_chunk(problem, replica, len(values), plan.batch)
+    return Evaluation(Program(replica), plan._replace(batch=batch)).chunk(values)
+
+
 class AbstractWork(ABC):
     """Who computes the chunks of a campaign of a `problem`."""
 
@@ -61,6 +72,11 @@ class AbstractWork(ABC):
     def compute(self, samples: Samples, numbers: Sequence[int], heard: Heard) -> None:
         """Computes and keeps the chunks of these numbers, and waits for those that other processes
         are at. Raises `Extended` where another process has planned more samples."""
+
+    @abstractmethod
+    def replicated(self, plan: Plan, values: np.ndarray) -> SampleResult | None:
+        """What samples of these values (samples, variables) give in finer runs; None where the
+        problem has none."""
 
     @abstractmethod
     def __enter__(self) -> "AbstractWork":
@@ -102,6 +118,13 @@ class Threads(AbstractWork):
                 if isinstance(reason, Stopped):
                     raise KeyboardInterrupt from None
                 raise
+
+    def replicated(self, plan, values):
+        with stoppable():
+            try:
+                return finer(self.problem, plan, values)
+            except Stopped:
+                raise KeyboardInterrupt from None
 
     def __enter__(self):
         return self

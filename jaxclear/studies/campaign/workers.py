@@ -18,12 +18,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxclear.ground.wording import described
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.layout import SAMPLES
 from jaxclear.studies.campaign.plan import Evaluation, Plan, Program
 from jaxclear.studies.campaign.samples import Samples
-from jaxclear.studies.campaign.work import PATIENCE, AbstractWork, Heard, done
+from jaxclear.studies.campaign.work import PATIENCE, AbstractWork, Heard, done, finer
 from jaxclear.studies.texts import in_texts
 
 __all__ = ["Workers", "check_client"]
@@ -101,6 +103,11 @@ class Workers(AbstractWork):
                 time.sleep(PATIENCE if others else 0)
         finally:
             self.client.cancel([*running.futures])
+
+    def replicated(self, plan, values):
+        self._joined()
+        asked = self.client.submit(_finer, self.there, self.token, plan, values, pure=False)
+        return asked.result()
 
     def _joined(self) -> None:
         """Waits for a worker. Raises `RuntimeError` with a sentence where none comes."""
@@ -182,6 +189,15 @@ def _compiled(problem: AbstractProblem, token: str, plan: Plan) -> SampleResult:
     with _MAKING:
         program = _program(_Once(token, problem))
     return program.begun(plan.batch)
+
+
+def _finer(
+    problem: AbstractProblem, token: str, plan: Plan, values: np.ndarray
+) -> SampleResult | None:
+    """What samples of these values give in finer runs, on a worker, by the program of its own."""
+    with _MAKING:
+        program = _program(_Once(token, problem))
+    return finer(program.problem, plan, values)
 
 
 def _on_worker(

@@ -61,6 +61,7 @@ def sensitivity(
     of: Any = ("mean",),
     methods: Sequence[str] = ("regression", "differences"),
     seed: int = 0,
+    verify: bool = True,
     progress_bar: bool = False,
 ) -> Sensitivity:
     """Derivatives of the mean of every response, or of other statistics, with respect to
@@ -76,6 +77,7 @@ def sensitivity(
     certain answer, else between values that become likelier and such as become less so, or by steps
     over all), "pathwise" (fixed-step integrators only; the cheapest where nothing opens and closes;
     through contacts it is shown only where another method agrees with it, and is never the answer).
+    `verify`: the sample drawn here has replicas, as in `monte_carlo`; verdicts say what they doubt.
     Raises `ValueError` with a sentence for a name that there is not, and for another's sample.
     """
     expect(problem, AbstractProblem, "what is differentiated", "a jaxclear.Problem")
@@ -85,7 +87,7 @@ def sensitivity(
     if isinstance(sample, GivenSample):
         drawn = given_sample(problem, sample)
     else:
-        drawn = monte_carlo(problem, sample, seed=seed, progress_bar=progress_bar)
+        drawn = monte_carlo(problem, sample, seed=seed, verify=verify, progress_bar=progress_bar)
     found: dict[Direction, dict] = {}
     ends: dict[int, Any] = {}
     bar = {"progress_bar": progress_bar}
@@ -207,12 +209,9 @@ def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarl
 
 
 def _in_doubt(drawn: MonteCarlo, response: str, answer: Derivative) -> Derivative:
-    """The answer, its verdict with what a second look at the nominal sample says of the
-    response, and what the sample lacks of what was asked for."""
-    beyond = [check for check, over in drawn.nominal.beyond().items() if np.any(over)]
-    found = zip(beyond, drawn.doubts, strict=True)
-    said = [said for check, said in found if drawn.problem.concerned(response, check.concerns)]
-    told = filter(None, [answer.verdict, *said, drawn.unreached])
+    """The answer, its verdict with what brings the sample's response in doubt, and what the sample
+    lacks of what was asked for."""
+    told = filter(None, [answer.verdict, *drawn.doubts_of(response), drawn.unreached])
     return dataclasses.replace(answer, verdict=" ".join(told))
 
 

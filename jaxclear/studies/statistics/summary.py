@@ -1,4 +1,4 @@
-"""What a Monte Carlo study tells of one response, in a row."""
+"""What a Monte Carlo study tells: of one response in a row, of all samples in a table."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 
 from jaxclear.ground.shown import in_digits
+from jaxclear.integrators import Outcome
 from jaxclear.studies.statistics.limits import Limits
+from jaxclear.studies.statistics.numerical_error import NumericalError
 from jaxclear.studies.statistics.scrambled import UNKNOWN, deviation, standard_error
 
 PERCENTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
@@ -39,11 +41,52 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
     for label, told in known.items():
         row[label] = told.value
         row[f"{label} error"] = told.error
+    if study.replicas is not None:
+        row |= _by_steps(study, name)
     row["mean without warned"] = clean.mean() if bounded and len(clean) else np.nan
     row["standard deviation without warned"] = deviation(clean) if bounded else np.nan
     if study.problem.endless(name):
         row["infinite"] = int(np.isinf(values).sum())
     return row
+
+
+def _by_steps(study: Any, name: str) -> dict[str, float]:
+    """What replicas tell of a mean: by how much it is too large, with half of the 95 % interval of
+    that; and the largest that it may be."""
+    bias, uncertainty = study.replicas.bias(name)
+    told = {"numerical error": abs(bias) + uncertainty, "bias": bias, "bias error": uncertainty}
+    return told | {"replicas": len(study.replicas.pairs(name)[0])}
+
+
+def failure(study: Any, i: int) -> str:
+    """Why a sample of a study failed."""
+    problem = study.problem
+    numbers = zip(problem.names, study.values[i], strict=True)
+    named = ", ".join(f"{name} = {value:.6g}" for name, value in numbers)
+    ending = problem.ending(int(study.outcome[i]), float(study.ended[i]))
+    if study.outcome[i] == Outcome.REACHED:
+        ending = f"{ending.rstrip('.')}, but a response is not finite."
+    return f"With {named} {ending}"
+
+
+def table_of(study: Any) -> Any:
+    """All samples of a study as a pandas table, as `MonteCarlo.table`."""
+    import pandas
+
+    columns: dict[str, Any] = dict(zip(study.problem.names, study.values.T, strict=True))
+    columns |= study.responses
+    sentences = study.failures()
+    good = study.problem.ending(Outcome.REACHED, 0.0)
+    good = f"{good[0].upper()}{good[1:]}"
+    columns["result"] = [sentences.get(i, good) for i in range(study.count)]
+    warnings = study.warnings()
+    columns["warnings"] = [" ".join(warnings.get(i, ())) for i in range(study.count)]
+    concerned = {name: set(study.concerned(name)) for name in study.responses}
+    columns["in doubt"] = [
+        ", ".join(name for name, samples in concerned.items() if i in samples)
+        for i in range(study.count)
+    ]
+    return pandas.DataFrame(columns)
 
 
 def in_sentences(summary: Any) -> list[str]:
@@ -54,8 +97,15 @@ def in_sentences(summary: Any) -> list[str]:
 def _in_a_sentence(row: Mapping[str, Any]) -> str:
     spread = row["standard deviation"]
     low, high = (in_digits(row[share], 0.1 * spread) for share in ("5 %", "95 %"))
+    known, beside = row["mean error"], ""
+    error = f"± {known:.2g}"
+    if "bias" in row:
+        told = NumericalError(row["bias"], row["bias error"], known, row["replicas"])
+        known = told.whole if told.is_resolved else known
+        error = str(told) if told.is_resolved else error
+        beside = "" if told.is_resolved else f" {told.unresolved}"
     return (
-        f'"{row["response"]}" [{row["unit"]}]: mean {in_digits(row["mean"], row["mean error"])} ± '
-        f"{row['mean error']:.2g}, standard deviation {spread:.4g} ± "
-        f"{row['standard deviation error']:.2g}; 5 % below {low}, 5 % above {high}."
+        f'"{row["response"]}" [{row["unit"]}]: mean {in_digits(row["mean"], known)} {error}, '
+        f"standard deviation {spread:.4g} ± {row['standard deviation error']:.2g}; "
+        f"5 % below {low}, 5 % above {high}.{beside}"
     )

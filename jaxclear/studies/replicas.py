@@ -1,0 +1,195 @@
+"""How far the numbers of a study are off by what discretises its runs: the first few samples are
+run once more with all of that refined, by the same values. The mean of what changes is the bias of
+the study's means, and its scatter the interval (the coupled levels of multilevel Monte Carlo).
+
+What a sample is off by is what a finer run changes, and what is left of it there: of order 1 in the
+share of the steps, and less above. Where paths part, as after many impacts, single changes are as
+large as the scatter of samples, and few replicas do not resolve what becomes of a mean.
+
+Source: Giles 2008, Oper. Res. 56, 607, doi:10.1287/opre.1070.0496; Roache 1994, J. Fluids Eng. 116,
+405, doi:10.1115/1.2910291.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxclear.integrators import Outcome
+from jaxclear.studies.base import AbstractProblem, SampleResult
+from jaxclear.studies.batch import chunk_size, evaluate_all
+from jaxclear.studies.statistics.numerical_error import NumericalError, bias_of
+
+__all__ = [
+    "MOST_REPLICAS",
+    "Replicas",
+    "joined",
+    "numerical_error",
+    "replica_chunk",
+    "replicas_of",
+    "together_with",
+    "unverified",
+]
+
+# So many of a study's samples, its first, have replicas.
+MOST_REPLICAS = 16
+
+
+class Replicas(eqx.Module):
+    """The first samples of a study once more, with steps of a `share` [1]: `responses` (replicas,)
+    by name beside the samples' `own`, nan where a run failed; how each replica ended, and when
+    [s]."""
+
+    own: dict[str, np.ndarray]
+    responses: dict[str, np.ndarray]
+    outcome: np.ndarray
+    ended: np.ndarray
+    share: float = eqx.field(static=True, default=0.5)
+
+    @property
+    def count(self) -> int:
+        """Number of replicas."""
+        return len(self.outcome)
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Indices of the samples whose replica failed, and they did not."""
+        fine = np.all([np.isfinite(own) for own in self.own.values()], axis=0)
+        return np.flatnonzero(fine & (self.outcome != Outcome.REACHED))
+
+    def differences(self, response: str) -> np.ndarray:
+        """By how much each sample's response is too large, (replicas,), in its unit; nan where a
+        run failed."""
+        return (self.own[response] - self.responses[response]) / (1 - self.share)
+
+    def errors(self, response: str) -> np.ndarray:
+        """The told numerical error of each sample's response, (replicas,)."""
+        return np.abs(self.differences(response))
+
+    def pairs(self, response: str) -> tuple[np.ndarray, np.ndarray]:
+        """A response of samples and replicas of which neither failed."""
+        good = np.isfinite(self.own[response]) & np.isfinite(self.responses[response])
+        return self.own[response][good], self.responses[response][good]
+
+    def bias(
+        self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
+    ) -> tuple[float, float]:
+        """By how much a statistic, a smooth function of a sample, is too large, and half of the
+        95 % interval of that."""
+        return bias_of(*self.pairs(response), self.share, statistic)
+
+    def doubts(self, problem: AbstractProblem, *responses: str) -> tuple[str, ...]:
+        """A sentence for each of these responses whose mean is off by more than is promised, and
+        one for replicas that failed."""
+        told = [_beyond(problem, self, name) for name in responses]
+        return tuple(filter(None, [*told, _failures(problem, self)]))
+
+
+def replicas_of(
+    problem: AbstractProblem,
+    values: np.ndarray,
+    found: SampleResult,
+    chunk: int,
+    progress_bar: bool = False,
+) -> Replicas | None:
+    """Replicas of the first samples of a study in chunks of this size, whose values (samples,
+    variables) gave what was `found`; None where the problem has none."""
+    replica = problem.replica()
+    if replica is None:
+        return None
+    count = min(MOST_REPLICAS, len(values))
+    together = replica_chunk(problem, replica, count, chunk)
+    asked = np.asarray(values[:count])
+    if replica.compiled():
+        # Filled up with copies, so that they run the study's own program.
+        asked = np.concatenate([asked, np.repeat(asked[-1:], -count % together, axis=0)])
+    finer = evaluate_all(
+        replica,
+        jnp.asarray(asked),
+        chunk=together,
+        progress_bar=progress_bar,
+        label="replicas",
+        kept_as="replicas",
+    )
+    return together_with(problem, found, finer, count)
+
+
+def replica_chunk(
+    problem: AbstractProblem, replica: AbstractProblem, count: int, chunk: int
+) -> int:
+    """How many replicas are run together: as many as samples are, where they are one program."""
+    numbers = [eqx.filter(own, eqx.is_array) for own in (problem, replica)]
+    shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(own)] for own in numbers]
+    return chunk if shapes[0] == shapes[1] else chunk_size(replica, count)
+
+
+def together_with(
+    problem: AbstractProblem, found: SampleResult, finer: SampleResult, count: int
+) -> Replicas:
+    """The replicas of the first samples, of what these and their finer runs gave."""
+    own, other = (
+        {
+            name: np.where(
+                one.outcome[:count] == Outcome.REACHED, one.responses[name][:count], np.nan
+            )
+            for name in problem.response_names
+        }
+        for one in (found, finer)
+    )
+    return Replicas(own, other, np.asarray(finer.outcome[:count]), np.asarray(finer.ended[:count]))
+
+
+def joined(first: Replicas, second: Replicas) -> Replicas:
+    """Both, one after the other."""
+    return jax.tree.map(lambda *parts: np.concatenate(parts), first, second)
+
+
+def numerical_error(
+    study: Any, response: str, statistic: Callable[[np.ndarray], float]
+) -> NumericalError:
+    """What the replicas of a study (`MonteCarlo`) tell of a statistic. Raises `ValueError` where it
+    has none."""
+    if study.replicas is None:
+        raise ValueError(
+            "this study has no replicas, which tell numerical errors: it was asked not to verify, "
+            "or nothing that discretises its problem can be refined."
+        )
+    sampling = study.statistic(statistic, response).error
+    pairs = len(study.replicas.pairs(response)[0])
+    bias, uncertainty = study.replicas.bias(response, statistic)
+    return NumericalError(bias, uncertainty, sampling, pairs)
+
+
+def unverified(problem: AbstractProblem, replicas: Replicas | None) -> str:
+    """A sentence for numbers whose numerical error nothing tells; "" for others."""
+    if replicas is not None or not problem.discretised():
+        return ""
+    return "Not verified: no replicas tell how far steps put its numbers off."
+
+
+def _beyond(problem: AbstractProblem, replicas: Replicas, response: str) -> str:
+    bias, uncertainty = replicas.bias(response)
+    own, _ = replicas.pairs(response)
+    size = float(np.sqrt(np.mean(own**2))) if len(own) else np.nan
+    promised = problem.promised(response, size)
+    if promised is None or not abs(bias) > max(promised, uncertainty):
+        return ""
+    unit = problem.units()[response]
+    unit = "" if unit == "1" else f" {unit}"
+    return (
+        f'"{response}": steps put its mean {bias:+.2g}{unit} off, beyond the {promised:.2g}{unit} '
+        "that are promised; take shorter steps or tighter tolerances."
+    )
+
+
+def _failures(problem: AbstractProblem, replicas: Replicas) -> str:
+    failed = replicas.failed
+    if not len(failed):
+        return ""
+    first = int(failed[0])
+    ending = problem.ending(int(replicas.outcome[first]), float(replicas.ended[first]))
+    count = f"{len(failed)} of {replicas.count} replicas failed and tell nothing"
+    return f"{count}; of that of sample {first}, {ending}"

@@ -1,0 +1,399 @@
+"""Replicas tell how far a study's numbers are off by its steps: beside closed forms, an ODE solver
+of scipy, and a problem whose paths part."""
+
+import re
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy
+
+import jaxclear as jc
+from jaxclear.plot.studies import _warned_samples
+from jaxclear.studies.base import SampleResult
+from jaxclear.studies.batch import evaluate_chunk
+from jaxclear.studies.campaign import work
+from jaxclear.studies.campaign.layout import SAMPLES
+from jaxclear.studies.replicas import MOST_REPLICAS
+
+GRAVITY, DURATION, STEP = 9.81, 0.5, 5e-3
+# One program serves all that are run in chunks of this size.
+CHUNK = 64
+MOST_WORDS = 25
+
+
+def falling(**how):
+    """A mass on a slide that falls from rest, its gravity varying; by explicit Euler steps of h its
+    way after n of them is g h^2 n (n - 1) / 2: too short by g h T / 2."""
+    slide = jc.Mechanism(
+        {"mass": jc.Body(1.0, 1e-3)},
+        {"slide": jc.Connection(jc.joint.Prismatic(), "ground", "mass", axis="x")},
+        {"gravity": jc.load.Gravity((GRAVITY, 0.0))},
+    )
+    varied = jc.Variable(lambda r: r.loads["gravity"].acceleration[0], tolerance=0.5)
+    asked = {
+        "way": jc.response.FinalCoordinate("slide"),
+        "saves": lambda run: jnp.asarray(float(len(run.time))),
+    }
+    how = {"integrator": jc.integrator.FixedStep(STEP, "euler"), "save": 6} | how
+    return jc.Problem(slide, asked, {"gravity": varied}, duration=DURATION, **how)
+
+
+@pytest.fixture(scope="module")
+def study():
+    return jc.monte_carlo(falling(), 256, chunk=CHUNK)
+
+
+def bias_of_euler(gravity, step=STEP):
+    return -np.asarray(gravity) * step * DURATION / 2
+
+
+def test_the_bias_of_euler_steps_is_that_of_the_closed_form(study):
+    """Of order 1 what is told of each sample is its error; of the mean that of the first 16."""
+    gravity = study.values[:, 0]
+    exact = gravity * DURATION**2 / 2 + bias_of_euler(gravity)
+    np.testing.assert_allclose(study.responses["way"], exact, rtol=1e-9)
+    first = bias_of_euler(gravity[:MOST_REPLICAS])
+    np.testing.assert_allclose(study.replicas.errors("way"), -first, rtol=1e-8)
+    told = study.numerical_error("way")
+    assert told.replicas == MOST_REPLICAS
+    assert told.bias == pytest.approx(first.mean(), rel=1e-8)
+    student = scipy.stats.t.ppf(0.975, 15) * first.std(ddof=1) / 4
+    assert told.uncertainty == pytest.approx(student, rel=1e-6)
+    # The mean over all samples lies within, and one interval holds what is exact.
+    assert abs(told.bias - bias_of_euler(gravity).mean()) < told.uncertainty
+    assert told.is_resolved and told.whole == told.sampling + abs(told.bias) + told.uncertainty
+    assert abs(study.mean("way").value - GRAVITY * DURATION**2 / 2) < told.whole
+    # Of a deviation: as much too small, in proportion.
+    spread = study.numerical_error("way", lambda own: own.std(ddof=1))
+    assert spread.bias == pytest.approx(-STEP / DURATION * gravity[:16].std(ddof=1) / 8, rel=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.25])
+def test_a_replica_has_that_share_of_the_steps_that_were_taken(share):
+    """Saving times 0.1 s apart shorten steps of 0.03 s to 0.025 s."""
+    problem = falling(integrator=jc.integrator.FixedStep(0.03, "euler"))
+    replica = problem.replica(share)
+    assert float(replica.integrator.step) == pytest.approx(share * 0.025)
+    at = jnp.tile(problem.nominal(), (CHUNK, 1))
+    own, finer = (evaluate_chunk(each, at).responses["way"][0] for each in (problem, replica))
+    assert (own - finer) / (1 - share) == pytest.approx(bias_of_euler(GRAVITY, 0.025), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        jc.integrator.FixedStep(STEP, "euler"),
+        jc.integrator.FixedStep(STEP, "semi_implicit"),
+        jc.integrator.FixedStep(STEP, "heun"),
+        jc.integrator.FixedStep(5 * STEP),
+        jc.integrator.ImplicitStep(STEP),
+        jc.integrator.FixedStep(steps_per_save=10, method="euler"),
+        jc.integrator.Adaptive(rtol=1e-5, atol=1e-7),
+    ],
+    ids=["euler", "semi_implicit", "heun", "rk4", "implicit", "counted", "adaptive"],
+)
+def test_told_errors_are_true_ones_of_a_wide_swing(integrator):
+    """A pendulum from 1 rad below the level, beside DOP853 at a tolerance of 1e-12."""
+    rig = jc.Mechanism(
+        {"rod": jc.Body(1.0, 1e-9, (1.0, 0.0))},
+        {"pivot": jc.Connection(jc.joint.Revolute(), "ground", "rod")},
+        {"gravity": jc.load.Gravity((0.0, -GRAVITY))},
+        start={"pivot": -1.0},
+    )
+    length = {"length": jc.Variable(lambda r: r.bodies["rod"].com[0], tolerance=0.05)}
+    angle = jc.response.FinalCoordinate("pivot")
+    asked = jc.Problem(rig, angle, length, duration=1.0, save=11, integrator=integrator)
+    found = jc.monte_carlo(asked, 8)
+
+    def exact(length):
+        inertia = length**2 + 1e-9
+        fall = lambda t, y: (y[1], -GRAVITY * length * np.cos(y[0]) / inertia)
+        tight = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
+        return scipy.integrate.solve_ivp(fall, (0.0, 1.0), (-1.0, 0.0), **tight).y[0, -1]
+
+    true = np.abs(found.responses["response"] - [exact(own) for own in found.values[:, 0]])
+    share = found.replicas.errors("response") / true
+    assert np.all((share > 0.5) & (share < 10))
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"integrator": jc.integrator.FixedStep(STEP, "euler")},
+        {"integrator": jc.integrator.FixedStep(steps_per_save=10, method="euler")},
+    ],
+)
+def test_responses_see_finer_runs_at_the_times_that_were_asked_for(how):
+    """Counted steps are halved by twice the saving times; what hangs on these does not see them."""
+    problem = falling(**how)
+    replica = problem.replica()
+    counted = problem.integrator.steps_between_saves is not None
+    assert len(replica.shares) == (11 if counted else 6)
+    told = jc.monte_carlo(problem, 4).numerical_error("saves")
+    assert told.bias == 0 and told.uncertainty == 0 and told.is_resolved
+
+
+def test_worn_surfaces_are_updated_twice_as_often_by_the_same_program():
+    """What wears in a replica is what a run with twice the saving times and half the steps wears;
+    nothing is compiled for it."""
+    rig, traced = jc.scenes.slider_crank(wear=True), []
+    volume = jc.response.WornVolume("B")
+
+    def counted(run):
+        traced.append(1)
+        return volume(run)
+
+    clearance = {"c": jc.Variable(lambda r: r.connections["B"].joint.clearance, tolerance=1e-6)}
+    asked = {"duration": 2e-3, "integrator": jc.integrator.FixedStep(1e-5), "save": 5}
+    problem = jc.Problem(rig, counted, clearance, **asked)
+    found = jc.monte_carlo(problem, 2, chunk=2)
+    assert len(traced) == 1
+    often = asked | {"integrator": jc.integrator.FixedStep(5e-6), "save": 9}
+    finer = jc.Problem(rig, volume, clearance, **often)
+    told = evaluate_chunk(finer, jnp.asarray(found.values)).responses["response"]
+    assert np.all(np.asarray(told) > 0)
+    np.testing.assert_allclose(found.replicas.responses["response"], told, rtol=1e-6)
+    assert np.all(found.replicas.errors("response") > 1e-6 * np.asarray(told))
+
+
+def test_the_same_samples_have_replicas_whatever_the_chunks_and_growth(study):
+    small = jc.monte_carlo(falling(), 256, chunk=5)
+    grown = jc.monte_carlo(falling(), 512, accuracy=1e-12, chunk=CHUNK)
+    assert grown.count == 512 and grown.unreached
+    for one in (small, grown):
+        np.testing.assert_array_equal(one.values[:16], study.values[:16])
+        for name, told in study.replicas.responses.items():
+            np.testing.assert_allclose(one.replicas.responses[name], told, rtol=1e-12)
+    few = jc.monte_carlo(falling(), 5)
+    assert few.replicas.count == 5
+    np.testing.assert_array_equal(few.replicas.own["way"], few.responses["way"])
+
+
+def test_a_study_that_is_not_verified_says_so(study):
+    plain = jc.monte_carlo(falling(), 256, chunk=CHUNK, verify=False)
+    np.testing.assert_array_equal(plain.responses["way"], study.responses["way"])
+    assert plain.replicas is None and "Not verified" in plain.sentence()
+    assert "Not verified" not in study.sentence()
+    assert "numerical error" not in plain.summary().columns
+    with pytest.raises(ValueError, match="this study has no replicas"):
+        plain.numerical_error("way")
+    with pytest.raises(ValueError, match="verify of monte_carlo"):
+        jc.monte_carlo(falling(), 4, verify="no")
+    with pytest.raises(ValueError, match='no response "speed"'):
+        study.numerical_error("speed")
+
+
+def test_what_is_not_discretised_needs_no_replicas():
+    exact = jc.FunctionProblem(lambda a: 2 * a, {"a": jc.Dimension(1.0, tolerance=0.1)})
+    found = jc.monte_carlo(exact, 16)
+    assert found.replicas is None and found.sentence() == "16 samples, 0 failed, 0 with warnings."
+
+
+def test_summary_and_print_tell_it(study):
+    row = study.summary().set_index("response").loc["way"]
+    told = study.numerical_error("way")
+    assert row["numerical error"] == told.error == abs(told.bias) + told.uncertainty
+    assert row["bias"] == told.bias and row["bias error"] == told.uncertainty
+    assert row["replicas"] == 16 and row["mean error"] == told.sampling
+    assert str(told) == f"± {told.whole:.2g} (samples {told.sampling:.2g}, steps {told.error:.2g})"
+    assert str(told) in str(study)
+    kept = study.to_dataset()["finer way"]
+    np.testing.assert_array_equal(kept, study.replicas.responses["way"])
+
+
+def long_steps():
+    """A sixth of the way is missing."""
+    return falling(integrator=jc.integrator.FixedStep(0.1, "euler"))
+
+
+def test_what_is_off_beyond_the_promise_is_said(study):
+    """Also in the verdict of a derivative, and below the figure."""
+    found = jc.monte_carlo(long_steps(), CHUNK, chunk=CHUNK)
+    (said,) = found.doubts
+    assert said.startswith('"way": steps put its mean -0.25 m off, beyond the 0.0')
+    assert said in found.sentence() and said in str(found)
+    assert _warned_samples(found)[0] == found.sentence()
+    assert max(len(part.split()) for part in re.split(r"[.;] ", said)) <= MOST_WORDS
+    assert study.doubts == ()
+    answers = jc.sensitivity(found.problem, sample=found, difference_samples=8)
+    assert said in answers.derivatives["way", "gravity"].verdict
+    assert said not in answers.derivatives["saves", "gravity"].verdict
+    how = {"sample": 8, "difference_samples": 8, "methods": ("regression",)}
+    assert jc.sensitivity(found.problem, **how).sample.replicas.count == 8
+    assert jc.sensitivity(found.problem, **how, verify=False).sample.replicas is None
+
+
+def test_replicas_that_fail_say_so_and_leave_the_study_alone():
+    """Tighter tolerances take more steps than are allowed."""
+    allowed = falling(integrator=jc.integrator.Adaptive(rtol=1e-4, atol=1e-6, most_steps=12))
+    found = jc.monte_carlo(allowed, 32)
+    assert len(found.failed) == 0
+    replicas = eqx.tree_at(
+        lambda own: (own.outcome, own.responses["way"]),
+        found.replicas,
+        (
+            np.where(np.arange(16) % 8 == 3, int(jc.integrator.Outcome.TOO_MANY_STEPS), 0),
+            np.where(np.arange(16) % 8 == 3, np.nan, found.replicas.responses["way"]),
+        ),
+    )
+    broken = eqx.tree_at(lambda own: own.replicas, found, replicas)
+    (said,) = broken.doubts
+    assert said.startswith("2 of 16 replicas failed and tell nothing; of that of sample 3, the run")
+    assert broken.numerical_error("way").replicas == 14
+    assert broken.mean("way") == found.mean("way") and len(broken.failed) == 0
+
+
+class Parting(jc.AbstractProblem):
+    """What steps of h make of a number: x + a sin(w x / h), which parts wholly for another h; a
+    stranger's problem, which refines itself."""
+
+    variables: dict[str, jc.Dimension]
+    step: jnp.ndarray
+    apart: jnp.ndarray
+    refines: bool = eqx.field(static=True, default=True)
+    names: tuple[str, ...] = eqx.field(static=True, default=("x",))
+    response_names: tuple[str, ...] = eqx.field(static=True, default=("y",))
+    variable_units: tuple[str, ...] = eqx.field(static=True, default=("m",))
+    correlation: None = None
+
+    def nominal(self):
+        return jnp.stack([self.variables["x"].nominal])
+
+    def units(self):
+        return {"y": "m"}
+
+    def evaluate(self, values, *, discrete_derivatives=False):
+        own = values[0] + self.apart * jnp.sin(1e5 * values[0] / self.step)
+        failed = self.step < 0.3
+        outcome = jnp.where(failed, jc.integrator.Outcome.TOO_MANY_STEPS, 0)
+        return SampleResult({"y": own}, outcome, jnp.zeros(()))
+
+    def discretised(self):
+        return True
+
+    def replica(self, share=0.5):
+        return eqx.tree_at(lambda own: own.step, self, self.step * share) if self.refines else None
+
+    def promised(self, response, size):
+        return 0.01 * size
+
+    def sample_memory(self):
+        return 64
+
+    def most_together(self):
+        return 32
+
+    def rerun(self, values, index, chunk):
+        return self.evaluate(values)
+
+    def ending(self, outcome, ended):
+        return "it ended well." if outcome == 0 else "it took too many steps."
+
+    def parts(self):
+        return {"step": self.step, "apart": self.apart}
+
+
+def parting(apart, step=1.0, **how):
+    spread = {"x": jc.Dimension(1.0, jc.distribution.Normal(0.01))}
+    return Parting(spread, jnp.asarray(step), jnp.asarray(apart), **how)
+
+
+def test_where_paths_part_two_figures_stand_side_by_side():
+    found = jc.monte_carlo(parting(0.1), 1024)
+    told = found.numerical_error("y")
+    assert not told.is_resolved and np.isnan(told.whole)
+    assert told.uncertainty > max(told.sampling, abs(told.bias))
+    assert told.wanted == np.ceil(16 * (told.uncertainty / told.sampling) ** 2) > 16
+    # Nobody is accused by chance.
+    assert found.doubts == ()
+    said = f"Steps put it off by {told.bias:.2g} ± {told.uncertainty:.2g}, as far as 16 replicas"
+    assert f"{said} tell; about {told.wanted:.0f} would." in str(found)
+    assert f"mean error {told.sampling:.2g}" not in str(found) and str(told) == (
+        f"± {told.sampling:.2g} (samples). {said} tell; about {told.wanted:.0f} would."
+    )
+    alone = jc.monte_carlo(parting(0.1), 1).replicas.bias("y")
+    assert np.isfinite(alone[0]) and np.isinf(alone[1])
+
+
+def test_a_replica_that_fails_of_a_strangers_problem_is_named():
+    found = jc.monte_carlo(parting(0.0, step=0.5), 4)
+    assert found.doubts == (
+        "4 of 4 replicas failed and tell nothing; of that of sample 0, it took too many steps.",
+    )
+    assert np.isinf(found.numerical_error("y").uncertainty) and len(found.failed) == 0
+    assert "numerical error" in found.summary().columns
+    still = jc.monte_carlo(parting(0.0, refines=False), 4)
+    assert still.replicas is None and "Not verified" in still.sentence()
+
+
+def test_a_campaign_keeps_its_replicas_and_adds_what_it_lacks(tmp_path, monkeypatch):
+    """A larger one has those of the smaller, and eight more; nothing is run twice."""
+    asked, counts, finer = long_steps(), [], work.finer
+    counted = lambda problem, plan, values: (
+        counts.append(len(values)),
+        finer(problem, plan, values),
+    )[1]
+    monkeypatch.setattr(work, "finer", counted)
+    how = {"folder": tmp_path, "scramblings": 4}
+    first = jc.campaign(asked, 8, **how)
+    assert first.sample.replicas.count == 8
+    whole = jc.campaign(asked, 32, **how)
+    again = jc.campaign(asked, 32, **how)
+    plain = jc.monte_carlo(asked, 32, scramblings=4)
+    assert counts == [8, 8]
+    for one in (whole, again, jc.open_campaign(tmp_path), jc.open_campaign(tmp_path, asked)):
+        for name, told in plain.replicas.responses.items():
+            np.testing.assert_allclose(one.sample.replicas.responses[name], told, rtol=1e-12)
+        assert one.sentence() == plain.sentence() and one.sample.doubts == plain.doubts
+        np.testing.assert_allclose(one.numerical_error("way"), plain.numerical_error("way"))
+        assert one.summary()["numerical error"][0] == pytest.approx(
+            plain.summary()["numerical error"][0]
+        )
+    np.testing.assert_allclose(
+        whole.to_dataset()["finer way"], plain.to_dataset()["finer way"], rtol=1e-12
+    )
+
+
+def test_a_campaign_may_go_without_and_have_them_later(tmp_path):
+    asked = falling()
+    found = jc.campaign(asked, 8, folder=tmp_path, verify=False)
+    assert found.sample.replicas is None and "Not verified" in found.sentence()
+    assert "Not verified" in jc.open_campaign(tmp_path).sentence()
+    assert jc.campaign(asked, 8, folder=tmp_path).sample.replicas.count == 8
+
+
+def test_a_folder_of_an_earlier_version_says_what_it_had_found(tmp_path):
+    """Its second look was kept beside its plan; the campaign goes on."""
+    import zarr
+
+    asked = falling()
+    jc.campaign(asked, 8, folder=tmp_path, scramblings=4, verify=False)
+    group = zarr.open_group(tmp_path / SAMPLES, mode="r+")
+    recorded = dict(group.attrs["recorded"])
+    for name in ("by_steps", "known_doubts", "promises"):
+        del recorded[name]
+    second_look = [["PLACE_IN_GAP", [0.07], [0.5], ["B"]]]
+    group.attrs.put(dict(group.attrs) | {"second_look": second_look, "recorded": recorded})
+    (said,) = jc.open_campaign(tmp_path).sample.doubts
+    assert said.startswith("A second look at the nominal sample, kept from before: ")
+    found = jc.campaign(asked, 32, folder=tmp_path)
+    assert found.sample.doubts == (said,) and found.sample.replicas.count == 16
+
+
+def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(tmp_path):
+    """A folder of an earlier version numbers what was asked as before."""
+    asked = falling()
+    how = {"sample": 8, "difference_samples": 8, "variables": "gravity"}
+    plain = jc.sensitivity(asked, **how)
+    found = jc.campaign(asked, folder=tmp_path, study=jc.sensitivity, **how)
+    names = sorted(path.name for path in tmp_path.iterdir() if not path.name.startswith("."))
+    assert names[-1] == "replicas-0000" and all(name.startswith("asked-") for name in names[:-1])
+    without = tmp_path / "without"
+    jc.campaign(asked, folder=without, study=jc.sensitivity, verify=False, **how)
+    assert sorted(path.name for path in without.iterdir()) == names[:-1]
+    for name, told in plain.sample.replicas.responses.items():
+        np.testing.assert_array_equal(found.sample.replicas.responses[name], told)
+    with pytest.raises(ValueError, match="sobol_indices has no verify"):
+        jc.campaign(asked, 8, folder=tmp_path / "b", study=jc.sobol_indices, verify=False)
