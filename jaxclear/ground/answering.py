@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 else:
     ModuleMeta = type(eqx.Module)
 
-__all__ = ["AnsweringMeta", "answering", "nothing_else", "refuse_misfit", "renamed"]
+__all__ = ["AnsweringMeta", "answering", "formerly", "nothing_else", "refuse_misfit", "renamed"]
 
 # Where a function or class keeps the old names of its arguments.
 OLD_NAMES = "RENAMED"
@@ -112,6 +112,25 @@ def renamed(**names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return marked
 
 
+def formerly(old: str, new: str) -> property:
+    """A field by its name of the version before, which goes on for this version."""
+
+    def known(self: Any) -> Any:
+        _warn_of_old_name(type(self), old, new)
+        return getattr(self, new)
+
+    return property(known, doc=f"`{new}`, by its name of the version before.")
+
+
+def _warn_of_old_name(owner: Any, old: str, new: str) -> None:
+    warnings.warn(
+        f'{public_name(owner)} has "{new}" in the place of "{old}", which goes with the next '
+        "version.",
+        DeprecationWarning,
+        stacklevel=4,
+    )
+
+
 def _by_new_names(called: Any, kwargs: dict) -> dict | None:
     """What a function or class is given, by the names of its arguments as they are now, with a
     warning; None where no name is old."""
@@ -119,12 +138,7 @@ def _by_new_names(called: Any, kwargs: dict) -> dict | None:
     if not names or set(names.values()) & set(kwargs):
         return None
     for old, new in names.items():
-        warnings.warn(
-            f'{public_name(called)} takes "{new}" in the place of "{old}", which goes with the '
-            "next version.",
-            DeprecationWarning,
-            stacklevel=3,
-        )
+        _warn_of_old_name(called, old, new)
     return {names.get(name, name): value for name, value in kwargs.items()}
 
 

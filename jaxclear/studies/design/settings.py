@@ -4,6 +4,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
+from jaxclear.ground.answering import formerly
 from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 
@@ -35,6 +36,8 @@ class DesignSettings(AbstractQuantified):
     seed: int = count(0, "seed of all random numbers", at_least=0)
     method: str = eqx.field(static=True, default="auto")
     surface: bool | None = eqx.field(static=True, default=None)
+
+    accuracy = formerly("accuracy", "allowed_excess")
 
     def __check_init__(self):
         check_known("method of a design", self.method, METHODS)

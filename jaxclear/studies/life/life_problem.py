@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground.answering import formerly
 from jaxclear.ground.arguments import check_count, check_number, expect
 from jaxclear.integrators import Checks, Outcome
 from jaxclear.multibody.validation import check_values
@@ -64,6 +65,8 @@ class LifeProblem(AbstractProblem):
     names: tuple[str, ...] = eqx.field(static=True)
     response_names: tuple[str, ...] = eqx.field(static=True)
     variable_units: tuple[str, ...] = eqx.field(static=True)
+
+    tolerance = formerly("tolerance", "accuracy")
 
     def __init__(
         self,
