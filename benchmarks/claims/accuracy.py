@@ -38,8 +38,10 @@ def usual(name: str, case: Case, exact: Any) -> dict[str, Any]:
         "mechanism": name,
         "asked": "nothing",
         "chosen": chosen,
+        "told": None,
         "off": share_off(run, exact),
         "work": evaluations * steps_of(run),
+        "work of the choice": 0,
     }
 
 
