@@ -9,8 +9,8 @@ from jaxclear.integrators.reasons import REASONS
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.reported import report_warnings
-from jaxclear.integrators import Check, Checks
-from jaxclear.integrators.figures import Figure
+from jaxclear.integrators.checks import Check
+from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.plot.canvas import MOST_SENTENCES, canvas, captioned
 from jaxclear.results.pointing_error import pointing_error
 

@@ -58,7 +58,7 @@ def program(scene: str, integrator: Any, saves: int, batch: int) -> Any:
     def function(arrays, speeds):
         rig, integrator, past = eqx.combine(arrays, rest)
         found = run(rig, start.coordinates, speeds, times, integrator, past=past)
-        told = found.states, found.checks, found.stats, found.outcome, found.worn
+        told = found.states, found.invariants, found.stats, found.outcome, found.worn
         return eqx.filter(told, eqx.is_array)
 
     speeds = start.speeds

@@ -22,7 +22,7 @@ from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.commands.design import TURN, WEAR_SAVES
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wear_map import AbstractWearMap, CylinderMap
-from jaxclear.integrators import Check
+from jaxclear.integrators.checks import Check
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.scenes.parallel_3rsr import QUIET, parallel_3rsr
 from jaxclear.simulation.invariants import narrowness
@@ -158,7 +158,7 @@ def planar(cells: tuple[int, ...]) -> list[dict[str, Any]]:
             {
                 "cells around": around,
                 "deepest cell [um]": 1e6 * float(run.worn_depth("B", "bearing").max()),
-                "figure": float(run.checks.figures[Check.WEAR_BY_CELLS].worst[0]),
+                "figure": float(run.invariants.figures[Check.WEAR_BY_CELLS].worst[0]),
             }
         )
     return with_orders(rows, ["deepest cell [um]"])

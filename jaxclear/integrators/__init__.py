@@ -7,15 +7,17 @@ contacts. `MuntheKaas` is a solver for `Adaptive` that keeps rotations on their 
 your own derives from `AbstractIntegrator`.
 """
 
+import warnings
+from typing import Any
+
 from jaxclear.ground.answering import nothing_else
+from jaxclear.integrators import checks, figures
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import (
     AbstractIntegrator,
     Advance,
     Interval,
 )
-from jaxclear.integrators.checks import Check
-from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.integrators.fixed_step import FixedStep
 from jaxclear.integrators.implicit_step import ImplicitStep
 from jaxclear.integrators.moreau_jean import MoreauJean
@@ -29,9 +31,6 @@ __all__ = [
     "AbstractIntegrator",
     "Adaptive",
     "Advance",
-    "Check",
-    "Checks",
-    "Figure",
     "FixedStep",
     "GroupTerm",
     "ImplicitStep",
@@ -41,4 +40,18 @@ __all__ = [
     "NonColliding",
     "Outcome",
 ]
-__getattr__ = nothing_else("jaxclear.integrator", __all__)
+_GOES = {"Check": checks.Check, "Checks": figures.Checks, "Figure": figures.Figure}
+_refuse = nothing_else("jaxclear.integrator", __all__)
+
+
+def __getattr__(name: str) -> Any:
+    """What goes with the next version, and a sentence for all else that is not offered."""
+    if name not in _GOES:
+        return _refuse(name)
+    warnings.warn(
+        f"jaxclear.integrator.{name} goes with the next version: run.warnings and run.estimate "
+        "take the place of checks.",
+        DeprecationWarning,
+        2,
+    )
+    return _GOES[name]

@@ -4,6 +4,7 @@ Poses, contacts, reactions and energies are computed from the saved states when 
 pays for none of them. The methods here are fronts of the functions that do it.
 """
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,9 +67,9 @@ class Extremes(eqx.Module):
 class Trajectory(AbstractShown):
     """A simulated run. `history` holds the states; `worn` are depth maps [m] by joint and surface
     at the end, `outcome` tells how the run ended (an `Outcome`), `ended` when [s], `stats` what it
-    cost, `checks` what no finer run would tell of it, `verification` how far its numbers are off;
-    `extremes`: of all its steps (None: its integrator follows none); `noted`: touches and releases,
-    where they were asked for.
+    cost, `invariants` what no finer run would tell of it, `verification` how far its numbers are
+    off; `extremes`: of all its steps (None: its integrator follows none); `noted`: touches and
+    releases, where they were asked for.
     """
 
     history: StateHistory
@@ -76,7 +77,7 @@ class Trajectory(AbstractShown):
     outcome: Int[Array, ""]
     ended: Float[Array, ""]
     stats: RunStats
-    checks: Checks = eqx.field(default_factory=Checks)
+    invariants: Checks = eqx.field(default_factory=Checks)
     extremes: Extremes | None = None
     noted: Events | None = None
     verification: AbstractVerification = eqx.field(default_factory=Unverified)
@@ -125,20 +126,31 @@ class Trajectory(AbstractShown):
             told = f"The run ended early, after {float(self.ended):.6g} s. {sentence}"
             if self.outcome == Outcome.SINGULAR_POSITION:
                 return f"{told} {singular_position(self.history, self.ended)}"
-            why = self.checks.before_the_end if self.outcome == Outcome.NOT_FINITE else ()
+            why = self.invariants.before_the_end if self.outcome == Outcome.NOT_FINITE else ()
             return " ".join([told, *why])
         if not self.warnings:
             return sentence
         return f"{sentence.removesuffix('.')}, with warnings: {' '.join(self.warnings)}"
 
     @property
+    def checks(self) -> Checks:
+        """What are its `invariants` now; it goes with the next version."""
+        warnings.warn(
+            "run.checks goes with the next version: run.warnings has its sentences, run.estimate "
+            "and print(run) tell how far numbers are off.",
+            DeprecationWarning,
+            2,
+        )
+        return self.invariants
+
+    @property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence for each of its `checks` beyond its limit, and one for answers whose numerical
-        error is beyond what the integrator promises; empty for a clean run. Of one that ended
-        early, those of boundless figures only where there is no other."""
+        """A sentence for each of its `invariants` beyond its limit, and one for answers whose
+        numerical error is beyond what the integrator promises; empty for a clean run. Of one that
+        ended early, those of boundless figures only where there is no other."""
         if self.succeeded:
-            return self.checks.warnings + self.verification.warnings
-        return self.checks.before_the_end or self.checks.warnings
+            return self.invariants.warnings + self.verification.warnings
+        return self.invariants.before_the_end or self.invariants.warnings
 
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
         """The value of a response, or of any function of a run that returns a number, and its
@@ -298,7 +310,7 @@ class Trajectory(AbstractShown):
         """Everything as an xarray Dataset with units."""
         said = {"result": self.result, "warnings": " ".join(self.warnings)}
         attributes = {**said, "accepted_steps": int(self.accepted_steps)}
-        attributes.update(self.checks.attributes() | self.verification.attributes())
+        attributes.update(self.invariants.attributes() | self.verification.attributes())
         return dataset.to_dataset(self.history, self.worn, attributes)
 
     def to_vtk(self, folder: Any, *, frames: int = 200, meshes: Any = None) -> Path:

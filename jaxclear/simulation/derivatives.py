@@ -34,7 +34,7 @@ COMPUTED = lambda run: (
     run.ended,
     run.noted,
     run.extremes,
-    run.checks,
+    run.invariants,
 )
 
 

@@ -137,7 +137,7 @@ def judged(trajectory: Trajectory, model: Model, begun: Worn) -> Trajectory:
         of_run[Check.INDENTATION] = depths / _radii(model.system) if depths.size else depths
     checks = _together(model, history.formulation, of_run, seen.figures, ends[looks.intervals])
     if seen.verdict is None:
-        return dataclasses.replace(trajectory, checks=checks)
+        return dataclasses.replace(trajectory, invariants=checks)
     bad = (seen.verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
     worst, stops = jnp.argmax(bad), jnp.any(bad)
     first = jnp.asarray(looks.intervals)[worst]
@@ -149,7 +149,7 @@ def judged(trajectory: Trajectory, model: Model, begun: Worn) -> Trajectory:
         history=dataclasses.replace(history, states=states),
         outcome=jnp.where(stops, seen.verdict[worst], trajectory.outcome),
         ended=jnp.where(stops, ends[first], trajectory.ended),
-        checks=checks,
+        invariants=checks,
     )
 
 

@@ -172,7 +172,9 @@ def checked_by(passed: dict[str, float], known: Checks) -> Checks:
 
 def judged_by(passed: dict[str, float], run: Trajectory) -> Trajectory:
     """The run with it."""
-    return dataclasses.replace(run, checks=checked_by(passed, run.checks)) if passed else run
+    return (
+        dataclasses.replace(run, invariants=checked_by(passed, run.invariants)) if passed else run
+    )
 
 
 def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any) -> LoadSteps:

@@ -44,7 +44,7 @@ def _taken(problem: Any, mechanism: Any, start: Any, run: Trajectory) -> SampleR
     sound = is_sound(mechanism, start)
     outcome = jnp.where(sound, diagnosed_outcome(run), Outcome.UNASSEMBLED)
     outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
-    return SampleResult(responses, outcome, run.ended, run.checks)
+    return SampleResult(responses, outcome, run.ended, run.invariants)
 
 
 def _with_states(share: Any, problem: Any, values: Array) -> tuple[SampleResult, Array]:

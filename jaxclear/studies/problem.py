@@ -18,7 +18,8 @@ from jaxclear.errors.replicas import between, replica
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.integrators import AbstractIntegrator, Checks, Outcome
+from jaxclear.integrators import AbstractIntegrator, Outcome
+from jaxclear.integrators.figures import Checks
 from jaxclear.multibody.assembly import (
     Start,
     assemble_arrays,

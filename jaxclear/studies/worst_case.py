@@ -21,7 +21,8 @@ import scipy
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.ground.shown import AbstractShown, in_rows
-from jaxclear.integrators import Checks, Outcome
+from jaxclear.integrators import Outcome
+from jaxclear.integrators.figures import Checks
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.batch import evaluate_all
 from jaxclear.studies.datasets import of_corners

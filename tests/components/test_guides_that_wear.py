@@ -99,7 +99,7 @@ def test_a_slider_that_goes_to_and_fro_wears_an_even_trough_and_its_own_face_eve
     own = RATE * LOAD * WAY / (LENGTH * BREADTH)
     np.testing.assert_allclose(found.worn_depth("P", "slider")[0], own, rtol=1e-3)
     # Forces at an instant swing where contacts settle.
-    assert found.outcome == 0 and (rung != "permanent" or not found.checks.warnings)
+    assert found.outcome == 0 and (rung != "permanent" or not found.invariants.warnings)
 
 
 @pytest.mark.parametrize("cells", [80, pytest.param(321, marks=pytest.mark.slow)])

@@ -236,7 +236,7 @@ def test_an_upright_journal_comes_down_on_its_collar():
 def test_a_joint_that_a_spring_holds_is_judged_beside_the_way_of_its_arm():
     """It moves by a thousandth of a radian: a quarter of that is nothing beside the arm's swing."""
     run = jc.simulate(held_arm(), 0.5, save=251, integrator=jc.integrator.NonColliding())
-    assert {check for check, beyond in run.checks.beyond().items() if beyond} == {
+    assert {check for check, beyond in run.invariants.beyond().items() if beyond} == {
         jc.integrator.Check.COLLAR_FORCE
     }
     finer = jc.simulate(held_arm(), 0.5, save=251, integrator=jc.integrator.NonColliding(1e-4))

@@ -7,7 +7,6 @@ import pytest
 import jaxclear as jc
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.pose import REST
-from jaxclear.integrators import Check
 from jaxclear.laws.stiffness import HERTZ_SPHERE
 from jaxclear.multibody import contact_point
 from jaxclear.multibody.loops import Relative
@@ -158,4 +157,3 @@ def test_peaks_and_damping_of_a_ball_are_those_of_the_law_as_worn():
     largest = float(run.contact("S").normal_force.max())
     assert largest > 600
     assert float(jc.response.PeakContactForce("S")(run)) == pytest.approx(largest, rel=1e-9)
-    assert run.checks.figures[Check.DAMPER_STEP].worst.max() < 0.05

@@ -9,7 +9,7 @@ from scipy.special import i0e
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.four_bar import CELLS
-from jaxclear.integrators import Check
+from jaxclear.integrators.checks import Check
 from jaxclear.scenes.four_bar import BEARING_LENGTH, CLEARANCES, four_bar
 from tests.rigs.figures import assert_complete
 
@@ -105,7 +105,7 @@ def test_wear_concentrates_near_the_edges_and_its_two_ends_differ(runs):
 def test_worn_depths_do_not_hang_on_cells_unasked_in_the_plane_in_space_on_these(runs):
     planar = jc.simulate(four_bar("planar"), DURATION / 2, save=SAVES, integrator=INTEGRATOR)
     for run in (planar, *runs.values()):
-        assert not np.any(run.checks.beyond()[Check.WEAR_BY_CELLS])
+        assert not np.any(run.invariants.beyond()[Check.WEAR_BY_CELLS])
         assert float(run.worn_depth("B", "bearing").max()) > 0
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.integrators import Check, Outcome
+from jaxclear.integrators import Outcome
+from jaxclear.integrators.checks import Check
 from jaxclear.simulation.simulate import run
 
 RPM = 2 * np.pi / 60

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.integrators import Check
+from jaxclear.integrators.checks import Check
 from jaxclear.simulation.load_steps import load_steps, passed_over, step_ends
 
 MASS, FORCE, BEGIN, LASTS = 2.0, 3e4, 0.051, 3e-5

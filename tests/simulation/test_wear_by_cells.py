@@ -9,7 +9,7 @@ from jaxclear.components.area_map import AreaMap
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wall_map import WallMap
 from jaxclear.components.wear_map import CylinderMap
-from jaxclear.integrators import Check
+from jaxclear.integrators.checks import Check
 from jaxclear.simulation.invariants import narrowness
 
 LIMIT = Check.WEAR_BY_CELLS.limit
@@ -81,6 +81,6 @@ def test_a_run_on_coarse_cells_says_so():
 def test_a_run_that_says_nothing_is_right():
     coarse, fine, finer = (pressed(cells) for cells in ((16, 8), (72, 36), (108, 54)))
     depths = [float(run.worn_depth("B", "socket").max()) for run in (coarse, fine, finer)]
-    said = [bool(run.checks.beyond()[Check.WEAR_BY_CELLS]) for run in (coarse, fine, finer)]
+    said = [bool(run.invariants.beyond()[Check.WEAR_BY_CELLS]) for run in (coarse, fine, finer)]
     assert said == [True, False, False]
     assert depths[0] < 0.75 * depths[2] and depths[1] == pytest.approx(depths[2], rel=0.03)

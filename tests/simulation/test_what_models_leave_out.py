@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.integrators import Check
+from jaxclear.integrators.checks import Check
 from tests.rigs.overconstrained import parallel_cranks
 
 RADIUS, CLEARANCE, LOAD = 10e-3, 0.05e-3, 200.0
@@ -41,7 +41,7 @@ def figure(rig, integrator, check=Check.COULOMB_FRICTION, duration=0.01):
     run = jc.simulate(
         rig, duration, integrator=integrator, state=state, save=101, balance=True, throw=False
     )
-    found = run.checks.figures.get(check)
+    found = run.invariants.figures.get(check)
     return run, None if found is None else float(jnp.max(found.worst))
 
 
@@ -137,7 +137,7 @@ def test_a_journal_that_the_other_joints_of_its_loop_may_hold_says_nothing_of_it
     across = jc.load.Force(jc.Marker("coupler", (0.0, 0.0, 0.0)), (0.0, 0.0, -LOAD))
     rig = rig.with_joint("top 1", joint).with_loads({**rig.loads, "across": across})
     run = jc.simulate(rig, 0.02, integrator=STEPS["permanent"], save=11, throw=False)
-    assert float(jnp.max(run.checks.figures[Check.UNHELD_FORCE].worst)) == 0.0
+    assert float(jnp.max(run.invariants.figures[Check.UNHELD_FORCE].worst)) == 0.0
 
 
 @pytest.mark.parametrize("rung", ["compliant", "rigid"])
@@ -149,7 +149,7 @@ def test_a_journal_that_slides_out_of_its_bearing_says_so(rung, journal_length, 
 
     def left(rig):
         run = jc.simulate(rig, 0.01, integrator=steps, save=11, throw=False)
-        return run, float(jnp.max(run.checks.figures[Check.JOURNAL_REACH].worst))
+        return run, float(jnp.max(run.invariants.figures[Check.JOURNAL_REACH].worst))
 
     run, share = left(rig)
     assert share == pytest.approx((2.2 * 0.01 - reach) / 0.02, abs=1e-3)
@@ -164,7 +164,7 @@ def test_what_statics_does_not_tell_of_a_joint_that_always_touches_is_told(offse
     changes; closed form of how little would be left of the moment."""
     rig = jc.scenes.four_bar("spatial", friction=False, wear=False, follower_offset=offset)
     run = jc.simulate(rig, 0.2, integrator=jc.integrator.NonColliding(4e-3), save=51, throw=False)
-    told = float(jnp.max(run.checks.figures[Check.INDETERMINATE_FORCE].worst))
+    told = float(jnp.max(run.invariants.figures[Check.INDETERMINATE_FORCE].worst))
     assert any("Statics does not tell" in sentence for sentence in run.warnings) == (offset > 0)
     joint = rig.connections["B"].joint
     # The line from the bearing to the follower's foot in the plane of motion, seen from the bearing
@@ -266,5 +266,5 @@ def test_ideal_joints_that_rub_in_a_loop_are_told_of_too():
         run = jc.simulate(
             rig, 0.05, save=11, integrator=jc.integrator.ImplicitStep(5e-4), throw=False
         )
-        told.append(float(jnp.max(run.checks.figures[Check.INDETERMINATE_FORCE].worst)))
+        told.append(float(jnp.max(run.invariants.figures[Check.INDETERMINATE_FORCE].worst)))
     assert told[0] < 1e-9 and told[1] > 2 * Check.INDETERMINATE_FORCE.limit

@@ -8,7 +8,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.commands import four_bar
 from jaxclear.formulations.contact_rates import contact_rates
-from jaxclear.integrators import Check
+from jaxclear.integrators.checks import Check
 from jaxclear.studies.usual_integrator import usual_integrator
 from tests.rigs.loaded_bearing import loaded_bearing, losses
 

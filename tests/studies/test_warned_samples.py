@@ -15,7 +15,7 @@ import pytest
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.reported import report_samples
-from jaxclear.integrators import Check
+from jaxclear.integrators.checks import Check
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.results.abstract_response import REACHES, concerned
 from jaxclear.studies.sensitivity.derivative import Estimate, confirmed

@@ -5,7 +5,8 @@ from typing import Any, NoReturn
 import equinox as eqx
 import numpy as np
 
-from jaxclear.integrators import Check, Outcome
+from jaxclear.integrators import Outcome
+from jaxclear.integrators.checks import Check
 from jaxclear.studies.base import AbstractProblem
 
 __all__ = ["RecordedProblem", "in_json"]

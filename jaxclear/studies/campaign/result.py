@@ -9,8 +9,7 @@ import jax
 import numpy as np
 
 from jaxclear.ground.arguments import check_known
-from jaxclear.integrators import Checks
-from jaxclear.integrators.figures import Figure
+from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.studies.base import AbstractProblem, SampleResult
 from jaxclear.studies.campaign.dataset import dataset_of
 from jaxclear.studies.campaign.samples import Samples

@@ -19,8 +19,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.integrators import Check, Checks, Outcome
-from jaxclear.integrators.figures import Figure
+from jaxclear.integrators import Outcome
+from jaxclear.integrators.checks import Check
+from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.campaign.chunk_files import ChunkFiles
 from jaxclear.studies.campaign.layout import (

@@ -17,7 +17,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.base import model_of
 from jaxclear.ground.arguments import check_number, expect
-from jaxclear.integrators import AbstractIntegrator, Checks, Outcome
+from jaxclear.integrators import AbstractIntegrator, Outcome
+from jaxclear.integrators.figures import Checks
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, ungiven
 from jaxclear.multibody.state import names
@@ -110,7 +111,7 @@ def compiled_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle,
         apart(found.history),
         found.outcome,
         found.ended,
-        found.checks,
+        found.invariants,
     )
     return kept, found
 

@@ -15,7 +15,8 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.answering import formerly
 from jaxclear.ground.arguments import check_count, check_number, expect
-from jaxclear.integrators import Checks, Outcome
+from jaxclear.integrators import Outcome
+from jaxclear.integrators.figures import Checks
 from jaxclear.multibody.validation import check_values
 from jaxclear.simulation.simulate import SimulationError
 from jaxclear.studies.base import AbstractProblem, SampleResult
