@@ -25,6 +25,7 @@ WORDS = {
     "mean_force": "of the largest",
     "peak_force": "of the largest",
     "losses": "of the largest",
+    "drawn": "of itself",
 }
 HEAD = ("answer", "value ± error", "share", "promised")
 
@@ -56,28 +57,31 @@ class Told(NamedTuple):
 
 
 class Verified(AbstractVerification):
-    """A run with `replicas`, as responses see them, the coarser one first; `numbers`: value, error
-    and share of each of the standard `answers` (answer, part, place, unit); `promise`: of its
-    integrator; `lost`: which of them hang on the tenth digit of the start, and `path`: from when on
-    [s], and within which time errors grow e-fold [s] (None: its path is an answer); `since` [s]:
-    where the run began, from where on errors count; `remedy`: what makes them smaller."""
+    """A run with `replicas`, as responses see them, the coarser one first; `numbers`: value, error,
+    share and what is promised (nan: nothing) of each of the standard `answers` (answer, part,
+    place, unit); `promise`: of its integrator, or what was asked; `lost`: which of them hang on the
+    tenth digit of the start, and `path`: from when on [s], and within which time errors grow e-fold
+    [s] (None: its path is an answer); `since` [s]: where the run began, from where on errors count;
+    `remedy`: what makes them smaller; `why`: what the integrator was chosen for ("": it was
+    given)."""
 
     replicas: tuple[Trajectory, ...]
-    numbers: Float[np.ndarray, "answers 3"]
+    numbers: Float[np.ndarray, "answers 4"]
     lost: Bool[np.ndarray, " answers"]
     path: Float[np.ndarray, "2"] | None
     since: Float[np.ndarray, ""]
     promise: Promise
     answers: tuple[tuple[str, str, str, str], ...] = eqx.field(static=True)
     remedy: str = eqx.field(static=True)
+    why: str = eqx.field(static=True, default="")
 
     @property
     def told(self) -> tuple[Told, ...]:
         """The standard answers."""
         rows = zip(self.answers, self.numbers.tolist(), self.lost.tolist(), strict=True)
         return tuple(
-            Told(*names, value, error, share, getattr(self.promise, names[1]), lost)
-            for names, (value, error, share), lost in rows
+            Told(*names, value, error, share, None if math.isnan(most) else most, lost)
+            for names, (value, error, share, most), lost in rows
         )
 
     @property
@@ -159,7 +163,7 @@ class Verified(AbstractVerification):
             f"{row[0]:{name}}  {row[1]:{number}}  {row[2]:>9}  {row[3]:>8}{mark}"
             for row, mark in zip(rows, marks, strict=True)
         ]
-        return "\n".join([*lines, f"Numerical errors are {self._how()}."])
+        return "\n".join([*lines, f"Numerical errors are {self._how()}. {self.why}".rstrip()])
 
 
 class Failed(AbstractVerification):

@@ -18,12 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.errors.observables import Observables, apart, observed, parted
+from jaxclear.errors.accuracy import Asked, Seen
+from jaxclear.errors.observables import parted
 from jaxclear.errors.replicas import Replica, replica, thinned
 from jaxclear.errors.told import HALF, QUARTER, Failed, Verified, richardson
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.integrators.promise import Promise
 from jaxclear.native import stoppable
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import AbstractVerification, Unverified
@@ -42,16 +42,19 @@ def verified(
     integrator: AbstractIntegrator,
     again: Callable[..., Trajectory],
     verify: bool | None,
+    asked: Asked | None = None,
 ) -> Trajectory:
     """The run with what its replicas tell; `again(replica, moved)`: the same run as that
     `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where
-    they take seconds at the most). What goes wrong in them, Ctrl-C too, leaves the run as it is."""
+    they take seconds at the most). `asked`: the accuracy (None: what the integrator promises). What
+    goes wrong in replicas, Ctrl-C too, leaves the run as it is."""
+    asked = Asked(integrator.promise) if asked is None else asked
     why = _why_not(run, verify)
-    known: AbstractVerification = Unverified(why)
+    known: AbstractVerification = Unverified(_and_chosen(why, asked))
     if not why:
         try:
             with stoppable():
-                known = _verification(run, integrator, again)
+                known = _verification(run, integrator, again, asked)
         except KeyboardInterrupt:
             known = Unverified("interrupted")
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
@@ -60,12 +63,16 @@ def verified(
     return dataclasses.replace(run, verification=known)
 
 
+def _and_chosen(why: str, asked: Asked) -> str:
+    return f"{why}. {asked.why.removesuffix('.')}" if asked.why else why
+
+
 def _verification(
-    run: Trajectory, integrator: AbstractIntegrator, again: Callable[..., Trajectory]
+    run: Trajectory, integrator: AbstractIntegrator, again: Callable[..., Trajectory], asked: Asked
 ) -> AbstractVerification:
-    promise, own, counting = integrator.promise, observed(run), integrator
-    if own.rooms is not None:
-        counting = integrator.counting_in(jnp.min(own.rooms), own.arm)
+    own, counting = asked.seen(run), integrator
+    if own.standard.rooms is not None:
+        counting = integrator.counting_in(jnp.min(own.standard.rooms), own.standard.arm)
     found = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
     plans = [plan for plan in found if plan is not None]
     if len(plans) < len(found):
@@ -75,29 +82,34 @@ def _verification(
         return thinned(again(plan, moved), plan.every)
 
     replicas: list[Trajectory] = []
-    seen: list[Observables] = []
+    seen: list[Seen] = []
     for plan in plans:
         replicas.append(repeated(plan))
         if not replicas[-1].succeeded:
             return Failed(replicas[-1].result)
-        seen.append(observed(replicas[-1]))
-        rows = list(zip(*(apart(run, own, other, seen[-1]) for other in seen), strict=True))
-        shares = [(float(richardson([each.share for each in row])), row[0].part) for row in rows]
-        limits = [(share, getattr(promise, part)) for share, part in shares]
-        if not any(limit is not None and not share <= DOUBT * limit for share, limit in limits):
+        seen.append(asked.seen(replicas[-1]))
+        rows = list(zip(*(asked.apart(run, own, other, seen[-1]) for other in seen), strict=True))
+        promised = np.array([_number(asked.promised(row[-1])) for row in rows])
+        shares = np.array([float(richardson([each.share for each in row])) for row in rows])
+        if not np.any(~np.isnan(promised) & ~(shares <= DOUBT * promised)):
             break
     errors = [float(richardson([each.off for each in row])) for row in rows]
-    values = zip(rows, errors, shares, strict=True)
-    numbers = np.array([[row[0].value, error, share] for row, error, (share, _) in values])
+    numbers = np.stack([[row[0].value for row in rows], errors, shares, promised], axis=1)
     path, lost = None, np.zeros(len(rows), bool)
-    if any(p == "gaps" and promise.gaps is not None and not x <= promise.gaps for x, p in shares):
-        path, lost = _lost(run, seen[0], repeated(plans[0], TENTH_DIGIT), promise)
+    gaps = np.array([row[0].part == "gaps" for row in rows])
+    if np.any(gaps & ~np.isnan(promised) & ~(shares <= promised)):
+        limit = float(np.nanmin(promised[gaps]))
+        path, lost = _lost(run, asked, seen[0], repeated(plans[0], TENTH_DIGIT), limit)
     known = tuple(
         dataclasses.replace(each, verification=Unverified(OF_A_REPLICA)) for each in replicas
     )
     answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
-    since = np.asarray(run.time[0])
-    return Verified(known, numbers, lost, path, since, promise, answers, integrator.remedy)
+    ends = np.asarray(run.time[0]), asked.promise, answers, integrator.remedy, asked.why
+    return Verified(known, numbers, lost, path, *ends)
+
+
+def _number(promised: float | None) -> float:
+    return math.nan if promised is None else promised
 
 
 def _why_not(run: Trajectory, verify: bool | None) -> str:
@@ -114,16 +126,16 @@ def _why_not(run: Trajectory, verify: bool | None) -> str:
 
 
 def _lost(
-    run: Trajectory, finer: Observables, moved: Trajectory, promise: Promise
+    run: Trajectory, asked: Asked, finer: Seen, moved: Trajectory, limit: float
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """(from when on [s] a path hangs on the tenth digit of its start, and within which time errors
     grow e-fold [s]; None where it does not; which answers are lost by that), from how far a `finer`
-    run and the same with its start `moved` are apart."""
-    other = observed(moved)
-    rows = [(row, getattr(promise, row.part)) for row in apart(run, finer, other, finer)]
-    lost = np.array([limit is not None and row.share > limit for row, limit in rows])
-    off = parted(finer, other)
-    beyond = off > promise.gaps
+    run and the same with its start `moved` are apart, in gaps by more than the `limit`."""
+    other = asked.seen(moved)
+    rows = [(row.share, asked.promised(row)) for row in asked.apart(run, finer, other, finer)]
+    lost = np.array([most is not None and share > most for share, most in rows])
+    off = parted(finer.standard, other.standard)
+    beyond = off > limit
     if not moved.succeeded or not beyond.any():
         return None, np.zeros(len(rows), bool)
     first = int(np.argmax(beyond))
