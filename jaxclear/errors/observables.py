@@ -171,8 +171,8 @@ def apart(
         if forces[0] is not None and len(forces[0]):
             found += _by_place(answer, part, "N", joints, *forces)
     if one.friction_loss is not None:
-        loss, less, least = (float(each.friction_loss) for each in (one, other, finest))
-        scale = max(least, LEAST_LOSS * float(finest.turnover))
+        loss, less, least = (float(np.asarray(each.friction_loss)) for each in (one, other, finest))
+        scale = max(least, LEAST_LOSS * float(np.asarray(finest.turnover)))
         if max(loss, less) > 0:
             row = "friction loss", "losses", "", "J", loss, abs(loss - less), scale
             found.append(Apart(*row))
