@@ -117,6 +117,10 @@ class FixedStep(AbstractIntegrator):
         return ORDERS[self.method] > 1
 
     @property
+    def first_order_slopes(self):
+        return ORDERS[self.method] == 1
+
+    @property
     def follows_impacts(self):
         return ORDERS[self.method] > 2
 

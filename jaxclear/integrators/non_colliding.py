@@ -81,6 +81,10 @@ class NonColliding(AbstractIntegrator):
     def asked_step(self):
         return self.step
 
+    @property
+    def first_order_slopes(self):
+        return True
+
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model), vibration.nothing(model, self)
 

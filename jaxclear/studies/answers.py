@@ -17,7 +17,13 @@ from jaxclear.multibody.assembly import is_sound
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.dead_point import diagnosed_outcome
 from jaxclear.simulation.derivatives import backwards, guarded
-from jaxclear.simulation.step_comparison import compared, in_other_steps, is_compared, where_alike
+from jaxclear.simulation.step_comparison import (
+    compared,
+    in_other_steps,
+    is_compared,
+    order_of,
+    where_alike,
+)
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.responses import one_number
 
@@ -26,10 +32,11 @@ def answers(problem: Any, values: Float[Array, " variables"], discrete: bool) ->
     """Responses of a `Problem` for one set of values; `discrete`: derivatives of the discrete run
     are wanted, where the integrator has them."""
     integrator = problem.integrator
-    if is_compared(integrator.formulation.seen(problem.mechanism), integrator):
-        known = compared(_with_states, _alike, _steps)
-        return backwards(known, integrator, problem, values)[0]
     own = discrete and integrator.pathwise
+    seen = integrator.formulation.seen(problem.mechanism)
+    if not own and is_compared(seen, integrator):
+        known = compared(_with_states, _alike, _steps, order_of(integrator))
+        return backwards(known, integrator, problem, values)[0]
     started = lambda problem, values: problem.started(values, own)
     mechanism, start, run = backwards(started, integrator, problem, values)
     return _taken(problem, mechanism, start, guarded(run, integrator, discrete))
@@ -62,7 +69,7 @@ def _steps(problem: Any, _: Any) -> tuple[Any, Any]:
 def _alike(ways: tuple[SampleResult, Array], ratios: Array) -> tuple[SampleResult, Array]:
     """Derivatives of what is answered; those of responses are nan where steps decide them."""
     result, states = jax.tree.map(lambda each: each[0], ways)
-    largest = jnp.max(abs(ways[1]))
+    largest = jnp.max(abs(ways[1]), initial=0.0)
     told = {
         name: where_alike(way, ratios, abs(way[0]), largest)
         for name, way in ways[0].responses.items()
