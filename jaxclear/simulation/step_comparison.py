@@ -22,11 +22,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import pushed
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.derivatives import refusal
 
@@ -57,12 +59,12 @@ def order_of(integrator: AbstractIntegrator) -> int:
 
 
 def compared(function: Callable, judged: Callable, steps: Callable, order: int) -> Callable:
-    """As `function(None, *arguments)`, with derivatives `judged(ways, ratios)` from those of
-    `function(share, *arguments)` in steps that are this share of the usual ones.
+    """As `function(None, *arguments)`, with derivatives `judged(found, ways, ratios)` from those
+    of `function(share, *arguments)` in steps that are this share of the usual ones.
 
-    `judged`: of derivatives of the answer, of the run itself in front and behind it those in other
-    steps, and how large errors of this `order` are in these beside its own; `steps(*arguments)`: (a
-    step's length [s], the times [s] at which one ends)."""
+    `judged`: of what was found, its derivatives, of the run itself in front and behind it those in
+    other steps, and how large errors of this `order` are in these beside its own;
+    `steps(*arguments)`: (a step's length [s], the times [s] at which one ends)."""
 
     def known(*arguments: Any) -> Any:
         arrays, rest = eqx.partition(arguments, eqx.is_array)
@@ -89,7 +91,7 @@ def compared(function: Callable, judged: Callable, steps: Callable, order: int) 
             out, left, ways = jax.vmap(one)(shares)
             found, left = jax.tree.map(lambda each: each[0], (out, left))
             still = jax.tree.map(lambda each: np.zeros(each.shape, jax.dtypes.float0), left)
-            return (found, left), (judged(ways, ratios), still)
+            return (found, left), (judged(eqx.combine(found, left), ways, ratios), still)
 
         own.defjvp(moving, symbolic_zeros=True)
         return eqx.combine(*own(arrays), kept[0])
@@ -108,10 +110,10 @@ def _shares(step: Scalar, times: Float[Array, " saves"], order: int) -> tuple[Ar
     return jnp.concatenate([jnp.ones(1), others]), ratios**order
 
 
-def where_alike(ways: Array, ratios: Array, scale: Array, largest: Scalar) -> Array:
+def where_alike(ways: Array, ratios: Array, scale: Array, largest: Any) -> Array:
     """Derivatives of the run itself, the first of `ways`, nan where those in other steps tell that
     they are off by too large a share of this `scale`, unless all are rounding beside the `largest`
-    of the run."""
+    that there might be."""
     own, others = ways[0], ways[1:]
     ratios = jnp.expand_dims(ratios, tuple(range(1, others.ndim)))
     off = jnp.max(abs(others - own) / abs(ratios - 1), axis=0)
@@ -119,10 +121,11 @@ def where_alike(ways: Array, ratios: Array, scale: Array, largest: Scalar) -> Ar
     return jnp.where((off <= TRUSTED * scale) | nothing, own, jnp.nan)
 
 
-def run_where_alike(ways: Trajectory, ratios: Array) -> Trajectory:
-    """Derivatives of a run, nan where steps decide them: of its states at the end beside their own
-    size, at an instant before beside the largest that the derivative of this number has been, as on
-    its way it may pass through nothing; of anything else beside the largest of its kind."""
+def run_where_alike(found: Trajectory, ways: Trajectory, ratios: Array) -> Trajectory:
+    """Derivatives of a run that was found, nan where steps decide them: of its states at the end
+    beside their own size, at an instant before beside the largest that the derivative of this
+    number has been, as on its way it may pass through nothing; of anything else beside the largest
+    of its kind."""
 
     def one(each):
         size = jnp.max(abs(each[0]), initial=0.0)
@@ -131,5 +134,22 @@ def run_where_alike(ways: Trajectory, ratios: Array) -> Trajectory:
     states = ways.history.states
     size = abs(states[0])
     scale = jax.lax.cummax(size, axis=0).at[-1].set(size[-1])
-    told = where_alike(states, ratios, scale, jnp.max(abs(states), initial=0.0))
+    # What a run sums up is in other units than its motion.
+    moves = jnp.arange(size.shape[1]) < _moving(found.history)
+    sums = jnp.max(abs(states), axis=(0, 1), initial=0.0)
+    largest = jnp.where(moves, jnp.max(jnp.where(moves, sums, 0.0), initial=0.0), sums)
+    told = where_alike(states, ratios, scale, largest)
     return eqx.tree_at(lambda run: run.history.states, jax.tree.map(one, ways), told)
+
+
+def sensitivity(history: StateHistory, ways: Array) -> Scalar:
+    """The largest derivative of a coordinate or speed in a run [1 of the largest that it is]."""
+    count = _moving(history)
+    size, way = (jnp.max(abs(each[:, :count]), axis=0) for each in (history.states, ways))
+    return jnp.max(safe_divide(way, size), initial=0.0)
+
+
+def _moving(history: StateHistory) -> int:
+    """How many coordinates and speeds are in a state, in front of what a run sums up."""
+    topology = history.mechanism.topology
+    return topology.coordinate_count + topology.speed_count

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.quantity import inside, numbers
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.assembly import is_sound
+from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.dead_point import diagnosed_outcome
 from jaxclear.simulation.derivatives import backwards, guarded
@@ -22,6 +23,7 @@ from jaxclear.simulation.step_comparison import (
     in_other_steps,
     is_compared,
     order_of,
+    sensitivity,
     where_alike,
 )
 from jaxclear.studies.base import SampleResult
@@ -54,24 +56,24 @@ def _taken(problem: Any, mechanism: Any, start: Any, run: Trajectory) -> SampleR
     return SampleResult(responses, outcome, run.ended, run.checks)
 
 
-def _with_states(share: Any, problem: Any, values: Array) -> tuple[SampleResult, Array]:
+def _with_states(share: Any, problem: Any, values: Array) -> tuple[SampleResult, StateHistory]:
     """What is answered, and the states of the run."""
     steps = in_other_steps(problem.integrator, share)
     own = eqx.tree_at(lambda known: known.integrator, problem, steps)
     mechanism, start, run = own.started(values)
-    return _taken(own, mechanism, start, run), run.history.states
+    return _taken(own, mechanism, start, run), run.history
 
 
 def _steps(problem: Any, _: Any) -> tuple[Any, Any]:
     return problem.integrator.asked_step(), problem.shares * problem.duration
 
 
-def _alike(ways: tuple[SampleResult, Array], ratios: Array) -> tuple[SampleResult, Array]:
+def _alike(found: tuple, ways: tuple, ratios: Array) -> tuple[SampleResult, StateHistory]:
     """Derivatives of what is answered; those of responses are nan where steps decide them."""
-    result, states = jax.tree.map(lambda each: each[0], ways)
-    largest = jnp.max(abs(ways[1]), initial=0.0)
+    (answer, history), (moves, path) = found, jax.tree.map(lambda each: each[0], ways)
+    reach = sensitivity(history, path.states)
     told = {
-        name: where_alike(way, ratios, abs(way[0]), largest)
+        name: where_alike(way, ratios, abs(way[0]), reach * abs(answer.responses[name]))
         for name, way in ways[0].responses.items()
     }
-    return SampleResult(told, result.outcome, result.ended, result.checks), states
+    return SampleResult(told, moves.outcome, moves.ended, moves.checks), path
