@@ -1,4 +1,4 @@
-"""When a derivative through impacts is to be trusted, and nan where it is not.
+"""When a derivative through impacts is to be trusted, and a nan that says why where it is not.
 
 A loop carries zeros beside the state, whose derivatives tell how much touches move: impacts make
 derivatives grow, and with them what errors of the motion make of them.
@@ -13,6 +13,7 @@ from jaxtyping import Array
 
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved
+from jaxclear.ground.unknown import Unknown
 
 # What a second derivative through contacts is told.
 NO_SECOND = (
@@ -45,10 +46,9 @@ def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
     `growth`: zeros, whose derivatives tell how many touches moved, by how much [s] the first few of
     them and all of them did at most, and of which share the largest error of a step was."""
 
-    def fine(growth, limit):
-        return (growth[2] <= limit * growth[1]) & (growth[3] <= MOST_ERROR)
-
-    return _where(fine, found, growth, limit)
+    grown = lambda growth, limit: growth[2] <= limit * growth[1]
+    found = _where(grown, Unknown.GROWN, found, growth, limit)
+    return _where(lambda growth: growth[3] <= MOST_ERROR, Unknown.UNRESOLVED, found, growth)
 
 
 def trusted_impacts(found: Any, growth: Array) -> Any:
@@ -56,31 +56,33 @@ def trusted_impacts(found: Any, growth: Array) -> Any:
     make them grow, decide it, and where an impact is not known to have one."""
 
     def fine(growth):
-        _, first, most, unknown, place, speeds, _ = [growth[i] for i in range(IMPACT_FIGURES)]
-        return ((place + speeds) * most <= TRUSTED_IMPACTS * first) & (unknown <= 0)
+        _, first, most, _, place, speeds, _ = [growth[i] for i in range(IMPACT_FIGURES)]
+        return (place + speeds) * most <= TRUSTED_IMPACTS * first
 
-    return _where(fine, found, growth)
+    found = _where(fine, Unknown.GROWN, found, growth)
+    return _where(lambda growth: growth[3] <= 0, Unknown.AT_ONCE, found, growth)
 
 
 def beside(found: Any, parted: Scalar) -> Any:
     """What was found of a run; its derivative is nan where the motion of which it is the derivative
     has `parted` from the run itself by too large a share of the gap."""
-    return _where(lambda parted: parted <= PARTED, found, parted)
+    return _where(lambda parted: parted <= PARTED, Unknown.PARTED, found, parted)
 
 
-def _where(fine: Callable, found: Any, growth: Array, *numbers: Scalar) -> Any:
-    """What was found; its derivative is nan but where `fine(derivative of growth, *numbers)`."""
+def _where(fine: Callable, why: Unknown, found: Any, growth: Array, *numbers: Scalar) -> Any:
+    """What was found; its derivative is nan, and says why, but where `fine(derivative of growth,
+    *numbers)`."""
 
     def judged(numbers, tangents):
         (_, _, *numbers), (found, growth, *_) = numbers, tangents
         known = fine(moved(growth), *numbers)
-        return jax.tree.map(lambda each: jnp.where(known, moved(each), jnp.nan), found)
+        return jax.tree.map(lambda each: jnp.where(known, moved(each), why.number), found)
 
     return derived(lambda found, *_: found, judged)(found, growth, *map(constant, numbers))
 
 
 def unknown_way(numbers: Any) -> Any:
     """The numbers; their derivative is nan wherever it is asked for."""
-    unknown = lambda way: jnp.full_like(moved(way), jnp.nan)
+    unknown = lambda way: jnp.full_like(moved(way), Unknown.NOT_FOLLOWED.number)
     lost = lambda numbers, tangents: jax.tree.map(unknown, tangents[0])
     return derived(lambda numbers: numbers, lost)(numbers)

@@ -25,6 +25,7 @@ from jaxtyping import Array, Float
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import pushed
+from jaxclear.ground.unknown import Unknown
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.mechanism import Mechanism
@@ -118,7 +119,8 @@ def where_alike(ways: Array, ratios: Array, scale: Array, largest: Any) -> Array
     ratios = jnp.expand_dims(ratios, tuple(range(1, others.ndim)))
     off = jnp.max(abs(others - own) / abs(ratios - 1), axis=0)
     nothing = jnp.max(abs(ways), axis=0) <= ROUNDING * largest
-    return jnp.where((off <= TRUSTED * scale) | nothing, own, jnp.nan)
+    known = (off <= TRUSTED * scale) | nothing | jnp.isnan(own)
+    return jnp.where(known, own, Unknown.STEPS_DECIDE.number)
 
 
 def run_where_alike(found: Trajectory, ways: Trajectory, ratios: Array) -> Trajectory:
