@@ -65,12 +65,12 @@ class FixedStep(AbstractIntegrator):
     step, to the third power of the step; a force that begins as the 3/2th power of the indentation
     limits the order of a run through impacts to 5/2. Derivatives are those of the discrete run:
     where contacts open and close, by "rk4" without `steps_per_save` those of the motion
-    (`mid_step`; within 1e-3 through six bounces of Hertzian laws in steps of 20 us), nan where
-    impacts have made them grow beyond what steps determine, a contact is over in a few steps, or
-    slip goes to and fro. So are those of "heun", "semi_implicit" and "euler" without
-    `steps_per_save` and `contact_steps`: of the motion, which goes beside the run (`fine_motion`),
-    nan where that has parted from it by 3 % of the narrowest gap. Else they are not those of the
-    motion (`jaxclear.sensitivity` compares methods).
+    (`mid_step`; within 1e-3 through six bounces of Hertzian laws in steps of 20 us). So are those
+    of "heun", "semi_implicit" and "euler" without `steps_per_save` and `contact_steps`: of the
+    motion, which goes beside the run (`fine_motion`), nan where that has parted from it by 3 % of
+    the narrowest gap. Else they are not those of the motion (`jaxclear.sensitivity` compares
+    methods). Without `steps_per_save` they are nan too where steps twice as long tell that they are
+    off by a hundredth (`jaxclear.why_unknown`).
     """
 
     pathwise: ClassVar = True
@@ -137,8 +137,8 @@ class FixedStep(AbstractIntegrator):
 
     def first_warm_start(self, model, start, state):
         """The contacts at the start of the last step, and its length [s]: a touch in it is found
-        where the next step begins; None where nothing looks at contacts. And what is known of
-        the motion beside the run, None where derivatives are those of the steps."""
+        where the next step begins; None where nothing looks at contacts. And what is known of the
+        motion beside the run, None where derivatives are those of the steps."""
         if not model.layout.contacts:
             return None, None, None
         contacts = self.formulation.contacts(model, start, state)

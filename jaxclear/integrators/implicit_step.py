@@ -65,7 +65,8 @@ class ImplicitStep(AbstractIntegrator):
     these are those of the motion itself, which goes beside the steps in parts that resolve contacts
     (`fine_motion`): within 1e-3 through six bounces of Hertzian laws, half a per cent to two with a
     damper beside the spring; nan where the run has parted from that motion by 3 % of the narrowest
-    gap. Numerical dissipation parts them soon: `rebound=1.0` and shorter steps go further.
+    gap, or where steps twice as long tell another one. Numerical dissipation parts them soon:
+    `rebound=1.0` and shorter steps go further.
 
     Source: mean forces that conserve energy: Gonzalez 1996, J. Nonlinear Sci. 6, 449; for contact
     Laursen & Chawla 1997, Int. J. Numer. Methods Eng. 40, 863; with dissipation Armero & Petocz
