@@ -109,8 +109,8 @@ class AbstractIntegrator(AbstractQuantified):
 
     @property
     def first_order_slopes(self) -> bool:
-        """Whether its derivatives through contacts are off by a share of the step that no figure of
-        the steps tells: they are compared with those in other steps."""
+        """Whether its derivatives are off in proportion to the step, not to its square or less:
+        those of steps that have a length are compared with those in other steps."""
         return False
 
     @property

@@ -41,6 +41,7 @@ from jaxclear.simulation.step_comparison import (
     compared,
     in_other_steps,
     is_compared,
+    order_of,
     run_where_alike,
 )
 from jaxclear.simulation.step_lengths import check_steps
@@ -75,7 +76,7 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, 
         return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4], updates)
 
     steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
-    known = compared(in_steps, run_where_alike, steps)
+    known = compared(in_steps, run_where_alike, steps, order_of(integrator))
     return backwards(known, integrator, integrator, *given)
 
 

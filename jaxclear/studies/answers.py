@@ -14,10 +14,18 @@ from jaxtyping import Array, Float
 from jaxclear.ground.quantity import inside, numbers
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.assembly import is_sound
+from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.dead_point import diagnosed_outcome
 from jaxclear.simulation.derivatives import backwards, guarded
-from jaxclear.simulation.step_comparison import compared, in_other_steps, is_compared, where_alike
+from jaxclear.simulation.step_comparison import (
+    compared,
+    in_other_steps,
+    is_compared,
+    order_of,
+    sensitivity,
+    where_alike,
+)
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.responses import one_number
 
@@ -26,10 +34,11 @@ def answers(problem: Any, values: Float[Array, " variables"], discrete: bool) ->
     """Responses of a `Problem` for one set of values; `discrete`: derivatives of the discrete run
     are wanted, where the integrator has them."""
     integrator = problem.integrator
-    if is_compared(integrator.formulation.seen(problem.mechanism), integrator):
-        known = compared(_with_states, _alike, _steps)
-        return backwards(known, integrator, problem, values)[0]
     own = discrete and integrator.pathwise
+    seen = integrator.formulation.seen(problem.mechanism)
+    if not own and is_compared(seen, integrator):
+        known = compared(_with_states, _alike, _steps, order_of(integrator))
+        return backwards(known, integrator, problem, values)[0]
     started = lambda problem, values: problem.started(values, own)
     mechanism, start, run = backwards(started, integrator, problem, values)
     return _taken(problem, mechanism, start, guarded(run, integrator, discrete))
@@ -47,24 +56,24 @@ def _taken(problem: Any, mechanism: Any, start: Any, run: Trajectory) -> SampleR
     return SampleResult(responses, outcome, run.ended, run.invariants)
 
 
-def _with_states(share: Any, problem: Any, values: Array) -> tuple[SampleResult, Array]:
+def _with_states(share: Any, problem: Any, values: Array) -> tuple[SampleResult, StateHistory]:
     """What is answered, and the states of the run."""
     steps = in_other_steps(problem.integrator, share)
     own = eqx.tree_at(lambda known: known.integrator, problem, steps)
     mechanism, start, run = own.started(values)
-    return _taken(own, mechanism, start, run), run.history.states
+    return _taken(own, mechanism, start, run), run.history
 
 
 def _steps(problem: Any, _: Any) -> tuple[Any, Any]:
     return problem.integrator.asked_step(), problem.shares * problem.duration
 
 
-def _alike(ways: tuple[SampleResult, Array], ratios: Array) -> tuple[SampleResult, Array]:
+def _alike(found: tuple, ways: tuple, ratios: Array) -> tuple[SampleResult, StateHistory]:
     """Derivatives of what is answered; those of responses are nan where steps decide them."""
-    result, states = jax.tree.map(lambda each: each[0], ways)
-    largest = jnp.max(abs(ways[1]))
+    (answer, history), (moves, path) = found, jax.tree.map(lambda each: each[0], ways)
+    reach = sensitivity(history, path.states)
     told = {
-        name: where_alike(way, ratios, abs(way[0]), largest)
+        name: where_alike(way, ratios, abs(way[0]), reach * abs(answer.responses[name]))
         for name, way in ways[0].responses.items()
     }
-    return SampleResult(told, result.outcome, result.ended, result.checks), states
+    return SampleResult(told, moves.outcome, moves.ended, moves.checks), path

@@ -225,8 +225,9 @@ class Problem(AbstractProblem):
 
         JAX may map, compile and differentiate it. A derivative through contacts that open and close
         is not that of the motion, and raises `ValueError`; with `discrete_derivatives` it is passed
-        on, as the derivative of the discrete run. Derivatives of responses of `MoreauJean` are
-        compared with those in other steps, and nan where these tell an error beyond a hundredth.
+        on, as the derivative of the discrete run. Other derivatives are compared with those in
+        steps of other lengths, where steps have one, and nan where these tell an error beyond a
+        hundredth; `jaxclear.why_unknown` says why.
         """
         check_double_precision()
         self.check_values(values)
