@@ -28,7 +28,8 @@ from jaxclear.multibody.assembly import (
 )
 from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
 from jaxclear.multibody.state import lay_out
-from jaxclear.multibody.system import prepare, wear_maps
+from jaxclear.multibody.reach import narrowest_gap
+from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
 from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
@@ -264,16 +265,19 @@ class Problem(AbstractProblem):
         """Runs in finer steps, whose surfaces wear more often; where steps between saving times are
         counted there are more of these, and responses see runs at those that were asked for."""
         times = self.state.begins + self.shares * self.duration
-        how = replica(self.integrator, times, share)
+        seen, counting = prepare(self.seen(self.nominal())), self.integrator
+        if seen.bearings:
+            counting = counting.counting_in(narrowest_gap(seen), longest_arm(seen))
+        how = replica(counting, times, share)
         if how is None:
             return None
         places = lambda own: (own.integrator, own.updates)
         found = eqx.tree_at(places, self, (how.integrator, jnp.asarray(how.updates)))
         if how.every == 1:
             return found
-        seen = {name: Thinned(own, how.every) for name, own in self.response.items()}
+        responses = {name: Thinned(own, how.every) for name, own in self.response.items()}
         shares = jnp.asarray(between(self.shares, how.every))
-        return eqx.tree_at(lambda own: (own.response, own.shares), found, (seen, shares))
+        return eqx.tree_at(lambda own: (own.response, own.shares), found, (responses, shares))
 
     def promised(self, response, size):
         if self.accuracy is None:
