@@ -27,8 +27,8 @@ from jaxclear.multibody.assembly import (
     determined,
 )
 from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
-from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.reach import narrowest_gap
+from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
 from jaxclear.results.response import concerned, unit_of
