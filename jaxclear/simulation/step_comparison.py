@@ -20,6 +20,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from jaxclear.ground.numerics import safe_divide
@@ -29,7 +30,6 @@ from jaxclear.ground.unknown import Unknown
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.derivatives import refusal
 
@@ -39,7 +39,8 @@ LONGER = {1: (1.5, 2.0), 2: (2.0,)}
 SHORTER, FEWEST = {1: (1 / 2, 1 / 3), 2: (1 / 2,)}, 4
 # Share of a derivative by which the other steps may tell it to be off.
 TRUSTED = 0.01
-# Derivatives that are so small a share of the largest in the run are rounding.
+# A derivative that moves something by so small a share of the least by which a number moves it is
+# rounding: a drive, not friction, says where a mechanism is.
 ROUNDING = 1e-12
 
 
@@ -60,12 +61,13 @@ def order_of(integrator: AbstractIntegrator) -> int:
 
 
 def compared(function: Callable, judged: Callable, steps: Callable, order: int) -> Callable:
-    """As `function(None, *arguments)`, with derivatives `judged(found, ways, ratios)` from those
-    of `function(share, *arguments)` in steps that are this share of the usual ones.
+    """As `function(None, *arguments)`, with derivatives `judged(found, ways, ratios, least)` from
+    those of `function(share, *arguments)` in steps that are this share of the usual ones.
 
     `judged`: of what was found, its derivatives, of the run itself in front and behind it those in
-    other steps, and how large errors of this `order` are in these beside its own;
-    `steps(*arguments)`: (a step's length [s], the times [s] at which one ends)."""
+    other steps, how large errors of this `order` are in these beside its own, and of which share of
+    what was found a derivative is rounding; `steps(*arguments)`: (a step's length [s], the times
+    [s] at which one ends)."""
 
     def known(*arguments: Any) -> Any:
         arrays, rest = eqx.partition(arguments, eqx.is_array)
@@ -92,7 +94,8 @@ def compared(function: Callable, judged: Callable, steps: Callable, order: int) 
             out, left, ways = jax.vmap(one)(shares)
             found, left = jax.tree.map(lambda each: each[0], (out, left))
             still = jax.tree.map(lambda each: np.zeros(each.shape, jax.dtypes.float0), left)
-            return (found, left), (judged(eqx.combine(found, left), ways, ratios), still)
+            told = judged(eqx.combine(found, left), ways, ratios, ROUNDING * _least(*both))
+            return (found, left), (told, still)
 
         own.defjvp(moving, symbolic_zeros=True)
         return eqx.combine(*own(arrays), kept[0])
@@ -111,47 +114,48 @@ def _shares(step: Scalar, times: Float[Array, " saves"], order: int) -> tuple[Ar
     return jnp.concatenate([jnp.ones(1), others]), ratios**order
 
 
-def where_alike(ways: Array, ratios: Array, scale: Array, largest: Any) -> Array:
+def _least(numbers: Any, tangents: Any) -> Scalar:
+    """The least share of itself by which a number moves (0: none that is not 0 does)."""
+    least = jnp.asarray(jnp.inf)
+    for number, way in zip(*map(jax.tree.leaves, (numbers, tangents)), strict=True):
+        if not isinstance(way, SymbolicZero):
+            share = jnp.where((number != 0) & (way != 0), abs(safe_divide(way, number)), jnp.inf)
+            least = jnp.minimum(least, jnp.min(share, initial=jnp.inf))
+    return jnp.where(jnp.isfinite(least), least, 0.0)
+
+
+def where_alike(ways: Array, ratios: Array, scale: Array, rounding: Any) -> Array:
     """Derivatives of the run itself, the first of `ways`, nan where those in other steps tell that
-    they are off by too large a share of this `scale`, unless all are rounding beside the `largest`
-    that there might be."""
+    they are off by too large a share of this `scale`, unless all are no more than `rounding`."""
     own, others = ways[0], ways[1:]
     ratios = jnp.expand_dims(ratios, tuple(range(1, others.ndim)))
     off = jnp.max(abs(others - own) / abs(ratios - 1), axis=0)
-    nothing = jnp.max(abs(ways), axis=0) <= ROUNDING * largest
+    nothing = jnp.max(abs(ways), axis=0) <= rounding
     known = (off <= TRUSTED * scale) | nothing | jnp.isnan(own)
     return jnp.where(known, own, Unknown.STEPS_DECIDE.number)
 
 
-def run_where_alike(found: Trajectory, ways: Trajectory, ratios: Array) -> Trajectory:
+def run_where_alike(
+    found: Trajectory, ways: Trajectory, ratios: Array, least: Scalar
+) -> Trajectory:
     """Derivatives of a run that was found, nan where steps decide them: of its states at the end
     beside their own size, at an instant before beside the largest that the derivative of this
     number has been, as on its way it may pass through nothing; of anything else beside the largest
     of its kind."""
+    largest = lambda each, axis=None: jnp.max(abs(each), axis=axis, initial=0.0)
 
-    def one(each):
-        size = jnp.max(abs(each[0]), initial=0.0)
-        return where_alike(each, ratios, size, jnp.max(abs(each), initial=0.0))
+    def one(each, number):
+        return where_alike(each, ratios, largest(each[0]), least * largest(number))
 
+    told = jax.tree.map(one, ways, eqx.filter(found, eqx.is_inexact_array))
+    topology = found.mechanism.topology
+    n, m = topology.coordinate_count, topology.speed_count
+    size = largest(found.history.states, 0)
+    # A coordinate that is 0 is one among others; what a run sums up is in units of its own.
+    kinds = jnp.split(size, (n, n + m))
+    size = jnp.concatenate([*(jnp.full_like(kind, largest(kind)) for kind in kinds[:2]), kinds[2]])
     states = ways.history.states
-    size = abs(states[0])
-    scale = jax.lax.cummax(size, axis=0).at[-1].set(size[-1])
-    # What a run sums up is in other units than its motion.
-    moves = jnp.arange(size.shape[1]) < _moving(found.history)
-    sums = jnp.max(abs(states), axis=(0, 1), initial=0.0)
-    largest = jnp.where(moves, jnp.max(jnp.where(moves, sums, 0.0), initial=0.0), sums)
-    told = where_alike(states, ratios, scale, largest)
-    return eqx.tree_at(lambda run: run.history.states, jax.tree.map(one, ways), told)
-
-
-def sensitivity(history: StateHistory, ways: Array) -> Scalar:
-    """The largest derivative of a coordinate or speed in a run [1 of the largest that it is]."""
-    count = _moving(history)
-    size, way = (jnp.max(abs(each[:, :count]), axis=0) for each in (history.states, ways))
-    return jnp.max(safe_divide(way, size), initial=0.0)
-
-
-def _moving(history: StateHistory) -> int:
-    """How many coordinates and speeds are in a state, in front of what a run sums up."""
-    topology = history.mechanism.topology
-    return topology.coordinate_count + topology.speed_count
+    own = abs(states[0])
+    scale = jax.lax.cummax(own, axis=0).at[-1].set(own[-1])
+    states = where_alike(states, ratios, scale, least * size)
+    return eqx.tree_at(lambda run: run.history.states, told, states)

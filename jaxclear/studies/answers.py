@@ -14,7 +14,6 @@ from jaxtyping import Array, Float
 from jaxclear.ground.quantity import inside, numbers
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.assembly import is_sound
-from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.dead_point import diagnosed_outcome
 from jaxclear.simulation.derivatives import backwards, guarded
@@ -23,7 +22,6 @@ from jaxclear.simulation.step_comparison import (
     in_other_steps,
     is_compared,
     order_of,
-    sensitivity,
     where_alike,
 )
 from jaxclear.studies.base import SampleResult
@@ -37,8 +35,8 @@ def answers(problem: Any, values: Float[Array, " variables"], discrete: bool) ->
     own = discrete and integrator.pathwise
     seen = integrator.formulation.seen(problem.mechanism)
     if not own and is_compared(seen, integrator):
-        known = compared(_with_states, _alike, _steps, order_of(integrator))
-        return backwards(known, integrator, problem, values)[0]
+        known = compared(_in_steps, _alike, _steps, order_of(integrator))
+        return backwards(known, integrator, problem, values)
     started = lambda problem, values: problem.started(values, own)
     mechanism, start, run = backwards(started, integrator, problem, values)
     return _taken(problem, mechanism, start, guarded(run, integrator, discrete))
@@ -56,24 +54,23 @@ def _taken(problem: Any, mechanism: Any, start: Any, run: Trajectory) -> SampleR
     return SampleResult(responses, outcome, run.ended, run.invariants)
 
 
-def _with_states(share: Any, problem: Any, values: Array) -> tuple[SampleResult, StateHistory]:
-    """What is answered, and the states of the run."""
+def _in_steps(share: Any, problem: Any, values: Array) -> SampleResult:
+    """What is answered in other steps."""
     steps = in_other_steps(problem.integrator, share)
     own = eqx.tree_at(lambda known: known.integrator, problem, steps)
     mechanism, start, run = own.started(values)
-    return _taken(own, mechanism, start, run), run.history
+    return _taken(own, mechanism, start, run)
 
 
 def _steps(problem: Any, _: Any) -> tuple[Any, Any]:
     return problem.integrator.asked_step(), problem.shares * problem.duration
 
 
-def _alike(found: tuple, ways: tuple, ratios: Array) -> tuple[SampleResult, StateHistory]:
+def _alike(found: SampleResult, ways: SampleResult, ratios: Array, least: Any) -> SampleResult:
     """Derivatives of what is answered; those of responses are nan where steps decide them."""
-    (answer, history), (moves, path) = found, jax.tree.map(lambda each: each[0], ways)
-    reach = sensitivity(history, path.states)
     told = {
-        name: where_alike(way, ratios, abs(way[0]), reach * abs(answer.responses[name]))
-        for name, way in ways[0].responses.items()
+        name: where_alike(way, ratios, abs(way[0]), least * abs(found.responses[name]))
+        for name, way in ways.responses.items()
     }
-    return SampleResult(told, moves.outcome, moves.ended, moves.checks), path
+    moves = jax.tree.map(lambda each: each[0], ways)
+    return SampleResult(told, moves.outcome, moves.ended, moves.checks)
