@@ -50,6 +50,7 @@ from jaxclear.files.schema import scene_schema
 from jaxclear.ground import numerics, pose
 from jaxclear.ground.answering import nothing_else
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
+from jaxclear.ground.unknown import why_unknown
 from jaxclear.ground.versions import installed
 from jaxclear.laws import contact, friction, material, stiffness, wear
 from jaxclear.laws.material import Material
@@ -191,6 +192,7 @@ __all__ = [
     "wear_life",
     "wear_life_derivatives",
     "wear_lives",
+    "why_unknown",
     "worst_case",
     "write_scene",
 ]

@@ -9,7 +9,7 @@ import pytest
 
 import jaxclear as jc
 from benchmarks import attack
-from benchmarks.attacks import ideal, laws, merged, verdicts
+from benchmarks.attacks import ideal, laws, merged, tables, verdicts
 from benchmarks.attacks.answers import RESPONSES
 from benchmarks.attacks.attempts import Asked, Finding, attempt
 from benchmarks.attacks.kept import keep, known
@@ -136,7 +136,7 @@ def row_of(told, true, apart=0.0, rung="default"):
 def test_told_errors_stand_beside_true_ones_that_count():
     counted = [row_of(told, 0.5) for told in (0.1, 0.3, 2.0, 5.1)]
     small, unsure = row_of(9.0, 0.09), row_of(9.0, 0.3, apart=0.2)
-    (default, *_, everything) = attack.told_beside_true([*counted, small, unsure])
+    (default, *_, everything) = tables.told_beside_true([*counted, small, unsure])
     wanted = {"answers": 4, "told too small": 1, "told too large": 1, "told [%]": 50.0}
     assert default == {"of": "default"} | wanted and everything == {"of": "all"} | wanted
 

@@ -23,7 +23,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.measure import arguments, report, sign
-from jaxclear.integrators import moreau_jean, trust, vibration
+from jaxclear.integrators import moreau_jean, trust
 from jaxclear.simulation import step_comparison
 
 STEPS, REFERENCES = (1e-6, 5e-6, 2e-5, 1e-4), (1e-7, 2e-7)
@@ -219,7 +219,6 @@ def nothing_refused() -> Iterator[None]:
             trusted_impacts=lambda found, _: found,
             known_at_end=lambda *given: given[-1],
         ),
-        patch.multiple(vibration, nothing=lambda *_: None),
     ):
         yield
 

@@ -84,7 +84,7 @@ def limit_states(names, seeds: int) -> list[dict]:
     for name in names:
         problem, limit, reference = case(name)
         begun = time.process_time()
-        found = jc.reliability(problem, limit, accuracy=ACCURACY, most_runs=MOST_RUNS)
+        found = jc.reliability(problem, limit, variation=ACCURACY, most_runs=MOST_RUNS)
         spent = time.process_time() - begun
         print(f"{name}: {found.sentence()}", flush=True)
         nearest = np.clip(found.probability, reference["low"], reference["high"])
@@ -206,12 +206,14 @@ def mechanism(name: str, problem: jc.Problem, rare: float) -> list[dict]:
     rows = []
     for threshold in (rare, often):
         begun = time.process_time()
-        found = jc.reliability(problem, Above(response, threshold), accuracy=ACCURACY)
+        found = jc.reliability(problem, Above(response, threshold), variation=ACCURACY)
         spent = time.process_time() - begun
         share = np.mean(drawn > threshold)
         spread = np.sqrt((1 - share) / (share * PLAIN)) if share > 0 else None
         limit = Above(response, threshold)
-        ask = lambda seed, limit=limit: jc.reliability(problem, limit, accuracy=ACCURACY, seed=seed)
+        ask = lambda seed, limit=limit: jc.reliability(
+            problem, limit, variation=ACCURACY, seed=seed
+        )
         # No other reference than the studies' own mean: nobody runs that many.
         seeds = over_seeds(ask, 0.0, 1.0, SEEDS)
         del seeds["intervals that hold"]

@@ -8,7 +8,7 @@ measured now. The response is a sum of coordinates at the end: it costs nothing,
 loop's. Of `ImplicitStep` slopes of the motion are measured, and discrete ones. Where run and motion
 have parted those of the motion are nan and cost little: in the slider-crank from its first impacts
 on, of semi-implicit steps too. In the bouncing journal they are known to the end. Slopes
-of `MoreauJean` are compared with those in other steps, which is counted in. Rungs whose
+of all but `Adaptive` are compared with those in other steps, which is counted in. Rungs whose
 derivatives through contacts are refused are measured as well: what they cost is that of their
 loops. The friction of the antenna's
 joints is three zones for compliant rungs, Coulomb's for the others.

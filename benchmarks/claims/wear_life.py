@@ -48,7 +48,7 @@ def closed_form_rows(laws: dict) -> list[dict[str, Any]]:
         asked = problem(wearing_ring(hyperbolic=hyperbolic))
         turns = ClosedForm(hyperbolic=hyperbolic).turns(depth)
         jc.wear_life(asked, 1)
-        schemes = [("3(2) pair", f"tolerance {x:g}", {"tolerance": x}) for x in TOLERANCES]
+        schemes = [("3(2) pair", f"tolerance {x:g}", {"accuracy": x}) for x in TOLERANCES]
         schemes += [("fixed factor", f"{n} jumps", {"jump": turns / n}) for n in JUMPS]
         for scheme, setting, given in schemes:
             life, spent = timed(asked, turns, **given)
@@ -118,7 +118,7 @@ def parallel_rows() -> list[dict[str, Any]]:
 
 def _parallel_row(name: str, asked: jc.Problem, most: int) -> dict[str, Any]:
     jax.clear_caches()
-    given = {"tolerance": 2e-2, "most": most}
+    given = {"accuracy": 2e-2, "most": most}
     _, first = timed(asked, MILLION, **given)
     life, spent = timed(asked, MILLION, **given)
     return {
@@ -139,12 +139,12 @@ def million_rows() -> list[dict[str, Any]]:
     """Lives of a million cycles by tolerance, beside the tight one: all cells of the map."""
     asked = four_bar()
     jc.wear_life(asked, 1)
-    tight, spent = timed(asked, MILLION, tolerance=TIGHT)
+    tight, spent = timed(asked, MILLION, accuracy=TIGHT)
     exact = np.asarray(tight.worn()["B"]["bearing"])
     once = MILLION * np.asarray(tight.stages[0].settled.wear["B"]["bearing"])
     rows = [_million("carried on from one cycle", 2, once, None, exact, 0.0)]
     for tolerance in FOUR_BAR_TOLERANCES:
-        life, took = timed(asked, MILLION, tolerance=tolerance)
+        life, took = timed(asked, MILLION, accuracy=tolerance)
         depth = np.asarray(life.worn()["B"]["bearing"])
         rows.append(
             _million(f"tolerance {tolerance:g}", life.simulated, depth, life.error, exact, took)
@@ -184,7 +184,7 @@ def _chaotic_row(most: int) -> dict[str, Any]:
                 rig, {"force": jc.response.MeanContactForce("B")}, {}, duration=period, state=state
             ),
             MILLION,
-            tolerance=2e-2,
+            accuracy=2e-2,
             most=most,
         )
         volumes.append(float(life.over_life("volume")[-1]))

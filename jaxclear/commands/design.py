@@ -125,7 +125,7 @@ def study(scene: str, folder: Path, accuracy: float = 5e-3, show: bool = True) -
     begun = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
     asked = QUESTIONS[scene]()
-    options = {"settings": jc.DesignSettings(accuracy=accuracy), "progress_bar": show}
+    options = {"settings": jc.DesignSettings(allowed_excess=accuracy), "progress_bar": show}
     found = asked.designed(store=folder / f"{scene}_store", **options)
     print(f"{scene}: {found}\n", flush=True)
     tables = {"design": found.table(), "limits": found.limit_table(), "history": found.history()}

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
@@ -27,6 +27,8 @@ from jaxclear.results.trajectory import Trajectory
 
 # A body that goes less far than so many of the widest gap is judged beside that.
 GAPS = 100.0
+# Share of the longest arm, and of a radian, by which rounding moves what is at rest.
+AT_REST = 1e-9
 # Share of the energy turned over below which friction takes nothing that a user would read.
 LEAST_LOSS = 1e-3
 # Worn depth, beside the root of its surface's area, below which nothing wears: a thousand million
@@ -36,15 +38,16 @@ NO_WEAR = 1e-17
 
 class Observables(NamedTuple):
     """Centres of mass [m] and axes of the bodies over time; where parts are in the gap of each
-    contact, beside its width, and that width [m]; mean and peak normal force of each joint [N]
-    (None: not known between saving times); what friction has taken and what was turned over [J]
-    (None: no balance); worn volumes [m3], depths [m] and areas [m2] of the surfaces; the longest
-    arm [m]."""
+    contact, beside its width, that width [m], and the number of its joint; mean and peak normal
+    force of each joint [N] (None: not known between saving times); what friction has taken and what
+    was turned over [J] (None: no balance); worn volumes [m3], depths [m] and areas [m2] of the
+    surfaces; the longest arm [m]."""
 
     centres: Float[Array, "time bodies 3"]
     axes: Float[Array, "time bodies 9"]
     in_gaps: Float[Array, "time contacts 3"] | None
     rooms: Float[Array, " contacts"] | None
+    owners: Int[Array, " contacts"] | None
     mean_force: Float[Array, " joints"]
     peak_force: Float[Array, " joints"] | None
     friction_loss: Float[Array, ""] | None
@@ -91,6 +94,7 @@ def _observed(run: Trajectory) -> Observables:
         for each, k in zip(over_time(history, at), (3, 9, 3), strict=True)
     )
     joints = run.formulation.contact_joints(run.mechanism)
+    contacts = [(name, k) for name, own in system.bearings.items() for k in range(len(own.radii))]
     stacked = lambda each: jnp.stack(each) if each else jnp.zeros(0)
     mean = stacked([histories.contact_impulse(history, name)[-1] / duration for name in joints])
     peaks = None
@@ -111,6 +115,7 @@ def _observed(run: Trajectory) -> Observables:
         axes,
         inside if opens else None,
         rooms(system) if opens else None,
+        jnp.asarray([list(joints).index(name) for name, _ in contacts]) if opens else None,
         mean,
         peaks,
         lost,
@@ -148,21 +153,18 @@ def apart(
     names are told; `finest`: the run that is nearest to what answers are, beside which they are
     judged."""
     one, other, finest = (Observables(*map(_numbers, each)) for each in (one, other, finest))
-    widest = 0.0 if one.rooms is None else float(np.max(one.rooms, initial=0.0))
-    far = lambda name: float(np.max(np.abs(getattr(one, name) - getattr(other, name)), initial=0.0))
-    of_bodies = (
-        ("places of bodies", "m", "centres", GAPS * widest),
-        (
-            "orientation of bodies",
-            "rad",
-            "axes",
-            GAPS * widest / float(one.arm) if one.arm > 0 else 0.0,
-        ),
-    )
-    found = []
-    for answer, unit, name, least in of_bodies:
-        way, scale = _way(getattr(one, name)), max(_way(getattr(finest, name)), least)
-        found.append(Apart(answer, "places", "", unit, way, far(name), scale))
+    widest = 0.0 if one.rooms is None else float(np.max(np.asarray(one.rooms), initial=0.0))
+    arm = float(one.arm)
+    way, longest = (_way(each.centres) for each in (one, finest))
+    turned, most = (_angle(each.axes, each.axes[:1]) for each in (one, finest))
+    ways = max(longest, GAPS * widest, AT_REST * arm)
+    angles = max(most, GAPS * widest / arm if arm > 0 else 0.0, AT_REST)
+    off = float(np.max(np.abs(one.centres - other.centres), initial=0.0))
+    turned_off = _angle(one.axes, other.axes)
+    found = [
+        Apart("places of bodies", "places", "", "m", way, off, ways),
+        Apart("orientation of bodies", "places", "", "rad", turned, turned_off, angles),
+    ]
     found += _gaps_apart(run, one, other)
     joints = run.formulation.contact_joints(run.mechanism)
     of_joints = (("mean contact force", "mean_force"), ("peak contact force", "peak_force"))
@@ -171,8 +173,8 @@ def apart(
         if forces[0] is not None and len(forces[0]):
             found += _by_place(answer, part, "N", joints, *forces)
     if one.friction_loss is not None:
-        loss, less, least = (float(each.friction_loss) for each in (one, other, finest))
-        scale = max(least, LEAST_LOSS * float(finest.turnover))
+        loss, less, last = (float(np.asarray(each.friction_loss)) for each in (one, other, finest))
+        scale = max(last, LEAST_LOSS * float(np.asarray(finest.turnover))) or max(loss, less)
         if max(loss, less) > 0:
             row = "friction loss", "losses", "", "J", loss, abs(loss - less), scale
             found.append(Apart(*row))
@@ -193,6 +195,13 @@ def _way(history: Any) -> float:
     return float(np.max(np.abs(history - history[:1]), initial=0.0))
 
 
+def _angle(one: Any, other: Any) -> float:
+    """The largest angle [rad] between axes."""
+    apart = np.sum(np.square(np.asarray(one) - np.asarray(other)), axis=-1)
+    half = np.sqrt(np.max(apart, initial=0.0) / 8)
+    return float(2 * np.arcsin(np.minimum(half, 1.0)))
+
+
 def _numbers(values: Any) -> Any:
     return None if values is None else np.asarray(values)
 
@@ -201,7 +210,8 @@ def _gaps_apart(run: Trajectory, one: Observables, other: Observables) -> list[A
     if one.in_gaps is None:
         return []
     off = np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(0, 2))
-    names = [n for n, b in run.history.model().system.bearings.items() for _ in b.radii]
+    joints = list(run.formulation.contact_joints(run.mechanism))
+    names = [joints[int(owner)] for owner in np.asarray(one.owners)]
     largest: dict[str, tuple[float, float]] = {}
     for name, share, room in zip(names, off, np.asarray(one.rooms), strict=True):
         largest[name] = max(largest.get(name, (0.0, 0.0)), (float(share), float(room)))
@@ -221,9 +231,10 @@ def _by_place(
     finest: Any,
     least: float = 0.0,
 ) -> list[Apart]:
-    """Of an answer by place, judged beside the `finest` one that is largest, or beside the `least`
-    that counts."""
-    scale = max(float(np.max(np.abs(finest))), least)
+    """Of an answer by place, judged beside the `finest` one that is largest (of all runs where
+    there is none in this), or beside the `least` that counts."""
+    largest = float(np.max(np.abs(finest))) or float(np.max(np.abs(one)))
+    scale = max(largest, least)
     rows = zip(places, one, other, strict=True)
     return [
         Apart(answer, part, place, unit, float(x), abs(float(x) - float(y)), scale)

@@ -8,12 +8,17 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.quantity import concrete
 from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.events import Events
 from jaxclear.integrators.stepping import SLIVER
 from jaxclear.results.trajectory import Trajectory
+
+# Share of a run's time in which steps may be as long as the run's own.
+NEXT_TO_NOTHING = 0.01
 
 
 class Replica(NamedTuple):
@@ -24,6 +29,11 @@ class Replica(NamedTuple):
     times: Any
     every: int = 1
     updates: int = 1
+
+    @property
+    def work(self) -> float:
+        """About so many times the run's own."""
+        return float(max(self.every, self.updates))
 
 
 def replica(integrator: AbstractIntegrator, times: Any, share: float) -> Replica | None:
@@ -43,9 +53,13 @@ def replica(integrator: AbstractIntegrator, times: Any, share: float) -> Replica
 
 def step_taken(times: Any, asked: float) -> float:
     """The shortest step [s] that is taken between saving times [s] where one of `asked` [s] is
-    asked for: steps end at all of them."""
+    asked for (steps end at all of them), but for intervals that together are next to nothing: of
+    two saving times side by side no step is to be that short everywhere."""
     intervals = np.diff(np.asarray(times))
-    return float(np.min(intervals / np.maximum(np.ceil(intervals / asked * (1 - SLIVER)), 1)))
+    taken = intervals / np.maximum(np.ceil(intervals / asked * (1 - SLIVER)), 1)
+    order = np.argsort(taken)
+    passed = np.cumsum(intervals[order])
+    return float(taken[order][np.searchsorted(passed, NEXT_TO_NOTHING * passed[-1])])
 
 
 def between(times: Any, every: int) -> np.ndarray:
@@ -67,4 +81,17 @@ def thinned(run: Trajectory, every: int) -> Trajectory:
         states=history.states[::every],
         read=jax.tree.map(lambda depths: depths[::every], history.read),
     )
-    return dataclasses.replace(run, history=kept, noted=None)
+    noted = None if run.noted is None else _joined(run.noted, every)
+    return dataclasses.replace(run, history=kept, noted=noted)
+
+
+def _joined(noted: Events, every: int) -> Events:
+    """The events of so many saving intervals at a time, of each contact the first ones."""
+    counts = np.asarray(noted.counts)
+    most = noted.times.shape[-1]
+    missing = np.arange(most) >= counts[..., None]
+    together = lambda each: np.concatenate([each[k::every] for k in range(every)], axis=-1)
+    first = np.argsort(together(missing), axis=-1, stable=True)[..., :most]
+    kept = lambda each: jnp.asarray(np.take_along_axis(together(np.asarray(each)), first, axis=-1))
+    of_all = counts.reshape(-1, every, counts.shape[-1]).sum(axis=1)
+    return Events(kept(noted.times), kept(noted.rates), jnp.asarray(of_all))

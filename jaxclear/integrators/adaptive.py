@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
+from jaxclear.ground.quantity import Scalar, concrete, constant, count, is_traced, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.integrators.base import AbstractIntegrator, Advance
 from jaxclear.integrators.error_control import Solved, solve, stepped_by_hand
@@ -41,6 +41,8 @@ LOOSEST_IN_GAP = 4e-4
 # landing makes errors: at most a share of the narrowest gap, at least rounding beside all arms.
 LANDING, LANDING_IN_GAP = 0.1, 1e-4
 ROUNDING = 1e-12
+# Tolerances that could be only so much tighter are as tight as they can be.
+ROUNDED_OFF = 0.5
 # Derivatives have grown too much where a place within the tolerance, grown as they have, is more
 # than this beside the narrowest gap: beyond, they were off by a tenth and more, within by less than
 # a hundredth (slider-cranks with and without friction, rtol 1e-7 beside 1e-12; 3 at 5000 rpm).
@@ -101,8 +103,22 @@ class Adaptive(AbstractIntegrator):
     def with_finer_steps(self, share):
         finer = share**FINER_TOLERANCE * LOOSEST / jnp.maximum(self.rtol, LOOSEST)
         finer = jnp.minimum(1.0, jnp.maximum(finer, ROUNDING / self.rtol))
+        if not is_traced(finer) and finer > ROUNDED_OFF:
+            return None
+        own = eqx.tree_at(
+            lambda own: (own.rtol, own.atol), self, (finer * self.rtol, finer * self.atol)
+        )
+        return own if self.largest_step is None else own.held(share * self.largest_step)
+
+    def counting_in(self, gap, arm):
+        loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * (gap / arm))
+        finer = loosest / jnp.maximum(self.rtol, loosest)
         sizes = lambda own: (own.rtol, own.atol)
-        return eqx.tree_at(sizes, self, (finer * self.rtol, finer * self.atol))
+        return eqx.tree_at(sizes, self, (self.rtol * finer, self.atol * finer))
+
+    @property
+    def remedy(self):
+        return "tighten rtol"
 
     def held(self, step):
         step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
@@ -149,14 +165,12 @@ class Adaptive(AbstractIntegrator):
     def _controller(self, model, interval):
         """The error control of an interval, which ends steps where contacts close and part."""
         longest = jnp.inf if self.largest_step is None else self.largest_step
-        finer = 1.0
-        if model.system.bearings:
-            narrow = narrowest_gap(model.system) / longest_arm(model.system)
-            loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * narrow)
-            finer = loosest / jnp.maximum(self.rtol, loosest)
+        counting, system = self, model.system
+        if system.bearings:
+            counting = self.counting_in(narrowest_gap(system), longest_arm(system))
         control = diffrax.PIDController(
-            rtol=self.rtol * finer,
-            atol=self.atol * finer,
+            rtol=counting.rtol,
+            atol=counting.atol,
             # diffrax reports a failed implicit stage as an infinite error of all entries: 0 times
             # infinity must not enter.
             # What it closes over must be leaves: implicit solvers differentiate with the norm.

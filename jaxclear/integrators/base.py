@@ -109,8 +109,8 @@ class AbstractIntegrator(AbstractQuantified):
 
     @property
     def first_order_slopes(self) -> bool:
-        """Whether its derivatives through contacts are off by a share of the step that no figure of
-        the steps tells: they are compared with those in other steps."""
+        """Whether its derivatives are off in proportion to the step, not to its square or less:
+        those of steps that have a length are compared with those in other steps."""
         return False
 
     @property
@@ -130,8 +130,19 @@ class AbstractIntegrator(AbstractQuantified):
 
     def with_finer_steps(self, share: Scalar) -> "AbstractIntegrator | None":
         """Itself with steps of this share of their length, or tolerances tighter by its fourth
-        power where it finds their length itself; None where they are counted."""
+        power where it finds their length itself; None where they are counted, or as fine as numbers
+        allow."""
         return None
+
+    def counting_in(self, gap: Any, arm: Any) -> "AbstractIntegrator":
+        """Itself with the numbers that count where the narrowest gap and the longest arm are these
+        [m], if those given do not."""
+        return self
+
+    @property
+    def remedy(self) -> str:
+        """What makes the errors of a run by it smaller."""
+        return "take shorter steps"
 
     def held(self, step: Scalar) -> "AbstractIntegrator":
         """Itself with no step longer than this [s], where it finds their length itself."""

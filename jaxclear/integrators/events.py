@@ -80,3 +80,17 @@ def noted(
         jnp.where(here, rate[:, None], events.rates),
         events.counts + jnp.where(happened, 1.0, 0.0),
     )
+
+
+def together(before: Events, more: Events) -> Events:
+    """The events of two parts of a saving interval, of each contact the first ones."""
+    places = jnp.arange(before.times.shape[1], dtype=float)
+    behind = places - before.counts[:, None]
+    moved = behind[:, :, None] == places
+
+    def both(old: Array, new: Array) -> Array:
+        found = jnp.sum(jnp.where(moved, new[:, None, :], 0.0), axis=2)
+        return jnp.where(behind >= 0, found, old)
+
+    times, rates = both(before.times, more.times), both(before.rates, more.rates)
+    return Events(times, rates, before.counts + more.counts)

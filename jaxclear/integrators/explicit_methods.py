@@ -12,7 +12,6 @@ from jaxclear.formulations.model import Model
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.state_group import state_group
 from jaxclear.integrators.stepping import SLIVER
-from jaxclear.integrators.vibration import FOLLOWED, SYMMETRIC
 
 # Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes,
 # weights).
@@ -28,8 +27,6 @@ ON_GROUPS = {f"munthe_kaas{order}": order for order in munthe_kaas.TABLEAUS}
 # z^p / p!| passes 1 on the negative axis.
 STABLE_DAMPING = {1: 2.0, 2: 2.0, 3: 2.513, 4: 2.785}
 ORDERS = {"euler": 1, "semi_implicit": 1, "heun": 2, "rk4": 4} | ON_GROUPS
-# Angle of a vibration up to which a method follows it in a step [rad] (`vibration`).
-ANGLES = {name: FOLLOWED[order] for name, order in ORDERS.items()} | {"semi_implicit": SYMMETRIC}
 
 
 def near_contacts(contacts: Any, last: Any, longest: Any) -> Any:

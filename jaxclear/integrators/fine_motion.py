@@ -22,32 +22,20 @@ from jaxtyping import Array
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import derived, derived_once, moved, zeros_with
-from jaxclear.integrators import vibration
 from jaxclear.integrators.mid_step import moves
 from jaxclear.integrators.motion_parts import followed
 from jaxclear.integrators.peaks import Peaks, nothing_met
 from jaxclear.integrators.saltation import closed, motion_of
 from jaxclear.integrators.stepping import SLIVER
-from jaxclear.integrators.trust import (
-    GROWTH,
-    NO_SECOND,
-    PARTED,
-    beside,
-    trusted_steps,
-    unknown_way,
-)
-from jaxclear.integrators.vibration import FIGURES, Vibration
+from jaxclear.integrators.trust import NO_SECOND, PARTED, beside, unknown_way
 from jaxclear.multibody.reach import gaps_passed
 
 
 class Beside(NamedTuple):
-    """Zeros. Their derivatives are, of the motion beside a run: the `growth` of derivatives
-    (`trust`) and how they vibrate (`vibration`), how far its state is `away` from the run's, how
-    far its places have `parted` from these at most [1] of the narrowest gap, and the `peaks` of
-    each contact."""
+    """Zeros. Their derivatives are, of the motion beside a run: how far its state is `away` from
+    the run's, how far its places have `parted` from these at most [1] of the narrowest gap, and the
+    `peaks` of each contact."""
 
-    growth: Array
-    vibrates: Vibration
     away: Array
     parted: Scalar
     peaks: Peaks
@@ -55,8 +43,7 @@ class Beside(NamedTuple):
 
 def nothing_beside(size: int, contacts: int, damped: bool) -> Beside:
     """Where a run begins, of which the state has this size, and some contact is `damped`."""
-    far = jnp.zeros(size), jnp.zeros(()), nothing_met(jnp.zeros(contacts), damped)
-    return Beside(jnp.zeros(GROWTH), jnp.zeros(FIGURES), *far)
+    return Beside(jnp.zeros(size), jnp.zeros(()), nothing_met(jnp.zeros(contacts), damped))
 
 
 def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
@@ -113,9 +100,7 @@ def so_far(beside: Beside) -> Beside:
 def trusted_beside(end: Any, met: Any, watch: Any, known: Beside) -> tuple:
     """All that was found of a run, where the derivative of the motion beside it can be trusted;
     events have none."""
-    end, met, watch = vibration.resolved((end, met, watch), known.vibrates)
-    found = beside(trusted_steps((end, met), known.growth), known.parted)
-    end, met = derived_once(NO_SECOND, found)
+    end, met = derived_once(NO_SECOND, beside((end, met), known.parted))
     return end, met, unknown_way(watch) if watch is not None else None
 
 
@@ -132,12 +117,12 @@ def _parted(
         state = state - moved(time_way) * rates(time, y)
     aware = lambda y, contacts: remember(arrays, y, contacts, whole)
     together = beside.parted <= PARTED
-    known = together, y, beside.growth, beside.vibrates, (beside.peaks, higher)
+    known = together, y, (beside.peaks, higher)
     part = followed(motion, aware, (arrays, time, whole), (way, state), known)
     y, state, (highest, higher) = part.y, part.way, part.peaks
     if moving:
         state = state + (moved(time_way) + longer) * rates(time + whole, y)
     ended = part.done >= whole * (1 - SLIVER)
     parted = jnp.where(ended, beside.parted, jnp.inf)
-    beside = Beside(part.growth, part.vibrates, beside.away, parted, highest)
+    beside = Beside(beside.away, parted, highest)
     return y, state, higher, beside

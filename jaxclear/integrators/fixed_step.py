@@ -16,11 +16,9 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.ground.wording import unknown
-from jaxclear.integrators import chatter, vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.explicit_methods import (
-    ANGLES,
     CHAINS,
     ON_GROUPS,
     ORDERS,
@@ -42,7 +40,7 @@ from jaxclear.integrators.stepping import (
     divide,
     resolved,
 )
-from jaxclear.integrators.trust import GROWTH, NO_SECOND, trusted_steps, unknown_way
+from jaxclear.integrators.trust import NO_SECOND, unknown_way
 from jaxclear.native import while_loop
 
 # Step [s] of studies that ask for no other.
@@ -68,12 +66,12 @@ class FixedStep(AbstractIntegrator):
     step, to the third power of the step; a force that begins as the 3/2th power of the indentation
     limits the order of a run through impacts to 5/2. Derivatives are those of the discrete run:
     where contacts open and close, by "rk4" without `steps_per_save` those of the motion
-    (`mid_step`; within 1e-3 through six bounces of Hertzian laws in steps of 20 us), nan where
-    impacts have made them grow beyond what steps determine, a contact is over in a few steps, or
-    slip goes to and fro. So are those of "heun", "semi_implicit" and "euler" without
-    `steps_per_save` and `contact_steps`: of the motion, which goes beside the run (`fine_motion`),
-    nan where that has parted from it by 3 % of the narrowest gap. Else they are not those of the
-    motion (`jaxclear.sensitivity` compares methods).
+    (`mid_step`; within 1e-3 through six bounces of Hertzian laws in steps of 20 us). So are those
+    of "heun", "semi_implicit" and "euler" without `steps_per_save` and `contact_steps`: of the
+    motion, which goes beside the run (`fine_motion`), nan where that has parted from it by 3 % of
+    the narrowest gap. Else they are not those of the motion (`jaxclear.sensitivity` compares
+    methods). Without `steps_per_save` they are nan too where steps twice as long tell that they are
+    off by a hundredth (`jaxclear.why_unknown`).
     """
 
     pathwise: ClassVar = True
@@ -121,6 +119,10 @@ class FixedStep(AbstractIntegrator):
         usual = self.method == "rk4" and step is not None and step <= USUAL_STEP
         return STUDIES if usual else RUNGE_KUTTA
 
+    @property
+    def first_order_slopes(self):
+        return ORDERS[self.method] == 1
+
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:
             return None
@@ -132,18 +134,16 @@ class FixedStep(AbstractIntegrator):
 
     def first_warm_start(self, model, start, state):
         """The contacts at the start of the last step, and its length [s]: a touch in it is found
-        where the next step begins; None where nothing looks at contacts. How derivatives grow, or
-        what is known of the motion beside the run; and how they vibrate, None where that motion
-        tells."""
+        where the next step begins; None where nothing looks at contacts. And what is known of the
+        motion beside the run, None where derivatives are those of the steps."""
         if not model.layout.contacts:
-            return None, None, None, vibration.nothing(model, self)
+            return None, None, None
         contacts = self.formulation.contacts(model, start, state)
         if self._derived(model) and self._beside:
             damped = self.formulation.damped(model)
             known = nothing_beside(model.layout.size, len(contacts.depths), damped)
-            return contacts, jnp.ones(()), known, None
-        growth = jnp.zeros(GROWTH + chatter.figures(model)) if self._derived(model) else None
-        return contacts, jnp.ones(()), growth, vibration.nothing(model, self)
+            return contacts, jnp.ones(()), known
+        return contacts, jnp.ones(()), None
 
     def _derived(self, model):
         return self.through_contacts and model.system.bearings and not model.discrete
@@ -173,16 +173,13 @@ class FixedStep(AbstractIntegrator):
         through = through_touches(self.formulation, rest[0], plain, length, seen)
 
         def step(clock, y, last, met):
-            *before, growth, vibrates = last
-            before = None if before[0] is None else tuple(before)
+            before = None if last[0] is None else last[:2]
             if self._derived(model):
-                h, end, now, growth, met = through(arrays, clock, y, before, growth, met)
+                h, end, now, met = through(arrays, clock, y, before, met)
             else:
                 h, end, now = plain(arrays, clock, y, before)
                 met = self._met(model, end, met, (before, now))
-            vibrates = vibration.followed(model, ANGLES[self.method], vibrates, (y, end), h)
-            now = *(now or (None, None)), growth, vibrates
-            return h, end, now, met
+            return h, end, (*(now or (None, None)), None), met
 
         return step
 
@@ -198,7 +195,7 @@ class FixedStep(AbstractIntegrator):
 
         def step(clock, y, last, met):
             end, now, met, known = beside(arrays, clock[:2], y, last[:2], met, last[2])
-            return clock[1], end, (*now, known, None), met
+            return clock[1], end, (*now, known), met
 
         return step
 
@@ -216,13 +213,12 @@ class FixedStep(AbstractIntegrator):
         """All that was found, where its derivative can be trusted; rates at events have none."""
         if self._derived(model) and self._beside:
             return trusted_beside(end, met, watch, last[2])
-        end, met, watch = vibration.resolved((end, met, watch), last[3])
         if not self._derived(model):
             return end, met, watch
         if watch is not None:
             rates = unknown_way(watch.events.rates)
             watch = watch._replace(events=watch.events._replace(rates=rates))
-        return derived_once(NO_SECOND, trusted_steps((end, met, watch), last[2]))
+        return derived_once(NO_SECOND, (end, met, watch))
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
@@ -240,8 +236,8 @@ class FixedStep(AbstractIntegrator):
             return index + 1, y, now, met, watch
 
         if self._derived(model) and self._beside:
-            *begun, known, _ = warm_start
-            warm_start = *begun, so_far(known), None
+            *begun, known = warm_start
+            warm_start = *begun, so_far(known)
         watch = watch_from(model, interval.start, state)
         met = self._nothing_met(model, warm_start, interval.peaks)
         first = (jnp.zeros((), int), state, warm_start, met, watch)

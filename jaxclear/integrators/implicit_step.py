@@ -15,7 +15,6 @@ from jaxclear.formulations.model import Model, State
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
-from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.fine_motion import (
@@ -65,7 +64,8 @@ class ImplicitStep(AbstractIntegrator):
     these are those of the motion itself, which goes beside the steps in parts that resolve contacts
     (`fine_motion`): within 1e-3 through six bounces of Hertzian laws, half a per cent to two with a
     damper beside the spring; nan where the run has parted from that motion by 3 % of the narrowest
-    gap. Numerical dissipation parts them soon: `rebound=1.0` and shorter steps go further.
+    gap, or where steps twice as long tell another one. Numerical dissipation parts them soon:
+    `rebound=1.0` and shorter steps go further.
 
     Source: mean forces that conserve energy: Gonzalez 1996, J. Nonlinear Sci. 6, 449; for contact
     Laursen & Chawla 1997, Int. J. Numer. Methods Eng. 40, 863; with dissipation Armero & Petocz
@@ -116,14 +116,14 @@ class ImplicitStep(AbstractIntegrator):
         return self.steps_per_save
 
     def first_warm_start(self, model, start, state):
-        """What warm-starts a step; what is known of the motion beside the run, None where no
-        derivatives go through contacts; and how derivatives vibrate, None where they do."""
+        """What warm-starts a step; and what is known of the motion beside the run, None where no
+        derivatives go through contacts."""
         last = self.formulation.warm_start(model, start, state)
         last = self._held(model, start, state, last)
         if not self._derived(model):
-            return last, None, vibration.nothing(model, self)
+            return last, None
         damped = self.formulation.damped(model)
-        return last, nothing_beside(model.layout.size, model.layout.contacts, damped), None
+        return last, nothing_beside(model.layout.size, model.layout.contacts, damped)
 
     def _derived(self, model):
         return self.through_contacts and model.system.bearings and not model.discrete
@@ -150,24 +150,21 @@ class ImplicitStep(AbstractIntegrator):
 
             def alone(clock, y, last, met):
                 end, now, met = plain(arrays, clock, y, last[0], met)
-                how = model, vibration.SYMMETRIC, last[2]
-                return end, (now, None, vibration.followed(*how, (y, end), clock[1])), met
+                return end, (now, None), met
 
             return alone
         step = beside_steps(self.formulation, rest[0], plain)
 
         def derived(clock, y, last, met):
             end, now, met, known = step(arrays, clock, y, last[0], met, last[1])
-            return end, (now, known, None), met
+            return end, (now, known), met
 
         return derived
 
     def _trusted(self, model, end, met, watch, last):
         """All that was found, where its derivative can be trusted; events have none."""
-        _, known, vibrates = last
-        if known is None:
-            return vibration.resolved((end, met, watch), vibrates)
-        return trusted_beside(end, met, watch, known)
+        known = last[1]
+        return (end, met, watch) if known is None else trusted_beside(end, met, watch, known)
 
     def _held(self, model, start, state, last):
         """A warm start that knows what contacts hold where a run begins."""
@@ -203,7 +200,7 @@ class ImplicitStep(AbstractIntegrator):
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
         step, contacts = self._stepped(model), model.layout.contacts
-        last, known, vibrates = warm_start
+        last, known = warm_start
         state = self._sped_up(model, state, last, -h)
         met = None
         if contacts:
@@ -221,7 +218,7 @@ class ImplicitStep(AbstractIntegrator):
             return end, (last, met, watched(watch, model, time, h, end))
 
         known = None if known is None else so_far(known)
-        carried = (last, known, vibrates), met, watch_from(model, interval.start, state)
+        carried = (last, known), met, watch_from(model, interval.start, state)
         if self.steps_per_save is None:
             end, (last, met, watch) = march(one, steps, state, carried)
         else:

@@ -38,6 +38,7 @@ from jaxclear.formulations.rigid import RigidContact, Strikes
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import derived, moved, moving_with, pushed, where_wanted
+from jaxclear.ground.unknown import Unknown
 from jaxclear.integrators.saltation import FIRST
 from jaxclear.integrators.trust import IMPACT_FIGURES
 from jaxclear.multibody.reach import gaps_passed
@@ -190,7 +191,7 @@ def known_at_end(
     def judged(numbers, tangents):
         _, growth, ways = tangents
         unsure, ways = one_row(due, *numbers[0], *map(moved, growth[1:])), moved(ways)
-        return ways.at[-1].set(jnp.where(unsure, jnp.nan, ways[-1]))
+        return ways.at[-1].set(jnp.where(unsure, Unknown.AT_ONCE.number, ways[-1]))
 
     return derived(lambda now, growth, found: found, judged)(now, growth, found)
 

@@ -18,18 +18,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array
 
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import ContactMotion, passage
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.ground.tangents import moved, moving_with, pushed, where_wanted
-from jaxclear.integrators import chatter, saltation
+from jaxclear.ground.tangents import moved, pushed, where_wanted
+from jaxclear.integrators import saltation
 from jaxclear.integrators.explicit_methods import CHAINS
 from jaxclear.integrators.peaks import peaks
-from jaxclear.integrators.trust import GROWTH, RISE
-from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.state import impact_speed_places
 
 # Within a step that is taken apart: the classic method of order 4.
@@ -51,32 +48,31 @@ class Now(NamedTuple):
 def through_touches(
     formulation: CompliantContact, rest: Any, plain: Callable, length: Callable, seen: Callable
 ) -> Callable:
-    """A step with its derivative, as a function of (arrays, clock, state, last, growth, met).
+    """A step with its derivative, as a function of (arrays, clock, state, last, met).
 
     `plain(arrays, clock, state, last)`: its length [s], the state at its end and what it leaves to
     the next: the contacts at its start and its length; `length(clock, contacts, last)`: the length
     by these contacts; `seen(arrays, end, met, (last, now))`: the peaks of the contacts, by what
     this step and the one before leave. `arrays`: of the model, all else,
-    and peaks before the interval; `clock`: begins with the time [s]. `growth`: see `trust`."""
+    and peaks before the interval; `clock`: begins with the time [s]."""
     motion = saltation.motion_of(formulation, rest)
 
-    def step(arrays, clock, y, last, growth, met):
+    def step(arrays, clock, y, last, met):
         length, end, now = plain(arrays, clock, y, last)
         met = seen(arrays, end, met, (last, now))
-        return length, end, now, moving_with(end[0], growth), met
+        return length, end, now, met
 
     @jax.custom_jvp
     def known(*numbers):
         return step(*numbers)
 
     def moving(numbers, tangents):
-        arrays, clock, y, last, growth, met = numbers
-        way, clock_way, state, last_way, grown, met_way = tangents
+        arrays, clock, y, last, met = numbers
+        way, clock_way, state, last_way, met_way = tangents
         remembering = _remembering(formulation, rest, motion)
         contacts, aware, state = remembering(
             (arrays[0], clock[0], y, last), (way[0], clock_way[0], state, last_way)
         )
-        gap = narrowest_gap(eqx.combine(arrays[0], rest).system)
         h = length(clock, contacts, last)
         begun = Now(arrays[0], clock[0], aware, h, ContactMotion(*contacts))
         acting = saltation.closed(begun.contacts)
@@ -86,14 +82,13 @@ def through_touches(
         (h, end, now), (longer, gone, left) = pushed(plain, here, ways)
         gone = at_fixed_time(motion, begun, acting, end, (gone, shift))
         times = clock_way[0], longer if moves(clock_way) else None
-        apart = taken_apart(motion, begun, end, (way[0], times, state), moved(grown))
-        grown = judged(motion, begun, gap, apart, end)
+        apart = taken_apart(motion, begun, end, (way[0], times, state))
         gone = jnp.where(apart.changed, apart.way, gone)
         stop = clock_way[0] if times[1] is None else moved(clock_way[0]) + moved(longer)
         ways = way[0], (clock_way[0], state), (stop, gone), met_way
         higher = _higher(motion, begun, (end, apart.contacts, met, arrays[2]), ways)
-        told = moving_with(end[0], growth), seen(arrays, end, met, (last, now))
-        return (h, end, now, *told), (longer, gone, left, grown, higher)
+        found = h, end, now, seen(arrays, end, met, (last, now))
+        return found, (longer, gone, left, higher)
 
     known.defjvp(moving, symbolic_zeros=True)
     return known
@@ -161,19 +156,15 @@ def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Calla
 
 
 class Apart(NamedTuple):
-    """A step taken apart, where a contact has `changed`: the state at its end and its derivative,
-    the growth of derivatives, which contacts were closed `before` it, and the `contacts` at the end
-    of the step as it is."""
+    """A step taken apart, where a contact has `changed`: the derivative of the state at its end,
+    and the `contacts` at the end of the step as it is."""
 
     changed: Any
-    end: Any
     way: Any
-    growth: Array
-    before: Any
     contacts: ContactMotion
 
 
-def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, growth: Array) -> Apart:
+def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> Apart:
     """A step in which a contact closes or parts, at whose end the state is about `end`.
     `ways`: derivatives of arrays, of (time, length), and of the state."""
     way, (time_way, longer), state = ways
@@ -190,7 +181,7 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, growth: Array) -
         state = state - moved(time_way) * motion.rates(begun.arrays, before, time, begun.state)
 
     def turn(carry):
-        i, share, y, state, acting, growth = carry
+        i, share, y, state, acting = carry
         pending = acting != after
         until = jnp.maximum(jnp.min(jnp.where(pending, shares, 1.0)), share)
         hit = pending & (shares <= until)
@@ -199,47 +190,20 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple, growth: Array) -
         part = Now(begun.arrays, at, y, length, motion.contacts(begun.arrays, at, y))
         y, state = along(motion, part, acting, (way, state))
         at = time + until * h
-        y, state, growth, later = passed_within(
-            motion, begun, (way, state), at, y, (acting, hit), growth
-        )
+        y, state, later = passed_within(motion, begun, (way, state), at, y, (acting, hit))
         acting = jnp.where(hit, after, acting)
-        return i + 1, until + later / h, y, state, acting, growth
+        return i + 1, until + later / h, y, state, acting
 
-    first = jnp.zeros((), int), jnp.zeros(()), begun.state, state, before, growth
-    carry = jax.lax.while_loop(lambda carry: carry[0] < turns, turn, first)
-    _, _, y, state, _, growth = carry
+    first = jnp.zeros((), int), jnp.zeros(()), begun.state, state, before
+    state = jax.lax.while_loop(lambda carry: carry[0] < turns, turn, first)[3]
     if longer is not None:
         moves = moved(time_way) + moved(longer)
         state = state + moves * motion.rates(begun.arrays, after, time + h, end)
-    return Apart(any_changed, y, state, growth, before, contacts)
+    return Apart(any_changed, state, contacts)
 
 
-def judged(motion: Any, begun: Now, gap: Any, apart: Apart, end: Any) -> Array:
-    """The growth behind a step that was taken apart, and ended so as it is."""
-    growth, contacts = apart.growth, apart.contacts
-    met, first, most, lost, error, rise, largest, known = [growth[i] for i in range(GROWTH)]
-    n, m = motion.layout.coordinates, motion.layout.memory_start
-    off = abs(apart.end - end)
-    fast = jnp.max(abs(end[n:m]), initial=0.0)
-    share = jnp.max(off[:n], initial=0.0) / gap + safe_divide(jnp.max(off[n:m], initial=0.0), fast)
-    error = jnp.where(apart.changed, jnp.maximum(error, share), error)
-    depths = contacts.depths
-    risen = jnp.minimum(depths, depths - begun.contacts.depths)
-    rise = jnp.maximum(rise, jnp.max(risen, initial=0.0))
-    largest = jnp.maximum(largest, jnp.max(depths, initial=0.0))
-    over = jnp.any((apart.before > 0) & (depths < 0)) & (rise > RISE * largest)
-    lost = jnp.where(over, 1.0, lost)
-    rising = jnp.any((depths >= 0) & (contacts.rates > 0))
-    known = jnp.where(rising, known, rise)
-    known = jnp.stack([met, first, most, lost, error, rise, largest, known])
-    known = jnp.concatenate([known, growth[GROWTH:]])
-    return chatter.followed(motion, begun, (end, contacts), known)
-
-
-def passed_within(
-    motion: Any, begun: Now, ways: tuple, at: Any, y: Any, acts: tuple, growth: Array
-):
-    """(state, its derivative, growth, by how much later [s]) behind what is `hit` at a time."""
+def passed_within(motion: Any, begun: Now, ways: tuple, at: Any, y: Any, acts: tuple) -> tuple:
+    """(state, its derivative, by how much later [s]) behind what is `hit` at a time."""
     (way, state), (acting, hit) = ways, acts
     flow = motion.rates(begun.arrays, acting, at, y)
     now = motion.contacts(begun.arrays, at, y)
@@ -249,11 +213,11 @@ def passed_within(
     y, at = y + later * flow, at + later
     then = jnp.where(hit, 1 - acting, acting)
     ways = way, jnp.zeros(()), state
-    found = saltation.passed(motion, (begun.arrays, at, y), ways, (acting, then), growth)
+    found = saltation.passed(motion, (begun.arrays, at, y), ways, (acting, then))
     taken = then > acting
     rates = motion.contacts(begun.arrays, at, y).rates
     y = saltation.with_impact_speeds(motion.layout, y, taken, rates)
-    return y, found.state, found.growth, later
+    return y, found.state, later
 
 
 def along(motion: Any, begun: Now, acting: Any, ways: tuple) -> tuple:

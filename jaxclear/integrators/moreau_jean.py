@@ -10,7 +10,6 @@ from jaxclear.formulations.rigid import RigidContact
 from jaxclear.formulations.unilateral import MoreauJeanSettings
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.tangents import derived_once
-from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator, Interval
 from jaxclear.integrators.mid_impact import known_at_end, nothing_moved, through_impacts
 from jaxclear.integrators.promise import RIGID
@@ -121,7 +120,7 @@ class MoreauJean(AbstractIntegrator):
     def first_warm_start(self, model, start, state):
         warm_start = self.formulation.warm_start(model)
         moves = nothing_moved(state, warm_start) if model.system.bearings else None
-        return warm_start, moves, vibration.nothing(model, self)
+        return warm_start, moves
 
     @property
     def _settings(self):
@@ -132,7 +131,7 @@ class MoreauJean(AbstractIntegrator):
     def known_states(self, model, times, states, end, warm_start):
         if not model.system.bearings:
             return states
-        last, moves, _ = warm_start
+        last, moves = warm_start
         _, h = divide(Interval(times[-2], times[-1], end, True), self.step)
         arrays, rest = eqx.partition((model, self._settings), eqx.is_array)
         now = arrays, (times[-1], h), end, last
@@ -149,16 +148,15 @@ class MoreauJean(AbstractIntegrator):
         known = through_impacts(step, self.formulation, rest)
 
         def followed(time_step, state, last):
-            last, moves, vibrates = last
+            last, moves = last
             if moves is None:
                 end, last = step(model, settings, time_step, state, last)
             else:
                 end, last, moves = known(arrays, tuple(time_step), state, last, moves)
-            how = model, vibration.SYMMETRIC, vibrates
-            return end, (last, moves, vibration.followed(*how, (state, end), time_step.length))
+            return end, (last, moves)
 
         found = searching_steps(interval, self.step, followed, (state, warm_start), LOOSE)
-        state = vibration.resolved(found.state, found.warm_start[2])
-        if model.system.bearings:
-            state = derived_once(NO_SECOND, trusted_impacts(state, found.warm_start[1].figures))
-        return found._replace(state=state)
+        if not model.system.bearings:
+            return found
+        state = trusted_impacts(found.state, found.warm_start[1].figures)
+        return found._replace(state=derived_once(NO_SECOND, state))

@@ -13,17 +13,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage, summit
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 from jaxclear.ground.tangents import pushed, where_wanted
-from jaxclear.integrators import saltation, vibration
-from jaxclear.integrators.mid_step import Apart, Now, along, judged, passed_within
+from jaxclear.integrators import saltation
+from jaxclear.integrators.mid_step import Now, along, passed_within
 from jaxclear.integrators.peaks import Peaks, peaks
 from jaxclear.integrators.stepping import SLIVER
-from jaxclear.integrators.vibration import Vibration
 from jaxclear.multibody.state import bristle_places
 
 # A part in contact goes no further than by this angle of the contact's vibration [rad], and in it
@@ -45,17 +43,14 @@ AT_TOUCH = 1e-3
 
 class Part(NamedTuple):
     """Where a motion is: what is `done` of the time [s] in so many `turns`, the state, its
-    derivative (`way`), the `growth` of derivatives (`trust`) and how they vibrate (`vibration`),
-    (the peaks, their derivatives), and how long the next part may be [s] so that the
-    contacts that are `due` touch or part at its end. nan is done where parts are too long for a
-    contact."""
+    derivative (`way`), (the peaks, their derivatives), and how long the next part may be [s] so
+    that the contacts that are `due` touch or part at its end. nan is done where parts are too long
+    for a contact."""
 
     done: Scalar
     turns: Any
     y: Any
     way: Any
-    growth: Array
-    vibrates: Vibration
     peaks: tuple[Peaks, Peaks]
     limit: Scalar
     due: Any
@@ -75,17 +70,15 @@ class _Gone(NamedTuple):
 def followed(motion: Any, remember: Callable, clock: tuple, ways: tuple, known: tuple) -> Part:
     """A motion over a time, where it is `wanted`. `remember(state, contacts)`: the state as it
     knows its impact speeds. `clock`: (arrays, start [s], length [s]), `ways`: the derivatives of
-    the arrays and of the state, at times that do not move; `known`: (wanted, the state, the growth,
-    how derivatives vibrate, (the peaks, their derivatives))."""
-    (_, _, whole), (way, state), (wanted, y, growth, vibrates, highest) = clock, ways, known
+    the arrays and of the state, at times that do not move; `known`: (wanted, the state, (the peaks,
+    their derivatives))."""
+    (_, _, whole), (way, state), (wanted, y, highest) = clock, ways, known
     nothing = jnp.zeros(())
     first = Part(
         done=nothing,
         turns=jnp.zeros((), int),
         y=y,
         way=state,
-        growth=growth,
-        vibrates=vibrates,
         peaks=highest,
         limit=jnp.asarray(jnp.inf),
         due=jnp.zeros_like(highest[0].depths),
@@ -159,29 +152,21 @@ def _at_end(motion: Any, gone: _Gone, whole: Any, way: Any, known: tuple) -> Par
     """Behind the end of a part, at which contacts are `hit`; `done` is by how much later [s]."""
     (begun, acting, end, state, after), (hit, part) = gone, known
     later = begun.time + begun.length
-    released = jnp.where(hit & (acting > 0), -abs(after.depths), after.depths)
-    judging = after._replace(depths=released)
-    apart = Apart(jnp.zeros((), bool), end, state, part.growth, acting, judging)
-    growth = judged(motion, begun, jnp.ones(()), apart, end)
     ends, motions = ((begun.time, begun.state), (later, end)), (begun.contacts, after)
     higher = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2])
     ways = way, (jnp.zeros(()), part.way), (jnp.zeros(()), state), part.peaks[1]
     highest = pushed(higher, (begun.arrays, *ends, part.peaks[0]), ways)
 
     def behind(known):
-        state, y, growth, _ = known
+        state, y, _ = known
         at = begun._replace(length=whole)
-        y, state, growth, late = passed_within(
-            motion, at, (way, state), later, y, (acting, hit), growth
-        )
-        return state, y, growth, late
+        y, state, late = passed_within(motion, at, (way, state), later, y, (acting, hit))
+        return state, y, late
 
-    known = state, end, growth, jnp.zeros(())
-    state, y, growth, late = where_wanted(jnp.any(hit), behind, known)
-    moves, clock = (part.way, gone.way), (begun.length, begun.length / whole)
-    vibrates = vibration.further(motion.layout, vibration.FOLLOWED[4], part.vibrates, moves, *clock)
-    figures = growth, vibrates, highest
-    return Part(late, part.turns, y, state, *figures, jnp.asarray(jnp.inf), jnp.zeros_like(acting))
+    known = state, end, jnp.zeros(())
+    state, y, late = where_wanted(jnp.any(hit), behind, known)
+    ahead = jnp.asarray(jnp.inf), jnp.zeros_like(acting)
+    return Part(late, part.turns, y, state, highest, *ahead)
 
 
 def _resolved(motion: Any, begun: Now, acting: Any, clock: tuple) -> tuple[Any, Any]:

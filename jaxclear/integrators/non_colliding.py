@@ -10,7 +10,6 @@ from jaxclear.formulations.closing import closed
 from jaxclear.formulations.permanent import PermanentContact
 from jaxclear.formulations.permanent_friction import NonCollidingSettings
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.integrators import vibration
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.promise import PERMANENT
 from jaxclear.integrators.stepping import searching_steps
@@ -82,18 +81,18 @@ class NonColliding(AbstractIntegrator):
     def asked_step(self):
         return self.step
 
+    @property
+    def first_order_slopes(self):
+        return True
+
     def first_warm_start(self, model, start, state):
-        return self.formulation.warm_start(model), vibration.nothing(model, self)
+        return self.formulation.warm_start(model)
 
     def advance(self, model, interval, state, warm_start):
         settings = NonCollidingSettings(self.most_sweeps, self.tolerance, self.relaxation)
 
         def step(time_step, state, last):
-            last, vibrates = last
             end, last = self.formulation.step(model, time_step, state, last, settings)
-            end = closed(model, time_step.end, end)
-            how = model, vibration.SYMMETRIC, vibrates
-            return end, (last, vibration.followed(*how, (state, end), time_step.length))
+            return closed(model, time_step.end, end), last
 
-        found = searching_steps(interval, self.step, step, (state, warm_start), LOOSE)
-        return found._replace(state=vibration.resolved(found.state, found.warm_start[1]))
+        return searching_steps(interval, self.step, step, (state, warm_start), LOOSE)

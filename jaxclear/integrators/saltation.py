@@ -202,7 +202,8 @@ def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
         state, slopes, growth, told = known
         state = state - moved(shift) * model.rates(arrays, before, time, y)
         ways = way, time_way, state
-        state, grown, *moves = passed(model, here, ways, (before, after), growth)
+        state, *moves = passed(model, here, ways, (before, after))
+        grown = _grown(growth, jnp.max(jnp.where(after > before, abs(moves[0]), 0.0)))
         slopes = _slopes(model, after, here, (way, time_way, state), slopes)
         return state, slopes, grown, _told(told, events, before != after, moves)
 
@@ -213,16 +214,15 @@ def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
 
 
 class Passed(NamedTuple):
-    """Derivatives behind touches and releases at a fixed time: of the state, and the growth; of
-    every contact by how much later it touches or parts [s], and its rate there [m/s]."""
+    """Derivatives behind touches and releases at a fixed time: of the state; of every contact by
+    how much later it touches or parts [s], and its rate there [m/s]."""
 
     state: Any
-    growth: Array
     late: Any
     speeds: Any
 
 
-def passed(model: Motion, here: tuple, ways: tuple, acting: tuple, growth: Array) -> Passed:
+def passed(model: Motion, here: tuple, ways: tuple, acting: tuple) -> Passed:
     """Behind an instant at which contacts that act by these shares, (before, after), touch and
     part; `here`: (arrays, time, state), `ways`: their derivatives before it."""
     (arrays, time, y), (before, after), state = here, acting, ways[2]
@@ -235,8 +235,7 @@ def passed(model: Motion, here: tuple, ways: tuple, acting: tuple, growth: Array
     gain = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
     speeds = ahead.rates + gain * late
     state = with_impact_speeds(model.layout, state, after > before, speeds)
-    grown = _grown(growth, jnp.max(jnp.where(after > before, abs(late), 0.0)))
-    return Passed(state, grown, late, speeds)
+    return Passed(state, late, speeds)
 
 
 def _told(told: Any, events: Any, happened: Any, ways: tuple) -> Any:

@@ -1,4 +1,4 @@
-"""When a derivative through impacts is to be trusted, and nan where it is not.
+"""When a derivative through impacts is to be trusted, and a nan that says why where it is not.
 
 A loop carries zeros beside the state, whose derivatives tell how much touches move: impacts make
 derivatives grow, and with them what errors of the motion make of them.
@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved
+from jaxclear.ground.unknown import Unknown
 
 # What a second derivative through contacts is told.
 NO_SECOND = (
@@ -24,25 +24,9 @@ NO_SECOND = (
 # the motion do not resolve its neighbours (at rest they grow longer than a contact's period, and
 # derivatives with them).
 MOST_ERROR = 0.01
-# So many numbers tell how derivatives go: how many touches moved, by how much [s] the first few of
-# them and all of them did at most (`saltation`), whether a contact was over in too few steps; of
-# which share of the gap and of a speed the largest error of a step with a touch was; and how much
-# an indentation rose within a step, in all, and within one of those impacts that are no longer on
-# their way in [m]: of one that has just begun nobody knows yet how deep it goes.
-GROWTH = 8
-# Whether a contact was over in too few steps, among these.
-LOST = 3
-# Beyond this share of the largest indentation in one step an impact is that of the steps.
-RISE = 0.35
-# Share of the narrowest gap by which a run may part from the motion whose derivative it has.
+# Beside a run the motion is differentiated as long as its places are no farther from the run's than
+# this share of the narrowest gap: contacts are then pressed in the same directions.
 PARTED = 0.03
-# A contact that rises by a share r of its largest indentation in a step leaves an error of so many
-# r^2 of the gap (rk4, a slider-crank and a bouncing journal).
-OF_A_RISE = 3e-3
-# Derivatives have grown too much where an error, times the square of their growth, is beyond this
-# share of the gap: beyond 1e-3 they were off by a tenth, within 6e-4 by a hundredth (a slider-crank
-# through 3 to 23 impacts, steps of 1 to 20 us).
-TRUSTED = 6e-4
 # So many numbers tell how derivatives through impacts of rigid contact go: how many impacts moved,
 # by how much [s] the first few of them and all of them did at most, whether one has none, to which
 # share of the gap a place was off at most, to which share of the fastest impact approach speeds
@@ -62,24 +46,9 @@ def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
     `growth`: zeros, whose derivatives tell how many touches moved, by how much [s] the first few of
     them and all of them did at most, and of which share the largest error of a step was."""
 
-    def fine(growth, limit):
-        return (growth[2] <= limit * growth[1]) & (growth[3] <= MOST_ERROR)
-
-    return _where(fine, found, growth, limit)
-
-
-def trusted_steps(found: Any, growth: Array) -> Any:
-    """What was found of a run; its derivative is nan where touches have moved so much more than the
-    first of them that the errors of the steps decide it, and where these do not resolve a contact.
-    """
-
-    def fine(growth):
-        _, first, most, lost, error, _, largest, rise = [growth[i] for i in range(GROWTH)]
-        share = safe_divide(rise, largest)
-        error = jnp.maximum(error, OF_A_RISE * share * share)
-        return (most * most * error <= TRUSTED * first * first) & (lost <= 0)
-
-    return _where(fine, found, growth)
+    grown = lambda growth, limit: growth[2] <= limit * growth[1]
+    found = _where(grown, Unknown.GROWN, found, growth, limit)
+    return _where(lambda growth: growth[3] <= MOST_ERROR, Unknown.UNRESOLVED, found, growth)
 
 
 def trusted_impacts(found: Any, growth: Array) -> Any:
@@ -87,31 +56,33 @@ def trusted_impacts(found: Any, growth: Array) -> Any:
     make them grow, decide it, and where an impact is not known to have one."""
 
     def fine(growth):
-        _, first, most, unknown, place, speeds, _ = [growth[i] for i in range(IMPACT_FIGURES)]
-        return ((place + speeds) * most <= TRUSTED_IMPACTS * first) & (unknown <= 0)
+        _, first, most, _, place, speeds, _ = [growth[i] for i in range(IMPACT_FIGURES)]
+        return (place + speeds) * most <= TRUSTED_IMPACTS * first
 
-    return _where(fine, found, growth)
+    found = _where(fine, Unknown.GROWN, found, growth)
+    return _where(lambda growth: growth[3] <= 0, Unknown.AT_ONCE, found, growth)
 
 
 def beside(found: Any, parted: Scalar) -> Any:
     """What was found of a run; its derivative is nan where the motion of which it is the derivative
     has `parted` from the run itself by too large a share of the gap."""
-    return _where(lambda parted: parted <= PARTED, found, parted)
+    return _where(lambda parted: parted <= PARTED, Unknown.PARTED, found, parted)
 
 
-def _where(fine: Callable, found: Any, growth: Array, *numbers: Scalar) -> Any:
-    """What was found; its derivative is nan but where `fine(derivative of growth, *numbers)`."""
+def _where(fine: Callable, why: Unknown, found: Any, growth: Array, *numbers: Scalar) -> Any:
+    """What was found; its derivative is nan, and says why, but where `fine(derivative of growth,
+    *numbers)`."""
 
     def judged(numbers, tangents):
         (_, _, *numbers), (found, growth, *_) = numbers, tangents
         known = fine(moved(growth), *numbers)
-        return jax.tree.map(lambda each: jnp.where(known, moved(each), jnp.nan), found)
+        return jax.tree.map(lambda each: jnp.where(known, moved(each), why.number), found)
 
     return derived(lambda found, *_: found, judged)(found, growth, *map(constant, numbers))
 
 
 def unknown_way(numbers: Any) -> Any:
     """The numbers; their derivative is nan wherever it is asked for."""
-    unknown = lambda way: jnp.full_like(moved(way), jnp.nan)
+    unknown = lambda way: jnp.full_like(moved(way), Unknown.NOT_FOLLOWED.number)
     lost = lambda numbers, tangents: jax.tree.map(unknown, tangents[0])
     return derived(lambda numbers: numbers, lost)(numbers)

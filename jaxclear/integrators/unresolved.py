@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import derived, moved, moving_with
+from jaxclear.ground.unknown import Unknown
 from jaxclear.integrators.trust import MOST_ERROR
 from jaxclear.integrators.wrapped import AbstractAround
 
@@ -58,7 +59,7 @@ def resolved(state: Array, known: Followed) -> Array:
     def judged(_, tangents):
         state, (sums, largest, _, most) = map(moved, tangents)
         fine = (sums <= MOST_ERROR * largest) & (most < IN_A_ROW)
-        return jnp.where(fine, state, jnp.nan)
+        return jnp.where(fine, state, Unknown.UNRESOLVED.number)
 
     return derived(lambda state, known: state, judged)(state, known)
 

@@ -52,7 +52,7 @@ def _limits(axis: Any, found: Design) -> None:
     used = 100 * (1.0 + found.excess)
     last = found.rounds[-1].check
     errors = np.zeros(len(used)) if last is None else 100 * last.excess_errors
-    colours = ["C3" if not one <= found.accuracy else "C2" for one in found.excess]
+    colours = ["C3" if not one <= found.allowed_excess else "C2" for one in found.excess]
     axis.barh(places, np.maximum(used, 0.0), 0.5, color=colours, alpha=0.7)
     axis.errorbar(used, places, xerr=errors, fmt="none", ecolor="k", capsize=3)
     axis.axvline(100.0, color="k", lw=1.0)
@@ -66,7 +66,7 @@ def _limits(axis: Any, found: Design) -> None:
 def _history(axis: Any, found: Design) -> None:
     history = found.history()
     axis.plot(history["runs"], history["cost"], "o-", color="C0", ms=4, lw=1.2)
-    kept = history["largest excess"] <= found.accuracy
+    kept = history["largest excess"] <= found.allowed_excess
     axis.plot(
         history["runs"][kept],
         history["cost"][kept],

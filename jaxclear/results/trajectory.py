@@ -36,7 +36,12 @@ from jaxclear.results.histories import (
 from jaxclear.results.saved_state import SavedMotion, State
 from jaxclear.results.singular_position import singular_position
 from jaxclear.results.state_history import StateHistory
-from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
+from jaxclear.results.verification import (
+    AbstractVerification,
+    Estimate,
+    Unverified,
+    checked,
+)
 
 
 class RunStats(eqx.Module):
@@ -153,14 +158,13 @@ class Trajectory(AbstractShown):
         return self.invariants.before_the_end or self.invariants.warnings
 
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
-        """The value of a response, or of any function of a run that returns a number, and its
-        numerical error: twice what half the steps (tolerances 16 times tighter, twice the saving
-        times where surfaces wear) change. Without replicas the error is nan, and the estimate says
-        why.
+        """The value of a response, or of any function of a run that returns numbers, and its
+        numerical error: twice what half the steps (tolerances 16 times tighter, surfaces worn twice
+        as often) change. Without replicas the error is nan, and the estimate says why.
 
         Source: Richardson 1911, doi:10.1098/rsta.1911.0009; Roache 1994, J. Fluids Eng. 116, 405.
         """
-        return self.verification.estimate(self, response)
+        return self.verification.estimate(self, checked(response))
 
     def __str__(self) -> str:
         if np.ndim(self.outcome) or is_traced(self.outcome):

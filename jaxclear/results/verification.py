@@ -8,27 +8,47 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 
+from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.wording import described
 
 # Digits of a value beyond the first of its error.
 DIGITS = 2
 
 
 class Estimate(AbstractShown):
-    """A number drawn from a run: its `value`, its numerical `error` (nan: not known) in the same
-    unit, and, in `why`, what the error comes from or why it is not known."""
+    """What was drawn from a run: its `value`, its numerical `error` (nan: not known) in the same
+    unit, and, in `why`, what the error comes from or why it is not known. Of arrays and of
+    collections of numbers the error has their form."""
 
     value: Any
     error: Any
     why: str = eqx.field(static=True, default="")
 
     def __str__(self) -> str:
-        value, error = float(np.asarray(self.value)), float(np.asarray(self.error))
-        if not math.isfinite(error):
-            return f"{value:.6g} ({self.why})"
-        return f"{with_error(value, error)}"
+        values, errors = jax.tree.leaves(self.value), jax.tree.leaves(self.error)
+        if is_traced((values, errors)):
+            return repr(self)
+        most = max((float(np.max(each, initial=0.0)) for each in errors), default=math.nan)
+        if len(values) == 1 and np.ndim(values[0]) == 0 and not isinstance(values[0], str):
+            value = float(values[0])
+            return with_error(value, most) if math.isfinite(most) else f"{value:.6g} ({self.why})"
+        count = sum(np.size(each) for each in values)
+        told = f"each ± {most:.2g} at the most" if math.isfinite(most) else self.why
+        return f"{count} numbers ({told})"
+
+
+def checked(response: Any) -> Any:
+    """What is to be estimated. Raises `ValueError` where it is no function."""
+    if callable(response):
+        return response
+    raise ValueError(
+        f"{described(response)} was given to be estimated; it must be a response, such as "
+        'jaxclear.response.MeanContactForce("B"), or a function of a run.'
+    )
 
 
 def with_error(value: float, error: float) -> str:
@@ -69,7 +89,7 @@ class AbstractVerification(AbstractShown):
 class Unverified(AbstractVerification):
     """Of a run without replicas: nobody has looked, and `why`."""
 
-    why: str = eqx.field(static=True, default="verify=False")
+    why: str = eqx.field(static=True, default="it has no replicas")
 
     def __str__(self) -> str:
         return f"Not verified: {self.why}."

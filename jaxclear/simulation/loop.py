@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int
 from jaxclear.formulations.base import model_of
 from jaxclear.formulations.model import Model, State
 from jaxclear.integrators.base import AbstractIntegrator, Interval
-from jaxclear.integrators.events import Events
+from jaxclear.integrators.events import Events, together
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.peaks import Peaks, newest
 from jaxclear.multibody import closure_coordinates
@@ -122,7 +122,7 @@ def run(
 ) -> Trajectory:
     """The pure core of `simulate`: from consistent coordinates and speeds, and what is left of a
     past, to a trajectory. `updates`: of worn surfaces in a saving interval, where steps are not
-    counted; events are then those of its last part."""
+    counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     model = model_of(mechanism, formulation, extras.balance)
     model = dataclasses.replace(model, events=extras.events, discrete=extras.discrete)
@@ -251,15 +251,17 @@ class _Turn:
 
 def _in_parts(loop: Callable, part: Callable, updates: Any, begun: Any, span: Span) -> Any:
     """What is handed on and left behind a saving interval that is gone through in so many equal
-    parts, by a while `loop`; `part`: (what is handed on, span) -> (that, what is left)."""
+    parts, by a while `loop`; `part`: (what is handed on, span) -> (that, what is left: by the last
+    part, and the events of all)."""
     length = (span.stop - span.start) / updates
 
     def turn(now):
-        index, carry, _ = now
+        index, carry, (_, noted) = now
         begins = jnp.where(index == 0, span.start, span.start + index * length)
         last = index + 1 == updates
         ends = jnp.where(last, span.stop, span.start + (index + 1) * length)
-        return index + 1, *part(carry, Span(begins, ends, span.progress / updates))
+        carry, (left, more) = part(carry, Span(begins, ends, span.progress / updates))
+        return index + 1, carry, (left, None if more is None else together(noted, more))
 
     left = jax.eval_shape(part, begun, span)[1]
     nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), left)
@@ -282,7 +284,7 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tupl
     def part(carry, span):
         now, pending = settled(*carry)
         now, _, noted = turn.motion(now, span)
-        return (now, pending), noted
+        return (now, pending), ((), noted)
 
     def by_kernel(condition, body, begun):
         return while_loop(condition, body, begun, (False, (LONG, True), False))
@@ -290,7 +292,7 @@ def _in_one_kernel(turn: _Turn, first: Carry, spans: Span, updates: Any) -> tupl
     def one(carry, span):
         wears = pending is not None
         go = functools.partial(_in_parts, by_kernel, part, updates) if wears else part
-        carry, noted = go(carry, span)
+        carry, (_, noted) = go(carry, span)
         return carry, ((carry[0].state, carry[0].read), noted)
 
     rows = np.arange(count)

@@ -2,19 +2,25 @@
 saving time to the next (`loop`).
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxclear.errors.accuracy import Asked, of_run
+from jaxclear.errors.choice import Chosen, Question, chosen
 from jaxclear.errors.replicas import Replica
+from jaxclear.errors.rungs import rungs_of
+from jaxclear.errors.told import HALF
 from jaxclear.errors.verification import verified
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
@@ -30,11 +36,12 @@ from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import backwards, guarded
 from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
-from jaxclear.simulation.saving import checked_saving
+from jaxclear.simulation.saving import Saving, as_saving, checked_saving
 from jaxclear.simulation.step_comparison import (
     compared,
     in_other_steps,
     is_compared,
+    order_of,
     run_where_alike,
 )
 from jaxclear.simulation.step_lengths import check_steps
@@ -69,7 +76,7 @@ def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, 
         return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4], updates)
 
     steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
-    known = compared(in_steps, run_where_alike, steps)
+    known = compared(in_steps, run_where_alike, steps, order_of(integrator))
     return backwards(known, integrator, integrator, *given)
 
 
@@ -154,12 +161,24 @@ def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator, told: bo
     return small and ready and not told and integrator.steps_between_saves is None
 
 
+class How(NamedTuple):
+    """How a mechanism is run: `save`, `state`, `balance`, `progress_bar` and `verify` as of
+    `simulate`."""
+
+    save: Any
+    state: State | None = None
+    balance: bool = False
+    progress_bar: bool = False
+    verify: bool | None = False
+
+
 @answering
 def simulate(
     mechanism: Mechanism,
     duration: float,
     *,
     integrator: AbstractIntegrator | None = None,
+    accuracy: Any = None,
     save: Any = 501,
     state: State | None = None,
     balance: bool = False,
@@ -171,43 +190,110 @@ def simulate(
 
     `save`: number of equally spaced saving times, or the times [s], or a `Saving`, which keeps
     touches and releases too; worn surfaces are updated at these times. `integrator`:
-    `jaxclear.integrator.Adaptive()` by default. `state`: where the run begins instead, such as
-    `run.state()` of another one; saving times, worn volumes and energies count from there.
+    `jaxclear.integrator.Adaptive()` by default; or give the `accuracy`, and it is chosen by runs,
+    for the least work: 0.01 for 1 % of places, mean forces and losses, or a number in its unit by
+    standard answer (those of `print(run)`) or response. `state`: where the run begins instead, such
+    as `run.state()` of another one; saving times, worn volumes and energies count from there.
     `balance`: also integrate the energies that `Trajectory.energy_balance` needs. `verify`: whether
     the run is repeated in finer steps, which tells the errors of its numbers (`estimate`, `print`);
-    by default up to 100 000 steps, and not where the run is traced. Changing numbers,
-    duration or tolerances does not compile again; changing the number of saving times does. Raises
-    `ValueError` for a mechanism that cannot start and for a derivative through contacts that open
-    and close (see `jaxclear.sensitivity`), and, unless `throw=False`, `SimulationError` with a
-    sentence for a run that ends early.
+    by default up to 100 000 steps or with an `accuracy`, and not where the run is traced. Changing
+    numbers, duration or tolerances does not compile again; changing the number of saving times
+    does. Raises `ValueError` for a mechanism that cannot start and for a derivative through
+    contacts that open and close (see `jaxclear.sensitivity`), and, unless `throw=False`,
+    `SimulationError` with a sentence for a run that ends early.
     """
-    check_double_precision()
-    check_duration(duration)
-    check_flags("simulate", balance=balance, progress_bar=progress_bar, throw=throw)
-    if verify is not None:
-        check_flags("simulate", verify=verify)
-    _check_compiling()
+    how = How(save, state, balance, progress_bar, verify)
+    _check_asked(duration, how, throw)
+    asked = None
+    if accuracy is not None:
+        check_one_of_two("simulate", integrator)
+        asked = of_run(accuracy)
+        found = chosen_for(mechanism, duration, asked.seen, asked.beside, how)
+        integrator, asked = found.integrator, asked._replace(why=found.why)
+        how = how._replace(verify=True if verify is None else verify)
     integrator = Adaptive() if integrator is None else integrator
-    check_run(mechanism, integrator)
-    saving = checked_saving(save, integrator)
-    times = saving_times(duration, saving.at)
-    check_steps(integrator, times)
-    mechanism = integrator.formulation.seen(mechanism)
-    mechanism, start, begins, past = beginning(mechanism, integrator.formulation, state)
-    saved = begins + times
-    integrator, passed = load_steps(mechanism, integrator, saved)
-    with stoppable(), progress.bar(progress_bar, "simulating"):
-        extras = Extras(balance, progress_bar, saving.events)
-        runs = _run_soon if is_all_kernel(mechanism, integrator, progress_bar) else _run
-
-        def again(how: Replica, moved: float = 0.0) -> Trajectory:
-            begun = start.coordinates + moved if moved else start.coordinates
-            given = mechanism, begun, start.speeds, jnp.asarray(how.times)
-            more = how.integrator, extras, past, jnp.asarray(how.updates)
-            return jax.block_until_ready(runs(*given, *more))
-
-        trajectory = diagnosed(guarded(again(Replica(integrator, saved)), integrator))
-        trajectory = verified(judged_by(passed, trajectory), integrator, again, verify)
+    trajectory = _simulated(mechanism, duration, integrator, how, asked)
     if throw:
         _check_end(trajectory)
     return trajectory
+
+
+def _check_asked(duration: Any, how: How, throw: bool) -> None:
+    """Raises where something is not what a run may be asked."""
+    check_double_precision()
+    check_duration(duration)
+    check_flags("simulate", balance=how.balance, progress_bar=how.progress_bar, throw=throw)
+    if how.verify is not None:
+        check_flags("simulate", verify=how.verify)
+    _check_compiling()
+
+
+def _simulated(
+    mechanism: Mechanism,
+    duration: float,
+    integrator: AbstractIntegrator,
+    how: How,
+    asked: Asked | None = None,
+) -> Trajectory:
+    """A run, however it ended. `asked`: its accuracy (None: what the integrator promises)."""
+    check_run(mechanism, integrator)
+    saving = checked_saving(how.save, integrator)
+    times = saving_times(duration, saving.at)
+    check_steps(integrator, times)
+    mechanism = integrator.formulation.seen(mechanism)
+    mechanism, start, begins, past = beginning(mechanism, integrator.formulation, how.state)
+    saved = begins + times
+    integrator, passed = load_steps(mechanism, integrator, saved)
+    whole = 1.0 if how.verify is False else 1.0 + 1 / HALF
+    with progress.bar(how.progress_bar, "simulating", whole) as part:
+        extras = Extras(how.balance, how.progress_bar, saving.events)
+        kernel = is_all_kernel(mechanism, integrator, how.progress_bar)
+        runs = _run_soon if kernel else _run
+
+        def again(one: Replica, moved: float = 0.0) -> Trajectory:
+            begun = start.coordinates + moved if moved else start.coordinates
+            given = mechanism, begun, start.speeds, jnp.asarray(one.times)
+            more = one.integrator, extras, past, jnp.asarray(one.updates)
+            with part(one.work):
+                return jax.block_until_ready(runs(*given, *more))
+
+        with stoppable():
+            found = again(Replica(integrator, saved))
+            found = judged_by(passed, diagnosed(guarded(found, integrator)))
+        return verified(found, integrator, again, how.verify, asked)
+
+
+def check_one_of_two(owner: str, integrator: Any) -> None:
+    """Raises `ValueError` where an integrator is given beside an accuracy."""
+    if integrator is not None:
+        raise ValueError(
+            f"{owner} is given an integrator and an accuracy, by which one is chosen; give one of "
+            "the two."
+        )
+
+
+def chosen_for(
+    mechanism: Mechanism,
+    duration: float,
+    seen: Callable[[Trajectory], Any],
+    beside: Callable[[Trajectory, Any, Any], dict[str, float]],
+    how: How,
+) -> Chosen:
+    """The integrator that keeps an accuracy at the least work, from runs; what is compared of
+    these, and how far two are apart beside what is allowed, as in `errors.choice.Question`."""
+    expect(mechanism, Mechanism, "what is simulated", "a jaxclear.Mechanism")
+    if is_traced((mechanism, duration, how.state)):
+        raise ValueError(
+            "accuracy= chooses an integrator by runs, and numbers of the mechanism are traced (by "
+            "jax.jit, vmap or grad): give integrator=, such as one that was chosen before."
+        )
+    saving = as_saving(how.save)
+    times = np.asarray(saving_times(duration, saving.at))
+
+    def again(integrator: AbstractIntegrator, share: float) -> Trajectory:
+        at = Saving(share * times, saving.events)
+        quiet = how._replace(save=at, progress_bar=False, verify=False)
+        return _simulated(mechanism, share * duration, integrator, quiet)
+
+    rungs = rungs_of(mechanism, times, lambda integrator: check_run(mechanism, integrator))
+    return chosen(rungs, again, Question(seen, beside, times))

@@ -17,7 +17,13 @@ from jaxclear.multibody.assembly import is_sound
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.dead_point import diagnosed_outcome
 from jaxclear.simulation.derivatives import backwards, guarded
-from jaxclear.simulation.step_comparison import compared, in_other_steps, is_compared, where_alike
+from jaxclear.simulation.step_comparison import (
+    compared,
+    in_other_steps,
+    is_compared,
+    order_of,
+    where_alike,
+)
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.responses import one_number
 
@@ -26,10 +32,11 @@ def answers(problem: Any, values: Float[Array, " variables"], discrete: bool) ->
     """Responses of a `Problem` for one set of values; `discrete`: derivatives of the discrete run
     are wanted, where the integrator has them."""
     integrator = problem.integrator
-    if is_compared(integrator.formulation.seen(problem.mechanism), integrator):
-        known = compared(_with_states, _alike, _steps)
-        return backwards(known, integrator, problem, values)[0]
     own = discrete and integrator.pathwise
+    seen = integrator.formulation.seen(problem.mechanism)
+    if not own and is_compared(seen, integrator):
+        known = compared(_in_steps, _alike, _steps, order_of(integrator))
+        return backwards(known, integrator, problem, values)
     started = lambda problem, values: problem.started(values, own)
     mechanism, start, run = backwards(started, integrator, problem, values)
     return _taken(problem, mechanism, start, guarded(run, integrator, discrete))
@@ -47,24 +54,23 @@ def _taken(problem: Any, mechanism: Any, start: Any, run: Trajectory) -> SampleR
     return SampleResult(responses, outcome, run.ended, run.invariants)
 
 
-def _with_states(share: Any, problem: Any, values: Array) -> tuple[SampleResult, Array]:
-    """What is answered, and the states of the run."""
+def _in_steps(share: Any, problem: Any, values: Array) -> SampleResult:
+    """What is answered in other steps."""
     steps = in_other_steps(problem.integrator, share)
     own = eqx.tree_at(lambda known: known.integrator, problem, steps)
     mechanism, start, run = own.started(values)
-    return _taken(own, mechanism, start, run), run.history.states
+    return _taken(own, mechanism, start, run)
 
 
 def _steps(problem: Any, _: Any) -> tuple[Any, Any]:
     return problem.integrator.asked_step(), problem.shares * problem.duration
 
 
-def _alike(ways: tuple[SampleResult, Array], ratios: Array) -> tuple[SampleResult, Array]:
+def _alike(found: SampleResult, ways: SampleResult, ratios: Array, least: Any) -> SampleResult:
     """Derivatives of what is answered; those of responses are nan where steps decide them."""
-    result, states = jax.tree.map(lambda each: each[0], ways)
-    largest = jnp.max(abs(ways[1]))
     told = {
-        name: where_alike(way, ratios, abs(way[0]), largest)
-        for name, way in ways[0].responses.items()
+        name: where_alike(way, ratios, abs(way[0]), least * abs(found.responses[name]))
+        for name, way in ways.responses.items()
     }
-    return SampleResult(told, result.outcome, result.ended, result.checks), states
+    moves = jax.tree.map(lambda each: each[0], ways)
+    return SampleResult(told, moves.outcome, moves.ended, moves.checks)

@@ -27,8 +27,9 @@ from jaxclear.multibody.assembly import (
     determined,
 )
 from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
+from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.state import lay_out
-from jaxclear.multibody.system import prepare, wear_maps
+from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
 from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
@@ -39,15 +40,27 @@ from jaxclear.simulation.derivatives import refusal
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
-from jaxclear.simulation.simulate import check_duration, check_run, run, saving_times
+from jaxclear.simulation.simulate import (
+    How,
+    check_duration,
+    check_one_of_two,
+    check_run,
+    run,
+    saving_times,
+)
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
 from jaxclear.studies.batch import sample_of_chunk
+from jaxclear.studies.chosen_integrator import (
+    allowed,
+    checked_asked,
+    chosen_integrator,
+    unasked,
+)
 from jaxclear.studies.inputs import correlation_matrix
 from jaxclear.studies.promised import promised_of
 from jaxclear.studies.responses import Thinned, by_name, check_responses
-from jaxclear.studies.usual_integrator import usual_integrator
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,
     check_variables,
@@ -71,7 +84,10 @@ class Problem(AbstractProblem):
     `jaxclear.response` have units, a plain function gets one by its `FromFunction`. `duration` [s].
     `integrator`: by default steps of a fixed length, because equal work for every sample is what
     batches and derivatives want: `FixedStep()`, or an `ImplicitStep` where friction would answer
-    faster than such steps resolve, or `Adaptive` where ideal joints rub; `why_integrator` says so.
+    faster than such steps resolve, or `Adaptive` where ideal joints rub, and where contacts want
+    more than 200 000 steps what `accuracy=0.02` chooses; `why_integrator` says so.
+    `accuracy` in its place: the integrator is chosen by runs of the nominal sample, for the least
+    work; 0.01 for 1 % of each response there, or {"response": number in its unit}.
     `save`: saving times or a `Saving`, as in `simulate`; `shares` [1] are the times, as shares of
     the duration. `state`: where its runs begin, as in `simulate`. `correlation` [1] of the
     variables' normal scores: {("first", "second"): 0.5}, or
@@ -96,6 +112,8 @@ class Problem(AbstractProblem):
     # Coordinates given for the start that the loops determine: they move with what varies.
     determined: tuple[str, ...] = eqx.field(static=True)
     why_integrator: str = eqx.field(static=True)
+    # The accuracy that its runs were chosen for: a share of each response, or numbers by name.
+    accuracy: float | tuple[tuple[str, float], ...] | None = eqx.field(static=True)
     # Redundant rows of loops, which all samples share.
     redundancy: Redundancy | None = eqx.field(static=True)
     # Touches and releases of each contact that are kept between two saving times.
@@ -109,6 +127,7 @@ class Problem(AbstractProblem):
         *,
         duration: float,
         integrator: AbstractIntegrator | None = None,
+        accuracy: Any = None,
         save: Any = 201,
         state: State | None = None,
         correlation: Any = None,
@@ -120,8 +139,17 @@ class Problem(AbstractProblem):
         self.variables = by_name("variables", variables)
         asked = as_saving(save)
         times = saving_times(check_duration(duration), asked.at)
-        usual = usual_integrator(mechanism, times[-1]) if integrator is None else (integrator, "")
-        self.integrator, self.why_integrator = usual
+        check_responses(self.response, self.variables, "a trajectory")
+        given = mechanism, self.response, times[-1]
+        chosen: Any = (integrator, "", None)
+        if accuracy is not None:
+            check_one_of_two("a Problem", integrator)
+            wanted = checked_asked(accuracy, self.response)
+            found = chosen_integrator(*given, wanted, How(asked, state))
+            chosen = found.integrator, found.why, wanted
+        elif integrator is None:
+            chosen = unasked(*given, How(asked, state))
+        self.integrator, self.why_integrator, self.accuracy = chosen
         self.events = checked_saving(asked, self.integrator).events
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
@@ -137,7 +165,6 @@ class Problem(AbstractProblem):
         if motion is None:
             self.determined, seen = determined(seen, self.state.concentric, self.past.worn)
         self.redundancy = seen.topology.redundancy if motion is None else motion.redundancy
-        check_responses(self.response, self.variables, "a trajectory")
         check_variables(self.variables, mechanism)
         self.variable_units = units_of_variables(mechanism, self.variables.values())
 
@@ -199,8 +226,9 @@ class Problem(AbstractProblem):
 
         JAX may map, compile and differentiate it. A derivative through contacts that open and close
         is not that of the motion, and raises `ValueError`; with `discrete_derivatives` it is passed
-        on, as the derivative of the discrete run. Derivatives of responses of `MoreauJean` are
-        compared with those in other steps, and nan where these tell an error beyond a hundredth.
+        on, as the derivative of the discrete run. Other derivatives are compared with those in
+        steps of other lengths, where steps have one, and nan where these tell an error beyond a
+        hundredth; `jaxclear.why_unknown` says why.
         """
         check_double_precision()
         self.check_values(values)
@@ -237,19 +265,24 @@ class Problem(AbstractProblem):
         """Runs in finer steps, whose surfaces wear more often; where steps between saving times are
         counted there are more of these, and responses see runs at those that were asked for."""
         times = self.state.begins + self.shares * self.duration
-        how = replica(self.integrator, times, share)
+        seen, counting = prepare(self.seen(self.nominal())), self.integrator
+        if seen.bearings:
+            counting = counting.counting_in(narrowest_gap(seen), longest_arm(seen))
+        how = replica(counting, times, share)
         if how is None:
             return None
         places = lambda own: (own.integrator, own.updates)
         found = eqx.tree_at(places, self, (how.integrator, jnp.asarray(how.updates)))
         if how.every == 1:
             return found
-        seen = {name: Thinned(own, how.every) for name, own in self.response.items()}
+        responses = {name: Thinned(own, how.every) for name, own in self.response.items()}
         shares = jnp.asarray(between(self.shares, how.every))
-        return eqx.tree_at(lambda own: (own.response, own.shares), found, (seen, shares))
+        return eqx.tree_at(lambda own: (own.response, own.shares), found, (responses, shares))
 
     def promised(self, response, size):
-        return promised_of(self.mechanism, self.integrator, self.response[response], size)
+        if self.accuracy is None:
+            return promised_of(self.mechanism, self.integrator, self.response[response], size)
+        return allowed(self.accuracy, response, size)
 
     def doubts(self):
         return checked_by(self._load_steps().passed, Checks()).warnings

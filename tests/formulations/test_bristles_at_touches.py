@@ -33,10 +33,12 @@ def test_steps_on_groups_count_what_bristles_slide_from_the_touch_on_too():
 def test_what_bristles_wear_in_too_long_steps_is_said():
     """Within two hundredths is promised: indentations rise by a fifth in a step, and four parts in
     a hundred are missing."""
-    run = run_of(5, 28, jc.integrator.FixedStep())
+    run = run_of(5, 28, jc.integrator.FixedStep(), verify=True)
     exact = worn(28, TIGHT)
     assert abs(float(jc.response.WornVolume("B")(run)) / exact - 1) > 0.02
     assert "losses" in run.verification.beyond
+    volume = run.estimate(jc.response.WornVolume("B"))
+    assert abs(float(volume.value) - exact) < volume.error
 
 
 def lost(run):
@@ -53,3 +55,13 @@ def test_implicit_steps_follow_how_bristles_settle(rebound):
         for integrator in (jc.integrator.ImplicitStep(2e-6, rebound=rebound), TIGHT)
     )
     assert found == pytest.approx(exact, rel=0.03)
+
+
+@pytest.mark.xfail(
+    reason="steps a half and a quarter as long take as much: 4 % are told", strict=True
+)
+def test_what_bristles_take_that_settle_within_implicit_steps_is_said():
+    """They promise a tenth, and take 13 % too much."""
+    run = run_of(15, 45, jc.integrator.ImplicitStep(2.1e-5), balance=True, verify=True)
+    assert abs(lost(run) / lost(run_of(15, 45, TIGHT, balance=True)) - 1) > 0.1
+    assert "losses" in run.verification.beyond

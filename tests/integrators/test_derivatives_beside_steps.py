@@ -47,7 +47,7 @@ def lossless_bounce(end, rung=LOSSLESS):
 
 
 def test_a_lossless_bounce_has_the_derivatives_of_its_closed_form():
-    """In steps that turn the contact by 0.06 rad, by 0.3 and by 3; and none where a bounce takes a
+    """In steps that turn the contact by 0.06 rad, by 0.3 and by 1; and none where a bounce takes a
     twentieth of the speed."""
     end = 0.03
     asked = lossless_bounce(end)
@@ -59,9 +59,9 @@ def test_a_lossless_bounce_has_the_derivatives_of_its_closed_form():
         return 1e-3 * jax.jacfwd(lambda v: answer(run, v, end))(asked.nominal())
 
     wanted = -(end - np.pi / OMEGA), -2.0, 0.5 * SPEED * np.pi / -(OMEGA**3)
-    for step in (2e-5, 1e-4, 1e-3):
+    for step in (2e-5, 1e-4, 3e-4):
         np.testing.assert_allclose(slopes(step, 1.0), wanted, rtol=2e-3)
-    assert np.all(np.isnan(slopes(1e-3, 0.95)))
+    assert "3 % of the narrowest gap" in jc.why_unknown(slopes(1e-3, 0.95))
 
 
 @pytest.mark.parametrize("method", [pytest.param("heun", marks=pytest.mark.slow), "semi_implicit"])

@@ -103,3 +103,13 @@ def test_slopes_of_a_run_are_right_or_refused(saves):
         assert np.isnan(found).mean() < 0.2
     if saves == 2:
         assert np.isnan(off[0])
+
+
+def test_what_a_drive_says_has_the_derivative_zero_though_steps_round_it_each_in_their_way():
+    rig = jc.scenes.slider_crank()
+    mass = jc.Variable(lambda m: m.bodies["slider"].mass, tolerance=1e-3)
+    place = lambda run: jnp.sum(run.states[-1][:4])
+    steps = jc.integrator.NonColliding(1e-4)
+    asked = jc.Problem(rig, place, {"mass": mass}, duration=0.01, integrator=steps, save=3)
+    answer = lambda values: asked.evaluate(values).responses["response"]
+    assert abs(jax.jit(jax.jacfwd(answer))(asked.nominal())) < 1e-9

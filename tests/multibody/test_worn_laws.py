@@ -142,9 +142,9 @@ def test_an_ideal_joint_has_no_worn_radius(name):
 
 
 @pytest.mark.slow
-def test_peaks_and_damping_of_a_ball_are_those_of_the_law_as_worn():
-    """A ball at rest whose load grows by a thirtieth, in steps that follow its damper well: by the
-    law as made it would press a third harder, and its damper would be what that is off by."""
+def test_peaks_of_a_ball_are_those_of_the_law_as_worn():
+    """A ball at rest whose load grows by a thirtieth: by the law as made it would press a third
+    harder."""
     worn = {"S": {"socket": np.full((12, 12), CLEARANCE)}}
     state = jc.seated(rig(ball(True), 600.0), worn)
     run = jc.simulate(

@@ -4,7 +4,7 @@ import jaxclear as jc
 from benchmarks.attacks.structures import structures
 
 
-def run_of(structure, draw, integrator, balance=False):
+def run_of(structure, draw, integrator, balance=False, verify=None):
     """A run of the mechanism with this number, with its numbers of a draw."""
     case = structures()[structure].case(draw)
     return jc.simulate(
@@ -14,4 +14,5 @@ def run_of(structure, draw, integrator, balance=False):
         save=201,
         state=jc.State(concentric=case.concentric),
         balance=balance,
+        verify=verify,
     )

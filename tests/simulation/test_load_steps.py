@@ -77,7 +77,8 @@ def test_steps_that_meet_a_stop_midway_say_so(step, said):
     )
     there, swing = (2 * way * mass / push) ** 0.5, np.pi * (mass / stiffness) ** 0.5
     duration = 4 * (2 * there + swing)
-    run = jc.simulate(rig, duration, save=6, integrator=jc.integrator.FixedStep(step))
+    steps = jc.integrator.FixedStep(step)
+    run = jc.simulate(rig, duration, save=6, integrator=steps, verify=True)
     assert (abs(run.coordinate("G")[-1, 0]) > 0.02 * way) == said == bool(run.warnings)
 
 

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.integrators.checks import Check
 from jaxclear.multibody.assembly import assemble_arrays
 from jaxclear.native import kernel, loop
 from jaxclear.simulation import loop as simulation
-from jaxclear.simulation import turns, wear
+from jaxclear.simulation import wear
 from jaxclear.simulation.simulate import saving_times
 
 RUNGS = {
@@ -41,7 +40,7 @@ def told(rung, saves=jc.Saving(7), scene=jc.scenes.slider_crank):
         start = assemble_arrays(rig)
         extras = simulation.Extras(events=saves.events)
         run = simulation.run(rig, start.coordinates, start.speeds, times, integrator, extras)
-        figures = {check.name: figure.worst for check, figure in run.checks.figures.items()}
+        figures = {check.name: figure.worst for check, figure in run.invariants.figures.items()}
         return run.states, figures, run.noted, run.accepted_steps, run.ended, run.outcome
 
     def watched(program, lanes):
@@ -72,40 +71,6 @@ def test_a_run_is_one_kernel_and_keeps_its_numbers(rung, monkeypatch):
         assert one.shape == other.shape
         allowed = ROUNDING * (1e-9 + np.max(np.abs(other), initial=0.0))
         np.testing.assert_allclose(one, other, rtol=ROUNDING, atol=allowed)
-
-
-def pressed_journal():
-    """It falls on its bearing and bounces."""
-    bearing = jc.clearance.PlanarJournalBearing(jc.contact.Flores(), clearance=2e-5)
-    load = jc.load.Force(jc.Marker("journal"), (0.0, -500.0))
-    joints = {"B": jc.Connection(bearing, "ground", "journal")}
-    return jc.Mechanism({"journal": jc.Body(1.0, 1e-3)}, joints, {"load": load})
-
-
-@pytest.mark.slow
-def test_what_fills_its_saving_interval_goes_on_from_the_runs_own_turn(monkeypatch):
-    """Forces at the end of the run's own turn, beside those behind finer steps, are as they are
-    where windows are gone through after the run."""
-    saving = jc.Saving(jnp.linspace(0.0, 0.02, 101))
-    assert simulation.spot_checks.plan(saving.at, RUNGS["fixed"].usual_step).whole
-    (_, found, *_), _ = told("fixed", saving, pressed_journal)
-    monkeypatch.setattr(simulation, "_whole", lambda *_: False)
-    (_, wanted, *_), _ = told("fixed", saving, pressed_journal)
-    assert Check.HALVED_FORCES.name in wanted
-    for name, figure in wanted.items():
-        np.testing.assert_allclose(found[name], figure, rtol=1e-6, atol=1e-6, err_msg=name)
-
-
-@pytest.mark.slow
-def test_windows_are_shadows_of_the_one_kernel():
-    """With other windows the run's own numbers are the same, bit for bit."""
-    (states, figures, *_), _ = told("implicit")
-    assert Check.HALVED_FORCES.name in figures
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulation.spot_checks, "window_starts", lambda count: [])
-        (without, figures, *_), _ = told("implicit")
-    assert Check.HALVED_FORCES.name not in figures
-    np.testing.assert_array_equal(states, without)
 
 
 @pytest.mark.slow
@@ -172,13 +137,11 @@ def test_surfaces_wear_within_the_one_kernel(rung, monkeypatch):
         return values if rung == "Moreau-Jean" else (*values, slopes(pairs))
 
     found = told()
-    # Turns of six saving intervals and of a window (without forces at its end where they are
-    # means); what the last one wears.
-    window = 2 if rung == "Moreau-Jean" else 4
-    assert {program.length for program in built if program.long} == {6 + window, 1}
+    # Turns of six saving intervals; what the last one wears.
+    assert {program.length for program in built if program.long} == {6, 1}
     monkeypatch.setattr(simulation, "_whole", lambda *_: False)
-    monkeypatch.setattr(turns, "_as_a_kernel", turns._as_it_is)
-    monkeypatch.setattr(turns, "worn_where_lost", wear.worn_at_once)
+    monkeypatch.setattr(simulation, "_as_a_kernel", lambda motion: motion)
+    monkeypatch.setattr(simulation, "worn_where_lost", wear.worn_at_once)
     wanted = told()
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
         assert one.shape == other.shape and np.all(np.isfinite(one))

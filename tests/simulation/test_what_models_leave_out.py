@@ -124,7 +124,7 @@ def test_a_journal_that_only_the_model_holds_along_its_axis_says_so():
     along = 0.25 * LOAD
     run, share = figure(spun(along), STEPS["permanent"], Check.UNHELD_FORCE)
     assert share == pytest.approx(along / (along + LOAD), rel=1e-6)
-    assert any("nothing holds its journal there" in sentence for sentence in run.warnings)
+    assert any("nothing but this model holds its journal" in sentence for sentence in run.warnings)
     flange = jc.clearance.Flange(CONTACT, radius=1.4 * RADIUS, clearance=1e-4)
     assert figure(spun(along, flange=flange), STEPS["permanent"], Check.UNHELD_FORCE)[1] is None
 
@@ -153,7 +153,7 @@ def test_a_journal_that_slides_out_of_its_bearing_says_so(rung, journal_length, 
 
     run, share = left(rig)
     assert share == pytest.approx((2.2 * 0.01 - reach) / 0.02, abs=1e-3)
-    assert any("slides along its axis, out of" in sentence for sentence in run.warnings)
+    assert any("slides out of" in sentence for sentence in run.warnings)
     assert left(spun(fast=0.4))[1] == 0.0
 
 
@@ -165,7 +165,7 @@ def test_what_statics_does_not_tell_of_a_joint_that_always_touches_is_told(offse
     rig = jc.scenes.four_bar("spatial", friction=False, wear=False, follower_offset=offset)
     run = jc.simulate(rig, 0.2, integrator=jc.integrator.NonColliding(4e-3), save=51, throw=False)
     told = float(jnp.max(run.invariants.figures[Check.INDETERMINATE_FORCE].worst))
-    assert any("Statics does not tell" in sentence for sentence in run.warnings) == (offset > 0)
+    assert any("Statics leaves" in sentence for sentence in run.warnings) == (offset > 0)
     joint = rig.connections["B"].joint
     # The line from the bearing to the follower's foot in the plane of motion, seen from the bearing
     # as it lies in the coupler.

@@ -77,7 +77,7 @@ def test_reliability_and_shapley_effects_are_kept_too(tmp_path, monkeypatch):
     """Asked again, nothing is computed."""
     limit = jc.limit_state.Above("response", 11.0)
     asked = {
-        jc.reliability: {"limit": limit, "methods": ("form", "importance"), "accuracy": 0.5},
+        jc.reliability: {"limit": limit, "methods": ("form", "importance"), "variation": 0.5},
         jc.shapley_effects: {"samples": 64},
     }
     for study, how in asked.items():

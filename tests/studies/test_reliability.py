@@ -224,7 +224,7 @@ def test_without_slopes_a_surface_searches_and_runs_correct_it():
     assert any(problem.pathwise_limits())
     found = jc.reliability(problem, Above("response", 5.0))
     smooth = standard(lambda a, b, c: a + 0.5 * b + 0.05 * c**2 + 0.02 * a * b, 3)
-    exact = jc.reliability(smooth, Above("response", 5.0), accuracy=0.02)
+    exact = jc.reliability(smooth, Above("response", 5.0), variation=0.02)
     assert found.surface is not None and exact.surface is None
     assert found.points[0].beta == pytest.approx(exact.points[0].beta, abs=1e-3)
     gap = abs(found.probability - exact.probability)
@@ -303,7 +303,7 @@ def test_design_points_are_those_of_openturns(name):
         ({"limit": Above("gup", 0.1)}, 'no response "gup" in this problem.*gap'),
         ({"methods": ()}, "methods of reliability is empty"),
         ({"methods": ("fosm",)}, 'no method of reliability "fosm"'),
-        ({"accuracy": 0.0}, "accuracy of reliability is 0"),
+        ({"variation": 0.0}, "variation of reliability is 0"),
         ({"surface": 3}, "what jaxclear.surface gives"),
     ],
 )

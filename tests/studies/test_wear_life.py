@@ -56,7 +56,7 @@ def lived(request):
 def test_a_load_that_falls_with_wear_follows_its_closed_form(lived, tolerance, within, cycles):
     """Within the tolerance, from few cycles, all of them counted; the estimated error is the true
     one up to a factor of five."""
-    life = lived.life(tolerance=tolerance)
+    life = lived.life(accuracy=tolerance)
     true = abs(lived.error(life))
     assert true < within and life.error < min(tolerance, 2 * within)
     assert 1.0 <= life.error / true <= 5.0

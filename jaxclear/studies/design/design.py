@@ -156,7 +156,7 @@ def _told(found: Sought, runs: Runs, settings: DesignSettings, before: tuple) ->
         prices_of(question, last.candidate.multipliers, samples),
         tuple(found.rounds),
         found.ended,
-        float(settings.accuracy),
+        float(settings.allowed_excess),
         runs.count - before[0],
         runs.computed - before[1],
         runs.failed - before[2],

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from jaxclear.ground.answering import formerly
 from jaxclear.ground.shown import AbstractShown, as_written, in_digits
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_design
@@ -50,7 +51,7 @@ class Design(AbstractShown):
     prices: np.ndarray
     rounds: tuple[Round, ...]
     ended: str = eqx.field(static=True)
-    accuracy: float = eqx.field(static=True)
+    allowed_excess: float = eqx.field(static=True)
     runs: int = eqx.field(static=True)
     computed: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
@@ -58,6 +59,8 @@ class Design(AbstractShown):
     endless: tuple[str, ...] = eqx.field(static=True, default=())
     # How many of all runs warn of what concerns the limited responses.
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
+
+    accuracy = formerly("accuracy", "allowed_excess")
 
     @property
     def limits(self) -> tuple[AbstractLimit, ...]:
@@ -77,10 +80,10 @@ class Design(AbstractShown):
 
     @property
     def holds(self) -> bool:
-        """Whether new runs found every limit kept, to within the accuracy asked for, no more of
+        """Whether new runs found every limit kept, to within what it may be missed by, no more of
         them failed than 1 %, or than the share that the rarest limit speaks of, and no more than
         5 % of them warn of what concerns a limited response."""
-        kept = self.verified and bool(np.all(self.excess <= self.accuracy))
+        kept = self.verified and bool(np.all(self.excess <= self.allowed_excess))
         return kept and not self._too_lost and not self._in_doubt
 
     @property
@@ -126,11 +129,11 @@ class Design(AbstractShown):
         if not self.verified:
             said.append("Not verified by runs of its own.")
         elif self.holds:
-            said.append(
-                f"All limits hold, by {self.seen_by} new runs, to within {100 * self.accuracy:g} %."
-            )
+            within = f"to within {100 * self.allowed_excess:g} %"
+            said.append(f"All limits hold, by {self.seen_by} new runs, {within}.")
         else:
-            broken = [self._broken(i) for i in np.flatnonzero(~(self.excess <= self.accuracy))]
+            beyond = np.flatnonzero(~(self.excess <= self.allowed_excess))
+            broken = [self._broken(i) for i in beyond]
             broken += [self._lost()] if self._too_lost else []
             said += [f"It does not hold: {'; '.join(broken)}."] if broken else []
             said += [f"It is not known to hold, by runs in doubt. {own}" for own in self._in_doubt]
@@ -224,7 +227,7 @@ class Design(AbstractShown):
                     "error": self.errors[i],
                     "bound": float(limit.bound()),
                     "side": "at most" if limit.upper() else "at least",
-                    "holds": bool(self.excess[i] <= self.accuracy),
+                    "holds": bool(self.excess[i] <= self.allowed_excess),
                     "price": self.prices[i],
                 }
             )

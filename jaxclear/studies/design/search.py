@@ -90,7 +90,7 @@ class _Seeking:
             self.place = candidate.place
             # Kept before it is verified: an interrupt may come in between.
             self.rounds.append(self._round(candidate, None))
-            infeasible = candidate.broken > self.settings.accuracy
+            infeasible = candidate.broken > self.settings.allowed_excess
             self.ended = "infeasible" if infeasible else "rounds"
             check = self._checked(number, candidate)
             self.rounds[-1] = self._round(candidate, check)
@@ -189,7 +189,7 @@ class _Seeking:
             # Seeds apart from those of surfaces and of the search.
             seed = 1000 * (self.settings.seed + 1) + (times + 1) * number + again
             check = verifier.check(candidate.place, self.model, samples, seed, shifts)
-            unsure = check.excess_errors.max() > self.settings.accuracy
+            unsure = check.excess_errors.max() > self.settings.allowed_excess
             if not unsure:
                 return check
             samples *= MORE
@@ -197,7 +197,7 @@ class _Seeking:
 
     def _good(self, candidate: Candidate, check: Check) -> bool:
         """Whether every limit is kept, and what decides is used up."""
-        allowed = self.settings.accuracy
+        allowed = self.settings.allowed_excess
         kept = check.excess <= allowed
         used = (candidate.multipliers <= 0) | (
             check.excess >= -np.maximum(allowed, check.excess_errors)

@@ -1,7 +1,10 @@
-"""How a design is sought: accuracy, sizes of samples, which optimiser."""
+"""How a design is sought: what a limit is let pass, sizes of samples, which optimiser."""
+
+from typing import ClassVar
 
 import equinox as eqx
 
+from jaxclear.ground.answering import formerly
 from jaxclear.ground.arguments import check_count, check_known
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 
@@ -13,15 +16,19 @@ TENS = 40
 
 
 class DesignSettings(AbstractQuantified):
-    """`accuracy` [1]: by how much of itself a limit may be missed. `samples`: points at which a
-    surface, or a problem that answers at once, is taken; `check`: runs of a verification, `runs`:
+    """`allowed_excess` [1]: by how much of itself a limit may be missed. `samples`: points at which
+    a surface, or a problem that answers at once, is taken; `check`: runs of a verification, `runs`:
     of a surface (None: two for each term of a quadratic, 64 at least). `rounds`: verifications at
     the most. `method`: "slsqp", "optax" (an augmented Lagrangian), "noisy" (the same on new runs in
     every step, by score functions: for responses that jump, rattle or count, which no surface
     explains), or "auto", the first or second by how many numbers are free. `surface`: whether one
     stands in for the problem (None: unless it answers at once)."""
 
-    accuracy: Scalar = quantity(5e-3, "1", "miss of a limit that is let pass", above=0, below=1)
+    # The name of version 0.29.
+    RENAMED: ClassVar = {"accuracy": "allowed_excess"}
+    allowed_excess: Scalar = quantity(
+        5e-3, "1", "miss of a limit that is let pass", above=0, below=1
+    )
     samples: int = count(2048, "points of a population", at_least=64)
     check: int = count(128, "runs of a verification", at_least=16)
     runs: int | None = eqx.field(static=True, default=None)
@@ -29,6 +36,8 @@ class DesignSettings(AbstractQuantified):
     seed: int = count(0, "seed of all random numbers", at_least=0)
     method: str = eqx.field(static=True, default="auto")
     surface: bool | None = eqx.field(static=True, default=None)
+
+    accuracy = formerly("accuracy", "allowed_excess")
 
     def __check_init__(self):
         check_known("method of a design", self.method, METHODS)

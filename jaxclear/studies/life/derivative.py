@@ -127,9 +127,9 @@ def _none(unit: str, why: str) -> LifeDerivative:
 
 def _along(life: WearLife, values: Any, most: int) -> WearLife:
     """The life with other numbers, by the same steps."""
-    accurate = life.tolerance if np.isfinite(life.tolerance) else 1.0
+    accurate = life.accuracy if np.isfinite(life.accuracy) else 1.0
     living = Living(life.problem, values, Patience(SETTLED, accurate, most), None)
-    return lived(living, life.asked, life.tolerance, None, np.diff(life.cycles))
+    return lived(living, life.asked, life.accuracy, None, np.diff(life.cycles))
 
 
 def _told(life: WearLife, quantity: str, limit: float | None) -> tuple[float, float]:

@@ -5,7 +5,7 @@ is to last. A life chooses its own steps, so it is no compiled program; its cycl
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground.answering import formerly
 from jaxclear.ground.arguments import check_count, check_number, expect
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.figures import Checks
@@ -48,7 +49,7 @@ class LifeProblem(AbstractProblem):
     them by a forecast from its last rate not in 100 times what its first cycles say, is infinite:
     longer than told. That counts as such in shares, quantiles and limits; a mean of it is refused.
     Without `cycles` it counts as longer than any limit: give them where one is to be that long.
-    `tolerance` [1] and `most` as in `wear_life`. Variables are the problem's. A sample whose life
+    `accuracy` [1] and `most` as in `wear_life`. Variables are the problem's. A sample whose life
     ends by a failed cycle before it tells what is asked has failed. Raises `ValueError` with a
     sentence for what cannot be asked.
     """
@@ -58,11 +59,15 @@ class LifeProblem(AbstractProblem):
     variables: dict[str, AbstractMechanismVariable]
     correlation: Float[Array, "variables variables"] | None
     cycles: float | None = eqx.field(static=True)
-    tolerance: float = eqx.field(static=True)
+    # The name of version 0.29.
+    RENAMED: ClassVar = {"tolerance": "accuracy"}
+    accuracy: float = eqx.field(static=True)
     most: int = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     response_names: tuple[str, ...] = eqx.field(static=True)
     variable_units: tuple[str, ...] = eqx.field(static=True)
+
+    tolerance = formerly("tolerance", "accuracy")
 
     def __init__(
         self,
@@ -70,19 +75,19 @@ class LifeProblem(AbstractProblem):
         response: Callable | Mapping[str, Callable],
         *,
         cycles: float | None = None,
-        tolerance: float = 1e-2,
+        accuracy: float = 1e-2,
         most: int = 12,
     ):
         expect(problem, Problem, "the problem of a LifeProblem", "a jaxclear.Problem of one cycle")
         check_asked(problem)
         if cycles is not None:
             check_number("cycles of a LifeProblem", cycles, above=0)
-        check_number("tolerance of a LifeProblem", tolerance, above=0)
+        check_number("accuracy of a LifeProblem", accuracy, above=0)
         check_count("most of a LifeProblem", most)
         self.problem, self.response = problem, by_name("response", response)
         self.variables, self.correlation = problem.variables, problem.correlation
         self.cycles = None if cycles is None else float(cycles)
-        self.tolerance, self.most = float(tolerance), most
+        self.accuracy, self.most = float(accuracy), most
         self.names, self.variable_units = problem.names, problem.variable_units
         self.response_names = tuple(self.response)
         check_responses(self.response, self.variables, "a life")
@@ -197,8 +202,10 @@ class LifeProblem(AbstractProblem):
         return "a life chooses its own steps; ask jaxclear.wear_life_derivatives for one.", ""
 
     def parts(self):
-        told = ("response", "cycles", "tolerance", "most")
-        return self.problem.parts() | {f"{what} of lives": getattr(self, what) for what in told}
+        # By the names with which folders were written.
+        told = {"response": "response", "cycles": "cycles", "tolerance": "accuracy", "most": "most"}
+        own = {f"{name} of lives": getattr(self, what) for name, what in told.items()}
+        return self.problem.parts() | own
 
     def _own(self) -> dict[str, AbstractLifeResponse]:
         """Responses that are of this package's own kind."""
@@ -242,9 +249,9 @@ class LifeProblem(AbstractProblem):
         return Outcome.OUT_OF_RANGE
 
     def _lived(self, values: Any, cycles: float) -> WearLife:
-        patience = Patience(SETTLED, float(self.tolerance), self.most)
+        patience = Patience(SETTLED, float(self.accuracy), self.most)
         life = Living(self.problem, values, patience, None)
-        return lived(life, float(cycles), float(self.tolerance), None)
+        return lived(life, float(cycles), float(self.accuracy), None)
 
     def _failed(self, outcome: Outcome) -> SampleResult:
         """A sample without a life, of the same shape as others."""

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.answering import answering, renamed
 from jaxclear.ground.arguments import check_count, check_flags, check_number, expect
 from jaxclear.ground.shown import AbstractShown
 from jaxclear.simulation import progress
@@ -96,25 +96,26 @@ class WearLives(AbstractShown):
 
 
 @answering
+@renamed(tolerance="accuracy")
 def wear_lives(
     problem: Problem,
     samples: int = 32,
     cycles: float = 1e6,
     *,
     seed: int = 0,
-    tolerance: float = 1e-2,
+    accuracy: float = 1e-2,
     most: int = 12,
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> WearLives:
     """The wear of lives over a quasi-random sample of the problem's variables; `cycles` [1],
-    `tolerance` [1], `most` as in `wear_life`, of every one of them. `store`: a folder in which each
+    `accuracy` [1], `most` as in `wear_life`, of every one of them. `store`: a folder in which each
     life is kept, from which an interrupted study goes on. A life that has no first cycle keeps its
     row, with a sentence. Raises `ValueError` with a sentence for what cannot be asked.
     """
     expect(problem, Problem, "what lives", "a jaxclear.Problem")
     check_number("cycles of wear_lives", cycles, above=0)
-    check_number("tolerance of wear_lives", tolerance, above=0)
+    check_number("accuracy of wear_lives", accuracy, above=0)
     check_count("most of wear_lives", most)
     check_flags("wear_lives", progress_bar=progress_bar)
     check_asked(problem)
@@ -128,8 +129,8 @@ def wear_lives(
                 texts = in_texts(problem) | {"values of its variables": repr(own.tolist())}
                 kept = Store.opened(Path(store) / f"{i:06d}", "a wear life", texts)
             try:
-                living = Living(problem, jnp.asarray(own), Patience(SETTLED, tolerance, most), kept)
-                lives.append(lived(living, float(cycles), float(tolerance), None))
+                living = Living(problem, jnp.asarray(own), Patience(SETTLED, accuracy, most), kept)
+                lives.append(lived(living, float(cycles), float(accuracy), None))
             except (SimulationError, ValueError) as reason:
                 lives.append(None)
                 failed[i] = str(reason)

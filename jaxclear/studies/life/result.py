@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from jaxclear.ground.answering import formerly
 from jaxclear.ground.arguments import check_known, check_number
 from jaxclear.ground.datasets import provenance
 from jaxclear.ground.shown import AbstractShown
@@ -46,7 +47,7 @@ class Lifetime(NamedTuple):
 
 class WearLife(AbstractShown):
     """The wear of a life. `stages` are the points at which cycles were run, `cells` say how depths
-    stand in a row, `new` are the surfaces at its start; `asked` [cycles] and `tolerance` [1] as
+    stand in a row, `new` are the surfaces at its start; `asked` [cycles] and `accuracy` [1] as
     asked for; `ended` says why a life ended before its time, "" for one that did not; `simulated`
     cycles were run in all, `rejected` steps taken back; `checks` is the worst that any cycle found
     out about itself.
@@ -58,10 +59,12 @@ class WearLife(AbstractShown):
     new: Worn
     checks: Checks
     asked: float = eqx.field(static=True)
-    tolerance: float = eqx.field(static=True)
+    accuracy: float = eqx.field(static=True)
     ended: str = eqx.field(static=True)
     simulated: int = eqx.field(static=True)
     rejected: int = eqx.field(static=True)
+
+    tolerance = formerly("tolerance", "accuracy")
 
     @property
     def cycles(self) -> np.ndarray:
@@ -230,11 +233,11 @@ class WearLife(AbstractShown):
                 f" At {restless} of {len(self.stages)} stages no cycle is periodic: rates are "
                 "means over cycles, and their noise is part of that error."
             )
-        if self.error > self.tolerance:
-            text += f" That is more than the {100 * self.tolerance:.2g} % asked for"
+        if self.error > self.accuracy:
+            text += f" That is more than the {100 * self.accuracy:.2g} % asked for"
             text += "; with a larger `most` noise is less." if restless else "."
         by_saves = float(self.by_saves.max())
-        if by_saves > self.tolerance:
+        if by_saves > self.accuracy:
             text += (
                 " With a fourth of its saving times, at which surfaces are updated, a cycle would "
                 f"spread wear otherwise, by up to {100 * by_saves:.2g} % of the depth of cells; "

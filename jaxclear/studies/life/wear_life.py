@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.answering import answering, renamed
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation import progress
@@ -34,12 +34,13 @@ FIRST_DEPTH, FIRST_SHARE = 0.1, 0.25
 
 
 @answering
+@renamed(tolerance="accuracy")
 def wear_life(
     asked: Mechanism | Problem,
     cycles: float = 1e6,
     *,
     period: float | None = None,
-    tolerance: float = 1e-2,
+    accuracy: float = 1e-2,
     jump: float | None = None,
     most: int = 12,
     store: str | Path | None = None,
@@ -49,10 +50,10 @@ def wear_life(
     `period` [s], or of a `Problem` whose duration is the period and whose responses are followed,
     at its nominal numbers.
 
-    Steps are as long as lets each be wrong by `tolerance` [1] of what it wears, and so the whole
+    Steps are as long as lets each be wrong by `accuracy` [1] of what it wears, and so the whole
     life (root mean square over the cells of a surface); `jump` [cycles] gives them a fixed length
     instead, each with the rate at its start. The rate is that of a periodic cycle (`settled`);
-    where none comes it is a mean over as many as bring its noise below the tolerance, `most` at the
+    where none comes it is a mean over as many as bring its noise below that, `most` at the
     most, and what noise is left belongs to the error. With `most` of 32 or more such cycles run
     eight side by side from the second rate on, by a program of their own: once that is compiled
     (15 s for the 3RSR), each takes a third of the time. `store`: a folder (Zarr) that keeps every
@@ -62,16 +63,16 @@ def wear_life(
     """
     problem = as_problem("wear_life", asked, period)
     check_number("cycles of wear_life", cycles, above=0)
-    check_number("tolerance of wear_life", tolerance, above=0)
+    check_number("accuracy of wear_life", accuracy, above=0)
     if jump is not None:
         check_number("jump of wear_life", jump, at_least=1)
     check_count("most of wear_life", most)
     check_flags("wear_life", progress_bar=progress_bar)
     check_asked(problem)
     kept = None if store is None else Store.opened(store, "a wear life", in_texts(problem))
-    living = Living(problem, problem.nominal(), Patience(SETTLED, tolerance, most), kept)
+    living = Living(problem, problem.nominal(), Patience(SETTLED, accuracy, most), kept)
     with progress.bar(progress_bar, "wear life"):
-        result = lived(living, float(cycles), float(tolerance), jump)
+        result = lived(living, float(cycles), float(accuracy), jump)
     if kept is not None:
         kept.conclude(result.to_dataset())
     return result
@@ -80,7 +81,7 @@ def wear_life(
 def lived(
     living: Living,
     cycles: float,
-    tolerance: float,
+    accuracy: float,
     jump: float | None,
     lengths: np.ndarray | None = None,
 ) -> WearLife:
@@ -89,7 +90,7 @@ def lived(
     if lengths is not None:
         found = live_along(living.evaluate, start, living.cells, lengths)
     else:
-        found = _stepped(living, start, cycles, tolerance, jump)
+        found = _stepped(living, start, cycles, accuracy, jump)
     return WearLife(
         living.problem,
         tuple(Stage(node, node.rate.told) for node in found.nodes),
@@ -97,7 +98,7 @@ def lived(
         living.worn,
         living.checks(),
         cycles,
-        tolerance if jump is None else np.inf,
+        accuracy if jump is None else np.inf,
         found.ended,
         living.simulated,
         found.rejected,
@@ -116,7 +117,7 @@ def _start(living: Living) -> Node:
 
 
 def _stepped(
-    living: Living, start: Node, cycles: float, tolerance: float, jump: float | None
+    living: Living, start: Node, cycles: float, accuracy: float, jump: float | None
 ) -> Stepped:
     """The nodes of the life."""
     cells, rate = living.cells, start.rate
@@ -127,7 +128,7 @@ def _stepped(
     deepest = float(rate.wear.max(initial=0.0))
     room = FIRST_DEPTH * _smallest_clearance(living.problem.mechanism)
     first = min(FIRST_SHARE * cycles, room / deepest if deepest > 0 else cycles)
-    return live(living.evaluate, start, cells, cycles, tolerance, max(first, 1.0), hear)
+    return live(living.evaluate, start, cells, cycles, accuracy, max(first, 1.0), hear)
 
 
 def _smallest_clearance(mechanism: Mechanism) -> float:

@@ -35,11 +35,11 @@ def importance(
     model: RunModel,
     surface: SurfaceModel | None,
     proposal: Proposal,
-    accuracy: float,
+    variation: float,
     most_runs: int,
     seed: int,
 ) -> Probability:
-    """Probability of failing to a coefficient of variation of `accuracy`, in `most_runs` at the
+    """Probability of failing to a coefficient of variation of `variation`, in `most_runs` at the
     most."""
     cuts = model.limit.cut_sets()
     before, failed = model.runs, model.failed
@@ -62,10 +62,10 @@ def importance(
         within = np.concatenate([within, blocks.var(axis=1, ddof=1) / BLOCK])
         found = _answer(means, within, known, counts)
         runs = model.runs - before
-        if found.variation <= accuracy:
+        if found.variation <= variation:
             break
         # A coefficient of variation falls with the root of the runs.
-        needed = runs * (found.variation / accuracy) ** 2 if counts else np.inf
+        needed = runs * (found.variation / variation) ** 2 if counts else np.inf
         if runs + MORE * BLOCK > most_runs or (runs >= LOOK and needed > 2 * most_runs):
             break
     share = unknown / (runs * found.value) if found.value > 0 else 0.0

@@ -2,7 +2,7 @@
 
 Design points are found on the exact slopes of functions, else on a surface that is mended where
 parts fail. From there FORM and SORM answer at once, and importance sampling says how
-far they are right; where it does not reach the accuracy, subset simulation takes its place. Where
+far they are right; where it is not certain enough, subset simulation takes its place. Where
 nothing that fails is found, a search of few runs says whether any is within reach.
 """
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.ground.answering import answering
+from jaxclear.ground.answering import answering, renamed
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.endless import check_told
@@ -38,13 +38,14 @@ CHEAP = 1024
 
 
 @answering
+@renamed(accuracy="variation")
 def reliability(
     problem: AbstractProblem,
     limit: AbstractLimitState,
     *,
     methods: Sequence[str] | None = None,
     surface: ResponseSurface | None = None,
-    accuracy: float = 0.1,
+    variation: float = 0.1,
     most_runs: int = 20_000,
     seed: int = 0,
     progress_bar: bool = False,
@@ -53,7 +54,7 @@ def reliability(
 
     `limit`: of `jaxclear.limit_state`: `Above("response", threshold)`, `Below`, or several in
     `Series` or `Parallel`. `methods`: some of "form", "sorm", "importance" and "subset"; by default
-    the first three, and the last where importance sampling does not reach the `accuracy` [1], a
+    the first three, and the last where importance sampling does not reach the `variation` [1], a
     coefficient of variation. `most_runs` bounds the runs of each sampling (subset simulation begins
     with eight repetitions whatever they cost, but not where a search of 2360 runs finds nothing
     that fails: the limit is then told to lie beyond everything seen). `surface`: of
@@ -63,7 +64,7 @@ def reliability(
     """
     expect(problem, AbstractProblem, "what reliability is asked of", "a problem of jaxclear")
     wanted = _checked(problem, limit, methods, surface)
-    check_number("accuracy of reliability", accuracy, above=0, at_most=1)
+    check_number("variation of reliability", variation, above=0, at_most=1)
     check_count("most_runs of reliability", most_runs)
     check_count("seed of reliability", seed, at_least=0)
     check_flags("reliability", progress_bar=progress_bar)
@@ -72,18 +73,18 @@ def reliability(
     points, own, notes = _searched(model, surface, wanted, seed, reach)
     estimates = _from_points(model, own, points, wanted, notes)
     if "importance" in wanted:
-        asked = accuracy, most_runs, seed
+        asked = variation, most_runs, seed
         estimates["importance"] = _about(model, own, points, asked) or _none(own, limit, notes)
-    missed = "importance" in estimates and not estimates["importance"].variation <= accuracy
+    missed = "importance" in estimates and not estimates["importance"].variation <= variation
     looked = "subset" in wanted or (methods is None and missed)
     if looked and (_seen_failing(estimates, points, own) or not reach.beyond()):
-        estimates["subset"] = subset(model, accuracy, most_runs, seed)
+        estimates["subset"] = subset(model, variation, most_runs, seed)
     if reach.sentence:
         nothing = refused(reach.sentence, model.runs)
         estimates = dict.fromkeys([*estimates, "subset"], nothing)
     counts = model.runs, model.failed
     said = tuple(notes), model.warnings()
-    return Reliability(problem, limit, estimates, tuple(points), own, *counts, accuracy, *said)
+    return Reliability(problem, limit, estimates, tuple(points), own, *counts, variation, *said)
 
 
 def _about(
@@ -92,7 +93,7 @@ def _about(
     points: list[DesignPoint],
     asked: tuple[float, int, int],
 ) -> Probability | None:
-    """What importance sampling answers; None without a design point. `asked`: accuracy, most runs,
+    """What importance sampling answers; None without a design point. `asked`: variation, most runs,
     seed."""
     if not points:
         return None

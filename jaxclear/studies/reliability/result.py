@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from jaxclear.ground.answering import formerly
 from jaxclear.ground.shown import AbstractShown
 from jaxclear.studies.base import AbstractProblem
 from jaxclear.studies.datasets import of_reliability
@@ -27,8 +28,8 @@ class Reliability(AbstractShown):
     `estimates` are the methods' own answers by name. `points` are the design points, likeliest
     first: the likeliest parts that fail. `surface` is what they were found on, None where it was
     the runs themselves. `runs` and `failed` count all runs, those of the search and the surface
-    too, and those of them that did not reach their end; `accuracy` is the coefficient of variation
-    that was asked for; `notes` are sentences, as are `warnings`, of what the runs warn.
+    too, and those of them that did not reach their end; `asked_variation` is the coefficient of
+    variation that was asked for; `notes` are sentences, as are `warnings`, of what the runs warn.
     """
 
     problem: AbstractProblem
@@ -38,9 +39,11 @@ class Reliability(AbstractShown):
     surface: ResponseSurface | None
     runs: int = eqx.field(static=True)
     failed: int = eqx.field(static=True)
-    accuracy: float = eqx.field(static=True)
+    asked_variation: float = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
+
+    accuracy = formerly("accuracy", "asked_variation")
 
     @property
     def method(self) -> str:
@@ -144,8 +147,10 @@ class Reliability(AbstractShown):
                 f", coefficient of variation {own.variation:.1%} (95 %: {low:.3g} to {high:.3g})"
             )
             text += f", by {_named(self.method)}"
-            if own.variation > self.accuracy:
-                text += f"; {self.accuracy:.0%} were asked for and take more runs (most_runs)"
+            if own.variation > self.asked_variation:
+                text += (
+                    f"; {self.asked_variation:.0%} were asked for and take more runs (most_runs)"
+                )
         else:
             text += f" by {_named(self.method)}, whose error is not known: sample to know it"
         said = [f"{text}; {self.runs} runs in all.", *self._comparison(own), *self._lost(own)]
@@ -171,7 +176,7 @@ class Reliability(AbstractShown):
                     )
             elif not own.interval[0] <= other.value <= own.interval[1]:
                 ratio = other.value / own.value
-                if abs(ratio - 1) <= 2 * self.accuracy:
+                if abs(ratio - 1) <= 2 * self.asked_variation:
                     continue
                 times = f"{ratio:.2g} times as much" if ratio >= 1 else f"1/{1 / ratio:.2g} of it"
                 said.append(

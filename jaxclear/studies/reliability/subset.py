@@ -28,8 +28,8 @@ MOST_LEVELS = 12
 BROKEN = -1e300
 
 
-def subset(model: RunModel, accuracy: float, most_runs: int, seed: int) -> Probability:
-    """Probability of failing to a coefficient of variation of `accuracy`, in `most_runs` at the
+def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Probability:
+    """Probability of failing to a coefficient of variation of `variation`, in `most_runs` at the
     most, the first repetitions aside.
 
     An answer is too high by up to half the square of a single repetition's coefficient of
@@ -49,9 +49,9 @@ def subset(model: RunModel, accuracy: float, most_runs: int, seed: int) -> Proba
         single = _single(values, level)
         error = np.hypot(single / np.sqrt(len(values)), 0.5 * single**2)
         left = most_runs - (model.runs - before)
-        if error <= accuracy or left < cost * MORE / len(values):
+        if error <= variation or left < cost * MORE / len(values):
             break
-        if single**2 > accuracy and level < LARGEST and left > 2 * cost / len(values) * FIRST:
+        if single**2 > variation and level < LARGEST and left > 2 * cost / len(values) * FIRST:
             values, unknown, cost, level = np.zeros(0), np.zeros(0), 0, 2 * level
     runs, failed = model.runs - before, model.failed - failed
     if mean == 0.0:

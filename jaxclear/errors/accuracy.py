@@ -1,0 +1,130 @@
+"""What is asked of the numbers of a run: how far each may be off. A share governs all standard
+answers that do not hang on an instant; numbers in units govern those that are named, and others
+that a user draws from a run.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.errors.observables import Apart, Observables, apart, observed
+from jaxclear.ground.arguments import check_known, check_number, expect
+from jaxclear.ground.in_words import in_a_line
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.wording import described, public_name
+from jaxclear.integrators.promise import Promise
+from jaxclear.results.response import unit_of
+from jaxclear.results.trajectory import Trajectory
+
+# What is promised of nothing.
+NOTHING = Promise(None, None, None, None, None)
+# The part of a promise that holds of an answer that a user draws.
+DRAWN = "drawn"
+
+
+class Seen(NamedTuple):
+    """What is compared of a run: its standard answers, and what was drawn from it."""
+
+    standard: Observables
+    drawn: tuple[float, ...]
+
+
+class Asked(NamedTuple):
+    """How far answers may be off: by the shares of a `promise`, or in `units` by the name of an
+    answer, that of a standard one or of one of the `responses` that a user draws. `why`: what the
+    integrator was chosen for, in a sentence."""
+
+    promise: Promise
+    units: tuple[tuple[str, float], ...] = ()
+    responses: tuple[tuple[str, Callable], ...] = ()
+    why: str = ""
+
+    def seen(self, run: Trajectory) -> Seen:
+        """What is compared of a run."""
+        return Seen(observed(run), tuple(float(np.asarray(own(run))) for _, own in self.responses))
+
+    def apart(self, run: Trajectory, one: Seen, other: Seen, finest: Seen) -> list[Apart]:
+        """How far two runs are apart, by answer, beside the `finest`; `run`: the one that is
+        judged. Raises `ValueError` for a name that no answer has."""
+        rows = apart(run, one.standard, other.standard, finest.standard)
+        drawn = zip(self.responses, one.drawn, other.drawn, finest.drawn, strict=True)
+        for (name, own), x, y, last in drawn:
+            row = name, DRAWN, "", unit_of(own, run.mechanism), x, abs(x - y), abs(last)
+            rows.append(Apart(*row))
+        known = {name for row in rows for name in (row.answer, named(row))}
+        for name, _ in self.units:
+            check_known("answer", name, sorted(known), " of this run")
+        return rows
+
+    def allowed(self, row: Apart) -> float | None:
+        """By how much an answer may be off, in its unit; None: by any."""
+        units = dict(self.units)
+        most = units.get(named(row), units.get(row.answer))
+        if most is not None:
+            return most
+        share = getattr(self.promise, row.part, None)
+        return None if share is None else share * row.scale
+
+    def promised(self, row: Apart) -> float | None:
+        """The same as a share."""
+        most = self.allowed(row)
+        if most is None:
+            return None
+        return most / row.scale if row.scale > 0 else np.inf
+
+    def beside(self, run: Trajectory, one: Seen, other: Seen) -> dict[str, float]:
+        """By answer how far two runs are apart, beside what is allowed."""
+        rows = ((row, self.allowed(row)) for row in self.apart(run, one, other, other))
+        return {named(row): beside(row.off, most) for row, most in rows if most is not None}
+
+
+def beside(off: float, allowed: float) -> float:
+    """A difference beside what is allowed; of what may not differ at all 0 or endless."""
+    if allowed > 0:
+        return off / allowed
+    return 0.0 if off == 0 else np.inf
+
+
+def of_run(accuracy: Any) -> Asked:
+    """What `simulate(accuracy=)` asks: a share of all standard answers, or a mapping. Raises
+    `ValueError` with a sentence."""
+    asked = checked_accuracy(accuracy, "simulate")
+    if not isinstance(asked, dict):
+        return Asked(Promise(asked, None, asked, None, asked))
+    units = tuple((_called(name), most) for name, most in asked.items())
+    drawn = tuple((_called(name), name) for name in asked if not isinstance(name, str))
+    return Asked(NOTHING, units, drawn)
+
+
+def _called(answer: Any) -> str:
+    """The name of an answer: its own, or that of what draws it from a run."""
+    if isinstance(answer, str):
+        return answer
+    expect(answer, Callable, "what accuracy names", "a standard answer's name, or a response")
+    return in_a_line(answer) if isinstance(answer, eqx.Module) else public_name(answer)
+
+
+def checked_accuracy(accuracy: Any, owner: str) -> float | dict[Any, float]:
+    """A share, or numbers in units by name. Raises `ValueError` with a sentence for what is none,
+    and for what is traced."""
+    if is_traced(accuracy):
+        raise ValueError(
+            f"accuracy of {owner} is being traced (by jax.jit, vmap or grad): steps are chosen "
+            "by runs, before anything is traced; give a number of Python."
+        )
+    if not isinstance(accuracy, Mapping):
+        wanted = f"accuracy of {owner} (a share of each answer, 0.01 for 1 %)"
+        check_number(wanted, accuracy, above=0, below=1)
+        return float(accuracy)
+    if not accuracy:
+        raise ValueError(f"accuracy of {owner} is empty; name one answer at least.")
+    for name, most in accuracy.items():
+        check_number(f"accuracy of {described(name)}", most, above=0)
+    return {name: float(most) for name, most in accuracy.items()}
+
+
+def named(one: Apart) -> str:
+    """An answer with its place."""
+    return f'{one.answer}, "{one.place}"' if one.place else one.answer

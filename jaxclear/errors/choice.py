@@ -1,0 +1,214 @@
+"""Which integrator, and which steps, keep the accuracy that is asked for, at the least work.
+
+Every rung that solves the model as it is stated is climbed from coarse to fine, on one run. The
+next settings of a rung are the replicas of the one before (`told.richardson`), so a ladder
+of n settings costs n runs. What agrees with itself may still agree by chance where its steps pass
+over impacts: beside the runs under error control no answer may differ from them by more than is
+asked, and without these two finer runs must agree. Work is counted in evaluations of forces, never
+timed: the same question always gets the same answer.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxclear.errors.rungs import RK4, Rung
+from jaxclear.errors.told import richardson
+from jaxclear.errors.verification import DOUBT
+from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.fixed_step import USUAL_STEP
+from jaxclear.results.trajectory import Trajectory
+
+# So many times the work of the usual steps of studies may go into a choice; at least as many
+# evaluations of forces as take seconds in any mechanism.
+PATIENCE, LEAST_BUDGET = 20.0, 4e6
+# Share of the duration over which a rung is tried first whose work nobody knows beforehand, and how
+# many times as long each further part is. It may take half of what is left.
+FIRST_PART, LONGER = 1 / 512, 8
+
+# A run by an integrator, over this share of the duration.
+Again = Callable[[AbstractIntegrator, float], Trajectory]
+
+
+class Question(NamedTuple):
+    """What is compared of a run, as `seen(run)`; and, as `beside(run, one, other)`, how far two
+    runs are apart, by answer, beside what is allowed; the saving `times` [s]."""
+
+    seen: Callable[[Trajectory], Any]
+    beside: Callable[[Trajectory, Any, Any], dict[str, float]]
+    times: np.ndarray
+
+
+class Chosen(NamedTuple):
+    """The `integrator`, and `why`, in a sentence; the error told beside what is allowed (`told`,
+    at most 1 where the accuracy is reached); `work` of a run, and `spent` on the choice
+    [evaluations of forces]."""
+
+    integrator: AbstractIntegrator
+    why: str
+    told: float
+    work: int
+    spent: int
+
+    @property
+    def reached(self) -> bool:
+        """Whether the accuracy is reached."""
+        return self.told <= 1
+
+
+class _Tried(NamedTuple):
+    """A setting of a rung, the run by it (None: it failed), what is compared of that, and its work;
+    its error beside what is allowed, and of which answer."""
+
+    rung: Rung
+    integrator: AbstractIntegrator
+    run: Trajectory | None
+    seen: Any
+    work: int
+    told: float = math.inf
+    worst: str = ""
+
+
+def budget_of(times: np.ndarray) -> float:
+    """What a choice for a run saved at these times [s] may take [evaluations of forces]."""
+    usual = RK4 * float(times[-1] - times[0]) / USUAL_STEP
+    return max(PATIENCE * usual, LEAST_BUDGET)
+
+
+def chosen(
+    rungs: list[Rung], again: Again, question: Question, budget: float | None = None
+) -> Chosen:
+    """The cheapest setting of these rungs, of which the first is under error control if any is,
+    that keeps the accuracy; the most accurate one tried where none does within the `budget`
+    [evaluations of forces] (None: that of `budget_of`)."""
+    budget = budget_of(question.times) if budget is None else budget
+    search = _Search(again, question, budget)
+    for rung in rungs:
+        search.climb(rung)
+    spent = search.spent
+    if search.best is not None:
+        found = search.best
+        why = (
+            f"the cheapest setting tried that keeps the accuracy asked (told {found.told:.0%} of "
+            f"it), {found.work} evaluations of forces a run"
+        )
+    else:
+        judged = [each for each in search.judged if each.told < math.inf]
+        if not judged:
+            usual = rungs[0].usual
+            why = f"Run with integrator.{rungs[0].typed(usual)}: of the settings tried none tells."
+            return Chosen(usual, why, math.inf, 0, spent)
+        found = min(judged, key=lambda each: each.told)
+        why = (
+            f"nothing within {budget:.2g} evaluations of forces keeps the accuracy asked; "
+            f"{found.worst} is told to {found.told:.2g} times that"
+        )
+    typed = found.rung.typed(found.integrator)
+    why = f"Run with integrator.{typed}: {why}."
+    return Chosen(found.integrator, why, found.told, found.work, spent)
+
+
+class _Search:
+    """What is known so far: the cheapest setting that keeps the accuracy (`best`), all that were
+    `judged`, the finest run under error control where that keeps it (`reference`), and the work
+    that was `spent`."""
+
+    def __init__(self, again: Again, question: Question, budget: float):
+        self.again, self.question, self.budget = again, question, budget
+        self.spent = 0
+        self.best: _Tried | None = None
+        self.reference: _Tried | None = None
+        self.judged: list[_Tried] = []
+
+    def climb(self, rung: Rung) -> None:
+        """Settings of a rung from coarse to fine, until one keeps the accuracy, or none that does
+        can be cheaper than the best, or the budget is spent."""
+        settings: list[_Tried] = []
+        first = 0
+        following: AbstractIntegrator | None = rung.first
+        while following is not None and self._affords(rung, following, settings[first:]):
+            settings.append(self._tried(rung, following))
+            while first + 1 < len(settings):
+                one = self._judged(settings[first], settings[first + 1 : first + 3])
+                if one is None:
+                    break
+                self.judged.append(one)
+                if one.told <= 1:
+                    self._keep(one, settings[-1])
+                    return
+                first += 1
+            following = rung.finer(following)
+        self._leave(settings[first:])
+
+    def _leave(self, undecided: list[_Tried]) -> None:
+        """What is left where another run cannot be had: one that does not agree by chance counts by
+        what is known of it."""
+        if len(undecided) < 2:
+            return
+        one = self._told(undecided[0], undecided[1:3])
+        self.judged.append(one)
+        if one.told <= 1 and self._trusted(one):
+            self._keep(one, undecided[-1])
+
+    def _trusted(self, one: _Tried) -> bool:
+        """Whether a setting is under error control, or stands beside one that is."""
+        return one.rung.controlled or self.reference is not None
+
+    def _affords(self, rung: Rung, setting: AbstractIntegrator, open_settings: list[_Tried]):
+        """Whether a setting is worth a run, behind those that are not decided yet."""
+        known = rung.work_before(setting, self.question.times)
+        last = open_settings[-1].work if open_settings else None
+        own = open_settings[0].work if open_settings else known
+        if self.best is not None and own is not None and own >= self.best.work:
+            return False
+        if known is None:
+            known = self._foreseen(rung, setting) if last is None else rung.growth * last
+        return self.spent + known <= self.budget
+
+    def _foreseen(self, rung: Rung, setting: AbstractIntegrator) -> float:
+        """Work of a run that finds its steps itself, from runs of longer and longer first parts,
+        until one shows that it is too dear; steps that end at saving times are as many in each."""
+        saves = rung.evaluations * len(self.question.times)
+        work, share = 0.0, FIRST_PART
+        while share < 1:
+            work = rung.work_of(self.again(setting, share))
+            self.spent += int(work)
+            work, share = LONGER * max(work - saves, 0) + saves, LONGER * share
+            if work > 0.5 * (self.budget - self.spent):
+                return math.inf
+        return work
+
+    def _tried(self, rung: Rung, setting: AbstractIntegrator) -> _Tried:
+        run = self.again(setting, 1.0)
+        work = rung.work_of(run)
+        self.spent += work
+        if not run.succeeded:
+            return _Tried(rung, setting, None, None, work)
+        return _Tried(rung, setting, run, self.question.seen(run), work)
+
+    def _judged(self, one: _Tried, finer: list[_Tried]) -> _Tried | None:
+        """A setting with its error, as finer ones tell it; None where another one must."""
+        found = self._told(one, finer)
+        sure = found.told <= DOUBT and self._trusted(one)
+        return found if len(finer) > 1 or sure or found.told > 1 else None
+
+    def _told(self, one: _Tried, finer: list[_Tried]) -> _Tried:
+        """A setting with its error, as far as finer ones and the reference tell it."""
+        if one.run is None or any(each.run is None for each in finer):
+            return one._replace(told=math.inf, worst="the run")
+        off = [self.question.beside(one.run, one.seen, each.seen) for each in finer]
+        told = {name: float(richardson([each[name] for each in off])) for name in off[0]}
+        if self.reference is not None:
+            known = self.question.beside(one.run, one.seen, self.reference.seen)
+            told = {name: max(error, known[name]) for name, error in told.items()}
+        told = {name: math.inf if math.isnan(error) else error for name, error in told.items()}
+        worst = max(told, key=lambda name: told[name])
+        return one._replace(told=told[worst], worst=worst)
+
+    def _keep(self, one: _Tried, finest: _Tried) -> None:
+        if self.best is None or one.work < self.best.work:
+            self.best = one
+        if one.rung.controlled:
+            self.reference = finest

@@ -1,0 +1,79 @@
+"""The integrator of a study: for an accuracy of its responses, chosen once, from runs of the
+nominal sample, so that all samples are run alike. Unasked the first guess is taken
+(`usual_integrator`), which costs no run, unless it takes so many steps that a choice pays.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxclear.errors.accuracy import beside, checked_accuracy
+from jaxclear.errors.choice import Chosen
+from jaxclear.ground.arguments import check_known
+from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
+from jaxclear.integrators import AbstractIntegrator
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.results.trajectory import Trajectory
+from jaxclear.simulation.simulate import How, chosen_for
+from jaxclear.studies.usual_integrator import usual_integrator
+
+# Steps of a guess beyond which runs choose in its place, and the accuracy for which they do: a
+# hundred such runs take longer than the choice compiles.
+DEAR, UNASKED = 200_000, 0.02
+# A share of every response, or numbers in units by name.
+Wanted = float | tuple[tuple[str, float], ...]
+
+
+def chosen_integrator(
+    mechanism: Mechanism,
+    response: Mapping[str, Callable],
+    duration: Any,
+    asked: Wanted,
+    how: How,
+) -> Chosen:
+    """The integrator by which every response of a mechanism is as accurate as is `asked`, a share
+    of its size in the nominal sample or numbers in units by name, at the least work. Raises
+    `ValueError` with a sentence for what cannot be chosen."""
+    drawn = compiled_quickly(
+        lambda run: {name: own(run) for name, own in response.items()}, AROUND_A_KERNEL
+    )
+
+    def apart(run: Trajectory, one: dict, other: dict) -> dict[str, float]:
+        wanted = {name: allowed(asked, name, abs(one[name])) for name in response}
+        return {
+            name: beside(abs(one[name] - other[name]), most)
+            for name, most in wanted.items()
+            if most is not None
+        }
+
+    seen = lambda run: {name: float(np.asarray(x)) for name, x in drawn(run).items()}
+    return chosen_for(mechanism, duration, seen, apart, how)
+
+
+def unasked(
+    mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, how: How
+) -> tuple[AbstractIntegrator, str, Wanted | None]:
+    """The integrator of a study that asks for none, why, and the accuracy for which it was chosen
+    (None: it was not)."""
+    usual, why = usual_integrator(mechanism, duration)
+    step = usual.asked_step()
+    if not why or step is None or duration <= DEAR * step:
+        return usual, why, None
+    found = chosen_integrator(mechanism, response, duration, UNASKED, how)
+    return (found.integrator, found.why, UNASKED) if found.reached else (usual, why, None)
+
+
+def allowed(asked: Wanted, response: str, size: float) -> float | None:
+    """The largest error that is asked of a response of this `size`, in its unit; None: any."""
+    return asked * size if isinstance(asked, float) else dict(asked).get(response)
+
+
+def checked_asked(accuracy: Any, response: Mapping[str, Callable]) -> Wanted:
+    """What a problem is asked of its responses. Raises `ValueError` with a sentence."""
+    asked = checked_accuracy(accuracy, "a Problem")
+    if isinstance(asked, float):
+        return asked
+    for name in asked:
+        check_known("response", name, response, " in this problem")
+    return tuple(asked.items())
