@@ -20,8 +20,7 @@ REACHES = {
     "peak forces": ("peak forces",),
     "swinging forces": ("peak forces", "wear", "worn depth"),
     "wear": ("wear", "worn depth"),
-    # Where a journal is after many impacts hangs on every nanometre that it has worn.
-    "worn depth": ("worn depth", "places in gaps"),
+    "worn depth": ("worn depth",),
     "places in gaps": ("places in gaps", "wear", "worn depth"),
 }
 

@@ -20,6 +20,7 @@ from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import AbstractIntegrator, Outcome
 from jaxclear.integrators.figures import Checks
+from jaxclear.integrators.promise import STUDIES
 from jaxclear.multibody.assembly import (
     Start,
     assemble_arrays,
@@ -114,6 +115,8 @@ class Problem(AbstractProblem):
     why_integrator: str = eqx.field(static=True)
     # The accuracy that its runs were chosen for: a share of each response, or numbers by name.
     accuracy: float | tuple[tuple[str, float], ...] | None = eqx.field(static=True)
+    # Whether the integrator is the usual one of studies, for which nobody asked.
+    unasked: bool = eqx.field(static=True)
     # Redundant rows of loops, which all samples share.
     redundancy: Redundancy | None = eqx.field(static=True)
     # Touches and releases of each contact that are kept between two saving times.
@@ -150,6 +153,7 @@ class Problem(AbstractProblem):
         elif integrator is None:
             chosen = unasked(*given, How(asked, state))
         self.integrator, self.why_integrator, self.accuracy = chosen
+        self.unasked = integrator is None and self.accuracy is None
         self.events = checked_saving(asked, self.integrator).events
         self.duration, self.shares = times[-1], times / times[-1]
         self.names, self.response_names = tuple(self.variables), tuple(self.response)
@@ -281,7 +285,8 @@ class Problem(AbstractProblem):
 
     def promised(self, response, size):
         if self.accuracy is None:
-            return promised_of(self.mechanism, self.integrator, self.response[response], size)
+            promise = STUDIES if self.unasked else self.integrator.promise
+            return promised_of(self.mechanism, promise, self.response[response], size)
         return allowed(self.accuracy, response, size)
 
     def doubts(self):
