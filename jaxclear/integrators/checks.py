@@ -80,8 +80,8 @@ class Check(AbstractCheck):
         0.1,
         "worn depth",
         SURFACES,
-        'the deepest scar of joint "{place}" is hardly wider than a cell, so its depth is too '
-        "small ({figure:.2g}, limit {limit:g}): give its Wearing more cells",
+        'the deepest scar of joint "{place}" is hardly wider than a cell and told too shallow '
+        "({figure:.2g}, limit {limit:g}): give its Wearing more cells",
     )
     # What the model leaves out.
     COULOMB_FRICTION = (
