@@ -22,10 +22,8 @@ SLIDING = "journals that nothing holds along their axis"
 
 def _gone(code: int, label: str, limit: float, concerns: str, of: str = CONTACTS) -> tuple:
     """A check of earlier versions, of which kept runs and folders tell: no run asks it any more."""
-    sentence = (
-        f"an earlier version's check of {label} tells {{figure:.2g}} (limit {{limit:g}}) of "
-        '"{place}"'
-    )
+    place = "" if of == WHOLE else ' in "{place}"'
+    sentence = f"{label}{place}: {{figure:.2g}} (limit {{limit:g}}), told by an earlier version"
     return code, label, limit, concerns, of, sentence
 
 

@@ -1,6 +1,7 @@
 """Replicas tell how far a study's numbers are off by its steps: beside closed forms, an ODE solver
 of scipy, and a problem whose paths part."""
 
+import dataclasses
 import re
 
 import equinox as eqx
@@ -10,11 +11,14 @@ import pytest
 import scipy
 
 import jaxclear as jc
+from jaxclear.integrators.checks import Check
+from jaxclear.integrators.figures import Checks, Figure
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.base import SampleResult
 from jaxclear.studies.batch import evaluate_chunk
 from jaxclear.studies.campaign import work
 from jaxclear.studies.campaign.layout import SAMPLES
+from jaxclear.studies.campaign.samples import Samples
 from jaxclear.studies.replicas import MOST_REPLICAS
 
 GRAVITY, DURATION, STEP = 9.81, 0.5, 5e-3
@@ -377,9 +381,28 @@ def test_a_folder_of_an_earlier_version_says_what_it_had_found(tmp_path):
     second_look = [["PLACE_IN_GAP", [0.07], [0.5], ["B"]]]
     group.attrs.put(dict(group.attrs) | {"second_look": second_look, "recorded": recorded})
     (said,) = jc.open_campaign(tmp_path).sample.doubts
-    assert said.startswith("A second look at the nominal sample, kept from before: ")
+    assert (
+        said == 'Second look: place in gap in "B": 0.07 (limit 0.03), told by an earlier version.'
+    )
     found = jc.campaign(asked, 32, folder=tmp_path)
     assert found.sample.doubts == (said,) and found.sample.replicas.count == 16
+
+
+def test_a_folder_whose_checks_are_gone_goes_on(tmp_path, monkeypatch):
+    """Runs of 0.29 kept figures that no run has any more."""
+    asked, made = falling(), Samples.made.__func__
+    gone = Figure(np.zeros((1, 2)), np.zeros((1, 2)), ("B", "C"))
+
+    def as_before(cls, folder, plan, told, kind):
+        checks = Checks.of({Check.IMPACT_STEP: gone} | dict(kind.checks.figures))
+        return made(cls, folder, plan, told, dataclasses.replace(kind, checks=checks))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Samples, "made", classmethod(as_before))
+        jc.campaign(asked, 8, folder=tmp_path, scramblings=4)
+    found = jc.campaign(asked, 32, folder=tmp_path).sample
+    assert found.checks.figures[Check.IMPACT_STEP].worst.shape == (32, 2)
+    assert not len(found.warned)
 
 
 def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(tmp_path):

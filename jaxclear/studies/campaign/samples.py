@@ -173,14 +173,27 @@ class Samples:
         responses = np.stack([found.responses[name] for name in names], axis=1)
         self._put(VALUES, at, values)
         self._put(RESPONSES, at, np.where(good, responses, np.nan))
-        if own:
-            self._put(WORST, at, np.concatenate([figure.worst for figure in own.values()], axis=1))
-            self._put(WHEN, at, np.concatenate([figure.time for figure in own.values()], axis=1))
+        if self.figures:
+            figures = {check.name: figure for check, figure in own.items()}
+            worst, when = self._columns(figures, len(values))
+            self._put(WORST, at, worst)
+            self._put(WHEN, at, when)
         self._put(OUTCOME, at, found.outcome)
         self._put(ENDED, at, found.ended)
         if self._mark is None:
             self._mark = signed(self.folder / VERSIONS, told_versions())
         self._files.put(FINISHED, number, [self._mark])
+
+    def _columns(self, own: dict[str, Figure], rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """Of so many samples the figures of the checks that the folder keeps, and when they were
+        met; 0 of those that an earlier version asked, and this one does not."""
+        kept = list(dict.fromkeys(check for check, _ in self.figures))
+        widths = [sum(check == name for name, _ in self.figures) for check in kept]
+        none = [np.zeros((rows, width)) for width in widths]
+        pairs = list(zip(kept, none, strict=True))
+        worst = [own[check].worst if check in own else empty for check, empty in pairs]
+        when = [own[check].time if check in own else empty for check, empty in pairs]
+        return np.concatenate(worst, axis=1), np.concatenate(when, axis=1)
 
     def _put(self, name: str, at: slice, numbers: Any) -> None:
         if at.stop - at.start == self.plan.chunk:
@@ -214,8 +227,7 @@ class Samples:
             Check[name]: Figure(jnp.asarray(worst), jnp.asarray(when), tuple(places))
             for name, worst, when, places in kept
         }
-        found = Checks.of(figures).warnings
-        return tuple(f"A second look at the nominal sample, kept from before: {s}" for s in found)
+        return Checks.of(figures).warnings
 
     @contextmanager
     def claimed(self, number: int) -> Iterator[bool]:
