@@ -391,9 +391,10 @@ def test_a_folder_of_an_earlier_version_says_what_it_had_found(tmp_path):
 def test_a_folder_whose_checks_are_gone_goes_on(tmp_path, monkeypatch):
     """Runs of 0.29 kept figures that no run has any more."""
     asked, made = falling(), Samples.made.__func__
-    gone = Figure(np.zeros((1, 2)), np.zeros((1, 2)), ("B", "C"))
 
     def as_before(cls, folder, plan, told, kind):
+        none = np.zeros((len(kind.outcome), 2))
+        gone = Figure(none, none, ("B", "C"))
         checks = Checks.of({Check.IMPACT_STEP: gone} | dict(kind.checks.figures))
         return made(cls, folder, plan, told, dataclasses.replace(kind, checks=checks))
 
