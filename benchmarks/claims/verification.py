@@ -64,7 +64,7 @@ def verified_row(case: str, quick: bool) -> dict[str, Any]:
     return {
         "scene and rung": case,
         "steps": int(run.accepted_steps),
-        "replicas": len(told.replicas) + (told.lost is not None)
+        "replicas": len(told.replicas) + (told.path is not None)
         if isinstance(told, Verified)
         else 0,
         "verified [ms]": round(1e3 * spent["with"], 3),

@@ -53,7 +53,7 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
     """How many samples warn, and what the means are without them."""
     if not len(study.warned) and not study.doubts:
         return []
-    told = [study.sentence()]
+    told = [*study.doubts] or [study.sentence()]
     for row in study.summary().to_dict("records"):
         if row["warned"]:
             values = study.responses[row["response"]]

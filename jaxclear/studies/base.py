@@ -183,6 +183,10 @@ class AbstractProblem(AbstractQuantified):
         """A sentence for what is off in all samples alike, and known before any is run."""
         return ()
 
+    def remedy(self, response: str) -> str:
+        """What brings the numerical error of a response down."""
+        return "refine its steps"
+
     def remark(self) -> str:
         """What a user should know of how the samples were computed; "" for nothing."""
         return ""

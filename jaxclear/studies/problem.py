@@ -32,6 +32,7 @@ from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
+from jaxclear.results.abstract_response import needs_of
 from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
@@ -288,6 +289,11 @@ class Problem(AbstractProblem):
             promise = STUDIES if self.unasked else self.integrator.promise
             return promised_of(self.mechanism, promise, self.response[response], size)
         return allowed(self.accuracy, response, size)
+
+    def remedy(self, response):
+        worn = needs_of(self.response[response]) == "worn depth"
+        more_often = "save more often, which is when surfaces wear, or " if worn else ""
+        return f"{more_often}{self.integrator.remedy}"
 
     def doubts(self):
         return checked_by(self._load_steps().passed, Checks()).warnings

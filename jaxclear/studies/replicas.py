@@ -181,7 +181,7 @@ def _beyond(problem: AbstractProblem, replicas: Replicas, response: str) -> str:
     unit = "" if unit == "1" else f" {unit}"
     return (
         f'"{response}": steps put its mean {bias:+.2g}{unit} off, beyond the {promised:.2g}{unit} '
-        "that are promised; take shorter steps or tighter tolerances."
+        f"that are promised; {problem.remedy(response)}."
     )
 
 

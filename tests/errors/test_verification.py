@@ -270,7 +270,7 @@ def test_a_table_fits_a_screen_and_a_sentence_a_line(worn):
     rows = worn.verification.table()
     assert list(rows.answer)[-1] == 'worn depth, "B, bearing"' and (rows.error >= 0).all()
     names = (("peak contact force", "peak_force", "crank pin", "N"),) * 3
-    numbers, lost = np.array([[1e3, 300.0, 0.3]] * 3), np.zeros(3, bool)
+    numbers, lost = np.array([[1e3, 300.0, 0.3, 0.05]] * 3), np.zeros(3, bool)
     path, begun = np.array([0.3, 0.029]), np.zeros(())
     given = (), numbers, lost, path, begun, REFERENCE, names, "take shorter steps"
     said = Verified(*given).warnings

@@ -136,7 +136,7 @@ def test_programs_for_accelerators_are_in_pieces_and_take_samples_side_by_side(m
     cut = lowered("cuda")
     monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", "1")
     plain = lowered("cpu")
-    assert cut.count("optimization_barrier") > 10 > plain.count("optimization_barrier") == 0
+    assert cut.count("optimization_barrier") > 5 > plain.count("optimization_barrier") == 0
     # On a CPU functions of one turn are loops over the samples.
     assert cut.count("stablehlo.while") < plain.count("stablehlo.while")
 
