@@ -31,7 +31,7 @@ LIMITS = {
     "README [lines]": ("at most", 100),
     "public numbers with a unit [%]": ("at least", 95),
     "laws with a source [%]": ("at least", 100),
-    "own frames from simulate to a law": ("at most", 12),
+    "own frames from simulate to a law in a step": ("at most", 15),
 }
 WIDEST = 100
 # Packages and folders whose Python files are looked at for the width of lines.
@@ -174,14 +174,13 @@ class _Witness(jc.contact.AbstractContactLaw):
 
 
 def frames_to_a_law() -> list[str]:
-    """Own functions on the way from `simulate` to the force of a contact law, the shortest way."""
+    """Own functions on the way from `simulate` to the force of a contact law in a step of a
+    slider-crank, the shortest way."""
     frames: list[list[str]] = []
-    joint = jc.clearance.PlanarJournalBearing(_Witness(frames=frames), clearance=1e-4)
-    ring = jc.Mechanism(
-        {"ring": jc.Body(mass=1.0, inertia=1e-3)}, {"B": jc.Connection(joint, "ground", "ring")}
-    )
-    jc.simulate(ring, 1e-3, save=2, integrator=jc.integrator.FixedStep(1e-4))
-    return min(frames, key=len)
+    rig = jc.scenes.slider_crank(contact=_Witness(frames=frames))
+    jc.simulate(rig, 1e-3, save=2, integrator=jc.integrator.FixedStep(1e-4), verify=False)
+    in_a_step = [own for own in frames if any("/integrators/" in frame for frame in own)]
+    return min(in_a_step, key=len)
 
 
 def measure() -> dict[str, float]:
@@ -195,7 +194,7 @@ def measure() -> dict[str, float]:
         "README [lines]": len((ROOT / "README.md").read_text().splitlines()),
         "public numbers with a unit [%]": 100 * (1 - len(lacking) / count),
         "laws with a source [%]": 100 * (1 - len(without_source()) / len(laws())),
-        "own frames from simulate to a law": len(frames_to_a_law()),
+        "own frames from simulate to a law in a step": len(frames_to_a_law()),
         "package [lines]": sum(lengths().values()),
         "package [files]": len(lengths()),
     }
