@@ -23,9 +23,6 @@ CHAINS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
 }
 # Methods on the group of the coordinates, by their order.
 ON_GROUPS = {f"munthe_kaas{order}": order for order in munthe_kaas.TABLEAUS}
-# Rate of damping times the step up to which a method is stable, by its order: where |1 + z + ... +
-# z^p / p!| passes 1 on the negative axis.
-STABLE_DAMPING = {1: 2.0, 2: 2.0, 3: 2.513, 4: 2.785}
 ORDERS = {"euler": 1, "semi_implicit": 1, "heun": 2, "rk4": 4} | ON_GROUPS
 
 

@@ -4,12 +4,10 @@ leave: by both an error is judged as one of place.
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST
 from jaxclear.ground.quantity import Scalar
@@ -32,18 +30,6 @@ def reaches(system: System, arm: Any) -> Float[Array, " coordinates"]:
     """How far bodies move for a unit of each coordinate of the tree [m]: 1 for a length, the length
     `arm` [m] for what turns."""
     return jnp.where(turning(system), arm, 1.0)
-
-
-def driven_ways(system: System, times: Float[Array, " time"]) -> list[tuple[Scalar, bool]]:
-    """Of each drive of the tree (how far it leads its joint from where that begins [rad, m], over
-    these times [s]; whether it turns it)."""
-    found = []
-    for link in system.links:
-        drive = drive_of(link.joint)
-        if drive is not None:
-            place = jax.vmap(lambda t, own=drive: jnp.asarray(own.motion(t)[0], float))(times)
-            found.append((jnp.max(abs(place - place[0])), link.joint.units != ("m",)))
-    return found
 
 
 def rooms(system: System) -> Float[Array, " contacts"]:

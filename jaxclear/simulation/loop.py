@@ -48,13 +48,8 @@ from jaxclear.simulation.wear import (
     worn_where_lost,
 )
 
-# What a derivative in reverse mode is told where the run is neither pushed forwards nor one kernel.
-NOT_BACKWARDS = (
-    "a derivative in reverse mode (jax.grad, jax.vjp, jax.jacrev, jax.hessian) does not go through "
-    "a run that shows its progress: leave progress_bar out, or take forward mode (jax.jvp, "
-    "jax.jacfwd; jax.jacfwd of it for second derivatives)."
-)
-# What it is told where sweeps find the friction of ideal joints outside a kernel.
+# What a derivative in reverse mode is told where sweeps find the friction of ideal joints outside a
+# kernel.
 NOT_THROUGH_SWEEPS = (
     "a derivative in reverse mode (jax.grad, jax.vjp, jax.jacrev, jax.hessian) does not go through "
     "friction in ideal joints with steps_per_save: take forward mode (jax.jvp, jax.jacfwd), or "

@@ -2,6 +2,7 @@
 saving time to the next (`loop`).
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.native import has_kernels, stoppable
+from jaxclear.native import forwards_only, has_kernels, stoppable
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation import progress
@@ -61,23 +62,31 @@ class SimulationError(RuntimeError):
         return self.args[0]
 
 
+# What a derivative in reverse mode is told where the run is neither pushed forwards nor one kernel.
+NOT_BACKWARDS = (
+    "a derivative in reverse mode (jax.grad, jax.vjp, jax.jacrev, jax.hessian) does not go through "
+    "a run that shows its progress: leave progress_bar out, or take forward mode (jax.jvp, "
+    "jax.jacfwd; jax.jacfwd of it for second derivatives)."
+)
 # A mechanism with more coordinates than these may be too long for a kernel.
 FEW_COORDINATES = 32
 
 
 def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, updates):
-    """A run that can be differentiated forwards and backwards."""
+    """A run that can be differentiated forwards and, where it shows no progress, backwards."""
     given = mechanism, coordinates, speeds, times, past
+    shown = extras.report and integrator.steps_between_saves is None
+    one_way = functools.partial(forwards_only, NOT_BACKWARDS) if shown else lambda found: found
     if not is_compared(mechanism, integrator):
         whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4], updates)
-        return backwards(whole, integrator, *given)
+        return one_way(backwards(whole, integrator, *given))
 
     def in_steps(share, integrator, *moving):
         return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4], updates)
 
     steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
     known = compared(in_steps, run_where_alike, steps, order_of(integrator))
-    return backwards(known, integrator, integrator, *given)
+    return one_way(backwards(known, integrator, integrator, *given))
 
 
 _run = compiled_quickly(_both_ways, AROUND_A_KERNEL)

@@ -41,3 +41,11 @@ def test_under_a_transformation_without_throwing_it_is_the_same_run():
 def test_without_compilation_it_says_so():
     with jax.disable_jit(), pytest.raises(ValueError, match="disable_jit"):
         run(2e-4)
+
+
+def test_backwards_a_run_that_shows_its_progress_says_what_to_do():
+    """Its derivatives are compared with those in other steps, which nothing goes backwards through;
+    what tells of it is still told."""
+    last = lambda clearance: run(clearance, throw=False, progress_bar=True).states[-1, 0]
+    with pytest.raises(ValueError, match="shows its progress"):
+        jax.grad(last)(2e-4)
