@@ -150,7 +150,8 @@ def test_they_are_told_in_print_and_below_the_histogram(study, capsys):
 def test_a_figure_of_warned_infinite_answers_says_that_there_is_no_mean():
     row = {"response": "life", "unit": "cycles", "warned": 3, "mean": np.nan, "infinite": 1}
     table, responses = pandas.DataFrame([row]), {"life": np.array([1.0, np.inf])}
-    told = SimpleNamespace(warned=[0], responses=responses, sentence=str, summary=lambda: table)
+    told = SimpleNamespace(warned=[0], responses=responses, sentence=str, doubts=())
+    told.summary = lambda: table
     table["mean without warned"] = np.nan
     said = _warned_samples(told)[-1]
     assert said == "life: 3 in doubt; there is no mean, infinite in 1 samples."

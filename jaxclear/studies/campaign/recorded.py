@@ -40,6 +40,7 @@ class RecordedProblem(AbstractProblem):
     by_steps: bool = eqx.field(static=True, default=False)
     known_doubts: tuple[str, ...] = eqx.field(static=True, default=())
     promises: tuple[tuple[float, float] | None, ...] = eqx.field(static=True, default=())
+    remedies: tuple[str, ...] = eqx.field(static=True, default=())
 
     @classmethod
     def of_json(cls, told: dict[str, Any]) -> "RecordedProblem":
@@ -90,6 +91,10 @@ class RecordedProblem(AbstractProblem):
     def remark(self):
         return self.why
 
+    def remedy(self, response):
+        own = dict(zip(self.response_names, self.remedies, strict=False))
+        return own.get(response, "refine its steps")
+
     def concerned(self, response, concerns):
         return concerns in self.concerns[self.response_names.index(response)]
 
@@ -127,6 +132,7 @@ def in_json(problem: AbstractProblem) -> dict[str, Any]:
         "by_steps": problem.discretised(),
         "known_doubts": problem.doubts(),
         "promises": [_promise(problem, name) for name in problem.response_names],
+        "remedies": [problem.remedy(name) for name in problem.response_names],
     }
 
 
