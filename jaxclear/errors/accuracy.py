@@ -53,7 +53,7 @@ class Asked(NamedTuple):
         for (name, own), x, y, last in drawn:
             row = name, DRAWN, "", unit_of(own, run.mechanism), x, abs(x - y), abs(last)
             rows.append(Apart(*row))
-        known = {name for row in rows for name in (row.answer, named(row))}
+        known = {name for row in rows for name in (row.answer, row.name)}
         for name, _ in self.units:
             check_known("answer", name, sorted(known), " of this run")
         return rows
@@ -61,7 +61,7 @@ class Asked(NamedTuple):
     def allowed(self, row: Apart) -> float | None:
         """By how much an answer may be off, in its unit; None: by any."""
         units = dict(self.units)
-        most = units.get(named(row), units.get(row.answer))
+        most = units.get(row.name, units.get(row.answer))
         if most is not None:
             return most
         share = getattr(self.promise, row.part, None)
@@ -77,7 +77,7 @@ class Asked(NamedTuple):
     def beside(self, run: Trajectory, one: Seen, other: Seen) -> dict[str, float]:
         """By answer how far two runs are apart, beside what is allowed."""
         rows = ((row, self.allowed(row)) for row in self.apart(run, one, other, other))
-        return {named(row): beside(row.off, most) for row, most in rows if most is not None}
+        return {row.name: beside(row.off, most) for row, most in rows if most is not None}
 
 
 def beside(off: float, allowed: float) -> float:
@@ -123,8 +123,3 @@ def checked_accuracy(accuracy: Any, owner: str) -> float | dict[Any, float]:
     for name, most in accuracy.items():
         check_number(f"accuracy of {described(name)}", most, above=0)
     return {name: float(most) for name, most in accuracy.items()}
-
-
-def named(one: Apart) -> str:
-    """An answer with its place."""
-    return f'{one.answer}, "{one.place}"' if one.place else one.answer

@@ -58,6 +58,11 @@ class Observables(NamedTuple):
     arm: Float[Array, ""]
 
 
+def named(answer: str, place: str) -> str:
+    """An answer with its place, if it has one."""
+    return f'{answer}, "{place}"' if place else answer
+
+
 class Apart(NamedTuple):
     """How far two runs are apart in an `answer`: by its `part` of the promise and its `place`, in
     its `unit`, beside the `scale` by which it is judged; `value`: what the answer is."""
@@ -69,6 +74,11 @@ class Apart(NamedTuple):
     value: float
     off: float
     scale: float
+
+    @property
+    def name(self) -> str:
+        """The answer with its place."""
+        return named(self.answer, self.place)
 
     @property
     def share(self) -> float:

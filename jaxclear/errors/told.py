@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxclear.errors.observables import named
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.promise import PART_OF, Promise
-from jaxclear.results.abstract_response import AbstractResponse
+from jaxclear.results.abstract_response import needs_of
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified, with_error
 
@@ -48,7 +49,7 @@ class Told(NamedTuple):
     @property
     def name(self) -> str:
         """The answer with its place."""
-        return f'{self.answer}, "{self.place}"' if self.place else self.answer
+        return named(self.answer, self.place)
 
     @property
     def beyond(self) -> bool:
@@ -106,9 +107,7 @@ class Verified(AbstractVerification):
         worst, others = beyond[0], len(beyond) - 1
         more = f" (and {others} more answer{'s' * (others > 1)})" if others else ""
         told = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
-        todo = self.remedy
-        if worst.answer == "worn depth":
-            todo = f"save more often, which is when surfaces wear, or {todo}"
+        todo = remedy_of_depths(self.remedy) if worst.answer == "worn depth" else self.remedy
         return f"{worst.name[0].upper()}{worst.name[1:]}: error about {told}{more}; {todo}."
 
     def estimate(self, run, response):
@@ -136,8 +135,7 @@ class Verified(AbstractVerification):
 
     def promised(self, response: Any) -> float | None:
         """The share that is promised of a response; None for nothing."""
-        needs = response.drawn_from() if isinstance(response, AbstractResponse) else "anything"
-        return getattr(self.promise, PART_OF.get(needs, ""), None)
+        return getattr(self.promise, PART_OF.get(needs_of(response), ""), None)
 
     def table(self):
         import pandas
@@ -190,6 +188,11 @@ class Failed(AbstractVerification):
 
     def attributes(self):
         return {"verification": str(self)}
+
+
+def remedy_of_depths(remedy: str) -> str:
+    """What brings errors of worn depths down, beside what does so with all of a run's."""
+    return f"save more often, which is when surfaces wear, or {remedy}"
 
 
 def richardson(differences: list[Any]) -> Any:

@@ -167,8 +167,8 @@ def _together(
     named = [(check, places[check.of]) for check in (*of_run, *of_looks)]
     if not named:
         return Checks()
-    worst, when = [jnp.concatenate(list(of_run.values()))] if of_run else [], []
-    when = [jnp.full(worst[0].shape, ends[-1])] if of_run else []
+    worst = [jnp.concatenate(list(of_run.values()))] if of_run else []
+    when = [jnp.full(each.shape, ends[-1]) for each in worst]
     if of_looks:
         figures = jnp.concatenate(list(of_looks.values()), axis=1)
         figures = jnp.where(jnp.isnan(figures), jnp.inf, figures)

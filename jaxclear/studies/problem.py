@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.errors.replicas import between, replica
+from jaxclear.errors.told import remedy_of_depths
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
@@ -291,9 +292,8 @@ class Problem(AbstractProblem):
         return allowed(self.accuracy, response, size)
 
     def remedy(self, response):
-        worn = needs_of(self.response[response]) == "worn depth"
-        more_often = "save more often, which is when surfaces wear, or " if worn else ""
-        return f"{more_often}{self.integrator.remedy}"
+        worn, remedy = needs_of(self.response[response]) == "worn depth", self.integrator.remedy
+        return remedy_of_depths(remedy) if worn else remedy
 
     def doubts(self):
         return checked_by(self._load_steps().passed, Checks()).warnings
