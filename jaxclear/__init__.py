@@ -7,6 +7,8 @@ environment's XLA_FLAGS, unless those say otherwise. It starts no device and lea
 
 import gc
 import os
+import sys
+from types import ModuleType
 
 import jax
 
@@ -196,6 +198,12 @@ __all__ = [
     "worst_case",
     "write_scene",
 ]
-__getattr__ = nothing_else("jaxclear", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear", __all__)
+# `from jaxclear.joint import Revolute` works as `jaxclear.joint.Revolute` does.
+_named = [(f"jaxclear.{name}", globals()[name]) for name in (*__all__, "conformal")]
+for _path, _place in _named:
+    if isinstance(_place, ModuleType):
+        sys.modules.setdefault(_path, _place)
+        _named += [(f"{_path}.{name}", getattr(_place, name)) for name in _place.__all__]
 if _SETS_ASIDE:
     gc.unfreeze()
