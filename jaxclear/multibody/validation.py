@@ -168,8 +168,9 @@ def check_finite(what: str, part: Any) -> None:
 
 
 def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
-    """Drives and inertias of coordinates must fit the tree."""
+    """What closes loops, drives and inertias of coordinates must fit the tree."""
     for name in topology.loops:
+        _check_six(name, connections[name].joint)
         if drive_of(connections[name].joint) is not None:
             raise ValueError(
                 f'joint "{name}" is driven but closes a loop of driven joints; a loop can follow '
@@ -185,6 +186,17 @@ def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
                 f"which {why}; only a joint that the tree carries can have it. Take the load out "
                 "(mechanism.with_loads), and add its inertia to a body if it matters."
             )
+
+
+def _check_six(name: str, joint: AbstractJoint) -> None:
+    """What a joint holds and what it leaves free must be the six freedoms of a body."""
+    held, free = len(joint.rows), len(joint.columns(joint.home))
+    if held + free != 6:
+        kind = type(joint).__name__
+        raise ValueError(
+            f'joint "{name}" closes a loop, and as a {kind} it holds {held} of the six freedoms by '
+            f"its rows and leaves {free} by its columns; the two must add to 6."
+        )
 
 
 def check_start(bodies: dict, connections: dict, places: dict, speeds: dict) -> None:
