@@ -7,12 +7,12 @@ Baumgarte's (Nikravesh 1988, Computer-Aided Analysis of Mechanical Systems, sect
 `loops`). Reactions are :math:`\Phi_q^T \lambda`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import STILL, Pose, Twist
-from jaxclear.multibody import kinematics, loops, tree
+from jaxclear.multibody import kinematics, loops, pose_rows, tree
 from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Baumgarte, Closure
@@ -22,13 +22,15 @@ from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
 class ConstraintRows(NamedTuple):
     """Rows of one closure that motion changes: their places in the closure, residuals, rates,
-    Jacobian (by speed index). `fixed`: residuals of those that no motion changes, by place."""
+    Jacobian (by speed index). `fixed`: residuals of those that no motion changes, by place;
+    `slopes`: gradients of all rows by the relative pose, of a closure that has a reading."""
 
     kept: list[int]
     residuals: tuple
     rates: tuple
     jacobian: list[JacobianRow]
     fixed: dict[int, Any]
+    slopes: Any = None
 
 
 class Dependence(NamedTuple):
@@ -58,7 +60,8 @@ def dependence(system: System, found: list[ConstraintRows]) -> Dependence | None
     ]
     if redundancy is None or redundancy.rank == len(names):
         return None
-    return Dependence(redundancy.rank, tuple(1 if len(n) == 1 else system.arm for n in names))
+    measures = tuple(1 if loops.is_length(name) else system.arm for name in names)
+    return Dependence(redundancy.rank, measures)
 
 
 def constraint_rows(
@@ -66,11 +69,15 @@ def constraint_rows(
 ) -> ConstraintRows:
     """Residuals, rates and Jacobian of a closure's rows."""
     _, pose, relative = kinematics.relative_motion(closure, motions)
-    residuals = loops.residuals(closure.rows, pose)
-    rates = loops.row_rates(closure.rows, pose, relative.velocity, relative.spin)
-    jacobian = kinematics.relative_jacobian(
-        system, motions, closure, pose, lambda *own: loops.row_rates(closure.rows, *own)
-    )
+    slopes = None
+    row_rates: Callable = lambda *own: loops.row_rates(closure.rows, *own)
+    if closure.reading is None:
+        residuals = loops.residuals(closure.rows, pose)
+    else:
+        residuals, slopes = pose_rows.gradients(closure.reading, pose)
+        row_rates = lambda *own: tuple(pose_rows.rate(slope, *own) for slope in slopes)
+    rates = row_rates(pose, relative.velocity, relative.spin)
+    jacobian = kinematics.relative_jacobian(system, motions, closure, pose, row_rates)
     kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
     fixed = {
         i: value for i, value in enumerate(residuals) if i not in kept and not sp.is_zero(value)
@@ -81,6 +88,7 @@ def constraint_rows(
         tuple(rates[i] for i in kept),
         [jacobian[i] for i in kept],
         fixed,
+        slopes,
     )
 
 
@@ -94,7 +102,7 @@ def acceleration_equations(
     every = [constraint_rows(system, motions, closure) for closure in system.closures]
     gamma = []
     for closure, found in zip(system.closures, every, strict=True):
-        view, pose, _ = kinematics.relative_motion(closure, motions)
+        view, pose, relative = kinematics.relative_motion(closure, motions)
         ends = [
             tree.transform_twist(marker, ground if link is None else accelerations[link])
             for link, marker in (
@@ -102,7 +110,12 @@ def acceleration_equations(
                 (closure.child_link, closure.child),
             )
         ]
-        second = loops.row_accelerations(closure.rows, pose, view, *ends)
+        faster = loops.relative_acceleration(pose, view, *ends)
+        if closure.reading is None:
+            second = loops.row_accelerations(closure.rows, pose, relative.spin, *faster)
+        else:
+            moving = (relative.velocity, relative.spin)
+            second = pose_rows.accelerations(closure.reading, pose, found.slopes, moving, faster)
         for i, residual, rate in zip(found.kept, found.residuals, found.rates, strict=True):
             target = sp.neg(second[i])
             if stabilisation is not None:
@@ -132,11 +145,18 @@ def wrench_of_rows(closure: Closure, pose: Pose, own: dict[int, Any]) -> tuple[s
     """Force [N] and torque [N m] on a closure's child about its marker, in the parent marker's
     axes, from the multipliers of its rows by their places."""
     force, torque = sp.ZERO, sp.ZERO
+    if closure.reading is not None:
+        slopes = pose_rows.gradients(closure.reading, pose)[1]
+        for i, multiplier in own.items():
+            pushed, turned = slopes[i].wrench(pose)
+            force = sp.plus(force, sp.scale(multiplier, pushed))
+            torque = sp.plus(torque, sp.scale(multiplier, turned))
+        return force, torque
     columns = sp.transpose(pose.rotation)
     for i, multiplier in own.items():
         row = closure.rows[i]
         axis = sp.IDENTITY[loops.AXIS[row[0]]]
-        if len(row) == 1:
+        if loops.is_length(row):
             force = sp.plus(force, sp.scale(multiplier, axis))
         else:
             turned = sp.cross(columns[loops.AXIS[row[2]]], axis)

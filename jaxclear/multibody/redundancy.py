@@ -22,6 +22,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.pose_rows import closing_rows
 from jaxclear.multibody.start_equations import (
     LOOP,
     Ask,
@@ -101,7 +102,7 @@ def _counts_fixed(mechanism: Mechanism) -> bool:
 
 def _held(mechanism: Mechanism, loop: str) -> tuple[str, ...]:
     """The rows that close a loop."""
-    return mechanism.connections[loop].joint.rows
+    return closing_rows(mechanism.connections[loop].joint)
 
 
 def _in_space(mechanism: Mechanism, loop: str) -> bool:

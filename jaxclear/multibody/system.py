@@ -19,6 +19,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.pose_rows import closing_rows, reading_of
 from jaxclear.multibody.topology import Topology, coordinate_joint, joint_of
 from jaxclear.multibody.tree import Link
 from jaxclear.multibody.worn_laws import fitted_laws
@@ -84,15 +85,16 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
         branch.body: link.frame for branch, link in zip(topology.branches, links, strict=True)
     }
 
-    def closure(name, rows):
+    def closure(name, rows, reading=None):
         ends = (mechanism.connections[name].parent, mechanism.connections[name].child)
         poses = [frames[marker.body].after(marker.pose()) for marker in ends]
         if name in shifts:
             poses[0] = poses[0].after(shifts[name])
-        return Closure(*poses, *[topology.index(marker.body) for marker in ends], rows)
+        return Closure(*poses, *[topology.index(marker.body) for marker in ends], rows, reading)
 
     closures = tuple(
-        closure(name, mechanism.connections[name].joint.rows) for name in topology.loops
+        closure(name, closing_rows(joint), reading_of(joint))
+        for name, joint in ((n, mechanism.connections[n].joint) for n in topology.loops)
     )
     bearings = {}
     for name in topology.clearances:

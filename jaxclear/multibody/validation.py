@@ -23,6 +23,7 @@ from jaxclear.ground.kinds import check_kinds
 from jaxclear.ground.quantity import check_range, numbers
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
+from jaxclear.multibody.pose_rows import check_rows
 from jaxclear.multibody.topology import Topology, coordinate_joint
 from jaxclear.multibody.worn_laws import check_followed
 
@@ -63,6 +64,8 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
         raise ValueError(
             f'joint "{name}" joins "{connection.parent.body}" to itself; it needs two bodies.'
         )
+    if isinstance(joint, AbstractJoint):
+        check_rows(name, joint)
     if isinstance(joint, AbstractClearance):
         try:
             plain = _in_numpy(joint)
@@ -168,9 +171,8 @@ def check_finite(what: str, part: Any) -> None:
 
 
 def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
-    """What closes loops, drives and inertias of coordinates must fit the tree."""
+    """Drives and inertias of coordinates must fit the tree."""
     for name in topology.loops:
-        _check_six(name, connections[name].joint)
         if drive_of(connections[name].joint) is not None:
             raise ValueError(
                 f'joint "{name}" is driven but closes a loop of driven joints; a loop can follow '
@@ -186,17 +188,6 @@ def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
                 f"which {why}; only a joint that the tree carries can have it. Take the load out "
                 "(mechanism.with_loads), and add its inertia to a body if it matters."
             )
-
-
-def _check_six(name: str, joint: AbstractJoint) -> None:
-    """What a joint holds and what it leaves free must be the six freedoms of a body."""
-    held, free = len(joint.rows), len(joint.columns(joint.home))
-    if held + free != 6:
-        kind = type(joint).__name__
-        raise ValueError(
-            f'joint "{name}" closes a loop, and as a {kind} it holds {held} of the six freedoms by '
-            f"its rows and leaves {free} by its columns; the two must add to 6."
-        )
 
 
 def check_start(bodies: dict, connections: dict, places: dict, speeds: dict) -> None:

@@ -328,8 +328,8 @@ def openings(now: Instant) -> Float[Array, " loops"]:
     for closure in system.closures:
         _, pose, _ = kinematics.relative_motion(closure, now.motions)
         part = shortest_part(system, closure)
-        values = zip(closure.rows, loops.residuals(closure.rows, pose), strict=True)
-        shares = [abs(x) / part if len(row) == 1 else abs(x) for row, x in values]
+        values = zip(closure.rows, loops.residuals_of(closure, pose), strict=True)
+        shares = [abs(x) / part if loops.is_length(row) else abs(x) for row, x in values]
         openings.append(jnp.max(sp.stack(shares), initial=0.0))
     return jnp.stack(openings)
 
