@@ -18,6 +18,7 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractCoordinateLoad
 from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.wording import listed
+from jaxclear.multibody.pose_rows import closing_rows
 from jaxclear.multibody.topology import Topology, coordinate_joint, free_joint, grow
 
 # Twists that say no more than others [m, 1]: rounding.
@@ -99,7 +100,7 @@ def told_for_start(
     afloat -= {b.body for b in before.branches if b.connection is None}
     form = coordinate_joint(name, bodies, connections)
     for body in sorted(afloat):
-        lost = [row for row in form.rows if row not in joint.ideal_rows]
+        lost = [row for row in closing_rows(form) if row not in joint.ideal_rows]
         if lost and len(free_joint(bodies[body]).home) > len(lost):
             raise ValueError(
                 f'joint "{name}" is to be a {type(joint).__name__}, which acts in a plane, and '

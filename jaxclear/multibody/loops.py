@@ -54,6 +54,26 @@ class Closure(eqx.Module):
     reading: Any = None
 
 
+class SummedCoordinate(eqx.Module):
+    """The coordinate of a joint times a `factor`: that which the tree carries with a `link`, or
+    what a `reading` says of the pose in a `closure`; `turn`: an angle whose whole turns are not
+    counted there."""
+
+    factor: Any
+    reading: Any
+    closure: Any  # a Closure; None where the tree carries the coordinate
+    link: Any = eqx.field(static=True)  # a whole number; None outside the tree
+    turn: bool = eqx.field(static=True)
+
+
+class CoordinateSum(eqx.Module):
+    """A sum of coordinates that has a constant total (None: 0): the reading of a closure that ties
+    no markers."""
+
+    terms: tuple[SummedCoordinate, ...]
+    total: Any
+
+
 class Relative(NamedTuple):
     """Motion of the child's marker as seen from the (moving) parent's marker, in the parent
     marker's axes: pose, velocity [m/s] and angular velocity [rad/s]. In a clearance joint the

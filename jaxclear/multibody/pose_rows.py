@@ -25,6 +25,15 @@ from jaxclear.ground.pose import Pose
 OTHERS = {"turn x": (1, 2), "turn y": (2, 0), "turn z": (0, 1)}
 
 
+class CoordinateOf(eqx.Module):
+    """Reads the single coordinate [rad, m] of a joint off the relative pose of its markers."""
+
+    joint: AbstractJoint
+
+    def residuals(self, pose: Pose) -> tuple:
+        return self.joint.coordinates_at(pose)
+
+
 # The rows of text that a joint may state.
 STATED = ("x", "y", "z", *(f"{a}.{b}" for a in "xyz" for b in "xyz"))
 
