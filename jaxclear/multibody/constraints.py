@@ -16,6 +16,7 @@ from jaxclear.multibody import coordinate_sums, kinematics, loops, pose_rows, tr
 from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum
+from jaxclear.multibody.meshes import Mesh
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
@@ -81,6 +82,7 @@ def constraint_rows(
         row_rates = lambda *own: tuple(pose_rows.rate(slope, *own) for slope in slopes)
     rates = row_rates(pose, relative.velocity, relative.spin)
     jacobian = kinematics.relative_jacobian(system, motions, closure, pose, row_rates)
+    residuals = _counted(closure, residuals, pose, motions)
     kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
     fixed = {
         i: value for i, value in enumerate(residuals) if i not in kept and not sp.is_zero(value)
@@ -99,7 +101,15 @@ def residuals(system: System, motions: tuple[Motion, ...], closure: Closure) -> 
     """Value of each row of a closure [m, rad, 1]; 0 where structurally satisfied."""
     if isinstance(closure.reading, CoordinateSum):
         return coordinate_sums.equation(system, motions, closure.reading)[:1]
-    return loops.residuals_of(closure, kinematics.relative_motion(closure, motions)[1])
+    pose = kinematics.relative_motion(closure, motions)[1]
+    return _counted(closure, loops.residuals_of(closure, pose), pose, motions)
+
+
+def _counted(closure: Closure, residuals: tuple, pose: Pose, motions: tuple[Motion, ...]) -> tuple:
+    """Residuals with the whole turns of what meshes."""
+    if not isinstance(closure.reading, Mesh):
+        return residuals
+    return (closure.reading.counted(residuals[0], pose, motions),)
 
 
 def acceleration_equations(

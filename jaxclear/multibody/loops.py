@@ -16,6 +16,8 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.multibody.tree import transform_twist
 
 AXIS = {"x": 0, "y": 1, "z": 2}
+# The row of a coupling, by what is left of it: a length, or an angle.
+WAY, TURN = "way", "turn"
 
 
 class Baumgarte(AbstractQuantified):
@@ -156,7 +158,7 @@ def relative_velocity(pose: Pose, parent: Twist, child: Twist) -> tuple[sp.Vec, 
 
 def is_length(row: str) -> bool:
     """Whether what is left of a row is a length [m]; an angle [rad] or a cosine [1] elsewhere."""
-    return len(row) == 1
+    return len(row) == 1 or row == WAY
 
 
 def residuals_of(closure: Closure, pose: Pose) -> tuple:
