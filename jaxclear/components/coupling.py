@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.answering import nothing_else
-from jaxclear.ground.numerics import safe_sqrt
+from jaxclear.ground.numerics import direction_angle, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
 
@@ -209,7 +209,7 @@ class Gear(AbstractBodyCoupling):
         if self.pressure_angle is None:
             return 0
         base = jnp.cos(self.pressure_angle) * _distance(drawn)
-        distance = _distance(pose)
+        distance = jnp.maximum(_distance(pose), base)
         # The common tangent less its arcs: base times the involute function of the angle between
         # tangent and centres. There is none where the base circles cut each other.
         share = jnp.minimum(base / distance, NO_TANGENT)
@@ -356,7 +356,7 @@ PARALLEL = 1e-6
 
 def angle_of(sine: Any, cosine: Any) -> Any:
     """Angle [rad] from numbers in proportion to its sine and cosine, which may be structural."""
-    return jnp.arctan2(jnp.asarray(sine, float), jnp.asarray(cosine, float))
+    return direction_angle(jnp.asarray(cosine, float), jnp.asarray(sine, float))
 
 
 def _seen_along_centres(pose: Pose) -> tuple:
