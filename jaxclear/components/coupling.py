@@ -39,7 +39,7 @@ class AbstractCoupling(AbstractQuantified):
 
     @abstractmethod
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints that it speaks of."""
+        """Names of the joints that it speaks of, each once."""
 
 
 class CoordinateTerm(NamedTuple):
@@ -85,9 +85,6 @@ class Ratio(AbstractCoordinateCoupling):
         None, "rad", "follower's coordinate where the leader's is 0 (m for a sliding joint)"
     )
 
-    def __check_init__(self):
-        _check_differ("Ratio", follower=self.follower, leader=self.leader)
-
     def terms(self):
         return (CoordinateTerm(self.follower, 1), CoordinateTerm(self.leader, -self.ratio))
 
@@ -110,9 +107,6 @@ class Differential(AbstractCoordinateCoupling):
     carrier: str = eqx.field(static=True)
     ratio: Scalar = quantity(1.0, "1", "turns of a for one of b, the carrier held", above=0)
 
-    def __check_init__(self):
-        _check_differ("Differential", a=self.a, b=self.b, carrier=self.carrier)
-
     def terms(self):
         return (
             CoordinateTerm(self.a, 1),
@@ -125,15 +119,12 @@ class Differential(AbstractCoordinateCoupling):
 
 
 class AbstractBodyCoupling(AbstractCoupling):
-    """One residual [m] of the relative pose of two markers.
+    """One residual [m] of the relative pose of two markers: of what two joints carry, or of the two
+    of one joint.
 
     A joint, by its name, stands for what it carries: its child at the child's marker, or its parent
     at the parent's where the child is the ground. Where all joints are at home the parts mesh.
     """
-
-    @abstractmethod
-    def ends(self) -> tuple[str, str]:
-        """The joints that carry the two parts; one joint twice stands for its own two markers."""
 
     @abstractmethod
     def angles(self, pose: Pose) -> tuple:
@@ -152,9 +143,6 @@ class AbstractBodyCoupling(AbstractCoupling):
     def check(self, drawn: Pose) -> None:
         """Raises `ValueError`, with a sentence that goes behind the coupling's name, where markers
         whose pose at home is `drawn`, in numbers, cannot mesh."""
-
-    def joints(self):
-        return tuple(dict.fromkeys(self.ends()))
 
 
 class Gear(AbstractBodyCoupling):
@@ -184,14 +172,13 @@ class Gear(AbstractBodyCoupling):
     internal: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
-        _check_differ("Gear", a=self.a, b=self.b)
         if concrete(self.pressure_angle) == 0:
             raise ValueError(
                 "coupling.Gear has pressure_angle = 0; leave it out, and the force is across the "
                 "line of centres."
             )
 
-    def ends(self):
+    def joints(self):
         return self.a, self.b
 
     def angles(self, pose):
@@ -238,10 +225,7 @@ class Belt(AbstractBodyCoupling):
     radius_b: Scalar = quantity(unit="m", meaning="radius of pulley b", above=0)
     crossed: bool = eqx.field(static=True, default=False, kw_only=True)
 
-    def __check_init__(self):
-        _check_differ("Belt", a=self.a, b=self.b)
-
-    def ends(self):
+    def joints(self):
         return self.a, self.b
 
     def angles(self, pose):
@@ -275,10 +259,7 @@ class Rack(AbstractBodyCoupling):
         None, "rad", "pressure angle; its sign picks the flank", above=-1, below=1, kw_only=True
     )
 
-    def __check_init__(self):
-        _check_differ("Rack", pinion=self.pinion, rack=self.rack)
-
-    def ends(self):
+    def joints(self):
         return self.pinion, self.rack
 
     def angles(self, pose):
@@ -331,8 +312,8 @@ class Screw(AbstractBodyCoupling):
         if concrete(self.lead) == 0:
             raise ValueError("coupling.Screw has lead = 0; a thread advances as it turns.")
 
-    def ends(self):
-        return self.joint, self.joint
+    def joints(self):
+        return (self.joint,)
 
     def angles(self, pose):
         return (angle_of(pose.rotation[1][0], pose.rotation[0][0]),)
@@ -383,14 +364,3 @@ def _check_parallel(drawn: Pose) -> None:
         raise ValueError("has wheels whose axes, the z axes of their markers, are not parallel.")
     if float(_distance(drawn)) == 0:
         raise ValueError("has wheels on one axis; they mesh with some distance between their axes.")
-
-
-def _check_differ(kind: str, **joints: str) -> None:
-    """Raises `ValueError` where a joint is named twice."""
-    names = list(joints.values())
-    for place, name in joints.items():
-        if names.count(name) > 1:
-            raise ValueError(
-                f'coupling.{kind} has {place} = "{name}", which it names twice; it couples '
-                "different joints."
-            )

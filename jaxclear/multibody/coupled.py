@@ -18,7 +18,12 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
     for name, coupling in couplings.items():
         if name in connections:
             raise ValueError(f'"{name}" is a coupling and a joint; give one of them another name.')
-        for joint in coupling.joints():
+        names = coupling.joints()
+        for joint in names:
+            if names.count(joint) > 1:
+                raise ValueError(
+                    f'coupling "{name}" names joint "{joint}" twice; it couples different joints.'
+                )
             check_known(f'joint of coupling "{name}"', joint, connections)
         if isinstance(coupling, AbstractCoordinateCoupling):
             _check_coordinates(name, coupling, topology, bodies, connections)

@@ -86,10 +86,10 @@ def carried(connection: Connection) -> Part:
 
 def markers(coupling: AbstractBodyCoupling, connections: dict[str, Connection]) -> tuple:
     """The two markers that mesh."""
-    first, second = coupling.ends()
-    if first == second:
-        return connections[first].parent, connections[first].child
-    return carried(connections[first]).marker, carried(connections[second]).marker
+    own = [connections[name] for name in coupling.joints()]
+    if len(own) == 1:
+        return own[0].parent, own[0].child
+    return tuple(carried(connection).marker for connection in own)
 
 
 def drawn_pose(
@@ -134,13 +134,13 @@ def mesh(
     count = len(coupling.angles(drawn))
     if count == 1:
         return Mesh(coupling, drawn, (None,))
-    parts = [carried(connections[name]) for name in coupling.ends()]
+    parts = [carried(connections[name]) for name in coupling.joints()]
     depths = [_depth(topology, part.marker.body) for part in parts]
     deepest = [depth == max(depths) for depth in depths]
     together = parts[0].inner == parts[1].inner
     counts = tuple(
         _count(name, part, topology, bodies, connections) if together or deep else None
-        for name, part, deep in zip(coupling.ends(), parts, deepest, strict=True)
+        for name, part, deep in zip(coupling.joints(), parts, deepest, strict=True)
     )
     return Mesh(coupling, drawn, counts)
 

@@ -266,7 +266,7 @@ def test_mujoco_couples_alike():
 @pytest.mark.parametrize(
     ("build", "said"),
     [
-        (lambda: jc.coupling.Ratio("A", "A", 1.0), "names twice"),
+        (lambda: gear_pair().with_coupling("x", jc.coupling.Ratio("A", "A", 1.0)), "twice"),
         (lambda: gear_pair().with_coupling("x", jc.coupling.Ratio("A", "Z", 1.0)), '"Z"'),
         (lambda: gear_pair().with_coupling("A", jc.coupling.Ratio("A", "B", 1.0)), "another name"),
         (lambda: gear_pair().with_coupling("x", None), '"x"'),

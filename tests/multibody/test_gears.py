@@ -327,7 +327,7 @@ def test_every_coupling_of_bodies_is_tried():
 @pytest.mark.parametrize(
     ("build", "said"),
     [
-        (lambda: jc.coupling.Gear("A", "A", 2.0), "names twice"),
+        (lambda: pair(jc.coupling.Gear("A", "A", 2.0)), "twice"),
         (lambda: jc.coupling.Gear("A", "B", -2.0), "above 0"),
         (lambda: jc.coupling.Gear("A", "B", 2.0, pressure_angle=0.0), "leave it out"),
         (lambda: jc.coupling.Screw("A", 0.0), "lead = 0"),
