@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.multibody import constraints, dynamics, energy, kinematics
@@ -173,8 +174,10 @@ def _contact_names(history, name, count):
 
 
 def reaction(history: StateHistory, name: str) -> ReactionHistory:
-    """Force and torque in a connection."""
-    check_known(name, history.mechanism.connections, "joint")
+    """Force and torque in a connection, or of a coupling of bodies."""
+    couplings = history.mechanism.couplings
+    meshing = [n for n, own in couplings.items() if isinstance(own, AbstractBodyCoupling)]
+    check_known(name, [*history.mechanism.connections, *meshing], "joint")
     redundancy = history.mechanism.topology.redundancy
     unique = redundancy is None or name not in redundancy.joints
     if not unique:
@@ -225,6 +228,26 @@ def _closure_reaction(now, forces, solution, name):
     force, torque = sp.plus(force, loads.force), sp.plus(torque, loads.torque)
     rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
     return sp.apply(rotation, force), sp.apply(rotation, torque)
+
+
+def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
+    """What a coupling transmits over time [N m, N]."""
+    check_known(name, history.mechanism.couplings, "coupling")
+    return _transmitted(history, name)
+
+
+@eqx.filter_jit
+def _transmitted(history, name):
+    def one(now):
+        system = now.model.system
+        forces = history.formulation.forces(now)
+        solution = dynamics.forward_dynamics(system, forces, now.model.stabilisation)
+        wanted = system.closures[system.topology.loops.index(name)]
+        every = constraints.by_closure(system, now.motions, solution.multipliers)
+        own = next(own for closure, own in every if closure is wanted)
+        return jnp.asarray(own.get(0, 0.0), float)
+
+    return over_time(history, one)
 
 
 @eqx.filter_jit
