@@ -130,6 +130,6 @@ def test_texts_are_the_same_in_another_process(tmp_path):
 def test_a_folder_of_0_30_told_parts_of_a_mechanism_by_another_class():
     kept = texts_of(jc.scenes.slider_crank())
     assert kept[".bodies"] == "dict"
-    older = kept | {part: "OrderedDict" for part in (".bodies", ".connections", ".loads")}
+    older = kept | dict.fromkeys((".bodies", ".connections", ".loads"), "OrderedDict")
     assert store.first_difference(older, kept) == ""
     assert ".bodies" in store.first_difference(older | {".bodies": "tuple"}, kept)
