@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxclear.components.body import Connection
-from jaxclear.components.joint import AbstractJoint, Fixed, Spherical
+from jaxclear.components.joint import Fixed, Spherical
 from jaxclear.files.model_tree import Place, Tree, marker_at, quaternion_of, rotation_of
 from jaxclear.files.mujoco_model import FREE, free_name
 
@@ -56,14 +56,8 @@ def equalities_of(model: Any, tree: Tree) -> Equalities:
         elif not model.eq_active0[k]:
             found.missing.append(f'{kind} "{name}" (not active)')
         else:
-            _hold(found, model, tree, name, _joint(model, k), _ends(model, k))
+            _hold(found, model, tree, name, k)
     return found
-
-
-def _joint(model: Any, k: int) -> AbstractJoint:
-    """A weld whose torques count nothing holds a point only."""
-    turns = KINDS[model.eq_type[k]] == "connect" or model.eq_data[k][10] == 0
-    return Spherical() if turns else Fixed()
 
 
 def _ends(model: Any, k: int) -> tuple[End, End]:
@@ -84,19 +78,15 @@ def _site(model: Any, index: int) -> End:
     return End(int(model.site_bodyid[index]), place)
 
 
-def _hold(
-    found: Equalities,
-    model: Any,
-    tree: Tree,
-    name: str,
-    joint: AbstractJoint,
-    ends: tuple[End, End],
-) -> None:
+def _hold(found: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
     """Puts a connection between two ends, and what has to be said of it, into what was found."""
+    ends = _ends(model, k)
     (parent, outer), (child, inner) = (tree.stands(end.body, end.place) for end in ends)
-    kind = "weld" if isinstance(joint, Fixed) else "connect"
+    # A weld whose torques count nothing holds a point only.
+    turns = KINDS[model.eq_type[k]] == "connect" or model.eq_data[k][10] == 0
+    kind, joint = ("connect", Spherical()) if turns else ("weld", Fixed())
     gap, turned = _apart(model, ends)
-    turn = _angle(turned) if kind == "weld" else 0.0
+    turn = 0.0 if turns else _angle(turned)
     far = gap > OPEN * model.stat.extent or turn > OPEN
     if parent == child:
         said = ", which it does not close" if far else ""
@@ -105,7 +95,7 @@ def _hold(
     found.connections[name] = Connection(joint, marker_at(parent, outer), marker_at(child, inner))
     free = {name for end in ends for name in _free_joints(model, tree, end.body)}
     found.free.update(free)
-    if free and kind == "connect":
+    if free and turns:
         found.turned[name] = quaternion_of(turned)
     if far:
         beside = f" and {turn:.3g} rad" if turn > OPEN else ""
