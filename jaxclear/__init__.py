@@ -37,7 +37,7 @@ jax.config.update("jax_enable_x64", True)
 from jaxclear import complementarity, mesh
 from jaxclear import formulations as formulation
 from jaxclear import integrators as integrator
-from jaxclear.components import clearance, drive, joint, load
+from jaxclear.components import clearance, coupling, drive, joint, load
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.time_table import TimeTable
@@ -150,6 +150,7 @@ __all__ = [
     "contact",
     "corrected",
     "cost",
+    "coupling",
     "design",
     "design_front",
     "distribution",

@@ -3,6 +3,7 @@ ask what of whom, how long things may be.
 """
 
 import ast
+import dataclasses
 import importlib
 import inspect
 import pkgutil
@@ -196,7 +197,7 @@ def test_class_is_abstract_or_final(name):
 @pytest.mark.parametrize("name", CLASSES)
 def test_abstract_class_has_no_fields(name):
     if CLASSES[name].__name__.startswith("Abstract"):
-        assert not vars(CLASSES[name]).get("__dataclass_fields__", {})
+        assert not dataclasses.fields(CLASSES[name])
 
 
 @pytest.mark.parametrize("path", FILES, ids=identify)

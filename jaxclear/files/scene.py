@@ -75,7 +75,7 @@ class Scene(AbstractQuantified):
         """What it is of, how it is run, and what is asked of it."""
         known = self.mechanism
         lines = [f"Scene{f': {self.description}' if self.description else ''}"]
-        for part in ("bodies", "connections", "loads"):
+        for part in ("bodies", "connections", "loads", "couplings"):
             lines += [f"  {part} {', '.join(getattr(known, part))}"] if getattr(known, part) else []
         told = {
             "duration": None if self.duration is None else f"{float(self.duration):.6g} s",

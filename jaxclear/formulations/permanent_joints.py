@@ -26,6 +26,7 @@ def fit(mechanism: Mechanism) -> Mechanism:
         mechanism.bodies,
         connections,
         mechanism.loads,
+        couplings=mechanism.couplings,
         **mechanism.given,
         stabilisation=mechanism.stabilisation,
     )

@@ -53,7 +53,7 @@ class Slip(NamedTuple):
 
 def touching(system: System) -> tuple[PermanentJoint, ...]:
     """Joints that touch all the time: those of the tree, then those that close loops."""
-    branches, loops = system.topology.branches, system.topology.loops
+    branches, loops = system.topology.branches, system.topology.closing
     found = [
         PermanentJoint(branch.name, system.links[i].joint, i, None)
         for i, branch in enumerate(branches)

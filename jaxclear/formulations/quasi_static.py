@@ -95,7 +95,9 @@ def posed(mechanism: Mechanism, held: tuple[str, ...]) -> Posed:
     start, guess = (_free(mechanism.given[what], held) for what in ("start", "guess"))
     loads = at_rest_under(mechanism.loads, held)
     # What a run begins with says where the mechanism stands at one position only.
-    bare = Mechanism(mechanism.bodies, connections, loads, guess=start | guess)
+    bare = Mechanism(
+        mechanism.bodies, connections, loads, couplings=mechanism.couplings, guess=start | guess
+    )
     return Posed(bare, gaps, held)
 
 

@@ -13,6 +13,7 @@ from jaxclear.components.joint import AbstractJoint
 from jaxclear.ground.transform import Transform, from_pose, inverse
 from jaxclear.ground.wording import unknown
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.pose_rows import closing_rows
 
 __all__ = ["Chain", "ChainJoint", "chain"]
 
@@ -130,7 +131,7 @@ def _joint(mechanism: Mechanism, name: str, forward: bool) -> ChainJoint:
     joint = connection.joint
     permanent = isinstance(joint, AbstractPermanentJoint)
     ideal = isinstance(joint, AbstractJoint) and not permanent
-    rows = joint.rows if ideal or permanent else joint.ideal_rows
+    rows = closing_rows(joint) if ideal or permanent else joint.ideal_rows
     held = {row for row in rows if len(row) > 1}
     if not ideal and held not in (set(), AXIS_HELD, AXES_HELD, ACROSS_HELD):
         raise ValueError(

@@ -7,28 +7,30 @@ Baumgarte's (Nikravesh 1988, Computer-Aided Analysis of Mechanical Systems, sect
 `loops`). Reactions are :math:`\Phi_q^T \lambda`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import STILL, Pose, Twist
-from jaxclear.multibody import kinematics, loops, tree
+from jaxclear.multibody import coordinate_sums, kinematics, loops, pose_rows, tree
 from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow
-from jaxclear.multibody.loops import Baumgarte, Closure
+from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
 
 class ConstraintRows(NamedTuple):
     """Rows of one closure that motion changes: their places in the closure, residuals, rates,
-    Jacobian (by speed index). `fixed`: residuals of those that no motion changes, by place."""
+    Jacobian (by speed index). `fixed`: residuals of those that no motion changes, by place;
+    `slopes`: gradients of all rows by the relative pose, of a closure that has a reading."""
 
     kept: list[int]
     residuals: tuple
     rates: tuple
     jacobian: list[JacobianRow]
     fixed: dict[int, Any]
+    slopes: Any = None
 
 
 class Dependence(NamedTuple):
@@ -58,19 +60,27 @@ def dependence(system: System, found: list[ConstraintRows]) -> Dependence | None
     ]
     if redundancy is None or redundancy.rank == len(names):
         return None
-    return Dependence(redundancy.rank, tuple(1 if len(n) == 1 else system.arm for n in names))
+    measures = tuple(1 if loops.is_length(name) else system.arm for name in names)
+    return Dependence(redundancy.rank, measures)
 
 
 def constraint_rows(
     system: System, motions: tuple[Motion, ...], closure: Closure
 ) -> ConstraintRows:
     """Residuals, rates and Jacobian of a closure's rows."""
+    if isinstance(closure.reading, CoordinateSum):
+        residual, rate, row = coordinate_sums.equation(system, motions, closure.reading)
+        return ConstraintRows([0], (residual,), (rate,), [row], {})
     _, pose, relative = kinematics.relative_motion(closure, motions)
-    residuals = loops.residuals(closure.rows, pose)
-    rates = loops.row_rates(closure.rows, pose, relative.velocity, relative.spin)
-    jacobian = kinematics.relative_jacobian(
-        system, motions, closure, pose, lambda *own: loops.row_rates(closure.rows, *own)
-    )
+    slopes = None
+    row_rates: Callable = lambda *own: loops.row_rates(closure.rows, *own)
+    if closure.reading is None:
+        residuals = loops.residuals(closure.rows, pose)
+    else:
+        residuals, slopes = pose_rows.gradients(closure.reading, pose)
+        row_rates = lambda *own: tuple(pose_rows.rate(slope, *own) for slope in slopes)
+    rates = row_rates(pose, relative.velocity, relative.spin)
+    jacobian = kinematics.relative_jacobian(system, motions, closure, pose, row_rates)
     kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
     fixed = {
         i: value for i, value in enumerate(residuals) if i not in kept and not sp.is_zero(value)
@@ -81,7 +91,15 @@ def constraint_rows(
         tuple(rates[i] for i in kept),
         [jacobian[i] for i in kept],
         fixed,
+        slopes,
     )
+
+
+def residuals(system: System, motions: tuple[Motion, ...], closure: Closure) -> tuple:
+    """Value of each row of a closure [m, rad, 1]; 0 where structurally satisfied."""
+    if isinstance(closure.reading, CoordinateSum):
+        return coordinate_sums.equation(system, motions, closure.reading)[:1]
+    return loops.residuals_of(closure, kinematics.relative_motion(closure, motions)[1])
 
 
 def acceleration_equations(
@@ -92,9 +110,9 @@ def acceleration_equations(
     # A marker on the ground shares the fictitious acceleration that stands for gravity.
     ground = Twist(kinematics.upward(system), sp.ZERO)
     every = [constraint_rows(system, motions, closure) for closure in system.closures]
-    gamma = []
-    for closure, found in zip(system.closures, every, strict=True):
-        view, pose, _ = kinematics.relative_motion(closure, motions)
+
+    def relative(closure):
+        view, pose, (_, *moving) = kinematics.relative_motion(closure, motions)
         ends = [
             tree.transform_twist(marker, ground if link is None else accelerations[link])
             for link, marker in (
@@ -102,7 +120,20 @@ def acceleration_equations(
                 (closure.child_link, closure.child),
             )
         ]
-        second = loops.row_accelerations(closure.rows, pose, view, *ends)
+        return pose, moving, loops.relative_acceleration(pose, view, *ends)
+
+    gamma = []
+    for closure, found in zip(system.closures, every, strict=True):
+        if isinstance(closure.reading, CoordinateSum):
+            of_closure = lambda own: relative(own)[1:]
+            second = (coordinate_sums.acceleration(motions, closure.reading, of_closure),)
+        else:
+            pose, moving, faster = relative(closure)
+            second = (
+                loops.row_accelerations(closure.rows, pose, moving[1], *faster)
+                if closure.reading is None
+                else pose_rows.accelerations(closure.reading, pose, found.slopes, moving, faster)
+            )
         for i, residual, rate in zip(found.kept, found.residuals, found.rates, strict=True):
             target = sp.neg(second[i])
             if stabilisation is not None:
@@ -119,24 +150,50 @@ def constraint_wrenches(
     """(closure, force [N], torque [N m], pose) on each closure's child about its marker, in the
     parent marker's axes.
     """
+    for closure, own in by_closure(system, motions, multipliers):
+        pose = kinematics.relative_motion(closure, motions)[1]
+        yield closure, *wrench_of_rows(closure, pose, own), pose
+
+
+def by_closure(
+    system: System, motions: tuple[Motion, ...], multipliers: tuple
+) -> Iterator[tuple[Closure, dict[int, Any]]]:
+    """Each closure with the multipliers of its rows, by their places."""
     position = 0
     for closure in system.closures:
-        _, pose, _ = kinematics.relative_motion(closure, motions)
         kept = constraint_rows(system, motions, closure).kept
-        own = dict(zip(kept, multipliers[position : position + len(kept)], strict=True))
+        yield closure, dict(zip(kept, multipliers[position : position + len(kept)], strict=True))
         position += len(kept)
-        yield closure, *wrench_of_rows(closure, pose, own), pose
+
+
+def coupled_wrenches(
+    motions: tuple[Motion, ...], every: Iterable[tuple[Closure, dict[int, Any]]]
+) -> Iterator[tuple[Closure, Pose, Wrench]]:
+    """What couplings of coordinates do to joints outside the tree, from the multipliers by closure:
+    (closure, pose, wrench on its child about its marker, in the parent marker's axes)."""
+    for closure, own in every:
+        if isinstance(closure.reading, CoordinateSum) and own:
+            yield from coordinate_sums.outer_wrenches(motions, closure.reading, own[0])
 
 
 def wrench_of_rows(closure: Closure, pose: Pose, own: dict[int, Any]) -> tuple[sp.Vec, sp.Vec]:
     """Force [N] and torque [N m] on a closure's child about its marker, in the parent marker's
     axes, from the multipliers of its rows by their places."""
     force, torque = sp.ZERO, sp.ZERO
+    if isinstance(closure.reading, CoordinateSum):
+        return force, torque
+    if closure.reading is not None:
+        slopes = pose_rows.gradients(closure.reading, pose)[1]
+        for i, multiplier in own.items():
+            pushed, turned = slopes[i].wrench(pose)
+            force = sp.plus(force, sp.scale(multiplier, pushed))
+            torque = sp.plus(torque, sp.scale(multiplier, turned))
+        return force, torque
     columns = sp.transpose(pose.rotation)
     for i, multiplier in own.items():
         row = closure.rows[i]
         axis = sp.IDENTITY[loops.AXIS[row[0]]]
-        if len(row) == 1:
+        if loops.is_length(row):
             force = sp.plus(force, sp.scale(multiplier, axis))
         else:
             turned = sp.cross(columns[loops.AXIS[row[2]]], axis)
@@ -156,6 +213,8 @@ def wrenches_of_rows(
         pose = kinematics.relative_motion(closure, motions)[1]
         closing.append(Wrench(*wrench_of_rows(closure, pose, multipliers)))
         add_action_and_reaction(acting, closure, pose, *closing[-1])
+    for joint, pose, wrench in coupled_wrenches(motions, zip(system.closures, own, strict=True)):
+        add_action_and_reaction(acting, joint, pose, *wrench)
     through = list(acting)
     held = tuple(motion._replace(twist=STILL) for motion in motions)
     for subtree in system.topology.subtrees:

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground import sparse as sp
-from jaxclear.multibody import dynamics, kinematics, tree
+from jaxclear.multibody import constraints, coordinate_sums, dynamics, kinematics, tree
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.loops import CoordinateSum
 from jaxclear.multibody.system import System
 
 
@@ -20,6 +21,11 @@ def powers(system: System, forces: Forces, solution: Solution) -> list:
         if drive_of(link.joint) is not None:
             twist = kinematics.joint_twist(system, forces.motions, index)
             driven = sp.add(driven, tree.power(twist, wrenches[index]))
+    every = constraints.by_closure(system, forces.motions, solution.multipliers)
+    for closure, own in every:
+        if isinstance(closure.reading, CoordinateSum):
+            given = coordinate_sums.driven_power(forces.motions, closure.reading, own[0])
+            driven = sp.sub(driven, given)
     reports = forces.reports.values()
     return [
         sp.add(driven, forces.external_power),

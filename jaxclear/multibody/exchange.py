@@ -9,6 +9,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from jaxclear.components.body import Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractDrivenJoint, AbstractJoint
@@ -16,7 +18,11 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractCoordinateLoad
 from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.wording import listed
+from jaxclear.multibody.pose_rows import closing_rows
 from jaxclear.multibody.topology import Topology, coordinate_joint, free_joint, grow
+
+# Twists that say no more than others [m, 1]: rounding.
+ALIKE = 1e-9
 
 __all__ = ["at_rest_under", "exchanged", "told_for_start", "without_loads_on"]
 
@@ -51,14 +57,25 @@ def _check_fits(
 ) -> None:
     """That one of two joints constrains no more than the other does."""
     before = coordinate_joint(name, bodies, dict(connections))
-    rows, new_rows = set(before.rows), set(ideal.rows)
-    if rows <= new_rows or new_rows <= rows:
-        return
+    if before.rows is None or ideal.rows is None:
+        ways = [_ways(joint) for joint in (before, ideal)]
+        if np.linalg.matrix_rank(np.concatenate(ways), ALIKE) == max(map(len, ways)):
+            return
+    else:
+        rows, new_rows = set(before.rows), set(ideal.rows)
+        if rows <= new_rows or new_rows <= rows:
+            return
     said = "" if ideal is joint else f", which without its play is a {_kind(ideal)}"
     raise ValueError(
         f'joint "{name}" is a {type(old).__name__}; a {type(joint).__name__}{said} moves in other '
         "directions and does not fit in its place."
     )
+
+
+def _ways(joint: AbstractJoint) -> np.ndarray:
+    """The twists of a joint's speeds at home."""
+    columns = joint.columns(joint.home)
+    return np.array([[*x.linear, *x.angular] for x in columns], float).reshape(-1, 6)
 
 
 def _kind(joint: AbstractJoint) -> str:
@@ -83,7 +100,7 @@ def told_for_start(
     afloat -= {b.body for b in before.branches if b.connection is None}
     form = coordinate_joint(name, bodies, connections)
     for body in sorted(afloat):
-        lost = [row for row in form.rows if row not in joint.ideal_rows]
+        lost = [row for row in closing_rows(form) if row not in joint.ideal_rows]
         if lost and len(free_joint(bodies[body]).home) > len(lost):
             raise ValueError(
                 f'joint "{name}" is to be a {type(joint).__name__}, which acts in a plane, and '

@@ -27,6 +27,7 @@ def in_words(mechanism: Any) -> str:
         ("bodies", lambda name, body: _numbers(body)),
         ("connections", lambda name, connection: _connection(mechanism, name)),
         ("loads", lambda name, load: _load(mechanism, load)),
+        ("couplings", lambda name, coupling: _coupling(mechanism, coupling)),
         ("start", lambda name, values: _coordinates(mechanism, name, values, "")),
         ("guess", lambda name, values: _coordinates(mechanism, name, values, "")),
         ("speeds", lambda name, values: _coordinates(mechanism, name, values, "/s")),
@@ -45,6 +46,12 @@ def in_words(mechanism: Any) -> str:
 
 def _load(mechanism: Any, load: Any) -> str:
     return f"{public_name(type(load))} {_numbers(load, slides(mechanism, acted_on(load)))}"
+
+
+def _coupling(mechanism: Any, coupling: Any) -> str:
+    joints = coupling.joints()
+    along = bool(joints) and slides(mechanism, joints[0])
+    return f"{public_name(type(coupling))} {_numbers(coupling, along)}"
 
 
 def _connection(mechanism: Any, name: str) -> str:

@@ -41,13 +41,37 @@ class Projection(AbstractQuantified):
 
 
 class Closure(eqx.Module):
-    """A pair of markers in the frames of two links (None: ground) and the rows that tie them."""
+    """A pair of markers in the frames of two links (None: ground) and the rows that tie them.
+    `reading`: what reads the residuals of the rows off the relative pose (`pose_rows`), where the
+    rows themselves do not say it; None elsewhere.
+    """
 
     parent: Pose
     child: Pose
     parent_link: int | None = eqx.field(static=True)
     child_link: int | None = eqx.field(static=True)
     rows: tuple[str, ...] = eqx.field(static=True)
+    reading: Any = None
+
+
+class SummedCoordinate(eqx.Module):
+    """The coordinate of a joint times a `factor`: that which the tree carries with a `link`, or
+    what a `reading` says of the pose in a `closure`; `turn`: an angle whose whole turns are not
+    counted there."""
+
+    factor: Any
+    reading: Any
+    closure: Any  # a Closure; None where the tree carries the coordinate
+    link: Any = eqx.field(static=True)  # a whole number; None outside the tree
+    turn: bool = eqx.field(static=True)
+
+
+class CoordinateSum(eqx.Module):
+    """A sum of coordinates that has a constant total (None: 0): the reading of a closure that ties
+    no markers."""
+
+    terms: tuple[SummedCoordinate, ...]
+    total: Any
 
 
 class Relative(NamedTuple):
@@ -130,11 +154,23 @@ def relative_velocity(pose: Pose, parent: Twist, child: Twist) -> tuple[sp.Vec, 
     return sp.minus(own, carried), sp.minus(sp.apply(pose.rotation, child.angular), parent.angular)
 
 
+def is_length(row: str) -> bool:
+    """Whether what is left of a row is a length [m]; an angle [rad] or a cosine [1] elsewhere."""
+    return len(row) == 1
+
+
+def residuals_of(closure: Closure, pose: Pose) -> tuple:
+    """Value of each row of a closure [m, rad, 1]; 0 where structurally satisfied."""
+    if closure.reading is None:
+        return residuals(closure.rows, pose)
+    return closure.reading.residuals(pose)
+
+
 def residuals(rows: tuple[str, ...], pose: Pose) -> tuple:
     """Value of each row: a displacement [m] or a cosine [1]; 0 where structurally satisfied."""
     columns = sp.transpose(pose.rotation)
     return tuple(
-        pose.translation[AXIS[row]] if len(row) == 1 else columns[AXIS[row[2]]][AXIS[row[0]]]
+        pose.translation[AXIS[row]] if is_length(row) else columns[AXIS[row[2]]][AXIS[row[0]]]
         for row in rows
     )
 
@@ -144,15 +180,18 @@ def row_rates(rows: tuple[str, ...], pose: Pose, velocity: sp.Vec, spin: sp.Vec)
     columns = sp.transpose(pose.rotation)
     return tuple(
         velocity[AXIS[row]]
-        if len(row) == 1
+        if is_length(row)
         else sp.cross(spin, columns[AXIS[row[2]]])[AXIS[row[0]]]
         for row in rows
     )
 
 
-def row_accelerations(rows, pose: Pose, view: Sides, parent: Twist, child: Twist) -> tuple:
-    """Second derivative of each row for given spatial accelerations of the two markers."""
-    velocity, spin = relative_velocity(pose, view.parent_twist, view.child_twist)
+def relative_acceleration(
+    pose: Pose, view: Sides, parent: Twist, child: Twist
+) -> tuple[sp.Vec, sp.Vec]:
+    """Rates of the relative velocity and spin (`relative_velocity`), in the moving parent's axes,
+    for given spatial accelerations of the two markers."""
+    velocity, _ = relative_velocity(pose, view.parent_twist, view.child_twist)
     turning = view.parent_twist.angular
 
     def material(acceleration, twist):
@@ -170,10 +209,16 @@ def row_accelerations(rows, pose: Pose, view: Sides, parent: Twist, child: Twist
         sp.minus(sp.apply(pose.rotation, child.angular), parent.angular),
         sp.cross(turning, own_spin),
     )
+    return linear, angular
+
+
+def row_accelerations(rows, pose: Pose, spin: sp.Vec, linear: sp.Vec, angular: sp.Vec) -> tuple:
+    """Second derivative of each row for a relative spin, and the rates of relative velocity and
+    spin."""
     columns = sp.transpose(pose.rotation)
     out: list[Any] = []
     for row in rows:
-        if len(row) == 1:
+        if is_length(row):
             out.append(linear[AXIS[row]])
         else:
             axis = columns[AXIS[row[2]]]

@@ -46,6 +46,7 @@ def _parts(mechanism: Any) -> Iterator[tuple[str, Any]]:
     yield from ((f'body "{name}"', body) for name, body in mechanism.bodies.items())
     yield from ((f'joint "{n}"', joint.joint) for n, joint in mechanism.connections.items())
     yield from ((f'load "{name}"', load) for name, load in mechanism.loads.items())
+    yield from ((f'coupling "{n}"', coupling) for n, coupling in mechanism.couplings.items())
 
 
 def _unusual(parts: list) -> Iterator[str]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxclear.components.body import Body, Connection
 from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
@@ -23,6 +24,7 @@ from jaxclear.ground.arguments import check_known, expect
 from jaxclear.ground.quantity import AbstractQuantified, as_number
 from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
+from jaxclear.multibody.coupled import check_couplings
 from jaxclear.multibody.exchange import exchanged, told_for_start, without_loads_on
 from jaxclear.multibody.in_words import in_words
 from jaxclear.multibody.loops import Baumgarte, Projection
@@ -59,7 +61,8 @@ def _by_name(what: str, given: Any, needed: bool = False) -> dict[str, Any]:
 
 
 class Mechanism(AbstractQuantified):
-    """Bodies held together by connections, under loads.
+    """Bodies held together by connections, under loads; `couplings` tie their motions (gears,
+    screws: `jaxclear.coupling`).
 
     `start` gives coordinates by connection, or by body (its place in the ground): 1 number, all of
     the joint's coordinates, for a spherical joint 3 numbers (a rotation vector [rad]), for a body
@@ -82,6 +85,7 @@ class Mechanism(AbstractQuantified):
     bodies: dict[str, Body]
     connections: dict[str, Connection]
     loads: dict[str, AbstractLoad]
+    couplings: dict[str, AbstractCoupling]
     start: dict[str, tuple]
     speeds: dict[str, tuple]
     guess: dict[str, tuple]
@@ -96,6 +100,7 @@ class Mechanism(AbstractQuantified):
         connections: Mapping[str, Connection],
         loads: Mapping[str, AbstractLoad] | None = None,
         *,
+        couplings: Mapping[str, AbstractCoupling] | None = None,
         start: Mapping[str, Any] | None = None,
         speeds: Mapping[str, Any] | None = None,
         guess: Mapping[str, Any] | None = None,
@@ -105,6 +110,7 @@ class Mechanism(AbstractQuantified):
             _by_name("bodies", bodies, needed=True),
             _by_name("connections", connections, needed=True),
             _by_name("loads", loads),
+            _by_name("couplings", couplings),
         )
         self.start, self.speeds, self.guess = (
             Parts({n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, given).items()})
@@ -113,8 +119,8 @@ class Mechanism(AbstractQuantified):
         self.order = tuple(dict.fromkeys([*self.start, *self.speeds, *self.guess]))
         validation.check_parts(*parts)
         validation.check_finite("the mechanism", self.given)
-        self.bodies, self.connections, self.loads = _unshared(parts)
-        self.topology = grow(self.bodies, self.connections)
+        self.bodies, self.connections, self.loads, self.couplings = _unshared(parts)
+        self.topology = grow(self.bodies, self.connections, tuple(self.couplings))
         usual = isinstance(stabilisation, str) and stabilisation == "default"
         self.stabilisation = Baumgarte() if usual else stabilisation  # type: ignore[assignment]
         expect(
@@ -124,6 +130,7 @@ class Mechanism(AbstractQuantified):
             "a jaxclear.Baumgarte, a jaxclear.Projection, or None for none",
         )
         validation.check_tree(self.topology, self.connections, self.loads)
+        check_couplings(self.couplings, self.topology, self.bodies, self.connections)
         check_plane(self.topology, self.bodies, self.connections, self.loads)
         places = {"start": self.start, "guess": self.guess}
         validation.check_start(self.bodies, self.connections, places, self.speeds)
@@ -176,7 +183,14 @@ class Mechanism(AbstractQuantified):
             start = {
                 what: {n: x for n, x in own.items() if n != name} for what, own in start.items()
             }
-        return Mechanism(self.bodies, connections, loads, **start, stabilisation=self.stabilisation)
+        return Mechanism(
+            self.bodies,
+            connections,
+            loads,
+            couplings=self.couplings,
+            **start,
+            stabilisation=self.stabilisation,
+        )
 
     def with_body(self, name: str, body: Body) -> "Mechanism":
         """The mechanism with another body in place of one, such as one of another mass; its joints
@@ -201,7 +215,32 @@ class Mechanism(AbstractQuantified):
         """The mechanism under other loads; everything else stays. All loads but one: `{n: load for
         n, load in mechanism.loads.items() if n != name}`."""
         return Mechanism(
-            self.bodies, self.connections, loads, **self.given, stabilisation=self.stabilisation
+            self.bodies,
+            self.connections,
+            loads,
+            couplings=self.couplings,
+            **self.given,
+            stabilisation=self.stabilisation,
+        )
+
+    def with_coupling(self, name: str, coupling: AbstractCoupling | None) -> "Mechanism":
+        """The mechanism with a coupling more, or another in the place of the one of this name; with
+        None, without it. Everything else stays. Raises `ValueError` with a sentence for one that
+        does not fit.
+        """
+        couplings: dict[str, Any] = dict(self.couplings)
+        if coupling is None:
+            check_known("coupling", name, couplings, " in this mechanism")
+            del couplings[name]
+        else:
+            couplings[name] = coupling
+        return Mechanism(
+            self.bodies,
+            self.connections,
+            self.loads,
+            couplings=couplings,
+            **self.given,
+            stabilisation=self.stabilisation,
         )
 
     def parameters(self) -> Any:

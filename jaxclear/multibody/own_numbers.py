@@ -16,7 +16,7 @@ SLIDING = re.compile(r"\(([^()]+) for a sliding joint\)")
 def own_numbers(mechanism: Any) -> Iterator[tuple[str, Any, Mapping[str, Any], str]]:
     """(name, value, metadata of its field, unit) of every number of a mechanism but those of its
     start, in definition order."""
-    for part in ("bodies", "connections", "loads"):
+    for part in ("bodies", "connections", "loads", "couplings"):
         for name, own in getattr(mechanism, part).items():
             along = slides(mechanism, name if part == "connections" else acted_on(own))
             for path, leaf, metadata in numbers(own, f'{part}["{name}"]'):

@@ -22,6 +22,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.pose_rows import closing_rows
 from jaxclear.multibody.start_equations import (
     LOOP,
     Ask,
@@ -100,13 +101,17 @@ def _counts_fixed(mechanism: Mechanism) -> bool:
 
 
 def _held(mechanism: Mechanism, loop: str) -> tuple[str, ...]:
-    """The rows that close a loop."""
-    return mechanism.connections[loop].joint.rows
+    """The rows that close a loop; of a coupling the one that it has."""
+    if loop in mechanism.couplings:
+        return ("",)
+    return closing_rows(mechanism.connections[loop].joint)
 
 
 def _in_space(mechanism: Mechanism, loop: str) -> bool:
     """Whether a loop may be loaded across the plane of its motion: rows that say nothing are held
-    there too."""
+    there too. A coupling is loaded by its one row alone."""
+    if loop in mechanism.couplings:
+        return False
     topology, closing = mechanism.topology, mechanism.connections[loop]
     ends = {topology.index(marker.body) for marker in (closing.parent, closing.child)}
     return any(

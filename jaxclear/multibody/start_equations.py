@@ -13,7 +13,7 @@ from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.least_change import Change, least_change, of_rank
 from jaxclear.multibody import constraints, given, kinematics
-from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.loops import Closure, is_length
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
@@ -240,7 +240,7 @@ def _closure_block(
     asked: Ask, motions: tuple[Motion, ...], name: str, closure: Closure, kind: str, rates: bool
 ) -> Block:
     found = constraints.constraint_rows(asked.system, motions, closure)
-    measure = [asked.arm if len(closure.rows[i]) == 1 else 1.0 for i in found.kept]
+    measure = [asked.arm if is_length(closure.rows[i]) else 1.0 for i in found.kept]
     return Block(
         kind,
         name,

@@ -17,8 +17,9 @@ from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
-from jaxclear.multibody.loops import Closure
+from jaxclear.multibody.loops import Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
 from jaxclear.multibody.topology import Topology, coordinate_joint, joint_of
 from jaxclear.multibody.tree import Link
 from jaxclear.multibody.worn_laws import fitted_laws
@@ -84,15 +85,16 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
         branch.body: link.frame for branch, link in zip(topology.branches, links, strict=True)
     }
 
-    def closure(name, rows):
+    def closure(name, rows, reading=None):
         ends = (mechanism.connections[name].parent, mechanism.connections[name].child)
         poses = [frames[marker.body].after(marker.pose()) for marker in ends]
         if name in shifts:
             poses[0] = poses[0].after(shifts[name])
-        return Closure(*poses, *[topology.index(marker.body) for marker in ends], rows)
+        return Closure(*poses, *[topology.index(marker.body) for marker in ends], rows, reading)
 
     closures = tuple(
-        closure(name, mechanism.connections[name].joint.rows) for name in topology.loops
+        closure(name, closing_rows(joint), reading_of(joint))
+        for name, joint in ((n, mechanism.connections[n].joint) for n in topology.closing)
     )
     bearings = {}
     for name in topology.clearances:
@@ -108,15 +110,35 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
             markers[name] = tuple(
                 (topology.index(m.body), frames[m.body].after(m.pose())) for m in load.markers()
             )
-    closing = tuple(mechanism.connections[name].joint for name in topology.loops)
-    places = dict(zip(topology.loops, closures, strict=True))
+    closing = tuple(mechanism.connections[name].joint for name in topology.closing)
+    places = dict(zip(topology.closing, closures, strict=True))
     places |= {name: bearing.closure for name, bearing in bearings.items()}
+    closures += tuple(_coupled(mechanism, name, places) for name in topology.couplings)
     measured = _measured(mechanism, places)
     loaded = (loads, measured, markers, gravity)
     system = System(tuple(links), closures, closing, bearings, *loaded, None, topology)
     if not topology.depend:
         return system
     return dataclasses.replace(system, arm=longest_arm(system))
+
+
+def _coupled(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Closure:
+    """The row of a coupling; `places`: closures of the joints outside the tree."""
+    coupling: Any = mechanism.couplings[name]
+    topology = mechanism.topology
+    joints = {
+        n: coordinate_joint(n, mechanism.bodies, mechanism.connections) for n in coupling.joints()
+    }
+    links = {branch.connection: i for i, branch in enumerate(topology.branches)}
+    terms = []
+    for joint, factor in coupling.terms():
+        own, closure = joints[joint], places.get(joint)
+        turn = closure is not None and own.units == ("rad",)
+        terms.append(SummedCoordinate(factor, CoordinateOf(own), closure, links.get(joint), turn))
+    first = joints[coupling.joints()[0]]
+    row = "z" if first.units == ("m",) else "turn z"
+    summed = CoordinateSum(tuple(terms), coupling.total())
+    return Closure(REST, REST, None, None, (row,), summed)
 
 
 def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, ClosureCoordinate]:
@@ -199,7 +221,7 @@ def rubbing_joints(system: System) -> dict[str, AbstractRubbingJoint]:
         branch.name: link.joint
         for branch, link in zip(system.topology.branches, system.links, strict=True)
     }
-    joints |= dict(zip(system.topology.loops, system.closing, strict=True))
+    joints |= dict(zip(system.topology.closing, system.closing, strict=True))
     return {
         name: joint for name, joint in joints.items() if isinstance(joint, AbstractRubbingJoint)
     }

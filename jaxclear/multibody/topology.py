@@ -81,7 +81,8 @@ def listed_rows(rows: tuple[tuple[str, str], ...]) -> str:
 @dataclass(frozen=True)
 class Topology:
     """Static structure of a mechanism. `subtrees`: what hangs together without the ground, as
-    tuples of indices of branches. `redundancy` is known once the mechanism has been assembled
+    tuples of indices of branches; `loops`: what closes loops, joints and then `couplings`.
+    `redundancy` is known once the mechanism has been assembled
     (`redundancy.py`); None where no row is redundant.
     """
 
@@ -92,6 +93,12 @@ class Topology:
     coordinate_count: int
     speed_count: int
     redundancy: Redundancy | None = None
+    couplings: tuple[str, ...] = ()
+
+    @property
+    def closing(self) -> tuple[str, ...]:
+        """Joints that close loops."""
+        return self.loops[: len(self.loops) - len(self.couplings)]
 
     @property
     def depend(self) -> bool:
@@ -159,7 +166,9 @@ def rubbing_in(connections: dict[str, Connection]) -> dict[str, AbstractRubbingJ
     return {n: joint for n, joint in joints.items() if isinstance(joint, AbstractRubbingJoint)}
 
 
-def grow(bodies: dict[str, Body], connections: dict[str, Connection]) -> Topology:
+def grow(
+    bodies: dict[str, Body], connections: dict[str, Connection], couplings: tuple[str, ...] = ()
+) -> Topology:
     """The spanning tree of a mechanism whose names have been checked."""
     ideal = {name: c for name, c in connections.items() if isinstance(c.joint, AbstractJoint)}
     depth = {GROUND: 0}
@@ -191,10 +200,10 @@ def grow(bodies: dict[str, Body], connections: dict[str, Connection]) -> Topolog
             order.append((outer, None, GROUND, False))
             inner = GROUND
         depth[outer] = depth[inner] + 1
-    return _lay_out(order, unused, bodies, connections)
+    return _lay_out(order, unused, bodies, connections, couplings)
 
 
-def _lay_out(order, loops, bodies, connections):
+def _lay_out(order, closing, bodies, connections, couplings=()):
     children: dict[str, list] = {}
     for entry in order:
         children.setdefault(entry[2], []).append(entry)
@@ -218,4 +227,13 @@ def _lay_out(order, loops, bodies, connections):
         branches.append(Branch(body, name, parent, turned, slice(q, q + nq), slice(v, v + nv)))
         q, v = q + nq, v + nv
     clearances = tuple(n for n, c in connections.items() if isinstance(c.joint, AbstractClearance))
-    return Topology(tuple(branches), tuple(map(tuple, subtrees)), tuple(loops), clearances, q, v)
+    loops = (*closing, *couplings)
+    return Topology(
+        tuple(branches),
+        tuple(map(tuple, subtrees)),
+        loops,
+        clearances,
+        q,
+        v,
+        couplings=tuple(couplings),
+    )

@@ -48,13 +48,17 @@ class Link(eqx.Module):
 class Motion(NamedTuple):
     """Motion of one link: pose in the parent link and in the ground, twist, twist of each free unit
     speed of its joint, and the bias acceleration: the part relative to the parent that does not
-    depend on the free accelerations."""
+    depend on the free accelerations. Coordinates and speeds of its joint, and the accelerations
+    that a drive prescribes."""
 
     relative: Pose
     pose: Pose
     twist: Twist
     columns: tuple[Twist, ...]
     bias: Twist
+    coordinates: tuple = ()
+    speeds: tuple = ()
+    prescribed: tuple = ()
 
 
 def transform_twist(relative: Pose, twist: Twist) -> Twist:
@@ -130,7 +134,8 @@ def link_motions(
         change = link.joint.bias(q, v)
         if change is not None:
             bias = add_twists(bias, change)
-        motions.append(Motion(relative, pose, twist, () if drive is not None else columns, bias))
+        free = () if drive is not None else columns
+        motions.append(Motion(relative, pose, twist, free, bias, q, v, acceleration))
     return tuple(motions)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, AbstractLoad, Gravity
@@ -23,11 +24,12 @@ from jaxclear.ground.kinds import check_kinds
 from jaxclear.ground.quantity import check_range, numbers
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
+from jaxclear.multibody.pose_rows import check_rows
 from jaxclear.multibody.topology import Topology, coordinate_joint
 from jaxclear.multibody.worn_laws import check_followed
 
 
-def check_parts(bodies: dict, connections: dict, loads: dict) -> None:
+def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -> None:
     """Types must be what the slots expect, names refer to something, numbers be possible, and every
     body be held.
     """
@@ -44,6 +46,10 @@ def check_parts(bodies: dict, connections: dict, loads: dict) -> None:
         _check_connection(name, connection, bodies)
     for name, load in loads.items():
         _check_load(name, load, bodies, connections)
+    for name, coupling in couplings.items():
+        expect(coupling, AbstractCoupling, f'coupling "{name}"', "one of jaxclear.coupling")
+        _check_slots(f'coupling "{name}"', coupling)
+        check_values(f'coupling "{name}"', coupling)
     if sum(isinstance(load, Gravity) for load in loads.values()) > 1:
         raise ValueError("a mechanism has more than one load.Gravity; give one.")
     _check_reach(bodies, connections)
@@ -63,6 +69,8 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
         raise ValueError(
             f'joint "{name}" joins "{connection.parent.body}" to itself; it needs two bodies.'
         )
+    if isinstance(joint, AbstractJoint):
+        check_rows(name, joint)
     if isinstance(joint, AbstractClearance):
         try:
             plain = _in_numpy(joint)
@@ -169,7 +177,7 @@ def check_finite(what: str, part: Any) -> None:
 
 def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
     """Drives and inertias of coordinates must fit the tree."""
-    for name in topology.loops:
+    for name in topology.closing:
         if drive_of(connections[name].joint) is not None:
             raise ValueError(
                 f'joint "{name}" is driven but closes a loop of driven joints; a loop can follow '

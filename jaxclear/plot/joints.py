@@ -68,7 +68,8 @@ def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = Non
     history, motion = run.contact(joint), relative_motion(run, joint)
     own: Any = run.mechanism.connections[joint].joint
     gap = getattr(own, "gap", own)
-    rows = set(getattr(gap, "rows", None) or gap.ideal_rows)
+    stated: Any = getattr(gap, "rows", None) or getattr(gap, "ideal_rows", ())
+    rows = set(stated)
     if rows == {"x", "y", "z"}:
         raise ValueError(
             f'the joint "{joint}" is a {type(gap).__name__}, which slides in more than one '

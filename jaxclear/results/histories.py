@@ -227,6 +227,26 @@ def _closure_reaction(now, forces, solution, name):
     return sp.apply(rotation, force), sp.apply(rotation, torque)
 
 
+def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
+    """What a coupling transmits over time [N m, N]."""
+    check_known(name, history.mechanism.couplings, "coupling")
+    return _transmitted(history, name)
+
+
+@eqx.filter_jit
+def _transmitted(history, name):
+    def one(now):
+        system = now.model.system
+        forces = history.formulation.forces(now)
+        solution = dynamics.forward_dynamics(system, forces, now.model.stabilisation)
+        wanted = system.closures[system.topology.loops.index(name)]
+        every = constraints.by_closure(system, now.motions, solution.multipliers)
+        own = next(own for closure, own in every if closure is wanted)
+        return jnp.asarray(own.get(0, 0.0), float)
+
+    return over_time(history, one)
+
+
 @eqx.filter_jit
 def drift(history: StateHistory) -> dict[str, Float[Array, " time"]]:
     """Largest residual [m, 1] of each loop closure, by the joint that closes the loop."""

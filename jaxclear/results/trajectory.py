@@ -273,6 +273,11 @@ class Trajectory(AbstractShown):
         overconstrained and leave a reaction open it is the least one, and a warning says so."""
         return histories.reaction(self.history, name)
 
+    def transmitted(self, coupling: str) -> Float[Array, " time"]:
+        """What a coupling transmits over time: of coordinates the torque [N m] (force [N] where it
+        slides) on the first of them; of bodies the force [N] along its line of action."""
+        return histories.transmitted(self.history, coupling)
+
     def coordinate(self, name: str) -> Float[Array, "time q"]:
         """Coordinates of a connection (or floating body) of the tree."""
         return self.history.branch_columns(name, speeds=False)

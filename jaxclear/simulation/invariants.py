@@ -37,7 +37,7 @@ from jaxclear.integrators.checks import (
 )
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
-from jaxclear.multibody import energy, kinematics, loops, state
+from jaxclear.multibody import constraints, energy, kinematics, loops, state
 from jaxclear.multibody.reach import shortest_part
 from jaxclear.multibody.system import System, longest_arm, wear_maps
 from jaxclear.native import through_rows
@@ -326,10 +326,10 @@ def openings(now: Instant) -> Float[Array, " loops"]:
     they are."""
     openings, system = [], now.model.system
     for closure in system.closures:
-        _, pose, _ = kinematics.relative_motion(closure, now.motions)
         part = shortest_part(system, closure)
-        values = zip(closure.rows, loops.residuals(closure.rows, pose), strict=True)
-        shares = [abs(x) / part if len(row) == 1 else abs(x) for row, x in values]
+        found = constraints.residuals(system, now.motions, closure)
+        values = zip(closure.rows, found, strict=True)
+        shares = [abs(x) / part if loops.is_length(row) else abs(x) for row, x in values]
         openings.append(jnp.max(sp.stack(shares), initial=0.0))
     return jnp.stack(openings)
 

@@ -132,6 +132,7 @@ def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
             mechanism.bodies,
             connections,
             mechanism.loads,
+            couplings=mechanism.couplings,
             **mechanism.given,
             stabilisation=mechanism.stabilisation,
         )

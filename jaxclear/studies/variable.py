@@ -240,4 +240,5 @@ def _meant(error: Exception, mechanism: Mechanism) -> str:
     if isinstance(error, AttributeError) and error.name:
         return meant(error.name, [n for n in dir(error.obj) if not n.startswith("_")])
     key = error.args[0] if isinstance(error, KeyError) and error.args else ""
-    return meant(key, [*mechanism.connections, *mechanism.bodies, *mechanism.loads])
+    names = [*mechanism.connections, *mechanism.bodies, *mechanism.loads, *mechanism.couplings]
+    return meant(key, names)

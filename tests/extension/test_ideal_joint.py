@@ -14,7 +14,6 @@ class Screw(jc.joint.AbstractVectorJoint):
 
     home: ClassVar = (0.0,)
     units: ClassVar = ("rad",)
-    rows: ClassVar = ("x", "y", "x.z", "y.z")
     reversal: ClassVar = jc.joint.FLIP
     pitch: Scalar = quantity(unit="m/rad", meaning="advance per radian")
 

@@ -4,12 +4,13 @@ through the joint.
 A joint of a spanning tree contributes coordinates q and speeds v; a joint that closes a loop
 contributes constraint rows. Twists are in the child's axes, linear then angular. Row "x" says that
 the child's origin stays at x = 0 of the parent's marker, row "x.z" that the parent's x axis stays
-perpendicular to the child's z axis. A joint from outside derives from `AbstractVectorJoint` where
+perpendicular to the child's z axis; a joint that states no rows gets them from its motion. A joint
+from outside derives from `AbstractVectorJoint` where
 coordinates are angles and displacements, from `AbstractGroupJoint` where rotations are free.
 """
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,13 +27,14 @@ ANGULAR = tuple(Twist(sp.ZERO, axis) for axis in sp.IDENTITY)
 
 class AbstractJoint(AbstractQuantified):
     """An ideal joint: `home` are its coordinates in the drawing, `units` theirs, `rows` its
-    constraint rows. `reversal`: turn of both markers (columns: new axes in the old) with which the
-    joint, read from child to parent, is one of its kind again.
+    constraint rows where it closes a loop; a joint that states none is held there by what departs
+    from its `motion`, in ways that its home tells apart. `reversal`: turn of both markers (columns:
+    new axes in the old) with which the joint, read from child to parent, is one of its kind again.
     """
 
     home: eqx.AbstractClassVar[tuple[float, ...]]
     units: eqx.AbstractClassVar[tuple[str, ...]]
-    rows: eqx.AbstractClassVar[tuple[str, ...]]
+    rows: ClassVar[tuple[str, ...] | None] = None
     reversal: eqx.AbstractClassVar[sp.Mat]
 
     @abstractmethod

@@ -1,0 +1,56 @@
+"""What a coupling is refused for, in sentences that name it and say what would be right."""
+
+from typing import Any
+
+from jaxclear.components.coupling import AbstractCoordinateCoupling
+from jaxclear.components.joint.base import drive_of
+from jaxclear.ground.arguments import check_known
+from jaxclear.ground.wording import listed
+from jaxclear.multibody.topology import Topology, coordinate_joint
+
+__all__ = ["check_couplings"]
+
+
+def check_couplings(couplings: dict, topology: Topology, bodies: dict, connections: dict) -> None:
+    """Raises `ValueError` for a coupling of joints that there are not, or that do not fit."""
+    for name, coupling in couplings.items():
+        if name in connections:
+            raise ValueError(f'"{name}" is a coupling and a joint; give one of them another name.')
+        for joint in coupling.joints():
+            check_known(f'joint of coupling "{name}"', joint, connections)
+        if isinstance(coupling, AbstractCoordinateCoupling):
+            _check_coordinates(name, coupling, topology, bodies, connections)
+
+
+def _check_coordinates(
+    name: str, coupling: Any, topology: Topology, bodies: dict, connections: dict
+) -> None:
+    """That the joints have one coordinate each, of which one at least is free, and one at most is
+    an angle outside the tree."""
+    driven, uncounted = [], []
+    for place in coupling.joints():
+        try:
+            joint = coordinate_joint(place, bodies, connections)
+        except ValueError as error:
+            raise ValueError(
+                f'coupling "{name}" speaks of joint "{place}", which {error}'
+            ) from None
+        if len(joint.home) != 1:
+            raise ValueError(
+                f'coupling "{name}" speaks of the coordinate of joint "{place}", which must have '
+                f"one, of turning or sliding; it has {len(joint.home)}."
+            )
+        driven += [place] if drive_of(joint) is not None else []
+        outside = topology.branch_of(place) is None
+        uncounted += [place] if outside and joint.units == ("rad",) else []
+    if len(driven) == len(coupling.joints()):
+        raise ValueError(
+            f'coupling "{name}" ties joints {listed(driven)}, all of which are driven; leave one '
+            "of the drives out."
+        )
+    if len(uncounted) > 1:
+        raise ValueError(
+            f'coupling "{name}" ties joints {listed(uncounted)}, whose whole turns are not counted '
+            "because the tree does not carry them (they have clearance or close loops); one at "
+            "most may be such a joint. Couple the bodies in their place (jaxclear.coupling.Gear)."
+        )

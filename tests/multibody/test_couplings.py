@@ -1,0 +1,301 @@
+"""Couplings of coordinates against closed forms, elimination on the mechanism's own mass matrix,
+and another program.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.multibody import dynamics, kinematics
+from jaxclear.multibody.forces import applied_forces
+from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.system import prepare
+
+TURN = jc.joint.Revolute()
+J_PINION, J_WHEEL, R_PINION, R_WHEEL = 1e-4, 2e-3, 0.02, 0.06
+DRIVING, LOAD = 0.2, -0.3
+
+
+def gear_pair(ratio=-R_PINION / R_WHEEL, offset=None, turn=TURN):
+    """Two shafts on the ground, wheel and pinion, under torques."""
+    return jc.Mechanism(
+        {"pinion": jc.Body(0.3, J_PINION), "wheel": jc.Body(1.0, J_WHEEL)},
+        {
+            "A": jc.Connection(TURN, "ground", "pinion"),
+            "B": jc.Connection(turn, jc.Marker("ground", (0.08, 0.0)), jc.Marker("wheel")),
+        },
+        {"m": jc.load.JointTorque("A", DRIVING), "l": jc.load.JointTorque("B", LOAD)},
+        couplings={"mesh": jc.coupling.Ratio("B", "A", ratio, offset)},
+    )
+
+
+def accelerations(rig, q, v):
+    """(free accelerations, what the rig's own mass matrix gives where the couplings' rows, of
+    constant factors, are eliminated)."""
+    system = prepare(rig)
+    own_q, own_v = unpack_motion(system, [*q, *v])
+    motions = kinematics.link_motions(system, own_q, own_v, 0.0)
+    forces = applied_forces(system, motions, {}, own_q, own_v, 0.0, {})
+    solution = dynamics.forward_dynamics(system, forces, None)
+    masses, right = dynamics.equations_of_motion(system, forces)
+    size = system.topology.speed_count
+    mass, position = np.zeros((size, size)), 0
+    for own in masses:
+        block = np.array([[float(x) for x in row] for row in own])
+        mass[position : position + len(block), position : position + len(block)] = block
+        position += len(block)
+    right = np.array([float(x) for own in right for x in own])
+    rows = np.zeros((len(rig.couplings), size))
+    for row, coupling in zip(rows, rig.couplings.values(), strict=True):
+        for joint, factor in coupling.terms():
+            row[rig.topology.branch_of(joint).speeds.start] = factor
+    followers = [rig.topology.branch_of(c.joints()[0]).speeds.start for c in rig.couplings.values()]
+    free = [i for i in range(size) if i not in followers]
+    projection = np.zeros((size, len(free)))
+    projection[free] = np.eye(len(free))
+    projection[followers] = -np.linalg.solve(rows[:, followers], rows[:, free])
+    eliminated = projection @ np.linalg.solve(
+        projection.T @ mass @ projection, projection.T @ right
+    )
+    return np.array([float(x) for own in solution.accelerations for x in own]), eliminated
+
+
+def test_a_gear_pair_turns_as_its_formula():
+    run = jc.simulate(gear_pair(), 0.1, save=6, balance=True)
+    share = R_PINION / R_WHEEL
+    wanted = (DRIVING - LOAD * share) / (J_PINION + J_WHEEL * share**2)
+    angle = 0.5 * wanted * np.asarray(run.time) ** 2
+    # a parabola is exact for the integrator: rounding
+    np.testing.assert_allclose(run.coordinate("A")[:, 0], angle, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(run.coordinate("B")[:, 0], -share * angle, rtol=1e-12, atol=1e-14)
+    torque = -J_WHEEL * wanted * share - LOAD
+    np.testing.assert_allclose(run.transmitted("mesh"), torque, rtol=1e-12)
+    # it loads no bearing
+    np.testing.assert_allclose(run.reaction("A").force, 0.0, atol=1e-12)
+    np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-9)
+    assert run.warnings == ()
+
+
+def planetary(sun=0.03, planet=0.015):
+    """A planetary set of sun, ring, carrier and one planet, its two meshes as ratios as seen from
+    the carrier."""
+    ring = sun + 2 * planet
+    return jc.Mechanism(
+        {
+            "sun": jc.Body(0.2, 1e-4),
+            "ring": jc.Body(0.4, 4e-4),
+            "carrier": jc.Body(0.3, 3e-4),
+            "planet": jc.Body(0.1, 2e-5),
+        },
+        {
+            "S": jc.Connection(TURN, "ground", "sun"),
+            "R": jc.Connection(TURN, "ground", "ring"),
+            "C": jc.Connection(TURN, "ground", "carrier"),
+            "P": jc.Connection(
+                TURN, jc.Marker("carrier", (sun + planet, 0.0)), jc.Marker("planet")
+            ),
+        },
+        {"m": jc.load.JointTorque("S", 1.0), "l": jc.load.JointTorque("C", -0.5)},
+        couplings={"willis": jc.coupling.Differential("R", "S", "C", sun / ring)},
+    )
+
+
+def test_a_planetary_set_turns_as_willis_says():
+    sun, planet = 0.03, 0.015
+    ring = sun + 2 * planet
+    base = planetary(sun, planet)
+    inner, outer = jc.coupling.Ratio("P", "S", -sun / planet), jc.coupling.Ratio("R", "P", 0.2)
+
+    class Mesh(jc.coupling.AbstractCoordinateCoupling):
+        """r_w (w - c) = s r_p p: a wheel w on the carrier's axis and the planet p."""
+
+        wheel: str
+        side: float
+
+        def terms(self):
+            radius = sun if self.wheel == "S" else ring
+            term = jc.coupling.CoordinateTerm
+            return (
+                term(self.wheel, radius),
+                term("C", -radius),
+                term("P", -self.side * planet),
+            )
+
+        def total(self):
+            return None
+
+    assert inner.joints() == ("P", "S") and outer.joints() == ("R", "P")
+    rig = base.with_coupling("willis", None)
+    rig = rig.with_coupling("inner", Mesh("S", -1.0)).with_coupling("outer", Mesh("R", 1.0))
+    found, eliminated = accelerations(rig, [0.3, 0.1, 0.2, 0.4], [1.0, 2.0, 3.0, 4.0])
+    # on the same matrix: rounding
+    np.testing.assert_allclose(found, eliminated, rtol=1e-12, atol=1e-9)
+    names = [branch.name for branch in rig.topology.branches]
+    by = dict(zip(names, found, strict=True))
+
+    def energy(s, c):
+        p = -sun / planet * (s - c)
+        b = c + planet / ring * p
+        turned = 1e-4 * s**2 + 4e-4 * b**2 + 3e-4 * c**2
+        return 0.5 * (turned + 0.1 * (sun + planet) ** 2 * c**2 + 2e-5 * (c + p) ** 2)
+
+    mixed = energy(1, 1) - energy(1, 0) - energy(0, 1)
+    matrix = np.array([[2 * energy(1, 0), mixed], [mixed, 2 * energy(0, 1)]])
+    wanted = np.linalg.solve(matrix, [1.0, -0.5])
+    np.testing.assert_allclose([by["S"], by["C"]], wanted, rtol=1e-12)
+    # Willis: (ring - carrier) / (sun - carrier) = - sun's radius / ring's
+    share = (by["R"] - by["C"]) / (by["S"] - by["C"])
+    np.testing.assert_allclose(share, -sun / ring, rtol=1e-12)
+
+
+def test_a_differential_shares_as_willis_says():
+    run = jc.simulate(planetary(), 0.05, save=3, integrator=jc.integrator.FixedStep(1e-3))
+    sun, ring, carrier = (np.asarray(run.coordinate(n))[1:, 0] for n in "SRC")
+    np.testing.assert_allclose((ring - carrier) / (sun - carrier), -0.03 / 0.06, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        jc.integrator.Adaptive(),
+        jc.integrator.FixedStep(1e-3),
+        jc.integrator.ImplicitStep(1e-3),
+        jc.integrator.NonColliding(1e-3),
+        jc.integrator.MoreauJean(1e-3),
+    ],
+    ids=lambda x: type(x).__name__,
+)
+def test_a_ratio_holds_in_every_integrator(integrator):
+    rig = gear_pair(offset=0.1)
+    run = jc.simulate(rig, 0.05, save=3, integrator=integrator)
+    wheel, pinion = run.coordinate("B")[:, 0], run.coordinate("A")[:, 0]
+    np.testing.assert_allclose(wheel, 0.1 - pinion * R_PINION / R_WHEEL, rtol=1e-12, atol=1e-13)
+    share = R_PINION / R_WHEEL
+    wanted = (DRIVING - LOAD * share) / (J_PINION + J_WHEEL * share**2)
+    # a first-order method is off by half a step beside the duration, at the most
+    np.testing.assert_allclose(pinion[-1] - pinion[0], 0.5 * wanted * 0.05**2, rtol=0.03)
+
+
+def test_a_drive_moves_what_follows_it_and_pays_for_it():
+    """A rack that a driven pinion moves by a ratio in m/rad, against gravity."""
+    speed, radius, mass = 3.0, 0.02, 2.0
+    rig = jc.Mechanism(
+        {"pinion": jc.Body(0.3, J_PINION), "rack": jc.Body(mass, (1e-3, 1e-3, 1e-3))},
+        {
+            "A": jc.Connection(
+                jc.joint.Revolute(jc.drive.Harmonic(1.0, speed)), "ground", "pinion"
+            ),
+            "S": jc.Connection(jc.joint.Prismatic(), "ground", "rack"),
+        },
+        {"g": jc.load.Gravity((0.0, 0.0, -9.81))},
+        couplings={"rack": jc.coupling.Ratio("S", "A", radius)},
+    )
+    assert "ratio 0.02" in str(rig)
+    run = jc.simulate(rig, 0.4, save=5, balance=True, integrator=jc.integrator.FixedStep(2e-4))
+    way = run.coordinate("S")[:, 0]
+    np.testing.assert_allclose(way - way[0], radius * _turned(run, "pinion"), atol=1e-11)
+    np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-9)
+    # what the drive gives moves the pinion too, and lifts the rack
+    given = np.asarray(run.energy_balance().input)
+    lifted = mass * 9.81 * (way - way[0])
+    fast = np.asarray(run.speed("S"))[:, 0]
+    moving = 0.5 * (mass + J_PINION / radius**2) * (fast**2 - fast[0] ** 2)
+    np.testing.assert_allclose(given, lifted + moving, atol=1e-9)
+
+
+def _turned(run, body):
+    rotation = np.asarray(run.body(body).rotation)
+    angle = np.unwrap(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
+    return angle - angle[0]
+
+
+def test_a_ratio_reaches_a_joint_outside_the_tree():
+    """The wheel's bearing with clearance: the torque acts on its coordinate, over whole turns."""
+    bearing = jc.clearance.PlanarJournalBearing(
+        jc.contact.LankaraniNikravesh(restitution=0.9, stiffness=1e8), clearance=1e-4
+    )
+    rig = gear_pair(-1.0).with_joint("B", bearing)
+    assert rig.topology.branch_of("B") is None
+    run = jc.simulate(rig, 0.5, save=26, integrator=jc.integrator.FixedStep(1e-4))
+    wheel, pinion = (_turned(run, body) for body in ("wheel", "pinion"))
+    wanted = (DRIVING - LOAD) / (J_PINION + J_WHEEL)
+    # nothing presses the journal, so it stays in the middle; more than four turns
+    np.testing.assert_allclose(pinion, 0.5 * wanted * np.asarray(run.time) ** 2, atol=1e-9)
+    np.testing.assert_allclose(wheel, -pinion, atol=1e-9)
+    np.testing.assert_allclose(run.transmitted("mesh")[0], -J_WHEEL * wanted - LOAD, rtol=1e-9)
+    with pytest.raises(ValueError, match="whole turns are not counted"):
+        rig.with_joint("A", bearing)
+
+
+def test_derivatives_pass_through_a_ratio():
+    def end(ratio):
+        rig = gear_pair(ratio)
+        step = jc.integrator.FixedStep(1e-3)
+        return jc.simulate(rig, 0.1, save=2, integrator=step).coordinate("A")[-1, 0]
+
+    ratio = -R_PINION / R_WHEEL
+    numerator, below = DRIVING + LOAD * ratio, J_PINION + J_WHEEL * ratio**2
+    exact = 0.5 * 0.1**2 * (LOAD * below - numerator * 2 * J_WHEEL * ratio) / below**2
+    # closed form, the motion is exact: rounding
+    np.testing.assert_allclose(jax.jvp(end, (ratio,), (1.0,))[1], exact, rtol=1e-10)
+    np.testing.assert_allclose(jax.grad(end)(jnp.asarray(ratio)), exact, rtol=1e-10)
+
+
+def test_mujoco_couples_alike():
+    mujoco = pytest.importorskip("mujoco")
+    text = """<mujoco><option timestep="1e-4" integrator="RK4" gravity="0 0 0"/><worldbody>
+      <body name="pinion"><joint name="A" axis="0 0 1"/><inertial pos="0 0 0" mass="0.3"
+        diaginertia="1e-4 1e-4 1e-4"/></body>
+      <body name="wheel" pos="0.08 0 0"><joint name="B" axis="0 0 1"/><inertial pos="0 0 0" mass="1"
+        diaginertia="2e-3 2e-3 2e-3"/></body></worldbody>
+      <equality><joint joint1="B" joint2="A" polycoef="0 -0.3333333333333333 0 0 0"
+        solref="2e-4 1" solimp="0.9999 0.9999 1e-3"/></equality></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    for _ in range(1000):
+        data.qfrc_applied[:] = (DRIVING, LOAD)
+        mujoco.mj_step(model, data)
+    run = jc.simulate(gear_pair(), 0.1, save=2)
+    ours = [float(run.coordinate(n)[-1, 0]) for n in "AB"]
+    # MuJoCo's equality is soft: impedance 0.9999
+    np.testing.assert_allclose(data.qpos, ours, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("build", "said"),
+    [
+        (lambda: jc.coupling.Ratio("A", "A", 1.0), "names twice"),
+        (lambda: gear_pair().with_coupling("x", jc.coupling.Ratio("A", "Z", 1.0)), '"Z"'),
+        (lambda: gear_pair().with_coupling("A", jc.coupling.Ratio("A", "B", 1.0)), "another name"),
+        (lambda: gear_pair().with_coupling("x", None), '"x"'),
+        (lambda: gear_pair().with_coupling("x", TURN), "jaxclear.coupling"),
+        (lambda: gear_pair(turn=jc.joint.Cylindrical()), "it has 2"),
+        (lambda: gear_pair(float("nan")), "finite"),
+    ],
+)
+def test_what_does_not_fit_is_refused(build, said):
+    with pytest.raises(ValueError, match=said):
+        build()
+
+
+def test_a_coupling_of_driven_joints_is_refused():
+    driven = jc.joint.Revolute(jc.drive.Harmonic(1.0, 2.0))
+    rig = gear_pair()
+    loads = {}
+    rig = rig.with_loads(loads).with_joint("A", driven)
+    with pytest.raises(ValueError, match="all of which are driven"):
+        rig.with_joint("B", driven)
+
+
+def test_couplings_stay_with_the_mechanism(tmp_path):
+    rig = gear_pair(offset=0.2)
+    kept = [rig.with_loads({}), rig.with_joint("A", jc.joint.PlainBearing())]
+    assert all(list(own.couplings) == ["mesh"] for own in kept)
+    jc.write_scene(rig, tmp_path / "pair.yaml")
+    again = jc.read_scene(tmp_path / "pair.yaml").mechanism
+    assert str(again) == str(rig)
+    assert jax.tree.structure(again) == jax.tree.structure(rig)
+    names = rig.parameters()["name"]
+    assert 'couplings["mesh"].ratio' in set(names)
