@@ -1,5 +1,6 @@
 r"""Equality constraints of a model of MuJoCo: `connect` is a `Spherical` joint that closes a loop,
-`weld` a `Fixed` one. What is not built is named.
+`weld` a `Fixed` one, a linear equality of joints (URDF's `mimic`) a `Ratio`, of one joint alone a
+drive that holds it. What is not built is named.
 
 MuJoCo holds them softly; here they hold. With body semantics it keeps the point `eq_data[0:3]` of
 the one body at the point `eq_data[3:6]` of the other (of a weld in the opposite order), with site
@@ -13,9 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxclear.components.body import Connection
+from jaxclear.components.coupling import Ratio
 from jaxclear.components.joint import Fixed, Spherical
 from jaxclear.files.model_tree import Place, Tree, marker_at, quaternion_of, rotation_of
-from jaxclear.files.mujoco_model import FREE, free_name
+from jaxclear.files.mujoco_model import FREE, SLIDE, free_name
 
 __all__ = ["Equalities", "equalities_of"]
 
@@ -27,11 +29,13 @@ OPEN = 1e-6
 
 
 class Equalities(NamedTuple):
-    """Equality constraints as connections, those not taken over in words, the free joints of bodies
-    that they hold, and how balls that hold such a body are turned in the reference configuration
-    (quaternions w, x, y, z)."""
+    """Equality constraints as connections and couplings, joints held at a coordinate [rad, m], what
+    is not taken over in words, the free joints of bodies that they hold, and how balls that hold
+    such a body are turned in the reference configuration (quaternions w, x, y, z)."""
 
     connections: dict[str, Connection]
+    couplings: dict[str, Ratio]
+    held: dict[str, float]
     missing: list[str]
     free: set[str]
     turned: dict[str, tuple[float, ...]]
@@ -46,18 +50,41 @@ class End(NamedTuple):
 
 def equalities_of(model: Any, tree: Tree) -> Equalities:
     """The equality constraints of a model whose bodies and joints are those of a tree."""
-    found = Equalities({}, [], set(), {})
+    found = Equalities({}, {}, {}, [], set(), {})
     taken = [*tree.names, *tree.joints, *tree.connections]
     for k in range(model.neq):
         own, kind = model.eq(k).name, KINDS[model.eq_type[k]]
-        name = free_name(own or f"{kind} {k}", [*taken, *found.connections], " equality")
-        if kind not in ("connect", "weld"):
+        name = free_name(
+            own or f"{kind} {k}", [*taken, *found.connections, *found.couplings], " equality"
+        )
+        if not model.eq_active0[k] or kind not in ("connect", "weld", "joint"):
             found.missing.append(_in_words(model, k, name, tree.joints))
-        elif not model.eq_active0[k]:
-            found.missing.append(f'{kind} "{name}" (not active)')
+        elif kind == "joint":
+            _couple(found, model, tree, name, k)
         else:
             _hold(found, model, tree, name, k)
     return found
+
+
+def _couple(found: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
+    """Puts an equality of joints into what was found; both coordinates count from the reference
+    configuration there, too."""
+    follower, leader = (int(own[k]) for own in (model.eq_obj1id, model.eq_obj2id))
+    offset, ratio, *bent = map(float, model.eq_data[k][:5])
+    if leader >= 0 and any(bent):
+        found.missing.append(_in_words(model, k, name, tree.joints))
+        return
+    if leader >= 0 and ratio:
+        joints = tree.joints[follower], tree.joints[leader]
+        found.couplings[name] = Ratio(*joints, ratio, offset or None)
+    else:
+        found.held[tree.joints[follower]] = offset
+    if abs(offset) > OPEN:
+        unit = "m" if model.jnt_type[follower] == SLIDE else "rad"
+        found.missing.append(
+            f'the reference configuration, in which equality "{name}" is off by {offset:.3g} {unit}'
+            " (the mechanism is assembled from it)"
+        )
 
 
 def _ends(model: Any, k: int) -> tuple[End, End]:
@@ -137,9 +164,9 @@ def _free_joints(model: Any, tree: Tree, body: int) -> list[str]:
 
 def _in_words(model: Any, k: int, name: str, joints: list[str]) -> str:
     """An equality that is not built: of one between joints with its polynomial."""
-    idle = "" if model.eq_active0[k] else ", not active"
-    if KINDS[model.eq_type[k]] != "joint":
-        return f'equality "{name}" ({KINDS[model.eq_type[k]]}{idle})'
+    idle, kind = "" if model.eq_active0[k] else ", not active", KINDS[model.eq_type[k]]
+    if kind != "joint":
+        return f'equality "{name}" ({kind}{idle})'
     one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
     terms = [f"{x:.6g}{_power(i)}" for i, x in enumerate(model.eq_data[k][:5]) if x]
     law = " + ".join(terms) or "0"

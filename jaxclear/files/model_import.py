@@ -2,12 +2,15 @@
 what acts on joints is in `model_loads`. What is not taken over is named in a warning.
 """
 
+import dataclasses
 import warnings
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from jaxclear.components.body import Connection
+from jaxclear.components.drive import Held
 from jaxclear.components.load import Gravity
 from jaxclear.files.model_equalities import equalities_of
 from jaxclear.files.model_loads import STOPS, gives_way, loads_of
@@ -15,6 +18,7 @@ from jaxclear.files.model_tree import Tree
 from jaxclear.files.mujoco_model import Compiled, compiled, names_of, not_taken_over
 from jaxclear.ground.answering import answering
 from jaxclear.ground.arguments import check_flags, check_known
+from jaxclear.multibody.exchange import without_loads_on
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.topology import grow
 
@@ -48,9 +52,10 @@ def read_mjcf(
     model's reference configuration. Gravity becomes a load; of hinges and slides damping and
     stiffness a `JointSpring`, armature a `RotorInertia`, dry friction a `JointFriction`, limits a
     `JointStop`. Active equalities `connect` are `Spherical` joints and `weld` `Fixed` ones that
-    close loops. Bodies without inertia that are welded become part of what they are welded to.
-    Several joints of one body get bodies between them, of 1e-12 of its mass. Geometries and their
-    names are read by `read_shapes`.
+    close loops, linear ones between joints (URDF's `mimic`) a `Ratio`; a joint that one holds alone
+    is driven (`drive.Held`). Bodies without inertia that are welded become part of what they are
+    welded to. Several joints of one body get bodies between them, of 1e-12 of its mass. Geometries
+    and their names are read by `read_shapes`.
 
     - `path`: of the file. `jaxclear[import]` installs MuJoCo, which reads it.
     - `floating`: roots without a joint get a free one.
@@ -62,8 +67,9 @@ def read_mjcf(
       `MoreauJean` and `NonColliding`; otherwise it creeps, as fast as in MuJoCo.
 
     A `NotImported` warning names what is not taken over: contacts, actuators, tendons, other
-    equalities, and what a ball or a free joint has of the above; an `ImportedSoft` warning what
-    gives way under weight and springs, and by how much. Raises `ValueError` with a sentence.
+    equalities, a reference configuration that is not kept, and what a ball or a free joint has of
+    the above. An `ImportedSoft` warning says what gives way under weight and springs, and by how
+    much. Raises `ValueError` with a sentence.
     """
     return _mechanism(compiled(path, floating=floating), stops, sticking)
 
@@ -78,17 +84,30 @@ def _mechanism(read: Compiled, stops: str = "steady", sticking: bool = False) ->
     _warn(read, "not taken over", [*not_taken_over(read, joints), *held.missing], NotImported)
     if not tree.bodies:
         raise ValueError(f"{read.name} has no body with mass.")
-    loads: dict[str, Any] = dict(loads_of(model, joints, stops, sticking))
+    loads = without_loads_on(dict(loads_of(model, joints, stops, sticking)), tuple(held.held))
     _warn(read, "gives way at rest", gives_way(model, joints, loads), ImportedSoft)
     if np.any(model.opt.gravity):
         loads["gravity"] = Gravity(tuple(map(float, model.opt.gravity)))
-    connections = tree.connections | held.connections
+    connections = _held(tree.connections, held.held) | held.connections
     # Where an equality holds a free body, its place is only near: the loop decides.
     start = {name: place for name, place in tree.start.items() if name not in held.free}
     near = {name: place for name, place in tree.start.items() if name in held.free} | held.turned
     grown = grow(tree.bodies, connections)
     guess = {name: place for name, place in near.items() if grown.branch_of(name) is not None}
-    return Mechanism(tree.bodies, connections, loads, start=start, guess=guess)
+    return Mechanism(
+        tree.bodies, connections, loads, couplings=held.couplings, start=start, guess=guess
+    )
+
+
+def _held(connections: dict[str, Connection], places: dict[str, float]) -> dict[str, Connection]:
+    """Connections some of whose joints are held at a coordinate [rad, m]."""
+    found = dict(connections)
+    for name, place in places.items():
+        own = connections[name]
+        joint: Any = own.joint
+        held = dataclasses.replace(joint, drive=Held(place))
+        found[name] = Connection(held, own.parent, own.child)
+    return found
 
 
 def _warn(read: Compiled, what: str, said: Iterable[str], kind: type[Warning]) -> None:

@@ -76,8 +76,8 @@ class Mechanism(AbstractQuantified):
     assemble (a run warns where a nearer one was passed over). Raises `ValueError` with a sentence
     naming what is wrong.
 
-    What is built stays built: parts are read-only. `with_joint`, `with_body` and `with_load` give
-    another mechanism.
+    What is built stays built: parts are read-only. `with_joint`, `with_body`, `with_load` and
+    `with_coupling` give another mechanism.
     """
 
     # `Parts`: read-only, and in the order of their names, by which the tree grows; JAX sorts the
@@ -202,6 +202,7 @@ class Mechanism(AbstractQuantified):
             self.bodies | {name: body},
             self.connections,
             self.loads,
+            couplings=self.couplings,
             **self.given,
             stabilisation=self.stabilisation,
         )

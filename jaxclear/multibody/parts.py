@@ -22,7 +22,8 @@ class Parts(dict):
         raise TypeError(
             "a built Mechanism is read-only: what is changed in it now would not be checked, and "
             "its motion would not follow. Build another: mechanism.with_joint(name, joint), "
-            "mechanism.with_body(name, body), mechanism.with_load(name, load), or "
+            "mechanism.with_body(name, body), mechanism.with_load(name, load), "
+            "mechanism.with_coupling(name, coupling), or "
             'Mechanism(bodies, connections | {"N": ...}, loads, **mechanism.given).'
         )
 

@@ -105,17 +105,23 @@ def test_what_is_not_built_is_named_one_by_one(tmp_path):
     equalities = """<weld name="idle" body1="arm" body2="load" active="false"/>
       <connect name="within" body1="arm" body2="tip" anchor="0.1 0 0"/>
       <joint name="bent" joint1="turn" polycoef="0.1 0 0 0 0" active="false"/>
+      <joint name="curve" joint1="turn" joint2="nod" polycoef="0 1 0.5 0 0"/>
       <tendon name="taut" tendon1="rope"/>"""
-    text = PAIR.format(equalities).replace(
+    nod = (
+        '<body name="head"><joint name="nod"/><geom size="0.1" contype="0" conaffinity="0"/></body>'
+    )
+    text = PAIR.format(equalities).replace("</worldbody>", f"{nod}</worldbody>")
+    text = text.replace(
         "</mujoco>",
         """<tendon><fixed name="rope"><joint joint="turn" coef="1"/></fixed></tendon>
         <actuator><motor name="left" joint="turn"/><motor joint="turn"/></actuator></mujoco>""",
     )
     _, said = imported(tmp_path, text)
     for what in (
-        'weld "idle" (not active)',
+        'equality "idle" (weld, not active)',
         'connect "within" (both ends are parts of "arm")',
         'equality "bent" (coordinate of "turn" = 0.1, not active)',
+        'equality "curve" (coordinate of "turn" = 1 x + 0.5 x^2, x that of "nod")',
         'equality "taut" (tendon)',
         'tendon "rope"',
         'actuator "left"',
@@ -129,4 +135,66 @@ def test_a_disabled_equality_holds_nothing(tmp_path):
         "<worldbody>", '<option><flag equality="disable"/></option><worldbody>', 1
     )
     rig, said = imported(tmp_path, text)
-    assert "w" not in rig.connections and 'weld "w" (not active)' in said[0]
+    assert "w" not in rig.connections and 'equality "w" (weld, not active)' in said[0]
+
+
+def wheels(polynomial, joints='joint1="b" joint2="a"'):
+    """Three wheels on parallel axes, two of them tied."""
+    wheel = """<body name="{0} wheel" pos="{1} 0 0"><joint name="{0}" axis="0 0 1" ref="0.1"/>
+      <inertial pos="0.02 0 0" mass="{2}" diaginertia="1e-3 1e-3 {2}e-3"/></body>"""
+    bodies = "".join(wheel.format(name, k, k + 1) for k, name in enumerate("ab"))
+    return f"""<mujoco><option gravity="0 -9.81 0"/><worldbody>{bodies}</worldbody><equality>
+      <joint name="tie" {joints} polycoef="{polynomial}"/></equality></mujoco>"""
+
+
+def test_a_linear_equality_of_joints_is_a_ratio_and_moves_as_in_mujoco(tmp_path):
+    """MuJoCo's constraint with a time constant of 0.1 ms."""
+    text = wheels("0 -3 0 0 0")
+    rig, said = imported(tmp_path, text)
+    assert said == [] and type(rig.couplings["tie"]) is jc.coupling.Ratio
+    run = jc.simulate(rig, 0.2, save=5)
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep, model.opt.integrator = 2e-5, mujoco.mjtIntegrator.mjINT_RK4
+    model.eq_solref[:], model.eq_solimp[:] = (1e-4, 1), (0.9999, 0.9999, 1e-3, 0.5, 2)
+    data = mujoco.MjData(model)
+    for k in range(5):
+        ours = [float(run.coordinate(name)[k, 0]) for name in "ab"]
+        np.testing.assert_allclose(ours, data.qpos - model.qpos0, atol=1e-6)
+        for _ in range(2500):
+            mujoco.mj_step(model, data)
+    assert abs(ours[1]) > 0.5
+
+
+def test_an_equality_off_in_the_reference_configuration_is_told_and_closed(tmp_path):
+    rig, said = imported(tmp_path, wheels("0.4 -3 0 0 0"))
+    assert 'in which equality "tie" is off by 0.4 rad' in said[0]
+    run = jc.simulate(rig, 1e-3, save=2)
+    a, b = (float(run.coordinate(name)[0, 0]) for name in "ab")
+    np.testing.assert_allclose(b, 0.4 - 3 * a, atol=1e-9)
+
+
+def test_a_joint_that_an_equality_holds_alone_is_driven(tmp_path):
+    rig, said = imported(tmp_path, wheels("0.4 0 0 0 0", 'joint1="b"'))
+    assert 'equality "tie" is off by 0.4 rad' in said[0]
+    assert type(rig.connections["b"].joint.drive) is jc.drive.Held and rig.driven == ("b",)
+    run = jc.simulate(rig, 1e-2, save=2)
+    axis = np.asarray(run.body("b wheel").rotation)[-1][:, 0]
+    np.testing.assert_allclose(axis, (np.cos(0.4), np.sin(0.4), 0), atol=1e-12)
+
+
+def test_mimic_of_a_urdf_is_a_ratio(tmp_path):
+    link = """<link name="{0}"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01"
+      ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+    joint = """<joint name="{0}" type="prismatic"><parent link="base"/><child link="{1}"/>
+      <axis xyz="0 {2} 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>{3}</joint>"""
+    (tmp_path / "r.urdf").write_text(
+        f"""<robot name="r"><link name="base"/>{link.format("left")}{link.format("right")}
+        {joint.format("one", "left", 1, "")}
+        {joint.format("other", "right", -1, '<mimic joint="one" multiplier="2" offset="0"/>')}
+        </robot>"""
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rig = jc.read_urdf(tmp_path / "r.urdf")
+    (tie,) = rig.couplings.values()
+    assert (tie.follower, tie.leader, float(tie.ratio), tie.offset) == ("other", "one", 2.0, None)

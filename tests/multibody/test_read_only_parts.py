@@ -22,6 +22,7 @@ def arm():
             "elbow": jc.Connection(jc.joint.Revolute(), "upper", "fore", at=(1.0, 0.0)),
         },
         {"gravity": jc.load.Gravity((0.0, -9.81))},
+        couplings={"tie": jc.coupling.Ratio("elbow", "shoulder", 0.3 / 0.7)},
         start={"shoulder": 0.7, "elbow": 0.3},
         speeds={"shoulder": 1.0},
         guess={"fore": (1.0, 0.0, 1.0)},
@@ -31,7 +32,7 @@ def arm():
 RIG = arm()
 LOAD = jc.load.JointTorque("elbow", 2.0)
 BODY = jc.Body(3.0, 0.2, (0.4, 0.0))
-PARTS = ("bodies", "connections", "loads", "start", "speeds", "guess")
+PARTS = ("bodies", "connections", "loads", "couplings", "start", "speeds", "guess")
 CHANGES = {
     "put": lambda part: part.__setitem__("N", LOAD),
     "delete": lambda part: part.__delitem__(next(iter(part))),
@@ -91,6 +92,7 @@ def test_another_body_or_load_gives_another_mechanism():
     assert float(heavy.bodies["fore"].mass) == 3.0 and list(heavy.bodies) == ["upper", "fore"]
     still = jc.Mechanism(RIG.bodies, RIG.connections, stabilisation=None)
     assert still.with_body("fore", BODY).stabilisation is None
+    assert list(heavy.couplings) == list(loaded.couplings) == ["tie"]
 
 
 @pytest.mark.parametrize(
