@@ -44,7 +44,7 @@ from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.time_table import TimeTable
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
-from jaxclear.files.model_import import NotImported, read_mjcf, read_urdf
+from jaxclear.files.model_import import ImportedSoft, NotImported, read_mjcf, read_urdf
 from jaxclear.files.model_shapes import read_shapes
 from jaxclear.files.scene import Scene
 from jaxclear.files.scene_file import read_scene, write_scene
@@ -121,6 +121,7 @@ __all__ = [
     "Dimension",
     "FunctionProblem",
     "Heating",
+    "ImportedSoft",
     "LifeEnd",
     "LifeProblem",
     "LifeUntil",

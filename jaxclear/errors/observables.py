@@ -18,7 +18,7 @@ from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.pose import REST
 from jaxclear.multibody import contact_point, kinematics
-from jaxclear.multibody.reach import rooms
+from jaxclear.multibody.reach import is_gap, rooms
 from jaxclear.multibody.system import longest_arm, wear_maps
 from jaxclear.results import histories
 from jaxclear.results.response import PeakContactForce
@@ -228,6 +228,7 @@ def _gaps_apart(run: Trajectory, one: Observables, other: Observables) -> list[A
     return [
         Apart("places in the gap", "gaps", name, "m", room, share * room, room)
         for name, (share, room) in largest.items()
+        if is_gap(room, float(one.arm))
     ]
 
 

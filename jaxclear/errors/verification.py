@@ -15,7 +15,6 @@ import math
 from collections.abc import Callable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.errors.accuracy import Asked, Seen
@@ -24,6 +23,7 @@ from jaxclear.errors.replicas import Replica, replica, thinned
 from jaxclear.errors.told import HALF, QUARTER, Failed, Verified, richardson
 from jaxclear.ground.quantity import is_traced
 from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.multibody.reach import narrowest
 from jaxclear.native import stoppable
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import AbstractVerification, Unverified
@@ -72,7 +72,9 @@ def _verification(
 ) -> AbstractVerification:
     own, counting = asked.seen(run), integrator
     if own.standard.rooms is not None:
-        counting = integrator.counting_in(jnp.min(own.standard.rooms), own.standard.arm)
+        counting = integrator.counting_in(
+            narrowest(own.standard.rooms, own.standard.arm), own.standard.arm
+        )
     found = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
     plans = [plan for plan in found if plan is not None]
     if len(plans) < len(found):

@@ -2,263 +2,115 @@
 what acts on joints is in `model_loads`. What is not taken over is named in a warning.
 """
 
+import dataclasses
 import warnings
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
-from jaxclear.components.body import Body, Connection, Marker
-from jaxclear.components.joint import Fixed, Free, Prismatic, Revolute, Spherical
+from jaxclear.components.body import Connection
+from jaxclear.components.drive import Held
 from jaxclear.components.load import Gravity
-from jaxclear.files.model_loads import loads_of
-from jaxclear.files.mujoco_model import (
-    FREE,
-    SPHERICAL,
-    Compiled,
-    compiled,
-    names_of,
-    not_taken_over,
-)
+from jaxclear.files.model_equalities import equalities_of
+from jaxclear.files.model_loads import STOPS, gives_way, loads_of
+from jaxclear.files.model_tree import Tree
+from jaxclear.files.mujoco_model import Compiled, compiled, names_of, not_taken_over
 from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_flags, check_known
+from jaxclear.multibody.exchange import without_loads_on
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.topology import grow
 
-__all__ = ["NotImported", "read_mjcf", "read_urdf"]
-
-# Of mjtJoint, in its order.
-JOINTS = (Free, Spherical, Prismatic, Revolute)
-# Between two joints of one body stands a body of this share of its mass and largest moment of
-# inertia: a mechanism has a body between any two joints.
-SHARE_BETWEEN = 1e-12
-# Directions that markers name, as columns.
-NAMED = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0)}
+__all__ = ["ImportedSoft", "NotImported", "read_mjcf", "read_urdf"]
 
 
 class NotImported(UserWarning):
     """Something in a model that the mechanism does not have."""
 
 
-class Place(NamedTuple):
-    """A frame: rotation matrix (3, 3) and origin [m]."""
-
-    rotation: np.ndarray
-    origin: np.ndarray
-
-    def after(self, inner: "Place") -> "Place":
-        """The frame `inner`, given in this one, in the frame in which this one is given."""
-        origin = self.rotation @ inner.origin + self.origin
-        return Place(self.rotation @ inner.rotation, origin)
-
-
-HERE = Place(np.eye(3), np.zeros(3))
-
-
-class Inertia(NamedTuple):
-    """Mass [kg], centre of mass [m] and inertia about it [kg m^2], in some frame."""
-
-    mass: float
-    centre: np.ndarray
-    matrix: np.ndarray
-
-    def seen(self, place: Place) -> "Inertia":
-        """The same in a frame in which its own stands at `place`."""
-        turned = place.rotation @ self.matrix @ place.rotation.T
-        return Inertia(self.mass, place.rotation @ self.centre + place.origin, turned)
-
-    def with_another(self, other: "Inertia") -> "Inertia":
-        """Both as one body."""
-        mass = self.mass + other.mass
-        if mass == 0:
-            return self
-        centre = (self.mass * self.centre + other.mass * other.centre) / mass
-        matrix = self._about(centre) + other._about(centre)
-        return Inertia(mass, centre, matrix)
-
-    def _about(self, point: np.ndarray) -> np.ndarray:
-        away = self.centre - point
-        return self.matrix + self.mass * (away @ away * np.eye(3) - np.outer(away, away))
-
-    @property
-    def whole(self) -> bool:
-        """Whether it is that of a body: some mass, extended in every direction."""
-        return self.mass > 0 and bool(np.linalg.eigvalsh(self.matrix)[0] > 0)
-
-    def body(self) -> Body:
-        """The body that has it."""
-        own = self.matrix
-        products = (own[0, 1], own[0, 2], own[1, 2])
-        moments = tuple(map(float, np.diag(own)))
-        given = (*moments, *map(float, products)) if np.any(products) else moments
-        return Body(self.mass, given, tuple(map(float, self.centre)))
+class ImportedSoft(UserWarning):
+    """Something in a model that gives way under the model's own weight."""
 
 
 @answering
-def read_urdf(path: Any, *, floating: bool = False) -> Mechanism:
+def read_urdf(
+    path: Any, *, floating: bool = False, stops: str = "steady", sticking: bool = False
+) -> Mechanism:
     """The mechanism in a URDF file, root fixed in the ground, or `floating`; as `read_mjcf`."""
-    return _mechanism(compiled(path, floating=floating))
+    return _mechanism(compiled(path, floating=floating), stops, sticking)
 
 
 @answering
-def read_mjcf(path: Any, *, floating: bool = False) -> Mechanism:
+def read_mjcf(
+    path: Any, *, floating: bool = False, stops: str = "steady", sticking: bool = False
+) -> Mechanism:
     """The mechanism in a file of MJCF (or URDF), with the names of the file.
 
     Bodies have the frames, inertias and joints of the model: hinges are `Revolute`, slides
     `Prismatic`, balls `Spherical`, free joints `Free`, welds `Fixed`; coordinates count from the
     model's reference configuration. Gravity becomes a load; of hinges and slides damping and
     stiffness a `JointSpring`, armature a `RotorInertia`, dry friction a `JointFriction`, limits a
-    `JointStop`. Friction and limits are constraints in MuJoCo, soft ones, and forces here, chosen
-    after its own numbers and the inertia that it finds at the reference configuration: friction
-    creeps there as fast, a limit gives way to what runs into it as far and as long; under a steady
-    load it gives way further, 1 / (1 - d) times for MuJoCo's impedance d (20 times by default), so
-    give a `JointStop` of your own where that matters.
+    `JointStop`. Active equalities `connect` are `Spherical` joints and `weld` `Fixed` ones that
+    close loops, linear ones between joints (URDF's `mimic`) a `Ratio`; a joint that one holds alone
+    is driven (`drive.Held`). Bodies without inertia that are welded become part of what they are
+    welded to. Several joints of one body get bodies between them, of 1e-12 of its mass. Geometries
+    and their names are read by `read_shapes`.
 
-    `floating`: roots without a joint get a free one. Bodies without inertia that are welded become
-    part of what they are welded to. Several joints of one body get bodies between them, of 1e-12 of
-    its mass. Geometries and their names are read by `read_shapes`. A `NotImported` warning names
-    what is not taken over: contacts, actuators, tendons, constraints, and what a ball or a free
-    joint has of the above. `jaxclear[import]` installs MuJoCo, which reads the file. Raises
-    `ValueError` with a sentence.
+    - `path`: of the file. `jaxclear[import]` installs MuJoCo, which reads it.
+    - `floating`: roots without a joint get a free one.
+    - `stops`: what limits, soft constraints in MuJoCo and springs here, have of it. "steady": under
+      weight and springs of the model they give way as far. "impact": they stop what runs into them
+      over the same way and time, and give way 1 / (1 - d) times as far under a steady load, for
+      MuJoCo's impedance d (20 times by default).
+    - `sticking`: dry friction sticks, as a `PlainBearing` or `Slideway` with `Coulomb`, for
+      `MoreauJean` and `NonColliding`; otherwise it creeps, as fast as in MuJoCo.
+
+    A `NotImported` warning names what is not taken over: contacts, actuators, tendons, other
+    equalities, a reference configuration that is not kept, and what a ball or a free joint has of
+    the above. An `ImportedSoft` warning says what gives way under weight and springs, and by how
+    much. Raises `ValueError` with a sentence.
     """
-    return _mechanism(compiled(path, floating=floating))
+    return _mechanism(compiled(path, floating=floating), stops, sticking)
 
 
-def _mechanism(read: Compiled) -> Mechanism:
+def _mechanism(read: Compiled, stops: str = "steady", sticking: bool = False) -> Mechanism:
+    check_known("stops", stops, STOPS)
+    check_flags("the import", sticking=sticking)
     model = read.model
     bodies, joints = names_of(model)
-    missing = not_taken_over(read, joints)
-    if missing:
-        warnings.warn(
-            f"{read.name}: not taken over: {'; '.join(missing)}.", NotImported, stacklevel=4
-        )
-    tree = Tree(model, bodies, joints)
+    tree = Tree(model, bodies, joints, sticking)
+    held = equalities_of(model, tree)
+    _warn(read, "not taken over", [*not_taken_over(read, joints), *held.missing], NotImported)
     if not tree.bodies:
         raise ValueError(f"{read.name} has no body with mass.")
-    loads: dict[str, Any] = dict(loads_of(model, joints))
+    loads = without_loads_on(dict(loads_of(model, joints, stops, sticking)), tuple(held.held))
+    _warn(read, "gives way at rest", gives_way(model, joints, loads), ImportedSoft)
     if np.any(model.opt.gravity):
         loads["gravity"] = Gravity(tuple(map(float, model.opt.gravity)))
-    return Mechanism(tree.bodies, tree.connections, loads, start=tree.start)
-
-
-class Tree:
-    """Bodies and connections of a model, and where free bodies start."""
-
-    def __init__(self, model: Any, bodies: list[str], joints: list[str]):
-        self.model, self.names, self.joints = model, bodies, joints
-        self.bodies: dict[str, Body] = {}
-        self.connections: dict[str, Connection] = {}
-        self.start: dict[str, tuple[float, ...]] = {}
-        # The body of which one is a part, and where it stands in it.
-        self.part: list[tuple[int, Place]] = [(0, HERE)]
-        self.inertias = [_inertia_of(model, index) for index in range(model.nbody)]
-        self._merge()
-        for index in range(1, model.nbody):
-            if self.part[index][0] == index:
-                self._add(index)
-
-    def _merge(self) -> None:
-        """Welded bodies that are none by themselves, or hold what is none, become parts."""
-        model = self.model
-        for index in range(1, model.nbody):
-            parent = int(model.body_parentid[index])
-            owner, place = self.part[parent]
-            welded = model.body_jntnum[index] == 0
-            owner_whole = owner == 0 or self.inertias[owner].whole
-            if welded and not (self.inertias[index].whole and owner_whole):
-                place = place.after(_place_of(model, index))
-                self.part.append((owner, place))
-                own = self.inertias[index].seen(place)
-                self.inertias[owner] = self.inertias[owner].with_another(own)
-            else:
-                self.part.append((index, HERE))
-
-    def _add(self, index: int) -> None:
-        """A body with its connections."""
-        model, name, own = self.model, self.names[index], self.inertias[index]
-        if not own.whole:
-            raise ValueError(
-                f'body "{name}" moves and has mass {own.mass:g} kg and moments of inertia '
-                f"{np.linalg.eigvalsh(own.matrix)} kg m^2; all must be above 0."
-            )
-        owner, place = self.part[int(model.body_parentid[index])]
-        place = place.after(_place_of(model, index))
-        first = int(model.body_jntadr[index])
-        joints = range(first, first + int(model.body_jntnum[index]))
-        parent = self.names[owner]
-        if not joints:
-            at = _marker(parent, place)
-            self.connections[f"{name} weld"] = Connection(Fixed(), at, Marker(name))
-        for k in joints:
-            child = name if k == joints[-1] else f"{self.joints[k]} carrier"
-            if child != name:
-                self.bodies[child] = _carrier(own)
-            self._connect(k, parent, place, child)
-            parent, place = child, HERE
-        self.bodies[name] = own.body()
-
-    def _connect(self, k: int, parent: str, place: Place, child: str) -> None:
-        """A joint between a parent, in which the child stands at `place` by reference, and a
-        child."""
-        model, kind = self.model, JOINTS[self.model.jnt_type[k]]
-        name, at = self.joints[k], model.jnt_pos[k]
-        if model.jnt_type[k] == FREE:
-            self.connections[name] = Connection(kind(), parent, child)
-            start = model.qpos0[model.jnt_qposadr[k] :][:7]
-            self.start[name] = tuple(map(float, start))
-            return
-        turn = np.eye(3) if model.jnt_type[k] == SPHERICAL else _with_z(model.jnt_axis[k])
-        own = Place(turn, at)
-        outer = place.after(own)
-        self.connections[name] = Connection(kind(), _marker(parent, outer), _marker(child, own))
-
-
-def _inertia_of(model: Any, index: int) -> Inertia:
-    turn = rotation_of(model.body_iquat[index])
-    matrix = turn @ np.diag(model.body_inertia[index]) @ turn.T
-    matrix = 0.5 * (matrix + matrix.T)
-    return Inertia(float(model.body_mass[index]), np.array(model.body_ipos[index]), matrix)
-
-
-def _carrier(own: Inertia) -> Body:
-    """What stands between two joints of a body."""
-    moment = SHARE_BETWEEN * float(np.linalg.eigvalsh(own.matrix)[-1])
-    return Body(SHARE_BETWEEN * own.mass, (moment, moment, moment))
-
-
-def _place_of(model: Any, index: int) -> Place:
-    return Place(rotation_of(model.body_quat[index]), np.array(model.body_pos[index]))
-
-
-def _marker(body: str, place: Place) -> Marker:
-    """A marker at a place, its axis by name where it is turned as that name says."""
-    at = tuple(map(float, place.origin)) if np.any(place.origin) else None
-    if np.array_equal(place.rotation, np.eye(3)):
-        return Marker(body, at)
-    return Marker(body, at, quaternion=_quaternion(place.rotation))
-
-
-def rotation_of(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+    connections = _held(tree.connections, held.held) | held.connections
+    # Where an equality holds a free body, its place is only near: the loop decides.
+    start = {name: place for name, place in tree.start.items() if name not in held.free}
+    near = {name: place for name, place in tree.start.items() if name in held.free} | held.turned
+    grown = grow(tree.bodies, connections)
+    guess = {name: place for name, place in near.items() if grown.branch_of(name) is not None}
+    return Mechanism(
+        tree.bodies, connections, loads, couplings=held.couplings, start=start, guess=guess
     )
 
 
-def _quaternion(rotation: np.ndarray) -> tuple[float, ...]:
-    """Quaternion (w, x, y, z) of a rotation matrix."""
-    from scipy.spatial.transform import Rotation
+def _held(connections: dict[str, Connection], places: dict[str, float]) -> dict[str, Connection]:
+    """Connections some of whose joints are held at a coordinate [rad, m]."""
+    found = dict(connections)
+    for name, place in places.items():
+        own = connections[name]
+        joint: Any = own.joint
+        held = dataclasses.replace(joint, drive=Held(place))
+        found[name] = Connection(held, own.parent, own.child)
+    return found
 
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    return (float(w), float(x), float(y), float(z))
 
-
-def _with_z(axis: np.ndarray) -> np.ndarray:
-    """A rotation that takes z to an axis, by the least turn."""
-    x, y, z = axis / np.linalg.norm(axis)
-    if z < -1 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    # The turn about (0, 0, 1) x axis.
-    return rotation_of(np.array([1 + z, -y, x, 0.0]))
+def _warn(read: Compiled, what: str, said: Iterable[str], kind: type[Warning]) -> None:
+    found = "; ".join(said)
+    if found:
+        warnings.warn(f"{read.name}: {what}: {found}.", kind, stacklevel=5)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.files.model_import import HERE, Tree, rotation_of
+from jaxclear.files.model_tree import HERE, Tree, rotation_of
 from jaxclear.files.mujoco_model import compiled, names_of
 from jaxclear.ground.answering import answering
 from jaxclear.results.solids import shapes

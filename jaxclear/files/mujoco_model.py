@@ -15,8 +15,8 @@ from jaxclear.ground.wording import described, listed
 
 __all__ = ["Compiled", "compiled"]
 
-# Of mjtJoint; hinges and slides come after them.
-FREE, SPHERICAL = 0, 1
+# Of mjtJoint; slides and hinges come after balls.
+FREE, SPHERICAL, SLIDE = 0, 1, 2
 # Where a URDF begins, and what has MuJoCo keep what is only seen of it.
 ROBOT = re.compile(r"<robot\b[^>]*>")
 KEEP = '<mujoco><compiler discardvisual="false"/></mujoco>'
@@ -125,6 +125,8 @@ def _switch_off(model: Any) -> None:
         nothing += [model.dof_frictionloss]
     if constraints or off(model, "CONTACT"):
         nothing += [model.geom_contype, model.geom_conaffinity]
+    if constraints or off(model, "EQUALITY"):
+        nothing += [model.eq_active0]
     if off(model, "SPRING"):
         nothing += [model.jnt_stiffness, model.jnt_stiffnesspoly]
     if off(model, "DAMPER"):
@@ -138,15 +140,16 @@ def names_of(model: Any) -> tuple[list[str], list[str]]:
     name says which of the two is meant."""
     bodies = ["ground"]
     for index in range(1, model.nbody):
-        bodies.append(_free_name(model.body(index).name or f"body {index}", bodies))
+        bodies.append(free_name(model.body(index).name or f"body {index}", bodies))
     joints: list[str] = []
     for index in range(model.njnt):
         own = model.joint(index).name or f"{bodies[model.jnt_bodyid[index]]} joint"
-        joints.append(_free_name(own, [*bodies, *joints], " joint"))
+        joints.append(free_name(own, [*bodies, *joints], " joint"))
     return bodies, joints
 
 
-def _free_name(name: str, taken: list[str], ending: str = " body") -> str:
+def free_name(name: str, taken: list[str], ending: str = " body") -> str:
+    """A name, with its ending where another has it already."""
     if name not in taken:
         return name
     name = f"{name}{ending}"
@@ -181,14 +184,24 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
         found.append("compensation of gravity")
     if model.opt.density > 0 or model.opt.viscosity > 0 or np.any(model.opt.wind != 0):
         found.append("the fluid around the bodies")
-    counts = {"actuators": model.nu, "tendons": model.ntendon, "equality constraints": model.neq}
-    counts |= {"flexible bodies": model.nflex, "bodies moved by motion capture": model.nmocap}
-    found += [f"{count} {what}" for what, count in counts.items() if count]
+    mocap = [k for k in range(model.nbody) if model.body_mocapid[k] >= 0]
+    for what, own in (
+        ("actuator", [model.actuator(k).name for k in range(model.nu)]),
+        ("tendon", [model.tendon(k).name for k in range(model.ntendon)]),
+        ("flexible body", [model.flex(k).name for k in range(model.nflex)]),
+        ("motion capture of body", [model.body(k).name for k in mocap]),
+    ):
+        found += [f"{what} {_named(name, k)}" for k, name in enumerate(own)]
     if compiled.without:
         found.append(
             f"meshes that MuJoCo finds no file for or cannot read ({listed(compiled.without)})"
         )
     return found + [f"MuJoCo says: {said.rstrip('.')}" for said in compiled.warned]
+
+
+def _named(name: str, k: int) -> str:
+    """A name in quotes; of what has none its number in the file."""
+    return f'"{name}"' if name else str(k)
 
 
 def has_stop(model: Any) -> np.ndarray:

@@ -293,9 +293,10 @@ class Adaptive(AbstractIntegrator):
 
 def _most_growth(model, controller):
     """By how much derivatives may grow from the first touches on: what a tolerance leaves of a
-    place is then a share of the gap by which they change."""
-    place = controller.rtol * longest_arm(model.system) + controller.atol
-    return TRUSTED * narrowest_gap(model.system) / place
+    place is then a share of the gap by which they change, of the longest arm where none is."""
+    arm = longest_arm(model.system)
+    place = controller.rtol * arm + controller.atol
+    return TRUSTED * jnp.minimum(narrowest_gap(model.system), arm) / place
 
 
 def _largest(weights, error):

@@ -7,12 +7,12 @@ that nothing built is warned about. Numbers that are being traced are not looked
 """
 
 import math
-import sys
 import warnings
 from collections.abc import Iterator
 from typing import Any
 
 from jaxclear.components.clearance import AbstractClearance
+from jaxclear.ground.arguments import level_of_caller
 from jaxclear.ground.quantity import concrete, numbers
 from jaxclear.multibody.own_numbers import coordinate_units
 
@@ -39,19 +39,7 @@ def warn_of_magnitudes(mechanism: Any) -> None:
     parts = [(what, part, list(numbers(part))) for what, part in _parts(mechanism)]
     found = [*_unusual(parts), *_lengths(mechanism, parts), *_starts(mechanism)]
     if found:
-        warnings.warn(" ".join(found), UnusualMagnitude, stacklevel=_level_of_caller())
-
-
-def _level_of_caller() -> int:
-    """How many frames up the code stands that built the mechanism."""
-    level, frame = 1, sys._getframe(1)
-    while frame.f_back is not None and _is_ours(frame.f_globals.get("__name__", "")):
-        level, frame = level + 1, frame.f_back
-    return level
-
-
-def _is_ours(module: str) -> bool:
-    return module.partition(".")[0] in ("jaxclear", "equinox", "jax")
+        warnings.warn(" ".join(found), UnusualMagnitude, stacklevel=level_of_caller())
 
 
 def _parts(mechanism: Any) -> Iterator[tuple[str, Any]]:

@@ -6,7 +6,6 @@ that are being traced are not checked: they were when the mechanism was built wi
 
 import copy
 import dataclasses
-from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any
 
@@ -31,6 +30,7 @@ from jaxclear.multibody.in_words import in_words
 from jaxclear.multibody.loops import Baumgarte, Projection
 from jaxclear.multibody.magnitudes import warn_of_magnitudes
 from jaxclear.multibody.own_numbers import own_numbers
+from jaxclear.multibody.parts import Parts
 from jaxclear.multibody.plane import check_plane
 from jaxclear.multibody.topology import Redundancy, Topology, grow
 
@@ -75,10 +75,13 @@ class Mechanism(AbstractQuantified):
     likewise, held only where loops and `start` leave them free; they choose between the ways to
     assemble (a run warns where a nearer one was passed over). Raises `ValueError` with a sentence
     naming what is wrong.
+
+    What is built stays built: parts are read-only. `with_joint`, `with_body`, `with_load` and
+    `with_coupling` give another mechanism.
     """
 
-    # Ordered: JAX sorts the keys of other dictionaries where it changes a number; the tree grows
-    # by the order of the names.
+    # `Parts`: read-only, and in the order of their names, by which the tree grows; JAX sorts the
+    # keys of other dictionaries where it changes a number.
     bodies: dict[str, Body]
     connections: dict[str, Connection]
     loads: dict[str, AbstractLoad]
@@ -110,7 +113,7 @@ class Mechanism(AbstractQuantified):
             _by_name("couplings", couplings),
         )
         self.start, self.speeds, self.guess = (
-            {n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, given).items()}
+            Parts({n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, given).items()})
             for what, given in (("start", start), ("speeds", speeds), ("guess", guess))
         )
         self.order = tuple(dict.fromkeys([*self.start, *self.speeds, *self.guess]))
@@ -189,6 +192,26 @@ class Mechanism(AbstractQuantified):
             stabilisation=self.stabilisation,
         )
 
+    def with_body(self, name: str, body: Body) -> "Mechanism":
+        """The mechanism with another body in place of one, such as one of another mass; its joints
+        and all else stay. Raises `ValueError` with a sentence for a name that there is not: a new
+        body needs a connection too, so give both to `Mechanism`."""
+        check_known("body", name, self.bodies, " in this mechanism")
+        expect(body, Body, f'what is put in place of "{name}"', "a jaxclear.Body")
+        return Mechanism(
+            self.bodies | {name: body},
+            self.connections,
+            self.loads,
+            couplings=self.couplings,
+            **self.given,
+            stabilisation=self.stabilisation,
+        )
+
+    def with_load(self, name: str, load: AbstractLoad) -> "Mechanism":
+        """The mechanism under one load more, or another in place of that of this name; everything
+        else stays."""
+        return self.with_loads(self.loads | {name: load})
+
     def with_loads(self, loads: Mapping[str, AbstractLoad]) -> "Mechanism":
         """The mechanism under other loads; everything else stays. All loads but one: `{n: load for
         n, load in mechanism.loads.items() if n != name}`."""
@@ -238,7 +261,7 @@ class Mechanism(AbstractQuantified):
         )
 
 
-def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[OrderedDict[str, Any], ...]:
+def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[Parts, ...]:
     """Parts whose numbers are each their own: of one bearing given to two joints a study may vary
     one clearance and leave the other."""
     seen: set[int] = set()
@@ -255,14 +278,13 @@ def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[OrderedDict[str, Any],
         kept = all(a is b for a, b in zip(new, jax.tree.leaves(part), strict=True))
         return part if kept else jax.tree.unflatten(jax.tree.structure(part), new)
 
-    return tuple(
-        OrderedDict((name, told_apart(part)) for name, part in one.items()) for one in parts
-    )
+    return tuple(Parts((name, told_apart(part)) for name, part in one.items()) for one in parts)
 
 
 def ungiven(mechanism: Mechanism) -> Mechanism:
     """The mechanism with nothing given for its start."""
-    return eqx.tree_at(lambda m: (m.start, m.speeds, m.guess), mechanism, ({}, {}, {}))
+    none = (Parts(), Parts(), Parts())
+    return eqx.tree_at(lambda m: (m.start, m.speeds, m.guess), mechanism, none)
 
 
 def with_redundancy(mechanism: Mechanism, redundancy: Redundancy | None) -> Mechanism:
@@ -281,4 +303,4 @@ def loosened(mechanism: Mechanism, names: tuple[str, ...]) -> Mechanism:
         return mechanism
     start = {name: values for name, values in mechanism.start.items() if name not in names}
     guess = mechanism.guess | {name: mechanism.start[name] for name in names}
-    return eqx.tree_at(lambda m: (m.start, m.guess), mechanism, (start, guess))
+    return eqx.tree_at(lambda m: (m.start, m.guess), mechanism, (Parts(start), Parts(guess)))

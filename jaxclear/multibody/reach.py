@@ -17,6 +17,8 @@ from jaxclear.multibody.system import System, longest_arm
 
 # Joints of a body that are nearer than this share of the longest arm are at one place.
 AT_ONE_PLACE = 1e-6
+# Parts nearer than this share of it touch: it is rounding.
+TOUCHING = 1e-12
 
 
 def turning(system: System) -> Bool[np.ndarray, " coordinates"]:
@@ -41,8 +43,20 @@ def rooms(system: System) -> Float[Array, " contacts"]:
 
 
 def narrowest_gap(system: System) -> Scalar:
-    """Smallest of the `rooms` [m]; infinite without clearance."""
-    return jnp.min(rooms(system)) if system.bearings else jnp.asarray(jnp.inf)
+    """Smallest of the `rooms` [m] that are gaps; infinite without clearance."""
+    own = rooms(system) if system.bearings else jnp.zeros(0)
+    return narrowest(own, longest_arm(system))
+
+
+def narrowest(rooms: Float[Array, " contacts"], arm: Any) -> Scalar:
+    """Smallest of rooms [m]; infinite where there is none. Parts that touch as drawn, such as a
+    ball on a floor, leave no gap by which an error could be judged."""
+    return jnp.min(jnp.where(is_gap(rooms, arm), rooms, jnp.inf), initial=jnp.inf)
+
+
+def is_gap(room: Any, arm: Any) -> Any:
+    """Whether parts with this room [m] between them do not touch as drawn."""
+    return room > TOUCHING * arm
 
 
 def gaps_passed(system: System, way: Float[Array, " state"]) -> Scalar:

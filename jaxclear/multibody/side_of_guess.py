@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.parts import Parts
 from jaxclear.multibody.start_equations import Start
 from jaxclear.multibody.topology import Branch
 
@@ -35,10 +36,8 @@ def warn_of_nearer_assembly(
     if np.max(np.abs(missed)) <= MET:
         return
     for share in TRIED:
-        guess = mechanism.guess | {
-            branch.name: (jnp.asarray(x),)
-            for branch, x in zip(branches, rough + share * missed, strict=True)
-        }
+        tried = zip(branches, rough + share * missed, strict=True)
+        guess = Parts(mechanism.guess | {branch.name: (jnp.asarray(x),) for branch, x in tried})
         other, sound = assembled(eqx.tree_at(lambda m: m.guess, mechanism, guess))
         found = _apart(mechanism, branches, other, rough)
         if sound and np.linalg.norm(found) < NEARER * np.linalg.norm(missed):

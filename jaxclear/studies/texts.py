@@ -86,7 +86,9 @@ def _tell(thing: Any, path: str, found: dict[str, str], inside: tuple[int, ...] 
     elif (function := _function(thing)) is not None:
         _tell_function(function, path, found, inside)
     elif (parts := parts_of(thing)) is not None:
-        found[path] = _tell_class(type(thing), found, inside)
+        # Of a dictionary its names say all, whatever its class.
+        kind = dict if isinstance(thing, dict) else type(thing)
+        found[path] = _tell_class(kind, found, inside)
         for key, part in parts.items():
             _tell(part, f"{path}{key}", found, inside)
     else:

@@ -189,7 +189,7 @@ def hinge(tmp_path, attributes):
     path.write_text(HINGE.format(attributes))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        mechanism = jc.read_mjcf(path)
+        mechanism = jc.read_mjcf(path, stops="impact")
     return mujoco.MjModel.from_xml_path(str(path)), mechanism.loads
 
 
@@ -238,7 +238,7 @@ def test_what_a_flag_disables_acts_no_more_as_in_mujoco(flag, tmp_path):
     )
     (tmp_path / "hinge.xml").write_text(text)
     model = mujoco.MjModel.from_xml_string(text)
-    loads = dict(jc.read_mjcf(tmp_path / "hinge.xml").loads)
+    loads = dict(jc.read_mjcf(tmp_path / "hinge.xml", stops="impact").loads)
     pulled = np.array(loads.pop("gravity").acceleration) if "gravity" in loads else np.zeros(3)
     np.testing.assert_allclose(pulled[2], 0.0 if flag == "gravity" else -10.0)
     limits = loads.pop("hinge limits", None)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxclear as jc
+from jaxclear.studies import store
 from jaxclear.studies.identity import first_difference
 from jaxclear.studies.texts import in_texts, texts_of
 
@@ -124,3 +125,11 @@ def test_texts_are_the_same_in_another_process(tmp_path):
     arguments = [sys.executable, "-c", PROGRAM, str(tmp_path), *NAMES, "by_set", "by_nested"]
     told = {subprocess.check_output(arguments, text=True) for _ in range(3)}
     assert len(told) == 1
+
+
+def test_a_folder_of_0_30_told_parts_of_a_mechanism_by_another_class():
+    kept = texts_of(jc.scenes.slider_crank())
+    assert kept[".bodies"] == "dict"
+    older = kept | dict.fromkeys((".bodies", ".connections", ".loads"), "OrderedDict")
+    assert store.first_difference(older, kept) == ""
+    assert ".bodies" in store.first_difference(older | {".bodies": "tuple"}, kept)

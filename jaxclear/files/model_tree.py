@@ -1,0 +1,226 @@
+"""Bodies of a compiled model with their inertias, and its joints with their axes."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxclear.components.body import Body, Connection, Marker
+from jaxclear.components.joint import (
+    AbstractJoint,
+    Fixed,
+    Free,
+    PlainBearing,
+    Prismatic,
+    Revolute,
+    Slideway,
+    Spherical,
+)
+from jaxclear.files.mujoco_model import FREE, SLIDE, SPHERICAL
+from jaxclear.laws.friction import Coulomb
+
+__all__ = ["HERE", "Place", "Tree", "marker_at", "quaternion_of", "rotation_of"]
+
+# Of mjtJoint, in its order.
+JOINTS = (Free, Spherical, Prismatic, Revolute)
+# Between two joints of one body stands a body of this share of its mass and largest moment of
+# inertia: a mechanism has a body between any two joints.
+SHARE_BETWEEN = 1e-12
+
+
+class Place(NamedTuple):
+    """A frame: rotation matrix (3, 3) and origin [m]."""
+
+    rotation: np.ndarray
+    origin: np.ndarray
+
+    def after(self, inner: "Place") -> "Place":
+        """The frame `inner`, given in this one, in the frame in which this one is given."""
+        origin = self.rotation @ inner.origin + self.origin
+        return Place(self.rotation @ inner.rotation, origin)
+
+
+HERE = Place(np.eye(3), np.zeros(3))
+
+
+class Inertia(NamedTuple):
+    """Mass [kg], centre of mass [m] and inertia about it [kg m^2], in some frame."""
+
+    mass: float
+    centre: np.ndarray
+    matrix: np.ndarray
+
+    def seen(self, place: Place) -> "Inertia":
+        """The same in a frame in which its own stands at `place`."""
+        turned = place.rotation @ self.matrix @ place.rotation.T
+        return Inertia(self.mass, place.rotation @ self.centre + place.origin, turned)
+
+    def with_another(self, other: "Inertia") -> "Inertia":
+        """Both as one body."""
+        mass = self.mass + other.mass
+        if mass == 0:
+            return self
+        centre = (self.mass * self.centre + other.mass * other.centre) / mass
+        matrix = self._about(centre) + other._about(centre)
+        return Inertia(mass, centre, matrix)
+
+    def _about(self, point: np.ndarray) -> np.ndarray:
+        away = self.centre - point
+        return self.matrix + self.mass * (away @ away * np.eye(3) - np.outer(away, away))
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is that of a body: some mass, extended in every direction."""
+        return self.mass > 0 and bool(np.linalg.eigvalsh(self.matrix)[0] > 0)
+
+    def body(self) -> Body:
+        """The body that has it."""
+        own = self.matrix
+        products = (own[0, 1], own[0, 2], own[1, 2])
+        moments = tuple(map(float, np.diag(own)))
+        given = (*moments, *map(float, products)) if np.any(products) else moments
+        return Body(self.mass, given, tuple(map(float, self.centre)))
+
+
+class Tree:
+    """Bodies and connections of a model, and where free bodies start. `sticking`: dry friction of
+    hinges and slides is that of `PlainBearing` and `Slideway`."""
+
+    def __init__(self, model: Any, bodies: list[str], joints: list[str], sticking: bool = False):
+        self.model, self.names, self.joints = model, bodies, joints
+        self.sticking = sticking
+        self.bodies: dict[str, Body] = {}
+        self.connections: dict[str, Connection] = {}
+        self.start: dict[str, tuple[float, ...]] = {}
+        # The body of which one is a part, and where it stands in it.
+        self.part: list[tuple[int, Place]] = [(0, HERE)]
+        self.inertias = [_inertia_of(model, index) for index in range(model.nbody)]
+        self._merge()
+        for index in range(1, model.nbody):
+            if self.part[index][0] == index:
+                self._add(index)
+
+    def _merge(self) -> None:
+        """Welded bodies that are none by themselves, or hold what is none, become parts."""
+        model = self.model
+        for index in range(1, model.nbody):
+            parent = int(model.body_parentid[index])
+            owner, place = self.part[parent]
+            welded = model.body_jntnum[index] == 0
+            owner_whole = owner == 0 or self.inertias[owner].whole
+            if welded and not (self.inertias[index].whole and owner_whole):
+                place = place.after(_place_of(model, index))
+                self.part.append((owner, place))
+                own = self.inertias[index].seen(place)
+                self.inertias[owner] = self.inertias[owner].with_another(own)
+            else:
+                self.part.append((index, HERE))
+
+    def _add(self, index: int) -> None:
+        """A body with its connections."""
+        model, name, own = self.model, self.names[index], self.inertias[index]
+        if not own.whole:
+            raise ValueError(
+                f'body "{name}" moves and has mass {own.mass:g} kg and moments of inertia '
+                f"{np.linalg.eigvalsh(own.matrix)} kg m^2; all must be above 0."
+            )
+        owner, place = self.part[int(model.body_parentid[index])]
+        place = place.after(_place_of(model, index))
+        first = int(model.body_jntadr[index])
+        joints = range(first, first + int(model.body_jntnum[index]))
+        parent = self.names[owner]
+        if not joints:
+            at = marker_at(parent, place)
+            self.connections[f"{name} weld"] = Connection(Fixed(), at, Marker(name))
+        for k in joints:
+            child = name if k == joints[-1] else f"{self.joints[k]} carrier"
+            if child != name:
+                self.bodies[child] = _carrier(own)
+            self._connect(k, parent, place, child)
+            parent, place = child, HERE
+        self.bodies[name] = own.body()
+
+    def _connect(self, k: int, parent: str, place: Place, child: str) -> None:
+        """A joint between a parent, in which the child stands at `place` by reference, and a
+        child."""
+        model, joint = self.model, self._joint(k)
+        name, at = self.joints[k], model.jnt_pos[k]
+        if model.jnt_type[k] == FREE:
+            self.connections[name] = Connection(joint, parent, child)
+            start = model.qpos0[model.jnt_qposadr[k] :][:7]
+            self.start[name] = tuple(map(float, start))
+            return
+        turn = np.eye(3) if model.jnt_type[k] == SPHERICAL else _with_z(model.jnt_axis[k])
+        own = Place(turn, at)
+        outer = place.after(own)
+        self.connections[name] = Connection(joint, marker_at(parent, outer), marker_at(child, own))
+
+    def _joint(self, k: int) -> AbstractJoint:
+        """A joint of its kind. Friction that sticks is that of a given normal force, which makes
+        the file's torque (a slide's force) with a coefficient of 1."""
+        kind, bound = self.model.jnt_type[k], self.model.dof_frictionloss[self.model.jnt_dofadr[k]]
+        if not self.sticking or kind <= SPHERICAL or not bound > 0:
+            return JOINTS[kind]()
+        dry = Coulomb(mu_kinetic=1.0)
+        if kind == SLIDE:
+            return Slideway(dry, load=float(bound))
+        bearing = PlainBearing(dry)
+        return PlainBearing(dry, load=float(bound / bearing.radius))
+
+    def stands(self, index: int, place: Place) -> tuple[str, Place]:
+        """The body that has a body of the model, and where a place in that stands in it."""
+        owner, own = self.part[index]
+        return self.names[owner], own.after(place)
+
+
+def _inertia_of(model: Any, index: int) -> Inertia:
+    turn = rotation_of(model.body_iquat[index])
+    matrix = turn @ np.diag(model.body_inertia[index]) @ turn.T
+    matrix = 0.5 * (matrix + matrix.T)
+    return Inertia(float(model.body_mass[index]), np.array(model.body_ipos[index]), matrix)
+
+
+def _carrier(own: Inertia) -> Body:
+    """What stands between two joints of a body."""
+    moment = SHARE_BETWEEN * float(np.linalg.eigvalsh(own.matrix)[-1])
+    return Body(SHARE_BETWEEN * own.mass, (moment, moment, moment))
+
+
+def _place_of(model: Any, index: int) -> Place:
+    return Place(rotation_of(model.body_quat[index]), np.array(model.body_pos[index]))
+
+
+def marker_at(body: str, place: Place) -> Marker:
+    """A marker at a place, its axis by name where it is turned as that name says."""
+    at = tuple(map(float, place.origin)) if np.any(place.origin) else None
+    if np.array_equal(place.rotation, np.eye(3)):
+        return Marker(body, at)
+    return Marker(body, at, quaternion=quaternion_of(place.rotation))
+
+
+def rotation_of(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrix of a quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_of(rotation: np.ndarray) -> tuple[float, ...]:
+    """Quaternion (w, x, y, z) of a rotation matrix."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return (float(w), float(x), float(y), float(z))
+
+
+def _with_z(axis: np.ndarray) -> np.ndarray:
+    """A rotation that takes z to an axis, by the least turn."""
+    x, y, z = axis / np.linalg.norm(axis)
+    if z < -1 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    # The turn about (0, 0, 1) x axis.
+    return rotation_of(np.array([1 + z, -y, x, 0.0]))

@@ -1,0 +1,131 @@
+"""Limits and dry friction of imported models at rest, against MuJoCo and closed forms."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+
+mujoco = pytest.importorskip("mujoco")
+
+SLIDE = """<mujoco><option gravity="0 0 -9.81" timestep="1e-3"/><worldbody><body name="rack">
+ <joint name="slide" type="slide" axis="0 0 1" range="-2e-3 1e-3" limited="true" damping="20" {}/>
+ <inertial pos="0 0 0" mass="{}" diaginertia="1e-2 1e-2 1e-2"/></body></worldbody></mujoco>"""
+ARM = """<mujoco><option gravity="0 0 -9.81" timestep="1e-3"/><worldbody><body name="arm">
+ <joint name="hinge" axis="0 1 0" {}/>
+ <inertial pos="0.2 0 0" mass="0.3" diaginertia="1e-3 1e-2 1e-2"/>
+ <body name="fore" pos="0.4 0 0"><joint name="elbow" axis="0 1 0" damping="1" stiffness="500"/>
+ <inertial pos="0.1 0 0" mass="0.1" diaginertia="1e-4 1e-3 1e-3"/></body></body>
+ </worldbody></mujoco>"""
+# MuJoCo's usual softness, others of it, and masses.
+SOFT = (
+    ("", 2.0),
+    ('solimplimit="0.5 0.99 1e-4 0.3 3"', 0.1),
+    ('solreflimit="-4e4 -300" margin="1e-4"', 50.0),
+    ('solimplimit="0.9 0.9 0 0.5 2" solreflimit="0.01 0.7"', 2.0),
+)
+
+
+def imported(tmp_path, text, **asked):
+    """The mechanism, and what is said of it."""
+    (tmp_path / "model.xml").write_text(text)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        found = jc.read_mjcf(tmp_path / "model.xml", **asked)
+    return found, [str(one.message) for one in said if one.category is jc.ImportedSoft]
+
+
+def at_rest_in_mujoco(text, duration):
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    while data.time < duration:
+        mujoco.mj_step(model, data)
+    return data
+
+
+@pytest.mark.parametrize(("soft", "mass"), SOFT)
+def test_a_limit_gives_way_under_weight_as_far_as_in_mujoco(soft, mass, tmp_path):
+    text = SLIDE.format(soft, mass)
+    rig, said = imported(tmp_path, text)
+    stop = rig.loads["slide limits"]
+    there = float(stop.lower) - at_rest_in_mujoco(text, 3.0).qpos[0]
+    np.testing.assert_allclose(mass * 9.81 / float(stop.stiffness), there, rtol=1e-5)
+    assert bool(said) == (there > 0.01 * 3e-3)
+    if said:
+        number = f'limits of "slide" by {there:.3g} m'
+        assert number in said[0] and "as in MuJoCo" in said[0]
+
+
+def test_the_rack_rests_on_its_stop_as_in_mujoco(tmp_path):
+    """m g / k beyond the limit; what runs into it does not jump back: damped as MuJoCo's, by 1."""
+    text = SLIDE.format("", 2.0)
+    rig, _ = imported(tmp_path, text)
+    place = np.asarray(jc.simulate(rig, 0.6, save=61).coordinate("slide"))[:, 0]
+    stiffness = float(rig.loads["slide limits"].stiffness)
+    np.testing.assert_allclose(-2e-3 - place[-1], 2 * 9.81 / stiffness, rtol=1e-3)
+    np.testing.assert_allclose(place[-1], at_rest_in_mujoco(text, 0.6).qpos[0], atol=1e-6)
+    assert place.argmin() == 0 or np.all(np.diff(place[: place.argmin()]) <= 0)
+
+
+def test_a_limit_for_impacts_says_how_far_it_gives_way_at_rest(tmp_path):
+    text = SLIDE.format("", 2.0)
+    rig, said = imported(tmp_path, text, stops="impact")
+    weight, stiffness = 2 * 9.81, float(rig.loads["slide limits"].stiffness)
+    np.testing.assert_allclose(stiffness, 2.0 / 0.02**2)
+    assert (
+        f"by {weight / stiffness:.3g} m (1.3 of their width) under 19.6 N, in MuJoCo by" in said[0]
+    )
+
+
+def test_springs_press_into_limits_too_and_each_side_is_told(tmp_path):
+    """No weight across a horizontal slide: the spring's force in each of the limits."""
+    text = SLIDE.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"')
+    rig, said = imported(tmp_path, text.format('stiffness="2e4" springref="2e-3"', 2.0))
+    stop, data = rig.loads["slide limits"], None
+    data = at_rest_in_mujoco(text.format('stiffness="2e4" springref="2e-3"', 2.0), 1.0)
+    ours = float(stop.upper) + (2e-3 - float(stop.upper)) / (1 + float(stop.stiffness) / 2e4)
+    np.testing.assert_allclose(ours, data.qpos[0], rtol=0.05)
+    assert len(said) == 1 and said[0].count("limits of") == 1
+
+
+def test_friction_that_creeps_is_told_with_its_speed_and_sticks_on_request(tmp_path):
+    text = ARM.format('frictionloss="2"')
+    weight = 9.81 * (0.3 * 0.2 + 0.1 * 0.5)
+    rig, said = imported(tmp_path, text)
+    friction = rig.loads["hinge friction"]
+    speed = float(friction.transition_speed) * np.arctanh(weight / 2)
+    assert f'friction of "hinge" by creeping at {speed:.3g} rad/s under' in said[0]
+    assert "0.54 of what it holds" in said[0]
+    held, silent = imported(tmp_path, text, sticking=True)
+    assert silent == [] and "hinge friction" not in held.loads
+    joint = held.connections["hinge"].joint
+    np.testing.assert_allclose(float(joint.load * joint.radius * joint.friction.mu_kinetic), 2.0)
+    with pytest.raises(ValueError, match='joint "hinge" has friction Coulomb.*MoreauJean'):
+        jc.simulate(held, 0.1, save=3)
+
+
+@pytest.mark.parametrize("integrator", [jc.integrator.MoreauJean, jc.integrator.NonColliding])
+def test_friction_that_sticks_holds_and_slides_as_the_file_has_it(integrator, tmp_path):
+    """A rack on a slide: held by more than its weight, sliding down with g - F/m."""
+    text = SLIDE.replace('range="-2e-3 1e-3" limited="true" damping="20"', "")
+    held, _ = imported(tmp_path, text.format('frictionloss="21"', 2.0), sticking=True)
+    run = jc.simulate(held, 0.1, save=3, integrator=integrator(1e-3))
+    np.testing.assert_allclose(np.asarray(run.coordinate("slide")), 0.0, atol=1e-12)
+    slides, _ = imported(tmp_path, text.format('frictionloss="5"', 2.0), sticking=True)
+    run = jc.simulate(slides, 0.1, save=3, integrator=integrator(1e-3))
+    np.testing.assert_allclose(
+        np.asarray(run.speed("slide"))[-1, 0], -(9.81 - 2.5) * 0.1, rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("asked", "sentence"),
+    [
+        ({"stops": "rigid"}, 'no stops "rigid"; there are "steady", "impact"'),
+        ({"sticking": "yes"}, "sticking"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_with_a_sentence(asked, sentence, tmp_path):
+    with pytest.raises(ValueError, match=sentence):
+        imported(tmp_path, SLIDE.format("", 2.0), **asked)
