@@ -16,6 +16,7 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.ground.wording import unknown
+from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.explicit_methods import (
@@ -98,6 +99,10 @@ class FixedStep(AbstractIntegrator):
 
     def asked_step(self):
         return self.step if self.steps_per_save is None else None
+
+    def evaluations(self, mechanism):
+        chain = CHAINS.get(self.method)
+        return len((chain or munthe_kaas.stages(ON_GROUPS[self.method]))[0])
 
     def shortest_step(self):
         step = self.asked_step()

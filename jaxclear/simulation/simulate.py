@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxclear.errors.accuracy import Asked, of_run
-from jaxclear.errors.choice import Chosen, Question, chosen
+from jaxclear.errors.choice import Again, Chosen, Question, chosen
 from jaxclear.errors.replicas import Replica
 from jaxclear.errors.rungs import rungs_of
 from jaxclear.errors.told import HALF
@@ -296,6 +296,14 @@ def chosen_for(
             "accuracy= chooses an integrator by runs, and numbers of the mechanism are traced (by "
             "jax.jit, vmap or grad): give integrator=, such as one that was chosen before."
         )
+    times = np.asarray(saving_times(duration, as_saving(how.save).at))
+    rungs = rungs_of(mechanism, times, lambda integrator: check_run(mechanism, integrator))
+    return chosen(rungs, repeated(mechanism, duration, how), Question(seen, beside, times))
+
+
+def repeated(mechanism: Mechanism, duration: float, how: How) -> Again:
+    """The same run by any integrator, over any share of the duration, without replicas; however it
+    ends."""
     saving = as_saving(how.save)
     times = np.asarray(saving_times(duration, saving.at))
 
@@ -304,5 +312,4 @@ def chosen_for(
         quiet = how._replace(save=at, progress_bar=False, verify=False)
         return _simulated(mechanism, share * duration, integrator, quiet)
 
-    rungs = rungs_of(mechanism, times, lambda integrator: check_run(mechanism, integrator))
-    return chosen(rungs, again, Question(seen, beside, times))
+    return again
