@@ -56,8 +56,8 @@ class PilotSettings(AbstractQuantified):
     `seed` draws from the tolerances. More of them where the answer says that paths part."""
 
     copies: int = count(8, "nominal and perturbed runs")
-    seed: int = count(0, "seed that draws the copies", at_least=0)
     duration: Any = eqx.field(static=True, default=None)
+    seed: int = count(0, "seed that draws the copies", at_least=0)
     reference: Any = eqx.field(static=True, default=None)
     whole: Any = eqx.field(static=True, default=None)
     shorter: Any = eqx.field(static=True, default=None)
@@ -301,8 +301,8 @@ class Advice(AbstractShown):
             text = as_typed(self.if_means.integrator)
             yield f"If only means over the tolerances count, {text} is enough."
         elif not self.met:
-            more = f"at least {FEWEST}" if copies < FEWEST else "more"
-            yield f"Where single runs part, as chaotic ones do, ask means over {more} copies."
+            least = f"at least {FEWEST}" if copies < FEWEST else "more"
+            yield f"Where single runs part, as chaotic ones do, ask means over {least} copies."
 
     def __str__(self) -> str:
         others = (f"Not {name}: {why}" for name, why in self.why_not().items())
