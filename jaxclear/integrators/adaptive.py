@@ -20,8 +20,7 @@ from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.promise import LOOSE, REFERENCE
 from jaxclear.integrators.saltation import equations, motion_of
 from jaxclear.integrators.state_group import state_group
-from jaxclear.integrators.trust import NO_SECOND, trusted
-from jaxclear.integrators.unresolved import FollowingErrors, resolved, unfollowed
+from jaxclear.integrators.trust import NO_SECOND, FollowingErrors, resolved, trusted, unfollowed
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.system import longest_arm
 from jaxclear.native import size_of, with_fast_loops

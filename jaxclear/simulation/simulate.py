@@ -2,7 +2,6 @@
 saving time to the next (`loop`).
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -74,19 +73,15 @@ FEW_COORDINATES = 32
 
 def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, updates):
     """A run that can be differentiated forwards and, where it shows no progress, backwards."""
-    given = mechanism, coordinates, speeds, times, past
+    given = mechanism, coordinates, speeds, times, integrator, extras, past, updates
+    whole: Any = run
+    if is_compared(mechanism, integrator):
+        finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share), *own[5:])
+        steps = lambda *own: (own[4].asked_step(), own[3])
+        whole = compared(run, finer, run_where_alike, steps, order_of(integrator))
+    found = backwards(integrator)(whole, *given)
     shown = extras.report and integrator.steps_between_saves is None
-    one_way = functools.partial(forwards_only, NOT_BACKWARDS) if shown else lambda found: found
-    if not is_compared(mechanism, integrator):
-        whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4], updates)
-        return one_way(backwards(whole, integrator, *given))
-
-    def in_steps(share, integrator, *moving):
-        return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4], updates)
-
-    steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
-    known = compared(in_steps, run_where_alike, steps, order_of(integrator))
-    return one_way(backwards(known, integrator, integrator, *given))
+    return forwards_only(NOT_BACKWARDS, found) if shown else found
 
 
 _run = compiled_quickly(_both_ways, AROUND_A_KERNEL)
