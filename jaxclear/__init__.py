@@ -70,8 +70,7 @@ from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.seated import seated
 from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution, limit_state
-from jaxclear.studies.advice.choice import advise
-from jaxclear.studies.advice.pilot import PilotSettings
+from jaxclear.studies.advice import PilotSettings, advise
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.campaign.campaign import campaign, open_campaign
 from jaxclear.studies.condition import Condition, Heating

@@ -92,6 +92,10 @@ class AbstractIntegrator(AbstractQuantified):
         """The longest step [s] that was asked for; None where nobody asked for one."""
         return None
 
+    def evaluations(self, mechanism: Mechanism) -> int:
+        """How often a step asks for the forces in a mechanism, as far as it knows."""
+        return 1
+
     def shortest_step(self) -> Scalar | None:
         """The shortest step [s] that these numbers lead to, saving times aside."""
         return self.asked_step()

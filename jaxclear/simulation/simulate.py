@@ -2,7 +2,6 @@
 saving time to the next (`loop`).
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -12,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxclear.errors.accuracy import Asked, of_run
-from jaxclear.errors.choice import Chosen, Question, chosen
+from jaxclear.errors.choice import Again, Chosen, Question, chosen
 from jaxclear.errors.replicas import Replica
 from jaxclear.errors.rungs import rungs_of
 from jaxclear.errors.told import HALF
@@ -74,19 +73,15 @@ FEW_COORDINATES = 32
 
 def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, updates):
     """A run that can be differentiated forwards and, where it shows no progress, backwards."""
-    given = mechanism, coordinates, speeds, times, past
+    given = mechanism, coordinates, speeds, times, integrator, extras, past, updates
+    whole: Any = run
+    if is_compared(mechanism, integrator):
+        finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share), *own[5:])
+        steps = lambda *own: (own[4].asked_step(), own[3])
+        whole = compared(run, finer, run_where_alike, steps, order_of(integrator))
+    found = backwards(integrator)(whole, *given)
     shown = extras.report and integrator.steps_between_saves is None
-    one_way = functools.partial(forwards_only, NOT_BACKWARDS) if shown else lambda found: found
-    if not is_compared(mechanism, integrator):
-        whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4], updates)
-        return one_way(backwards(whole, integrator, *given))
-
-    def in_steps(share, integrator, *moving):
-        return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4], updates)
-
-    steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
-    known = compared(in_steps, run_where_alike, steps, order_of(integrator))
-    return one_way(backwards(known, integrator, integrator, *given))
+    return forwards_only(NOT_BACKWARDS, found) if shown else found
 
 
 _run = compiled_quickly(_both_ways, AROUND_A_KERNEL)
@@ -296,6 +291,14 @@ def chosen_for(
             "accuracy= chooses an integrator by runs, and numbers of the mechanism are traced (by "
             "jax.jit, vmap or grad): give integrator=, such as one that was chosen before."
         )
+    times = np.asarray(saving_times(duration, as_saving(how.save).at))
+    rungs = rungs_of(mechanism, times, lambda integrator: check_run(mechanism, integrator))
+    return chosen(rungs, repeated(mechanism, duration, how), Question(seen, beside, times))
+
+
+def repeated(mechanism: Mechanism, duration: float, how: How) -> Again:
+    """The same run by any integrator, over any share of the duration, without replicas; however it
+    ends."""
     saving = as_saving(how.save)
     times = np.asarray(saving_times(duration, saving.at))
 
@@ -304,5 +307,4 @@ def chosen_for(
         quiet = how._replace(save=at, progress_bar=False, verify=False)
         return _simulated(mechanism, share * duration, integrator, quiet)
 
-    rungs = rungs_of(mechanism, times, lambda integrator: check_run(mechanism, integrator))
-    return chosen(rungs, again, Question(seen, beside, times))
+    return again
