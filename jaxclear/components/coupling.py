@@ -31,7 +31,7 @@ __all__ = [
     "Ratio",
     "Screw",
 ]
-__getattr__ = nothing_else("jaxclear.coupling", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.coupling", __all__)
 
 
 class AbstractCoupling(AbstractQuantified):
