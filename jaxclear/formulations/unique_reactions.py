@@ -20,7 +20,7 @@ def check_unique(system: System) -> None:
     """Raises `ReactionNotUnique` where friction would hang on a reaction that is not unique."""
     redundancy = system.topology.redundancy
     for held in touching(system):
-        rubs = held.joint.friction is not None
+        rubs = held.joint.friction is not None and held.joint.follows_reaction
         if redundancy is not None and rubs and held.name in redundancy.joints:
             raise ReactionNotUnique(
                 f'friction in joint "{held.name}" follows its reaction, which is not unique: the '

@@ -16,7 +16,7 @@ from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
-from jaxclear.multibody import constraints, dynamics, energy, kinematics
+from jaxclear.multibody import constraints, dynamics, energy, kinematics, tree
 from jaxclear.multibody.tree import NOTHING
 from jaxclear.results.state_history import StateHistory, check_known, columns, over_time
 
@@ -181,9 +181,15 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
     redundancy = history.mechanism.topology.redundancy
     unique = redundancy is None or name not in redundancy.joints
     if not unique:
+        # A force in equilibrium with itself has no power in any motion, nor along a drive.
+        given = (
+            f' What its drive gives is: run.transmitted("{name}").'
+            if name in history.mechanism.driven
+            else ""
+        )
         warnings.warn(
             f'the reaction of joint "{name}" is not unique: the loops are {redundancy} A body that '
-            "gives, or a joint with clearance in place of one of them, would tell which.",
+            f"gives, or a joint with clearance in place of one of them, would tell which.{given}",
             stacklevel=4,
         )
     return dataclasses.replace(_reaction(history, name), unique=unique)
@@ -231,9 +237,25 @@ def _closure_reaction(now, forces, solution, name):
 
 
 def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
-    """What a coupling transmits over time [N m, N]."""
-    check_known(name, history.mechanism.couplings, "coupling")
-    return _transmitted(history, name)
+    """What a coupling transmits, or a drive gives, over time [N m, N]."""
+    mechanism = history.mechanism
+    check_known(name, (*mechanism.couplings, *mechanism.driven), "coupling or driven joint")
+    return (_transmitted if name in mechanism.couplings else _driving)(history, name)
+
+
+@eqx.filter_jit
+def _driving(history, name):
+    def one(now):
+        system = now.model.system
+        forces = history.formulation.forces(now)
+        solution = dynamics.forward_dynamics(system, forces, now.model.stabilisation)
+        index = system.topology.branches.index(system.topology.branch_of(name))
+        wrench = dynamics.joint_wrenches(system, forces, solution)[index]
+        joint = system.links[index].joint
+        (column,) = joint.columns((joint.drive.motion(now.time)[0],))
+        return jnp.asarray(tree.power(column, wrench), float)
+
+    return over_time(history, one)
 
 
 @eqx.filter_jit

@@ -273,10 +273,12 @@ class Trajectory(AbstractShown):
         overconstrained and leave a reaction open it is the least one, and a warning says so."""
         return histories.reaction(self.history, name)
 
-    def transmitted(self, coupling: str) -> Float[Array, " time"]:
-        """What a coupling transmits over time: of coordinates the torque [N m] (force [N] where it
-        slides) on the first of them; of bodies the force [N] along its line of action."""
-        return histories.transmitted(self.history, coupling)
+    def transmitted(self, name: str) -> Float[Array, " time"]:
+        """What a coupling transmits over time, or a drive gives: of coordinates the torque [N m]
+        (force [N] where it slides) on the first of them; of bodies the force [N] along its line of
+        action; of a driven joint the torque or force along its coordinate, the friction of its own
+        bearing taken off. Unique by power where reactions are not."""
+        return histories.transmitted(self.history, name)
 
     def coordinate(self, name: str) -> Float[Array, "time q"]:
         """Coordinates of a connection (or floating body) of the tree."""

@@ -123,6 +123,23 @@ def test_reactions_are_the_least_that_hold_the_motion(swung):
     )
 
 
+def test_friction_of_a_given_normal_force_asks_for_no_reaction():
+    """A clamped foot with a friction torque above g G cos(theta) holds; with one below it swings,
+    by work and energy over steps of 1 ms."""
+    for torque in (1.5 * GRAVITY * MOMENT, 0.3 * GRAVITY * MOMENT):
+        dry = jc.friction.Coulomb(mu_kinetic=1.0)
+        clamped = jc.joint.PlainBearing(dry, radius=1e-2, load=torque / 1e-2)
+        step = jc.integrator.NonColliding(1e-3)
+        run = jc.simulate(cranks(crank=clamped), 0.15, save=4, integrator=step)
+        theta, rate = (np.asarray(x)[:, 0] for x in (run.coordinate("foot 0"), run.speed("foot 0")))
+        if torque > GRAVITY * MOMENT:
+            np.testing.assert_allclose(theta, ANGLE, atol=1e-12)
+            continue
+        fallen = GRAVITY * MOMENT * (np.sin(ANGLE) - np.sin(theta)) - torque * (ANGLE - theta)
+        np.testing.assert_allclose(INERTIA / 2 * rate**2, fallen, atol=1e-4 * GRAVITY * MOMENT)
+        assert theta[-1] < 0.2
+
+
 @pytest.mark.parametrize(
     "integrator", [jc.integrator.MoreauJean(1e-4), jc.integrator.NonColliding(1e-4)]
 )

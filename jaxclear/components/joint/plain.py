@@ -58,6 +58,10 @@ class PlainBearing(AbstractRubbingJoint, AbstractDrivenJoint):
         _check_area(self, length=self.length)
 
     @property
+    def follows_reaction(self):
+        return self.load is None
+
+    @property
     def arm(self):
         return self.radius
 
@@ -133,6 +137,10 @@ class Slideway(AbstractRubbingJoint, AbstractDrivenJoint):
 
     def __check_init__(self):
         _check_area(self, length=self.length, width=self.width)
+
+    @property
+    def follows_reaction(self):
+        return self.load is None
 
     def friction_wrench(self, friction):
         return (0, 0, friction), sp.ZERO

@@ -52,6 +52,11 @@ class AbstractRubbingJoint(AbstractJoint):
         """The law between the parts."""
 
     @property
+    def follows_reaction(self) -> bool:
+        """Whether friction follows what the joint carries; it does unless overridden."""
+        return True
+
+    @property
     @abstractmethod
     def arm(self) -> Any:
         """Sliding speed [m/s] per unit of the joint's speed, and generalised force per unit of
