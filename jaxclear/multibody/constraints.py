@@ -165,6 +165,16 @@ def constraint_wrenches(
         yield closure, *wrench_of_rows(closure, pose, own), pose
 
 
+def coupled(
+    system: System, motions: tuple[Motion, ...], multipliers: tuple
+) -> list[tuple[Closure, dict[int, Any]]]:
+    """The closures that are couplings of coordinates, with the multiplier of each."""
+    if not system.topology.couplings:
+        return []
+    every = by_closure(system, motions, multipliers)
+    return [(own, found) for own, found in every if isinstance(own.reading, CoordinateSum)]
+
+
 def by_closure(
     system: System, motions: tuple[Motion, ...], multipliers: tuple
 ) -> Iterator[tuple[Closure, dict[int, Any]]]:

@@ -131,7 +131,7 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
         system, forces.motions, solution.multipliers
     ):
         add_action_and_reaction(wrenches, closure, pose, force, torque)
-    every = constraints.by_closure(system, forces.motions, solution.multipliers)
+    every = constraints.coupled(system, forces.motions, solution.multipliers)
     for closure, pose, wrench in constraints.coupled_wrenches(forces.motions, every):
         add_action_and_reaction(wrenches, closure, pose, *wrench)
     accelerations = kinematics.link_accelerations(system, forces.motions, solution.accelerations)
