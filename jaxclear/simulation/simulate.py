@@ -25,7 +25,7 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.native import forwards_only, has_kernels, stoppable
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
@@ -125,7 +125,8 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     wanted = "one of jaxclear.integrator, such as Adaptive()"
     expect(integrator, AbstractIntegrator, "the integrator", wanted)
     name = f"integrator.{type(integrator).__name__}"
-    if mechanism.projects and not integrator.projects:
+    held = held_as_needed(mechanism, integrator.opens_loops)
+    if held.projects and not integrator.projects:
         raise ValueError(
             f'the loop through joint "{mechanism.topology.loops[0]}" is to be closed by '
             f"projection, which {name} "
