@@ -66,8 +66,8 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
         model = eqx.combine(arrays, rest)
         return formulation.remember(model, y, contacts, contacts, length)
 
-    def close(arrays, time, y):
-        return closing.closed(eqx.combine(arrays, rest), time, y)
+    def close(arrays, time, length, y):
+        return closing.closed(eqx.combine(arrays, rest), time, length, y)
 
     def step(arrays, clock, y, last, met, beside):
         end, *found = plain(arrays, clock, y, last, met)
@@ -133,7 +133,7 @@ def _parted(
     if close is not None:
         at = time + whole
         still = SymbolicZero.from_primal_value(at)
-        y, state = pushed(close, (arrays, at, y), (way, still, state))
+        y, state = pushed(close, (arrays, at, whole, y), (way, still, still, state))
     if moving:
         state = state + (moved(time_way) + longer) * rates(time + whole, y)
     ended = part.done >= whole * (1 - SLIVER)
