@@ -39,7 +39,9 @@ def closed(model: Model, time: Any, length: Any, state: State) -> State:
         for subtree in system.topology.subtrees
     )
     masses = [tree.mass_matrix(*subtree) for subtree in subtrees]
-    _, constrain = dynamics.constrained_inverse(masses, rows, constraints.dependence(system, found))
+    alike = constraints.rows_alike(system, found)
+    depend = constraints.dependence(system, found)
+    _, constrain = dynamics.constrained_inverse(masses, rows, alike, depend)
 
     fast = safe_sqrt(_squared(masses, v))
 

@@ -41,10 +41,12 @@ class Dependence(NamedTuple):
 
 class ClosureEquations(NamedTuple):
     """Jacobian rows of all closures (by speed index), what each must give for the free
-    accelerations, and how the rows depend on each other; None: not at all."""
+    accelerations, which of them count `alike` (equal entries: displacements, or angles, of one
+    closure), and how the rows depend on each other; None: not at all."""
 
     rows: list[JacobianRow]
     wanted: list
+    alike: tuple
     dependence: Dependence | None
 
 
@@ -59,6 +61,15 @@ def dependence(system: System, found: list[ConstraintRows]) -> Dependence | None
     if redundancy is None or redundancy.rank == len(names):
         return None
     return Dependence(redundancy.rank, tuple(1 if len(n) == 1 else system.arm for n in names))
+
+
+def rows_alike(system: System, found: list[ConstraintRows]) -> tuple:
+    """Of the rows of all closures which count alike, by equal entries."""
+    return tuple(
+        (k, len(closure.rows[i]) == 1)
+        for k, (closure, own) in enumerate(zip(system.closures, found, strict=True))
+        for i in own.kept
+    )
 
 
 def constraint_rows(
@@ -110,7 +121,7 @@ def acceleration_equations(
                 target = sp.sub(target, sp.mul(stabilisation.beta * stabilisation.beta, residual))
             gamma.append(target)
     rows = [row for found in every for row in found.jacobian]
-    return ClosureEquations(rows, gamma, dependence(system, every))
+    return ClosureEquations(rows, gamma, rows_alike(system, every), dependence(system, every))
 
 
 def constraint_wrenches(
