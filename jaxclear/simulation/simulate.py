@@ -33,11 +33,11 @@ from jaxclear.simulation import progress
 from jaxclear.simulation.beginning import beginning
 from jaxclear.simulation.bristles import told_of_bristles
 from jaxclear.simulation.by_kernels import compiled_for_kernels
-from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import backwards, guarded
 from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
+from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.step_comparison import (
     compared,
     in_other_steps,

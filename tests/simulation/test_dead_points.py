@@ -147,9 +147,9 @@ def test_loops_closed_after_every_step_pass_a_singular_position():
     assert all(float(abs(run.energy_balance().error).max()) < 1e-5 for run in runs)
 
 
-def full_stroke(amplitude=0.05, drive=True):
+def full_stroke(amplitude=0.05):
     """A slider-crank whose piston is driven over exactly its full stroke, or a share of it."""
-    push = jc.drive.Harmonic(amplitude, 2.0, offset=0.12) if drive else None
+    push = jc.drive.Harmonic(amplitude, 2.0, offset=0.12)
     hinge = jc.joint.Revolute()
     return jc.Mechanism(
         {
