@@ -68,6 +68,16 @@ class Check(AbstractCheck):
         "{limit:g}): take shorter steps or stabilisation=jaxclear.Projection()",
         (3e-2, Outcome.LOOP_TORN),
     )
+    # The same beside the smallest clearance: where journals are is off by as much.
+    LOOP_DRIFT_IN_GAPS = (
+        32,
+        "loop drift beside clearances",
+        0.03,
+        "places in gaps",
+        LOOPS,
+        'the loop closed by joint "{place}" is open by {figure:.2g} of the smallest clearance '
+        "(limit {limit:g}): take shorter steps or stabilisation=jaxclear.Projection()",
+    )
     # Of what nothing drives or pushes: energy above that of the start, beside all it had to change.
     ENERGY_GAIN = (
         8,
@@ -189,6 +199,7 @@ class Check(AbstractCheck):
 # Those that runs are asked.
 LIVE = (
     Check.LOOP_DRIFT,
+    Check.LOOP_DRIFT_IN_GAPS,
     Check.ENERGY_GAIN,
     Check.INDENTATION,
     Check.LOAD_STEP,

@@ -143,6 +143,7 @@ class ImplicitStep(AbstractIntegrator):
             model, own = eqx.combine(arrays, rest)
             how = own._bias, own._iterations(model.system.bearings.values())
             end, now = own.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
+            end = closed(model, sum(clock), clock[1], end)
             if met is None:
                 return end, now, None
             forces = now[-model.layout.contacts :] if damped else None
@@ -220,7 +221,6 @@ class ImplicitStep(AbstractIntegrator):
             last, met, watch = carried
             time = interval.start + index * h
             end, last, met = step((time, h), state, last, met)
-            end = closed(model, interval.start + (index + 1) * h, end)
             return end, (last, met, watched(watch, model, time, h, end))
 
         known = None if known is None else so_far(known)

@@ -44,10 +44,12 @@ class Dependence(NamedTuple):
 
 class ClosureEquations(NamedTuple):
     """Jacobian rows of all closures (by speed index), what each must give for the free
-    accelerations, and how the rows depend on each other; None: not at all."""
+    accelerations, which of them count `alike` (equal entries: displacements, or angles, of one
+    closure), and how the rows depend on each other; None: not at all."""
 
     rows: list[JacobianRow]
     wanted: list
+    alike: tuple
     dependence: Dependence | None
 
 
@@ -63,6 +65,15 @@ def dependence(system: System, found: list[ConstraintRows]) -> Dependence | None
         return None
     measures = tuple(1 if loops.is_length(name) else system.arm for name in names)
     return Dependence(redundancy.rank, measures)
+
+
+def rows_alike(system: System, found: list[ConstraintRows]) -> tuple:
+    """Of the rows of all closures which count alike, by equal entries."""
+    return tuple(
+        (k, len(closure.rows[i]) == 1)
+        for k, (closure, own) in enumerate(zip(system.closures, found, strict=True))
+        for i in own.kept
+    )
 
 
 def constraint_rows(
@@ -151,7 +162,7 @@ def acceleration_equations(
                 target = sp.sub(target, sp.mul(stabilisation.beta * stabilisation.beta, residual))
             gamma.append(target)
     rows = [row for found in every for row in found.jacobian]
-    return ClosureEquations(rows, gamma, dependence(system, every))
+    return ClosureEquations(rows, gamma, rows_alike(system, every), dependence(system, every))
 
 
 def constraint_wrenches(

@@ -24,7 +24,7 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.native import forwards_only, has_kernels, stoppable
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
@@ -32,11 +32,11 @@ from jaxclear.simulation import progress
 from jaxclear.simulation.beginning import beginning
 from jaxclear.simulation.bristles import told_of_bristles
 from jaxclear.simulation.by_kernels import compiled_for_kernels
-from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import backwards, guarded
 from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
+from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.step_comparison import (
     compared,
     in_other_steps,
@@ -120,7 +120,8 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     wanted = "one of jaxclear.integrator, such as Adaptive()"
     expect(integrator, AbstractIntegrator, "the integrator", wanted)
     name = f"integrator.{type(integrator).__name__}"
-    if mechanism.projects and not integrator.projects:
+    held = held_as_needed(mechanism, integrator.opens_loops)
+    if held.projects and not integrator.projects:
         raise ValueError(
             f'the loop through joint "{mechanism.topology.loops[0]}" is to be closed by '
             f"projection, which {name} "

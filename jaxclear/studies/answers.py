@@ -15,8 +15,8 @@ from jaxclear.ground.quantity import inside, numbers
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.assembly import is_sound
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.dead_point import diagnosed_outcome
 from jaxclear.simulation.derivatives import backwards, guarded
+from jaxclear.simulation.singular_positions import diagnosed_outcome
 from jaxclear.simulation.step_comparison import (
     compared,
     in_other_steps,

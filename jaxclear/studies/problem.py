@@ -40,7 +40,6 @@ from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
-from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import refusal
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras
@@ -53,6 +52,7 @@ from jaxclear.simulation.simulate import (
     run,
     saving_times,
 )
+from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
