@@ -128,9 +128,11 @@ def settled(asked: Ask, q: Array, blocks: list[Block]) -> Array:
 
 
 def _moved(asked: Ask, q: Array, step: Array) -> Array:
-    """Coordinates after a step, shortened to `LONGEST_STEP`."""
+    """Coordinates after a step, shortened to `LONGEST_STEP`. The steps that decide are short, so
+    the shortening is not differentiated: the derivative of a largest entry is 0 / 0 where XLA works
+    the entries out twice and rounds them differently."""
     longest = jnp.maximum(jnp.max(jnp.abs(step / speed_scales(asked))), LONGEST_STEP)
-    return retract(asked.system, q, step * (LONGEST_STEP / longest))
+    return retract(asked.system, q, step * jax.lax.stop_gradient(LONGEST_STEP / longest))
 
 
 def least(asked: Ask, blocks: list[Block]) -> Change:
