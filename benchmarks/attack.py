@@ -31,7 +31,7 @@ from benchmarks.attacks.numbers import Draw
 from benchmarks.attacks.structures import DRAWS, NUMBERS, ROOM, Structure, structures
 from benchmarks.attacks.tables import Row, accused, tables
 from benchmarks.measure import about, report
-from jaxclear.studies.advice.pilot import describe
+from jaxclear.ground.in_words import as_typed
 
 # Saving times of every run.
 SAVES = 201
@@ -99,7 +99,7 @@ def judged(
         run = attempt(case, integrator, Asked(SAVES, structure.balance))
         spent = time.process_time() - begun
         found = find(run, references(rung, integrator), rungs.promise_of(rung, integrator))
-        words = "default" if integrator is None else describe(integrator)
+        words = "default" if integrator is None else as_typed(integrator)
         number = number_of(structure, draw)
         rows.append(Row(number, structure.name, name, words, found, spent))
     return rows

@@ -7,6 +7,8 @@ environment's XLA_FLAGS, unless those say otherwise. It starts no device and lea
 
 import gc
 import os
+import sys
+from types import ModuleType
 
 import jax
 
@@ -68,8 +70,7 @@ from jaxclear.simulation.saving import Saving
 from jaxclear.simulation.seated import seated
 from jaxclear.simulation.simulate import SimulationError, simulate
 from jaxclear.studies import distribution, limit_state
-from jaxclear.studies.advice.choice import advise
-from jaxclear.studies.advice.pilot import PilotSettings
+from jaxclear.studies.advice import PilotSettings, advise
 from jaxclear.studies.base import AbstractProblem, AbstractVariable
 from jaxclear.studies.campaign.campaign import campaign, open_campaign
 from jaxclear.studies.condition import Condition, Heating
@@ -198,6 +199,12 @@ __all__ = [
     "worst_case",
     "write_scene",
 ]
-__getattr__ = nothing_else("jaxclear", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear", __all__)
+# `from jaxclear.joint import Revolute` works as `jaxclear.joint.Revolute` does.
+_named = [(f"jaxclear.{name}", globals()[name]) for name in (*__all__, "conformal")]
+for _path, _place in _named:
+    if isinstance(_place, ModuleType):
+        sys.modules.setdefault(_path, _place)
+        _named += [(f"{_path}.{name}", getattr(_place, name)) for name in _place.__all__]
 if _SETS_ASIDE:
     gc.unfreeze()

@@ -161,5 +161,11 @@ def test_numbers_that_could_be_swapped_are_given_by_name(law):
             law(0.25, 0.5)
 
 
+def test_completion_shows_public_names_alone_and_families_are_imported_by_name():
+    for path, place in public_modules().items():
+        assert dir(place) == sorted(place.__all__), path
+        assert importlib.import_module(path) is place
+
+
 if __name__ == "__main__":
     PINNED.write_text(json.dumps(surface(), indent=1, sort_keys=True) + "\n")

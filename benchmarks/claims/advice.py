@@ -25,10 +25,9 @@ import numpy as np
 import jaxclear as jc
 from benchmarks.measure import about
 from benchmarks.trade import questions
-from benchmarks.trade.curves import Measured, measure
+from benchmarks.trade.curves import Measured, copies, ladders, measure
 from benchmarks.trade.questions import Question
-from jaxclear.studies.advice.pilot import describe, pilot_of
-from jaxclear.studies.work_precision import default_candidates, tight_reference
+from jaxclear.ground.in_words import as_typed
 
 # Copies beside the nominal one by which the advisor is judged, drawn by another seed.
 OTHERS = 3
@@ -44,6 +43,8 @@ VERDICTS = (
     *("right", "right, dear", "wrong", "wrong, said so"),
     *(IN_DOUBT, UNJUDGED, SURE, "refused"),
 )
+# Rungs that are no candidates.
+OTHER_MODELS = ("MoreauJean", "NonColliding")
 # A size of a response beside which no error counts.
 BOUNDLESS = 1e100
 QUICK = ("slider-crank, ideal",)
@@ -144,16 +145,18 @@ def largest_error(found: Measured, wanted: Measured, names: Names) -> float:
     return worst
 
 
-def tried_on(problem: jc.Problem, accuracy: float, judge: Judge) -> list[Tried]:
+def tried_on(question: Question, accuracy: float, judge: Judge) -> list[Tried]:
     """All candidates of the advisor on the whole problem, the cheap ones of each method."""
     best, found = math.inf, []
     values, wanted, names = judge
-    for ladder in default_candidates(problem, tight_reference()).values():
+    for name, ladder in ladders(question).items():
+        if name in OTHER_MODELS:
+            continue
         own: list[Tried] = []
         for integrator in ladder:
-            got = measure(with_one(problem, integrator), values)
+            got = measure(with_one(question.problem, integrator), values)
             error = largest_error(got, wanted, names)
-            own.append(Tried(describe(integrator), error, got.seconds, False))
+            own.append(Tried(as_typed(integrator), error, got.seconds, False))
             if len(own) > 1 and max(own[-1].error, own[-2].error) <= accuracy:
                 own[-2] = own[-2]._replace(right=True)
                 best = min(best, own[-2].seconds)
@@ -164,10 +167,11 @@ def tried_on(problem: jc.Problem, accuracy: float, judge: Judge) -> list[Tried]:
     return found
 
 
-def judged(scene: str, problem: jc.Problem, names: Names, accuracy: float) -> dict[str, Any]:
+def judged(scene: str, question: Question, names: Names, accuracy: float) -> dict[str, Any]:
     """The advisor's choice beside the cheapest right one. Responses that are not asked about are
     given a size beside which no error counts, so that one program serves all problems of a scene.
     """
+    problem = question.problem
     names = tuple(name for name in names if name in problem.response_names)
     scales = {name: BOUNDLESS for name in problem.response_names if name not in names}
     row = {"scene": scene, "responses": ", ".join(names), "accuracy": accuracy}
@@ -176,10 +180,10 @@ def judged(scene: str, problem: jc.Problem, names: Names, accuracy: float) -> di
         advice = jc.advise(problem, accuracy, scales=scales)
     except ValueError as error:
         return row | {"verdict": "refused", "said": str(error)}
-    row |= {"choice": describe(advice.recommended)}
-    whole = jc.PilotSettings(copies=1 + OTHERS, duration=float(problem.duration), seed=1)
-    values = pilot_of(problem, whole).values
-    wanted = measure(with_one(problem, tight_reference()), values)
+    row |= {"choice": as_typed(advice.recommended)}
+    values = copies(problem, 1 + OTHERS, seed=1)
+    tight = jc.integrator.Adaptive(rtol=1e-10, atol=1e-12)
+    wanted = measure(with_one(problem, tight), values)
     loose = measure(with_one(problem, jc.integrator.Adaptive(rtol=1e-9, atol=1e-11)), values)
     doubt = largest_error(loose, wanted, names)
     if doubt > TRUSTED * accuracy:
@@ -187,7 +191,7 @@ def judged(scene: str, problem: jc.Problem, names: Names, accuracy: float) -> di
         return row | {"verdict": verdict, "references apart": doubt}
     chosen = measure(with_one(problem, advice.recommended), values)
     error = largest_error(chosen, wanted, names)
-    tried = [one for one in tried_on(problem, accuracy, Judge(values, wanted, names)) if one.right]
+    tried = [one for one in tried_on(question, accuracy, Judge(values, wanted, names)) if one.right]
     cheapest = min(tried, key=lambda one: one.seconds, default=None)
     row |= {"error": error, "CPU [ms]": 1e3 * chosen.seconds}
     if cheapest is not None:
@@ -212,8 +216,7 @@ def rows_of(scene: str, numbers: tuple = NUMBERS) -> list[dict[str, Any]]:
     rows = []
     for names in (FORCES, MOTION):
         for (faster, wider, share), accuracy in zip(numbers, ACCURACIES, strict=False):
-            problem = SCENES[scene](faster, wider, share).problem
-            row = judged(scene, problem, names, accuracy)
+            row = judged(scene, SCENES[scene](faster, wider, share), names, accuracy)
             rows.append(row)
             print("   ", row, flush=True)
     return rows

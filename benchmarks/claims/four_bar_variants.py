@@ -133,7 +133,7 @@ def field_of(mechanism: jc.Mechanism, read: dict | None = None) -> Field:
     """The rate of the state as `simulate` integrates it; surfaces are new unless `read` gives
     them."""
     system, layout, new = parts(mechanism)
-    return Field(Model(system, new if read is None else read, mechanism.stabilisation, layout))
+    return Field(Model(system, new if read is None else read, mechanism.baumgarte, layout))
 
 
 def start_of(mechanism: jc.Mechanism) -> jax.Array:

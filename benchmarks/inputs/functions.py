@@ -146,7 +146,6 @@ TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
         lambda x: jc.advise(problem(), scales=x),
         {"unknown": {"b": 1.0}},
     ),
-    ("advise", "batch", lambda x: jc.advise(problem(), batch=x), KINDS["count"]),
     ("advise", "means", lambda x: jc.advise(problem(), means=x), KINDS["flag"]),
     ("pointing_error", "pointing_error", lambda x: jc.pointing_error(x, "rod"), PARTS),
     ("pointing_error", "tip", lambda x: jc.pointing_error(run(), x), PARTS | {"other": "rodd"}),

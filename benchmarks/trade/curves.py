@@ -18,8 +18,9 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.trade.questions import Question
-from jaxclear.studies.advice.pilot import PilotSettings, describe, pilot_of
+from jaxclear.ground.in_words import as_typed
 from jaxclear.studies.batch import evaluate_all
+from jaxclear.studies.sampling import draw
 
 COPIES, BATCH = 3, 16
 STEPS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)
@@ -120,6 +121,12 @@ def in_batch(problem: jc.Problem, values: np.ndarray) -> float:
     return min(_seconds(lambda: evaluate_all(problem, many)) for _ in range(REPEATS)) / BATCH
 
 
+def copies(problem: jc.Problem, count: int, seed: int = 0) -> np.ndarray:
+    """Values (count, variables): the nominal ones, and others drawn from the tolerances."""
+    nominal = np.asarray(problem.nominal())[None]
+    return np.concatenate([nominal, draw(problem, count - 1, seed)])
+
+
 def _seconds(action: Callable[[], Any]) -> float:
     """CPU seconds of an action."""
     begun = time.process_time()
@@ -129,30 +136,26 @@ def _seconds(action: Callable[[], Any]) -> float:
 
 def curves(question: Question) -> Curves:
     """Every rung from coarse to fine."""
-    pilot = pilot_of(
-        question.problem,
-        PilotSettings(copies=COPIES, duration=float(question.problem.duration)),
-    )
-    duration = pilot.duration
+    values, duration = copies(question.problem, COPIES), float(question.problem.duration)
 
     def with_one(one: Any) -> jc.Problem:
         return eqx.tree_at(lambda p: p.integrator, question.problem, one)
 
-    loose, tight = (measure(with_one(_adaptive(rtol)), pilot.values) for rtol in REFERENCES)
+    loose, tight = (measure(with_one(_adaptive(rtol)), values) for rtol in REFERENCES)
     if loose.said or tight.said:
         raise ValueError(f"the reference fails: {loose.said or tight.said}")
     doubts = errors(loose.responses, tight.responses)
     points = []
     for name, ladder in ladders(question).items():
         for integrator in ladder:
-            found = measure(with_one(integrator), pilot.values)
+            found = measure(with_one(integrator), values)
             off = {} if found.said else errors(found.responses, tight.responses)
             batched = math.nan
             if not found.said and found.seconds < BATCHED:
-                batched = in_batch(with_one(integrator), pilot.values) / duration
+                batched = in_batch(with_one(integrator), values) / duration
             points.append(
                 Point(
-                    name, describe(integrator), off, found.seconds / duration, batched, found.said
+                    name, as_typed(integrator), off, found.seconds / duration, batched, found.said
                 )
             )
             if found.seconds > LONG or (off and max(off.values()) < GOOD):

@@ -41,4 +41,4 @@ __all__ = [
     "Solution",
     "natural_residual",
 ]
-__getattr__ = nothing_else("jaxclear.complementarity", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.complementarity", __all__)

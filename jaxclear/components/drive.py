@@ -27,7 +27,7 @@ __all__ = [
     "RampUp",
     "Speed",
 ]
-__getattr__ = nothing_else("jaxclear.drive", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.drive", __all__)
 
 
 class AbstractDrive(AbstractQuantified):

@@ -13,7 +13,6 @@ from jaxclear.components.sphere_contact import Wall, loss_of
 from jaxclear.components.stencil import stencil
 from jaxclear.components.touched_cells import all_shared, taken_off
 from jaxclear.components.wear_map import AbstractWearMap
-from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 
 
@@ -46,13 +45,6 @@ class SphereMap(AbstractWearMap):
     def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
         return self.wall.position(x, y, z)
-
-    def directions_of(self, features):
-        return features[..., :3]
-
-    def covered(self, features):
-        square = safe_divide(1.0, features[..., 8])
-        return safe_sqrt(square), 0.25 * square
 
     @property
     def wall(self) -> Wall:

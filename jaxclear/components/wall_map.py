@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.contact_patch import depth_lost
 from jaxclear.components.touched_cells import entry, through, with_entry, worn_in_turn
-from jaxclear.components.wall_contact import Face, Wall, loss_of
+from jaxclear.components.wall_contact import Wall, loss_of
 from jaxclear.components.wear_map import AbstractWearMap, mean_along
-from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, quantity
 
 
@@ -56,22 +56,6 @@ class WallMap(AbstractWearMap):
     def within(self, place: Scalar) -> Array:
         """Whether a place along the guide [m] is on the walls."""
         return jnp.abs(place - self.middle) <= 0.5 * self.length
-
-    def directions_of(self, features):
-        # A way along the walls as an arc of so many radians as it is long beside them.
-        half = self._half_way(features) / self.length
-        return jnp.where(half > 0, safe_divide(jnp.sin(half), half), 1.0)[..., None]
-
-    def covered(self, features):
-        fall, indentation = features[..., 2], features[..., 3]
-        slope = fall / self.face
-        first, last = Face(indentation, slope, self.face).ends
-        width = jnp.maximum(last - first, self.wall.cell)
-        return 0.5 * width / self.length, 0.5 * width / self.length
-
-    def _half_way(self, features):
-        place, square = features[..., 0], features[..., 1]
-        return safe_sqrt(3.0 * positive_part(square - place * place))
 
     def deposit(self, depth, volume, features):
         lost = jax.vmap(self._lost, (None, 0, 0))(depth, volume, features)

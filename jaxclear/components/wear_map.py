@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxclear.components.contact_patch import depth_lost, depth_of, square_width
+from jaxclear.components.contact_patch import depth_lost, square_width
 from jaxclear.components.cylinder_contact import Wall, loss_of
 from jaxclear.components.touched_cells import (
     entry,
@@ -26,7 +26,7 @@ from jaxclear.components.touched_cells import (
     with_entry,
     worn_in_turn,
 )
-from jaxclear.ground.numerics import direction_angle, positive_part, safe_divide
+from jaxclear.ground.numerics import direction_angle, positive_part
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.laws.wear import AbstractWearLaw
 
@@ -108,17 +108,6 @@ class AbstractWearMap(AbstractQuantified):
         depth = self.deposit(depth, volume, features)
         return depth, None if reading is None else self.reading(depth), pressures
 
-    def directions_of(self, features):
-        """Mean direction (..., up to 3) of each event: of length 1 where it was at one place, as
-        always unless overridden."""
-        return jnp.ones((*features.shape[:-1], 1))
-
-    def covered(self, features):
-        """(half the width [rad], share of the surface) that the contact of each event (...)
-        covers: all of it unless overridden."""
-        whole = jnp.ones(features.shape[:-1])
-        return whole, whole
-
 
 class CylinderMap(AbstractWearMap):
     """Wall of a bearing or journal: theta from x towards y in [0, 2 pi), z from -length/2 to
@@ -152,16 +141,6 @@ class CylinderMap(AbstractWearMap):
         """One over half the width [1/rad] of a contact of some indentation [m]. Its mean over a
         loss tells how deep that is in the contact's middle."""
         return 1.0 / jnp.sqrt(square_width(indentation, self._cell, self.clearance))
-
-    def directions_of(self, features):
-        return features[..., :2]
-
-    def covered(self, features):
-        fall, narrowness, end = (features[..., i] for i in (2, 3, 4))
-        half_width = safe_divide(1.0, narrowness)
-        overlap = depth_of(half_width**2, self._cell, self.clearance)
-        along = safe_divide(overlap, 2.5 * jnp.abs(fall * end) + overlap)
-        return half_width, half_width / math.pi * along
 
     @property
     def _cell(self) -> float:

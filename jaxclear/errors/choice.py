@@ -14,13 +14,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxclear.errors.rungs import RK4, Rung
+from jaxclear.errors.rungs import Rung
 from jaxclear.errors.told import richardson
 from jaxclear.errors.verification import DOUBT
+from jaxclear.ground.in_words import as_typed
+from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.fixed_step import USUAL_STEP
-from jaxclear.results.trajectory import Trajectory
 
+# Evaluations of forces in a step of the classical Runge-Kutta method.
+RK4 = 4
 # So many times the work of the usual steps of studies may go into a choice; at least as many
 # evaluations of forces as take seconds in any mechanism.
 PATIENCE, LEAST_BUDGET = 20.0, 4e6
@@ -28,16 +31,17 @@ PATIENCE, LEAST_BUDGET = 20.0, 4e6
 # many times as long each further part is. It may take half of what is left.
 FIRST_PART, LONGER = 1 / 512, 8
 
-# A run by an integrator, over this share of the duration.
-Again = Callable[[AbstractIntegrator, float], Trajectory]
+# A run by an integrator over this share of the duration, or several in one: whether they
+# `succeeded`, their `accepted_steps` and `rejected_steps`.
+Again = Callable[[AbstractIntegrator, float], Any]
 
 
 class Question(NamedTuple):
     """What is compared of a run, as `seen(run)`; and, as `beside(run, one, other)`, how far two
     runs are apart, by answer, beside what is allowed; the saving `times` [s]."""
 
-    seen: Callable[[Trajectory], Any]
-    beside: Callable[[Trajectory, Any, Any], dict[str, float]]
+    seen: Callable[[Any], Any]
+    beside: Callable[[Any, Any, Any], dict[str, float]]
     times: np.ndarray
 
 
@@ -58,23 +62,33 @@ class Chosen(NamedTuple):
         return self.told <= 1
 
 
-class _Tried(NamedTuple):
-    """A setting of a rung, the run by it (None: it failed), what is compared of that, and its work;
-    its error beside what is allowed, and of which answer."""
+class Tried(NamedTuple):
+    """A setting of a rung, the run by it (None: it failed), what is compared of that, and its work
+    [evaluations of forces]; its `errors` beside what is allowed, by answer."""
 
     rung: Rung
     integrator: AbstractIntegrator
-    run: Trajectory | None
+    run: Any
     seen: Any
     work: int
-    told: float = math.inf
-    worst: str = ""
+    errors: dict[str, float]
+
+    @property
+    def worst(self) -> str:
+        """The answer that is nearest to what is allowed, or furthest beyond."""
+        return max(self.errors, key=lambda name: self.errors[name], default="the run")
+
+    @property
+    def told(self) -> float:
+        """Its error; endless where the run failed."""
+        return max(self.errors.values(), default=math.inf)
 
 
-def budget_of(times: np.ndarray) -> float:
-    """What a choice for a run saved at these times [s] may take [evaluations of forces]."""
+def budget_of(times: np.ndarray, together: int = 1) -> float:
+    """What a choice for a run saved at these times [s] may take [evaluations of forces]; for so
+    many `together`, what it may take of each."""
     usual = RK4 * float(times[-1] - times[0]) / USUAL_STEP
-    return max(PATIENCE * usual, LEAST_BUDGET)
+    return max(PATIENCE * usual, LEAST_BUDGET / together)
 
 
 def chosen(
@@ -83,49 +97,57 @@ def chosen(
     """The cheapest setting of these rungs, of which the first is under error control if any is,
     that keeps the accuracy; the most accurate one tried where none does within the `budget`
     [evaluations of forces] (None: that of `budget_of`)."""
-    budget = budget_of(question.times) if budget is None else budget
-    search = _Search(again, question, budget)
+    search = Search(again, question, budget)
     for rung in rungs:
         search.climb(rung)
-    spent = search.spent
+    spent, found = search.spent, search.best or search.nearest
+    if found is None:
+        usual = Adaptive() if rungs[0].controlled else rungs[0].first
+        why = f"Run with integrator.{as_typed(usual)}: of the settings tried none tells."
+        return Chosen(usual, why, math.inf, 0, spent)
     if search.best is not None:
-        found = search.best
         why = (
             f"the cheapest setting tried that keeps the accuracy asked (told {found.told:.0%} of "
             f"it), {found.work} evaluations of forces a run"
         )
     else:
-        judged = [each for each in search.judged if each.told < math.inf]
-        if not judged:
-            usual = rungs[0].usual
-            why = f"Run with integrator.{rungs[0].typed(usual)}: of the settings tried none tells."
-            return Chosen(usual, why, math.inf, 0, spent)
-        found = min(judged, key=lambda each: each.told)
         why = (
-            f"nothing within {budget:.2g} evaluations of forces keeps the accuracy asked; "
+            f"nothing within {search.budget:.2g} evaluations of forces keeps the accuracy asked; "
             f"{found.worst} is told to {found.told:.2g} times that"
         )
-    typed = found.rung.typed(found.integrator)
-    why = f"Run with integrator.{typed}: {why}."
+    why = f"Run with integrator.{as_typed(found.integrator)}: {why}."
     return Chosen(found.integrator, why, found.told, found.work, spent)
 
 
-class _Search:
+class Search:
     """What is known so far: the cheapest setting that keeps the accuracy (`best`), all that were
     `judged`, the finest run under error control where that keeps it (`reference`), and the work
-    that was `spent`."""
+    that was `spent` [evaluations of forces]."""
 
-    def __init__(self, again: Again, question: Question, budget: float):
-        self.again, self.question, self.budget = again, question, budget
+    def __init__(
+        self,
+        again: Again,
+        question: Question,
+        budget: float | None = None,
+        best: Tried | None = None,
+    ):
+        self.again, self.question = again, question
+        self.budget = budget_of(question.times) if budget is None else budget
         self.spent = 0
-        self.best: _Tried | None = None
-        self.reference: _Tried | None = None
-        self.judged: list[_Tried] = []
+        self.best = best
+        self.reference: Tried | None = None
+        self.judged: list[Tried] = []
+
+    @property
+    def nearest(self) -> Tried | None:
+        """The most accurate of all settings that were judged; None where none was."""
+        known = [each for each in self.judged if each.told < math.inf]
+        return min(known, key=lambda each: each.told, default=None)
 
     def climb(self, rung: Rung) -> None:
         """Settings of a rung from coarse to fine, until one keeps the accuracy, or none that does
         can be cheaper than the best, or the budget is spent."""
-        settings: list[_Tried] = []
+        settings: list[Tried] = []
         first = 0
         following: AbstractIntegrator | None = rung.first
         while following is not None and self._affords(rung, following, settings[first:]):
@@ -142,7 +164,7 @@ class _Search:
             following = rung.finer(following)
         self._leave(settings[first:])
 
-    def _leave(self, undecided: list[_Tried]) -> None:
+    def _leave(self, undecided: list[Tried]) -> None:
         """What is left where another run cannot be had: one that does not agree by chance counts by
         what is known of it."""
         if len(undecided) < 2:
@@ -152,11 +174,11 @@ class _Search:
         if one.told <= 1 and self._trusted(one):
             self._keep(one, undecided[-1])
 
-    def _trusted(self, one: _Tried) -> bool:
+    def _trusted(self, one: Tried) -> bool:
         """Whether a setting is under error control, or stands beside one that is."""
         return one.rung.controlled or self.reference is not None
 
-    def _affords(self, rung: Rung, setting: AbstractIntegrator, open_settings: list[_Tried]):
+    def _affords(self, rung: Rung, setting: AbstractIntegrator, open_settings: list[Tried]):
         """Whether a setting is worth a run, behind those that are not decided yet."""
         known = rung.work_before(setting, self.question.times)
         last = open_settings[-1].work if open_settings else None
@@ -180,35 +202,34 @@ class _Search:
                 return math.inf
         return work
 
-    def _tried(self, rung: Rung, setting: AbstractIntegrator) -> _Tried:
+    def _tried(self, rung: Rung, setting: AbstractIntegrator) -> Tried:
         run = self.again(setting, 1.0)
         work = rung.work_of(run)
         self.spent += work
-        if not run.succeeded:
-            return _Tried(rung, setting, None, None, work)
-        return _Tried(rung, setting, run, self.question.seen(run), work)
+        seen = self.question.seen(run) if run.succeeded else None
+        return Tried(rung, setting, run if run.succeeded else None, seen, work, {})
 
-    def _judged(self, one: _Tried, finer: list[_Tried]) -> _Tried | None:
+    def _judged(self, one: Tried, finer: list[Tried]) -> Tried | None:
         """A setting with its error, as finer ones tell it; None where another one must."""
         found = self._told(one, finer)
         sure = found.told <= DOUBT and self._trusted(one)
         return found if len(finer) > 1 or sure or found.told > 1 else None
 
-    def _told(self, one: _Tried, finer: list[_Tried]) -> _Tried:
+    def _told(self, one: Tried, finer: list[Tried]) -> Tried:
         """A setting with its error, as far as finer ones and the reference tell it."""
         if one.run is None or any(each.run is None for each in finer):
-            return one._replace(told=math.inf, worst="the run")
+            return one
         off = [self.question.beside(one.run, one.seen, each.seen) for each in finer]
-        told = {name: float(richardson([each[name] for each in off])) for name in off[0]}
+        shares = [one.rung.share(one.integrator, each.integrator) for each in finer]
+        told = {name: float(richardson([each[name] for each in off], shares)) for name in off[0]}
         if self.reference is not None:
             known = self.question.beside(one.run, one.seen, self.reference.seen)
             told = {name: max(error, known[name]) for name, error in told.items()}
         told = {name: math.inf if math.isnan(error) else error for name, error in told.items()}
-        worst = max(told, key=lambda name: told[name])
-        return one._replace(told=told[worst], worst=worst)
+        return one._replace(errors=told)
 
-    def _keep(self, one: _Tried, finest: _Tried) -> None:
+    def _keep(self, one: Tried, finest: Tried) -> None:
         if self.best is None or one.work < self.best.work:
             self.best = one
-        if one.rung.controlled:
+        if one.rung.controlled and self.reference is None:
             self.reference = finest

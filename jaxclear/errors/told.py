@@ -4,6 +4,7 @@ as an estimate, and the sentences where an error is beyond what the integrator p
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -195,9 +196,11 @@ def remedy_of_depths(remedy: str) -> str:
     return f"save more often, which is when surfaces wear, or {remedy}"
 
 
-def richardson(differences: list[Any]) -> Any:
-    """The error that differences from the half, and the quarter, tell of steps of order 1."""
-    errors = [d / (1 - share) for d, share in zip(differences, (HALF, QUARTER), strict=False)]
+def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, QUARTER)) -> Any:
+    """The error that differences from finer steps of these shares (None: the half, and the
+    quarter) tell of steps of order 1."""
+    rows = zip(differences, shares, (HALF, QUARTER), strict=False)
+    errors = [d / (1 - (usual if share is None else share)) for d, share, usual in rows]
     return functools.reduce(jnp.maximum if is_traced(errors) else np.maximum, errors)
 
 

@@ -34,7 +34,7 @@ from jaxclear.files.tables import time_table
 from jaxclear.ground.wording import public_name
 from jaxclear.laws import contact, material
 from jaxclear.laws.contact import AbstractNormalLaw
-from jaxclear.multibody.loops import Baumgarte, Projection
+from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.simulation.saving import Saving
 from jaxclear.studies.condition import Condition, Heating
@@ -87,6 +87,11 @@ def _given(what: str) -> Getter:
     return lambda mechanism: mechanism.given[what]
 
 
+def _stabilisation(mechanism: Mechanism) -> Any:
+    held = mechanism.stabilisation
+    return AS_NEEDED if isinstance(held, AsNeeded) else held
+
+
 def _expansion(heating: Heating) -> Any:
     own = heating.expansion
     return dict(own) if isinstance(own, tuple) else own
@@ -96,6 +101,10 @@ EXPANSION = {"unit": "1/K", "meaning": "coefficient of linear expansion"}
 NUMBERS_BY_NAME = ByName(Numbers({"unit": "1"}))
 DIRECTION = Choice((Text(), Numbers({"unit": "1"}, (3,))))
 END = Choice((Text(), Part((Marker,), spelled_out=True)))
+# What stands where a mechanism does not say how its loops are held.
+AS_NEEDED = "default"
+# Words that go without saying, by how they are told.
+LEFT_OUT: Mapping[Getter, str] = MappingProxyType({_axis: "z", _stabilisation: AS_NEEDED})
 # How arguments are told that are not the field of the same name.
 TOLD: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
     Marker: {"axis": (DIRECTION, _axis)},
@@ -111,7 +120,7 @@ TOLD: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
         "start": (NUMBERS_BY_NAME, _given("start")),
         "speeds": (NUMBERS_BY_NAME, _given("speeds")),
         "guess": (NUMBERS_BY_NAME, _given("guess")),
-        "stabilisation": (Part((Baumgarte, Projection)), _attribute("stabilisation")),
+        "stabilisation": (Part((Baumgarte, Projection)), _stabilisation),
     },
     Saving: {"at": (Choice((Whole({"at_least": 2}), NumberArray())), _attribute("at"))},
     Condition: {
@@ -202,7 +211,7 @@ def arguments(kind: Any) -> Mapping[str, Argument]:
         else:
             form = None if field is None else form_of(field.type, metadata)
             told = _attribute(name)
-        left_out = "z" if told is _axis else None
+        left_out = LEFT_OUT.get(told)
         default = _default(parameter, field)
         found[name] = Argument(form, needed, default, told, left_out, metadata)
     return MappingProxyType(found)

@@ -42,4 +42,4 @@ __all__ = [
     "model_of",
     "reports_of_means",
 ]
-__getattr__ = nothing_else("jaxclear.formulation", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.formulation", __all__)

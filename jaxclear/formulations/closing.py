@@ -1,19 +1,31 @@
 """Bringing a state back onto the loop closures: the least change of coordinates and speeds in the
 metric of the masses.
+
+At a singular position the rows of loops depend on each other, and the least change that closes them
+grows without bound. A change beyond `MOST` of a step's way, or of the speeds, is no error of the
+step and hardly taken: a linkage goes on through such a position by its inertia, and the next steps
+close it.
 """
 
 from typing import Any
 
+import jax.numpy as jnp
+
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.quantity import constant
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
 from jaxclear.multibody.state import unpack_motion
 
+# Of a step's way, and of the speeds: a step that is off by a fifth does not resolve the motion.
+MOST = 0.2
 
-def closed(model: Model, time: Any, state: State) -> State:
-    """The state at the end of a step, its loops closed anew where they are to be: to the square of
-    how far off they were.
+
+def closed(model: Model, time: Any, length: Any, state: State) -> State:
+    """The state at the end of a step of this length [s], its loops closed anew where they are to
+    be: to the square of how far off they were.
     """
     if not model.projects:
         return state
@@ -27,13 +39,33 @@ def closed(model: Model, time: Any, state: State) -> State:
         for subtree in system.topology.subtrees
     )
     masses = [tree.mass_matrix(*subtree) for subtree in subtrees]
-    _, constrain = dynamics.constrained_inverse(masses, rows, constraints.dependence(system, found))
+    alike = constraints.rows_alike(system, found)
+    depend = constraints.dependence(system, found)
+    _, constrain = dynamics.constrained_inverse(masses, rows, alike, depend)
 
-    def change(residuals):
-        return constrain([0] * len(v), [sp.neg(x) for x in residuals])[0]
+    fast = safe_sqrt(_squared(masses, v))
+
+    def change(residuals, most):
+        """The least that closes them, as far as it is below `most` in the metric of the masses."""
+        moves, multipliers = constrain([0] * len(v), [sp.neg(x) for x in residuals])
+        # Twice the energy of a change is what it closes times its multipliers.
+        beside = safe_divide(abs(sp.dot(multipliers, residuals)), most * most)
+        share = constant(1.0 / (1.0 + beside * beside))
+        # At the position itself nothing is a number.
+        return [jnp.where(share > 0, sp.mul(share, x), 0.0) for x in moves]
 
     residuals = [x for closure in found for x in closure.residuals]
     rates = [x for closure in found for x in closure.rates]
-    v = [sp.add(x, d) for x, d in zip(v, change(rates), strict=True)]
-    q = drift(system, q, q, change(residuals), 1.0)
+    v = [sp.add(x, d) for x, d in zip(v, change(rates, MOST * fast), strict=True)]
+    q = drift(system, q, q, change(residuals, MOST * length * fast), 1.0)
     return sp.stack([*q, *v, *entries[layout.memory_start :]])
+
+
+def _squared(masses: list, v: list) -> Any:
+    """The square of speeds in the metric of the masses, twice their kinetic energy [J]."""
+    found, first = [], 0
+    for mass in masses:
+        own = v[first : first + len(mass)]
+        first += len(mass)
+        found += [sp.mul(x, sp.dot(row, own)) for x, row in zip(own, mass, strict=True)]
+    return sp.total(found)

@@ -124,9 +124,8 @@ class CompliantContact(AbstractFormulation):
         pressed."""
         return damped_contacts.damped(model.system)
 
-    def normal_forces(self, model: Model, state: State, contacts: ContactMotion) -> Any:
-        """Normal force [N] of every possible contact that damps, 0 of the others."""
-        return damped_contacts.normal_forces(model, state, contacts)
+    # Of every possible contact that damps.
+    normal_forces = staticmethod(damped_contacts.normal_forces)
 
     def slips(self, model: Model, time: Any, state: State) -> Float[Array, "contacts 3"]:
         """Sliding velocity [m/s] of every possible contact along its sliding directions, from the

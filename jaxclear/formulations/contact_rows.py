@@ -135,7 +135,7 @@ def free_motion(model: Model, time: Any, q: tuple, v: tuple, angles: dict[str, A
     poses, contacts = contact_points(model, motions)
     forces = applied_forces(system, motions, {}, q, v, time, angles)
     masses, by_subtree = dynamics.equations_of_motion(system, forces)
-    closures = ClosureEquations([], [], None)
+    closures = ClosureEquations([], [], (), None)
     if system.closures:
         closures = constraints.acceleration_equations(system, motions, model.stabilisation)
     right = tuple(force for subtree in by_subtree for force in subtree)

@@ -97,7 +97,9 @@ def delassus_operator(free_motion: FreeMotion, rows: list[ContactJacobianRow]) -
     rows.
     """
     closures = free_motion.closures
-    inverse = constrained_inverse(free_motion.masses, closures.rows, closures.dependence)
+    inverse = constrained_inverse(
+        free_motion.masses, closures.rows, closures.alike, closures.dependence
+    )
     respond, constrain = inverse
     free, multipliers = constrain(respond(list(free_motion.right)), closures.wanted)
     size, still = len(free_motion.right), [0] * len(multipliers)

@@ -176,8 +176,11 @@ def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
     return f"{name} needs {listed(missing)}; {takes}."
 
 
-def nothing_else(module: str, offered: list[str]) -> Callable[[str], NoReturn]:
-    """The `__getattr__` of a module: for any name beyond those offered, a sentence."""
+def nothing_else(
+    module: str, offered: list[str]
+) -> tuple[Callable[[str], NoReturn], Callable[[], list[str]]]:
+    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence;
+    what completes a name that is being typed shows these alone."""
 
     def refuse(name: str) -> NoReturn:
         path = f"{module} has no {name!r}"
@@ -188,4 +191,7 @@ def nothing_else(module: str, offered: list[str]) -> Callable[[str], NoReturn]:
         members = [one for one in offered if not one.startswith("Abstract")]
         raise AttributeError(f"{path}; it offers {', '.join(members)}.{meant(name, offered)}")
 
-    return refuse
+    def shown() -> list[str]:
+        return sorted(offered)
+
+    return refuse, shown

@@ -26,9 +26,11 @@ LARGEST_WRITTEN_OUT = 18
 Rows = Sequence[Sequence[Any]]
 
 
-def factor(matrix: Rows) -> Any:
+def factor(matrix: Rows, least: Sequence[Any] | None = None) -> Any:
     """L D L^T of a symmetric positive definite matrix M [any unit] given as rows of sparse scalars:
-    the lower triangle L and the inverse pivots 1 / D_i, which `solve` takes.
+    the lower triangle L and the inverse pivots 1 / D_i, which `solve` takes. Where a pivot is
+    not above the `least` of its row the unknown is 0, for the row follows from those before (None:
+    nowhere; beyond `LARGEST_WRITTEN_OUT` unknowns neither).
     """
     n = len(matrix)
     if n > LARGEST_WRITTEN_OUT:
@@ -48,7 +50,10 @@ def factor(matrix: Rows) -> Any:
             sp.mul(entry, pivot) for entry, pivot in zip(row, inverse_pivots, strict=True)
         ]
         pivot = sp.sub(matrix[i][i], sp.dot(row, lower[i][:i]))
-        inverse_pivots.append(1.0 / pivot)
+        inverse = 1.0 / pivot
+        if least is not None:
+            inverse = jnp.where(pivot > least[i], inverse, 0.0)
+        inverse_pivots.append(inverse)
     return lower, inverse_pivots
 
 

@@ -9,14 +9,24 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import numpy as np
 
 from jaxclear.ground.wording import described, public_name
 
-__all__ = ["fields_in_words", "in_a_line", "number_in_words", "numbers_in_words", "part_in_words"]
+__all__ = [
+    "as_typed",
+    "fields_in_words",
+    "in_a_line",
+    "number_in_words",
+    "numbers_in_words",
+    "part_in_words",
+]
 
 INDENT = " " * 6
 # Longest line [characters] that holds the parts of a thing, too.
 LONGEST = 100
+# What decides accuracy is typed of an integrator even where it is the default.
+ALWAYS_TYPED = ("step", "rtol", "atol")
 # Unit of a number by the metadata of its field.
 Unit = Callable[[Mapping[str, Any]], str]
 
@@ -36,6 +46,26 @@ def part_in_words(part: Any) -> str:
     inner = [text for name, text in told if isinstance(getattr(part, name), eqx.Module)]
     own = [text for name, text in told if not isinstance(getattr(part, name), eqx.Module)]
     return "\n".join([f"{kind} {', '.join(own)}".rstrip(), *(f"{INDENT}{text}" for text in inner)])
+
+
+def as_typed(part: Any) -> str:
+    """A part as a user would write it, defaults left out: FixedStep(step=5e-05, method="euler")."""
+    told = []
+    for field in dataclasses.fields(part):
+        value, usual = getattr(part, field.name), field.default
+        if usual is dataclasses.MISSING and field.default_factory is not dataclasses.MISSING:
+            usual = field.default_factory()
+        number = isinstance(value, (jax.Array, float)) and np.ndim(value) == 0
+        if isinstance(value, eqx.Module):
+            said = "" if type(value) is type(usual) else f"{type(value).__name__}()"
+        elif number and (field.name in ALWAYS_TYPED or usual is None or value != usual):
+            said = f"{float(value):.9g}"
+        elif number or value == usual:
+            said = ""
+        else:
+            said = f'"{value}"' if isinstance(value, str) else repr(value)
+        told += [f"{field.name}={said}"] if said else []
+    return f"{type(part).__name__}({', '.join(told)})"
 
 
 def numbers_in_words(part: Any, unit: Unit = unit_of_field) -> str:

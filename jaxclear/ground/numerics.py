@@ -24,7 +24,7 @@ __all__ = [
     "smooth_sign",
     "smooth_step",
 ]
-__getattr__ = nothing_else("jaxclear.numerics", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.numerics", __all__)
 
 # Sums of squares below this count as zero. Far below the square of any length, speed or force of a
 # mechanism, and far enough from the smallest float64 that second derivatives (x^-3/2, and squares

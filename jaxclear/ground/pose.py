@@ -28,7 +28,7 @@ __all__ = [
     "rotation_y",
     "rotation_z",
 ]
-__getattr__ = nothing_else("jaxclear.pose", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.pose", __all__)
 
 
 class Pose(NamedTuple):

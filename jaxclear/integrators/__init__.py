@@ -41,7 +41,7 @@ __all__ = [
     "Outcome",
 ]
 _GOES = {"Check": checks.Check, "Checks": figures.Checks, "Figure": figures.Figure}
-_refuse = nothing_else("jaxclear.integrator", __all__)
+_refuse, __dir__ = nothing_else("jaxclear.integrator", __all__)
 
 
 def __getattr__(name: str) -> Any:

@@ -20,14 +20,15 @@ from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.promise import LOOSE, REFERENCE
 from jaxclear.integrators.saltation import equations, motion_of
 from jaxclear.integrators.state_group import state_group
-from jaxclear.integrators.trust import NO_SECOND, trusted
-from jaxclear.integrators.unresolved import FollowingErrors, resolved, unfollowed
+from jaxclear.integrators.trust import NO_SECOND, FollowingErrors, resolved, trusted, unfollowed
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.system import longest_arm
 from jaxclear.native import size_of, with_fast_loops
 
 # Share of the time at which a step is given up: a few roundings, below which time stands still.
 SMALLEST_STEP = 1e-14
+# Evaluations of forces in a step of Dormand and Prince's kind: the last is the next one's first.
+USUAL_STAGES = 6
 # Power of a step's share by which tolerances follow: of the order of the usual solvers.
 FINER_TOLERANCE = 4
 # Relative error beyond which no tolerance counts where joints have clearance: impacts make errors
@@ -123,6 +124,12 @@ class Adaptive(AbstractIntegrator):
     def held(self, step):
         step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
         return eqx.tree_at(lambda own: own.largest_step, self, step, is_leaf=lambda x: x is None)
+
+    def evaluations(self, mechanism):
+        """Those of the solver's stages, of which the last may be the next step's first."""
+        if not isinstance(self.solver, diffrax.AbstractERK):
+            return USUAL_STAGES
+        return self.solver.tableau.num_stages - self.solver.tableau.fsal
 
     @property
     def in_kernels(self):

@@ -88,9 +88,19 @@ class AbstractIntegrator(AbstractQuantified):
         in which it has ended tells that they are not known; `warm_start`: what it has left."""
         return states
 
+    @property
+    def opens_loops(self) -> bool:
+        """Whether its steps open loops by more than rounding, so that they are closed anew after
+        each where a mechanism does not say how its loops are held."""
+        return self.projects
+
     def asked_step(self) -> Scalar | None:
         """The longest step [s] that was asked for; None where nobody asked for one."""
         return None
+
+    def evaluations(self, mechanism: Mechanism) -> int:
+        """How often a step asks for the forces in a mechanism, as far as it knows."""
+        return 1
 
     def shortest_step(self) -> Scalar | None:
         """The shortest step [s] that these numbers lead to, saving times aside."""

@@ -9,15 +9,41 @@ Beyond `Check.ends_at` a run ends.
 
 import enum
 
-from jaxclear.integrators.abstract_check import NEVER, AbstractCheck
+import numpy as np
+
 from jaxclear.integrators.outcome import Outcome
 
+NEVER = (np.inf, Outcome.REACHED)
 # What a figure is told for.
 LOOPS, SPEEDS, CONTACTS, SURFACES, WHOLE = "loops", "speeds", "contacts", "surfaces", "mechanism"
 JOINTS, LOADS, RUBBING, COLLARS = "joints", "loads and drives", "joints that rub", "collars"
 TOUCHING = "joints that always touch"
 UNHELD = "joints that always touch and that nothing holds along their axis"
 SLIDING = "journals that nothing holds along their axis"
+
+
+class AbstractCheck(enum.IntEnum):
+    """A figure by which a run is judged: its `label` in tables, `unit`, `limit`, what the limit
+    `concerns` (motion, places, forces, peak forces, wear, worn depth, places in gaps), whose it is
+    (`of`), and the `sentence` said beyond the limit. Beyond `ends_at` the run ends, by `outcome`.
+    """
+
+    label: str
+    unit: str
+    limit: float
+    concerns: str
+    of: str
+    sentence: str
+    ends_at: float
+    outcome: Outcome
+
+    def __new__(cls, code, label, limit, concerns, of, sentence, ends=NEVER, unit="1"):
+        member = int.__new__(cls, code)
+        member._value_ = code
+        member.label, member.unit, member.limit = label, unit, limit
+        member.concerns, member.of, member.sentence = concerns, of, sentence
+        member.ends_at, member.outcome = ends
+        return member
 
 
 def _gone(code: int, label: str, limit: float, concerns: str, of: str = CONTACTS) -> tuple:
@@ -41,6 +67,16 @@ class Check(AbstractCheck):
         'the loop closed by joint "{place}" is open by {figure:.2g} of its shortest part (limit '
         "{limit:g}): take shorter steps or stabilisation=jaxclear.Projection()",
         (3e-2, Outcome.LOOP_TORN),
+    )
+    # The same beside the smallest clearance: where journals are is off by as much.
+    LOOP_DRIFT_IN_GAPS = (
+        32,
+        "loop drift beside clearances",
+        0.03,
+        "places in gaps",
+        LOOPS,
+        'the loop closed by joint "{place}" is open by {figure:.2g} of the smallest clearance '
+        "(limit {limit:g}): take shorter steps or stabilisation=jaxclear.Projection()",
     )
     # Of what nothing drives or pushes: energy above that of the start, beside all it had to change.
     ENERGY_GAIN = (
@@ -163,6 +199,7 @@ class Check(AbstractCheck):
 # Those that runs are asked.
 LIVE = (
     Check.LOOP_DRIFT,
+    Check.LOOP_DRIFT_IN_GAPS,
     Check.ENERGY_GAIN,
     Check.INDENTATION,
     Check.LOAD_STEP,

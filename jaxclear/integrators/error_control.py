@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.quantity import Scalar, constant
-from jaxclear.integrators.wrapped import AbstractAround
 from jaxclear.native import while_loop
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
@@ -30,6 +29,23 @@ CUT = 0.999
 OURS = ("step", "init", "func")
 # A step that would leave less than so many roundings to the end of an interval ends there.
 ROUNDINGS = 100 * float(np.finfo(float).eps)
+
+
+class AbstractAround:
+    """What diffrax asks of a solver that is stepped by another one's steps, in front of diffrax's
+    classes: the orders and terms of `solver`."""
+
+    solver: Any
+
+    @property
+    def term_structure(self):
+        return self.solver.term_structure
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
 
 
 class Stages(AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):

@@ -5,7 +5,9 @@ behind: its own derivative converges slowly, or to nothing. But where runs are t
 the motion itself can go beside the steps, in parts of these that are as short as contacts ask for
 and end at touches and releases (`motion_parts`). Derivatives are those of that motion, at its
 places. How far the run has parted from it is known at every step: where that is too far the
-derivative is not the run's, and nan (`trust.beside`); the motion goes no further then.
+derivative is not the run's, and nan (`trust.beside`); the motion goes no further then. Where loops
+are closed anew after every step, those of the motion are too, and the step itself ends closed: what
+closes the run's says nothing of the motion.
 
 The motion is a derivative of zeros, which a loop carries: so none of it is in a program of which no
 derivative is asked.
@@ -17,11 +19,13 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
+from jaxclear.formulations import closing
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar
-from jaxclear.ground.tangents import derived, derived_once, moved, zeros_with
+from jaxclear.ground.tangents import derived, derived_once, moved, pushed, zeros_with
 from jaxclear.integrators.mid_step import moves
 from jaxclear.integrators.motion_parts import followed
 from jaxclear.integrators.peaks import Peaks, nothing_met
@@ -62,6 +66,9 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
         model = eqx.combine(arrays, rest)
         return formulation.remember(model, y, contacts, contacts, length)
 
+    def close(arrays, time, length, y):
+        return closing.closed(eqx.combine(arrays, rest), time, length, y)
+
     def step(arrays, clock, y, last, met, beside):
         end, *found = plain(arrays, clock, y, last, met)
         return end, *found, zeros_with(end[0], beside)
@@ -79,7 +86,8 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
         longer = moved(clock_way[1]) if moves(clock_way) else None
         ways = way[0], (clock_way[0], longer), moved(state)
         begun = y + beside.away
-        ended = _parted(motion, remember, (arrays[0], clock, begun), ways, met_way, beside)
+        own = remember, close if rest.projects else None
+        ended = _parted(motion, own, (arrays[0], clock, begun), ways, met_way, beside)
         there, gone, higher, beside = ended
         away = there - end
         share = gaps_passed(eqx.combine(arrays[0], rest).system, away)
@@ -105,10 +113,12 @@ def trusted_beside(end: Any, met: Any, watch: Any, known: Beside) -> tuple:
 
 
 def _parted(
-    motion: Any, remember: Callable, here: tuple, ways: tuple, higher: Any, beside: Beside
+    motion: Any, own: tuple, here: tuple, ways: tuple, higher: Any, beside: Beside
 ) -> tuple:
     """(state, its derivative, that of the peaks, what is known) behind a step from
-    `here` (arrays, clock, state). Where run and motion have parted nothing goes on."""
+    `here` (arrays, clock, state); `own`: how its impact speeds are remembered, and its loops closed
+    (None: they are not). Where run and motion have parted nothing goes on."""
+    remember, close = own
     arrays, (time, whole), y = here
     way, (time_way, longer), state = ways
     moving = longer is not None
@@ -120,6 +130,10 @@ def _parted(
     known = together, y, (beside.peaks, higher)
     part = followed(motion, aware, (arrays, time, whole), (way, state), known)
     y, state, (highest, higher) = part.y, part.way, part.peaks
+    if close is not None:
+        at = time + whole
+        still = SymbolicZero.from_primal_value(at)
+        y, state = pushed(close, (arrays, at, whole, y), (way, still, still, state))
     if moving:
         state = state + (moved(time_way) + longer) * rates(time + whole, y)
     ended = part.done >= whole * (1 - SLIVER)

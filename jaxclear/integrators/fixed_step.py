@@ -16,6 +16,7 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
 from jaxclear.ground.tangents import derived_once
 from jaxclear.ground.wording import unknown
+from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.events import watch_from, watched
 from jaxclear.integrators.explicit_methods import (
@@ -99,6 +100,10 @@ class FixedStep(AbstractIntegrator):
     def asked_step(self):
         return self.step if self.steps_per_save is None else None
 
+    def evaluations(self, mechanism):
+        chain = CHAINS.get(self.method)
+        return len((chain or munthe_kaas.stages(ON_GROUPS[self.method]))[0])
+
     def shortest_step(self):
         step = self.asked_step()
         return step if step is None or self.contact_steps is None else step / self.contact_steps
@@ -127,6 +132,11 @@ class FixedStep(AbstractIntegrator):
         if self.steps_per_save is not None:
             return None
         return eqx.tree_at(lambda own: own.step, self, share * self.step)
+
+    @property
+    def opens_loops(self):
+        # Those of order 4 open loops by 1e-13 m in steps of 0.1 ms (benchmarks/claims/drift.py).
+        return ORDERS[self.method] < max(ORDERS.values())
 
     @property
     def formulation(self):
@@ -166,10 +176,20 @@ class FixedStep(AbstractIntegrator):
             model, own, _ = eqx.combine(arrays, rest)
             return explicit_step(own.formulation, own.method, model, clock, y, last)
 
+        def seen(arrays, end, met, steps):
+            """What was met of the contacts, from what two steps leave, the second of which ends so:
+            impact speeds that it has begun with are those at its end."""
+            if met is None:
+                return None
+            (after, *_), forces = steps[1], None
+            if met.forces is not None:
+                model, own, _ = eqx.combine(arrays, rest)
+                forces = own.formulation.normal_forces(model, end, after)
+            return risen(met, after.depths, forces)
+
         if self._derived(model) and self._beside:
-            return self._stepped_beside(model, arrays, rest, plain)
+            return self._stepped_beside(rest[0], arrays, plain, seen)
         length = lambda clock, *seen: chosen_length(*clock[1:])(*seen)
-        seen = lambda arrays, *now: self._met(eqx.combine(arrays, rest)[0], *now)
         through = through_touches(self.formulation, rest[0], plain, length, seen)
 
         def step(clock, y, last, met):
@@ -178,36 +198,26 @@ class FixedStep(AbstractIntegrator):
                 h, end, now, met = through(arrays, clock, y, before, met)
             else:
                 h, end, now = plain(arrays, clock, y, before)
-                met = self._met(model, end, met, (before, now))
+                met = seen(arrays, end, met, (before, now))
             return h, end, (*(now or (None, None)), None), met
 
         return step
 
-    def _stepped_beside(self, model, arrays, rest, plain):
+    def _stepped_beside(self, rest, arrays, plain, seen):
         """As `_stepped`, with the derivative of the motion beside the step."""
 
         def alone(arrays, clock, y, last, met):
             _, end, now = plain(arrays, (*clock, None), y, last)
-            model = eqx.combine(arrays, rest)[0]
-            return end, now, self._met(model, end, met, (last, now))
+            end = closed(eqx.combine(arrays[0], rest), sum(clock), clock[1], end)
+            return end, now, seen(arrays, end, met, (last, now))
 
-        beside = beside_steps(self.formulation, rest[0], alone)
+        beside = beside_steps(self.formulation, rest, alone)
 
         def step(clock, y, last, met):
             end, now, met, known = beside(arrays, clock[:2], y, last[:2], met, last[2])
             return clock[1], end, (*now, known), met
 
         return step
-
-    def _met(self, model, end, met, steps):
-        """What was met of the contacts, from what two steps leave, the second of which ends so:
-        impact speeds that it has begun with are those at its end."""
-        if met is None:
-            return None
-        after, *_ = steps[1]
-        own, damped = self.formulation, met.forces is not None
-        forces = own.normal_forces(model, end, after) if damped else None
-        return risen(met, after.depths, forces)
 
     def _trusted(self, model, end, met, watch, last):
         """All that was found, where its derivative can be trusted; rates at events have none."""
@@ -231,7 +241,8 @@ class FixedStep(AbstractIntegrator):
             index, y, last, met, watch = carry
             time = interval.start + index * h
             _, y, now, met = step((time, h, None), y, last, met)
-            y = closed(model, time + h, y)
+            if not (self._derived(model) and self._beside):
+                y = closed(model, time + h, h, y)
             watch = watched(watch, model, time, h, y)
             return index + 1, y, now, met, watch
 
@@ -260,7 +271,7 @@ class FixedStep(AbstractIntegrator):
             h, y, now, met = step((time, longest, (stop - time, shortest)), y, last, met)
             # The step that was cut to what was left ends exactly at the end.
             begin, time = time, jnp.where(h == stop - time, stop, time + h)
-            y = closed(model, time, y)
+            y = closed(model, time, h, y)
             watch = watched(watch, model, begin, h, y)
             return time, steps + 1, y, now, met, watch
 

@@ -17,10 +17,10 @@ import jax.numpy as jnp
 
 from jaxclear.formulations.impact_speed import ContactMotion, Passage, end_at_passage
 from jaxclear.ground.quantity import Scalar, constant
+from jaxclear.integrators.error_control import AbstractAround
 from jaxclear.integrators.events import noted, nothing
 from jaxclear.integrators.peaks import nothing_met, peaks, risen, since
 from jaxclear.integrators.saltation import Equations, Step
-from jaxclear.integrators.wrapped import AbstractAround
 
 
 class Judged(NamedTuple):

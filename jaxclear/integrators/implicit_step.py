@@ -1,5 +1,6 @@
 """Implicit steps through stiff contacts: their length follows the motion, not the stiffness."""
 
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -26,6 +27,7 @@ from jaxclear.integrators.fine_motion import (
 from jaxclear.integrators.peaks import among, nothing_met, risen, since
 from jaxclear.integrators.stepping import arrived, counted, divide, march
 from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.system import Bearing, prepare
 
 # Newton iterations on the contact laws: where force and damping grow with the indentation alike,
 # and where a damper beside the spring grows on its own.
@@ -139,8 +141,9 @@ class ImplicitStep(AbstractIntegrator):
 
         def plain(arrays, clock, y, last, met):
             model, own = eqx.combine(arrays, rest)
-            how = own._bias, own._iterations(model)
+            how = own._bias, own._iterations(model.system.bearings.values())
             end, now = own.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
+            end = closed(model, sum(clock), clock[1], end)
             if met is None:
                 return end, now, None
             forces = now[-model.layout.contacts :] if damped else None
@@ -189,11 +192,15 @@ class ImplicitStep(AbstractIntegrator):
         speeds = slice(model.layout.coordinates, model.layout.memory_start)
         return state.at[speeds].add(length * constant(last[self._surplus(model, last)]))
 
-    def _iterations(self, model: Model) -> int:
-        """Iterations on the contact laws of a model."""
+    def evaluations(self, mechanism):
+        """The middle of a step, and the iterations on its contacts."""
+        bearings = prepare(mechanism).bearings.values()
+        return 1 + (self._iterations(bearings) if bearings else 0)
+
+    def _iterations(self, bearings: Iterable[Bearing]) -> int:
+        """Iterations on the contact laws of these bearings."""
         if self.newton_iterations is not None:
             return self.newton_iterations
-        bearings = model.system.bearings.values()
         laws = [own.contact for bearing in bearings for own in bearing.contact_laws]
         return DAMPED_ITERATIONS if any(law.restitution is None for law in laws) else ITERATIONS
 
@@ -214,7 +221,6 @@ class ImplicitStep(AbstractIntegrator):
             last, met, watch = carried
             time = interval.start + index * h
             end, last, met = step((time, h), state, last, met)
-            end = closed(model, interval.start + (index + 1) * h, end)
             return end, (last, met, watched(watch, model, time, h, end))
 
         known = None if known is None else so_far(known)

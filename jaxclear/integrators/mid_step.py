@@ -57,14 +57,11 @@ def through_touches(
     and peaks before the interval; `clock`: begins with the time [s]."""
     motion = saltation.motion_of(formulation, rest)
 
+    @jax.custom_jvp
     def step(arrays, clock, y, last, met):
         length, end, now = plain(arrays, clock, y, last)
         met = seen(arrays, end, met, (last, now))
         return length, end, now, met
-
-    @jax.custom_jvp
-    def known(*numbers):
-        return step(*numbers)
 
     def moving(numbers, tangents):
         arrays, clock, y, last, met = numbers
@@ -90,8 +87,8 @@ def through_touches(
         found = h, end, now, seen(arrays, end, met, (last, now))
         return found, (longer, gone, left, higher)
 
-    known.defjvp(moving, symbolic_zeros=True)
-    return known
+    step.defjvp(moving, symbolic_zeros=True)
+    return step
 
 
 def _higher(motion: Any, begun: Now, ended: tuple, ways: tuple) -> Any:

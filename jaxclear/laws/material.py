@@ -14,7 +14,7 @@ __all__ = [
     "combined_modulus",
     "steel",
 ]
-__getattr__ = nothing_else("jaxclear.material", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.material", __all__)
 
 
 # From soft rubber to diamond: Ashby 2011, Materials Selection in Mechanical Design, 4th ed., chart

@@ -30,7 +30,7 @@ __all__ = [
     "Shape",
     "fitted",
 ]
-__getattr__ = nothing_else("jaxclear.stiffness", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.stiffness", __all__)
 
 # Hertz: F = 4/3 E* sqrt(R) delta^(3/2) for two spheres (Johnson 1985, eq. 4.23).
 HERTZ_SPHERE = 4 / 3

@@ -16,7 +16,7 @@ __all__ = [
     "Archard",
     "Fouvry",
 ]
-__getattr__ = nothing_else("jaxclear.wear", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.wear", __all__)
 
 
 # From soft polymers to diamond: Ashby 2011, Materials Selection in Mechanical Design, 4th ed.

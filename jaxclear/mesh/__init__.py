@@ -6,4 +6,4 @@ from jaxclear.mesh.solids import Solid
 from jaxclear.mesh.worn_part import solid, write
 
 __all__ = ["BlockMesh", "Solid", "solid", "write"]
-__getattr__ = nothing_else("jaxclear.mesh", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.mesh", __all__)

@@ -16,6 +16,7 @@ from jaxclear.multibody import coordinate_sums, kinematics, loops, pose_rows, tr
 from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum
+from jaxclear.multibody.meshes import Mesh
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
@@ -43,10 +44,12 @@ class Dependence(NamedTuple):
 
 class ClosureEquations(NamedTuple):
     """Jacobian rows of all closures (by speed index), what each must give for the free
-    accelerations, and how the rows depend on each other; None: not at all."""
+    accelerations, which of them count `alike` (equal entries: displacements, or angles, of one
+    closure), and how the rows depend on each other; None: not at all."""
 
     rows: list[JacobianRow]
     wanted: list
+    alike: tuple
     dependence: Dependence | None
 
 
@@ -62,6 +65,15 @@ def dependence(system: System, found: list[ConstraintRows]) -> Dependence | None
         return None
     measures = tuple(1 if loops.is_length(name) else system.arm for name in names)
     return Dependence(redundancy.rank, measures)
+
+
+def rows_alike(system: System, found: list[ConstraintRows]) -> tuple:
+    """Of the rows of all closures which count alike, by equal entries."""
+    return tuple(
+        (k, len(closure.rows[i]) == 1)
+        for k, (closure, own) in enumerate(zip(system.closures, found, strict=True))
+        for i in own.kept
+    )
 
 
 def constraint_rows(
@@ -81,6 +93,7 @@ def constraint_rows(
         row_rates = lambda *own: tuple(pose_rows.rate(slope, *own) for slope in slopes)
     rates = row_rates(pose, relative.velocity, relative.spin)
     jacobian = kinematics.relative_jacobian(system, motions, closure, pose, row_rates)
+    residuals = _counted(closure, residuals, pose, motions)
     kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
     fixed = {
         i: value for i, value in enumerate(residuals) if i not in kept and not sp.is_zero(value)
@@ -99,7 +112,15 @@ def residuals(system: System, motions: tuple[Motion, ...], closure: Closure) -> 
     """Value of each row of a closure [m, rad, 1]; 0 where structurally satisfied."""
     if isinstance(closure.reading, CoordinateSum):
         return coordinate_sums.equation(system, motions, closure.reading)[:1]
-    return loops.residuals_of(closure, kinematics.relative_motion(closure, motions)[1])
+    pose = kinematics.relative_motion(closure, motions)[1]
+    return _counted(closure, loops.residuals_of(closure, pose), pose, motions)
+
+
+def _counted(closure: Closure, residuals: tuple, pose: Pose, motions: tuple[Motion, ...]) -> tuple:
+    """Residuals with the whole turns of what meshes."""
+    if not isinstance(closure.reading, Mesh):
+        return residuals
+    return (closure.reading.counted(residuals[0], pose, motions),)
 
 
 def acceleration_equations(
@@ -141,7 +162,7 @@ def acceleration_equations(
                 target = sp.sub(target, sp.mul(stabilisation.beta * stabilisation.beta, residual))
             gamma.append(target)
     rows = [row for found in every for row in found.jacobian]
-    return ClosureEquations(rows, gamma, dependence(system, every))
+    return ClosureEquations(rows, gamma, rows_alike(system, every), dependence(system, every))
 
 
 def constraint_wrenches(
@@ -153,6 +174,16 @@ def constraint_wrenches(
     for closure, own in by_closure(system, motions, multipliers):
         pose = kinematics.relative_motion(closure, motions)[1]
         yield closure, *wrench_of_rows(closure, pose, own), pose
+
+
+def coupled(
+    system: System, motions: tuple[Motion, ...], multipliers: tuple
+) -> list[tuple[Closure, dict[int, Any]]]:
+    """The closures that are couplings of coordinates, with the multiplier of each."""
+    if not system.topology.couplings:
+        return []
+    every = by_closure(system, motions, multipliers)
+    return [(own, found) for own, found in every if isinstance(own.reading, CoordinateSum)]
 
 
 def by_closure(

@@ -5,7 +5,9 @@ from typing import Any
 from jaxclear.components.coupling import AbstractCoordinateCoupling
 from jaxclear.components.joint.base import drive_of
 from jaxclear.ground.arguments import check_known
+from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import listed
+from jaxclear.multibody.meshes import drawn_pose
 from jaxclear.multibody.topology import Topology, coordinate_joint
 
 __all__ = ["check_couplings"]
@@ -16,10 +18,20 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
     for name, coupling in couplings.items():
         if name in connections:
             raise ValueError(f'"{name}" is a coupling and a joint; give one of them another name.')
-        for joint in coupling.joints():
+        names = coupling.joints()
+        for joint in names:
+            if names.count(joint) > 1:
+                raise ValueError(
+                    f'coupling "{name}" names joint "{joint}" twice; it couples different joints.'
+                )
             check_known(f'joint of coupling "{name}"', joint, connections)
         if isinstance(coupling, AbstractCoordinateCoupling):
             _check_coordinates(name, coupling, topology, bodies, connections)
+        elif not is_traced((coupling, bodies, connections)):
+            try:
+                coupling.check(drawn_pose(coupling, bodies, connections))
+            except ValueError as error:
+                raise ValueError(f'coupling "{name}" {error}') from None
 
 
 def _check_coordinates(

@@ -10,10 +10,12 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from jaxclear.ground import factorisation, semidefinite
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import map_alike
+from jaxclear.ground.quantity import constant
 from jaxclear.multibody import constraints, kinematics, tree
 from jaxclear.multibody.constraints import ClosureEquations, Dependence
 from jaxclear.multibody.forces import Forces, add_action_and_reaction
@@ -21,6 +23,12 @@ from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.loops import Baumgarte
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Wrench
+
+# A row of the loops follows from others, or vanishes, where what is left of its square in the
+# metric of the masses is no more than this share of the largest that counts alike: 1e-5 rad from a
+# singular position, where what closes loops grows without bound. Without it a linkage goes on by
+# its inertia.
+SINGULAR = 1e-10
 
 
 class Solution(NamedTuple):
@@ -57,11 +65,11 @@ def equations_of_motion(system: System, forces: Forces) -> tuple[list, list]:
 def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | None) -> Solution:
     """Free accelerations under the forces, with the loops closed."""
     masses, right = equations_of_motion(system, forces)
-    loops = ClosureEquations([], [], None)
+    loops = ClosureEquations([], [], (), None)
     if system.closures:
         with jax.named_scope("constraints"):
             loops = constraints.acceleration_equations(system, forces.motions, stabilisation)
-    respond, constrain = constrained_inverse(masses, loops.rows, loops.dependence)
+    respond, constrain = constrained_inverse(masses, loops.rows, loops.alike, loops.dependence)
     accelerations, multipliers = constrain(respond([x for own in right for x in own]), loops.wanted)
     return Solution(
         tuple(tuple(accelerations[branch.speeds]) for branch in system.topology.branches),
@@ -70,12 +78,13 @@ def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | 
 
 
 def constrained_inverse(
-    masses: list, rows: list[JacobianRow], dependence: Dependence | None
+    masses: list, rows: list[JacobianRow], alike: tuple, dependence: Dependence | None
 ) -> tuple[Callable[[list], list], Callable[[list, list], tuple[list, tuple]]]:
     """Two functions: M^-1 by subtrees, from generalised forces to accelerations, structurally zero
     where no force acts; and the correction of accelerations to what constraint rows want, with its
     multipliers; where rows depend on each other the least of them, torques measured by the longest
-    arm."""
+    arm. `alike` as of `ClosureEquations`: of rows that follow from others at a singular position
+    the multipliers are 0."""
     factors = [factorisation.factor(mass) if mass else None for mass in masses]
     size = sum(len(mass) for mass in masses)
 
@@ -88,7 +97,7 @@ def constrained_inverse(
 
     columns = [respond([row.get(j, 0) for j in range(size)]) for row in rows]
     schur = [[along(row, column) for column in columns] for row in rows]
-    closed = _solver(schur, dependence) if rows else None
+    closed = _solver(schur, alike, dependence) if rows else None
 
     def constrain(accelerations, wanted):
         if closed is None:
@@ -105,10 +114,15 @@ def constrained_inverse(
     return respond, constrain
 
 
-def _solver(schur: list[list], dependence: Dependence | None) -> Callable[[tuple], tuple]:
-    """From what the rows lack to multipliers."""
+def _solver(
+    schur: list[list], alike: tuple, dependence: Dependence | None
+) -> Callable[[tuple], tuple]:
+    """From what the rows lack to multipliers; `alike`: of each row which count alike."""
     if dependence is None:
-        factors = factorisation.factor(schur)
+        largest: dict[Any, Any] = {}
+        for i, kind in enumerate(alike):
+            largest[kind] = jnp.maximum(largest.get(kind, 0.0), constant(schur[i][i]))
+        factors = factorisation.factor(schur, [SINGULAR * largest[kind] for kind in alike])
         return lambda lacking: factorisation.solve(factors, lacking)
     measured = dependence.measures
 
@@ -131,7 +145,7 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
         system, forces.motions, solution.multipliers
     ):
         add_action_and_reaction(wrenches, closure, pose, force, torque)
-    every = constraints.by_closure(system, forces.motions, solution.multipliers)
+    every = constraints.coupled(system, forces.motions, solution.multipliers)
     for closure, pose, wrench in constraints.coupled_wrenches(forces.motions, every):
         add_action_and_reaction(wrenches, closure, pose, *wrench)
     accelerations = kinematics.link_accelerations(system, forces.motions, solution.accelerations)

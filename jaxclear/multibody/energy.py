@@ -9,7 +9,6 @@ from jaxclear.ground import sparse as sp
 from jaxclear.multibody import constraints, coordinate_sums, dynamics, kinematics, tree
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
-from jaxclear.multibody.loops import CoordinateSum
 from jaxclear.multibody.system import System
 
 
@@ -21,11 +20,9 @@ def powers(system: System, forces: Forces, solution: Solution) -> list:
         if drive_of(link.joint) is not None:
             twist = kinematics.joint_twist(system, forces.motions, index)
             driven = sp.add(driven, tree.power(twist, wrenches[index]))
-    every = constraints.by_closure(system, forces.motions, solution.multipliers)
-    for closure, own in every:
-        if isinstance(closure.reading, CoordinateSum):
-            given = coordinate_sums.driven_power(forces.motions, closure.reading, own[0])
-            driven = sp.sub(driven, given)
+    for closure, own in constraints.coupled(system, forces.motions, solution.multipliers):
+        given = coordinate_sums.driven_power(forces.motions, closure.reading, own[0])
+        driven = sp.sub(driven, given)
     reports = forces.reports.values()
     return [
         sp.add(driven, forces.external_power),

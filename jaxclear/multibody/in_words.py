@@ -15,9 +15,12 @@ from jaxclear.ground.in_words import (
     numbers_in_words,
 )
 from jaxclear.ground.wording import public_name
+from jaxclear.multibody.loops import AsNeeded
 from jaxclear.multibody.own_numbers import acted_on, coordinate_units, slides, unit_along
 
 __all__ = ["in_words"]
+
+AS_NEEDED = "as the integrator needs it: by Projection where its steps open them, else by Baumgarte"
 
 
 def in_words(mechanism: Any) -> str:
@@ -38,7 +41,8 @@ def in_words(mechanism: Any) -> str:
             lines += [part, *(f"  {n:<{width}}  {entry(n, x)}".rstrip() for n, x in given.items())]
     if mechanism.topology.loops and mechanism.stabilisation is not None:
         held = mechanism.stabilisation
-        lines.append(f"loops held by {public_name(type(held))} {_numbers(held)}".rstrip())
+        by = f"by {public_name(type(held))} {_numbers(held)}".rstrip()
+        lines.append(f"loops held {AS_NEEDED if isinstance(held, AsNeeded) else by}")
     if mechanism.topology.overconstrained:
         lines.append(str(mechanism.topology.redundancy))
     return "\n".join(lines)

@@ -3,7 +3,8 @@
 Each row of a joint that closes a loop is a displacement ("x") or the cosine between two axes
 ("x.z"), seen from the parent's marker. Rows, their rates and their accelerations are exact, so
 drift is the integrator's alone; it is held by Baumgarte's terms (Baumgarte 1972, Comput. Methods
-Appl. Mech. Eng. 1, 1) and reported. A row that is structurally zero is dropped.
+Appl. Mech. Eng. 1, 1) or closed anew after every step, and reported. A row that is structurally
+zero is dropped.
 """
 
 from typing import Any, NamedTuple
@@ -16,6 +17,8 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.multibody.tree import transform_twist
 
 AXIS = {"x": 0, "y": 1, "z": 2}
+# The row of a coupling, by what is left of it: a length, or an angle.
+WAY, TURN = "way", "turn"
 
 
 class Baumgarte(AbstractQuantified):
@@ -38,6 +41,16 @@ class Projection(AbstractQuantified):
     steps; error control would take the jumps for errors. Source: Eich 1993, SIAM J. Numer. Anal.
     30, 1467, doi:10.1137/0730076.
     """
+
+
+class AsNeeded(AbstractQuantified):
+    """Loops of a mechanism that says nothing, held as the integrator of a run needs it: closed anew
+    after every step (`projects`), or by Baumgarte's terms where error control follows them or steps
+    are so exact that they drift by rounding alone.
+    """
+
+    baumgarte: Baumgarte = eqx.field(default_factory=Baumgarte)
+    projects: bool = eqx.field(static=True, default=False)
 
 
 class Closure(eqx.Module):
@@ -156,7 +169,7 @@ def relative_velocity(pose: Pose, parent: Twist, child: Twist) -> tuple[sp.Vec, 
 
 def is_length(row: str) -> bool:
     """Whether what is left of a row is a length [m]; an angle [rad] or a cosine [1] elsewhere."""
-    return len(row) == 1
+    return len(row) == 1 or row == WAY
 
 
 def residuals_of(closure: Closure, pose: Pose) -> tuple:

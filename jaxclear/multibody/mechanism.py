@@ -27,7 +27,7 @@ from jaxclear.multibody import validation
 from jaxclear.multibody.coupled import check_couplings
 from jaxclear.multibody.exchange import exchanged, told_for_start, without_loads_on
 from jaxclear.multibody.in_words import in_words
-from jaxclear.multibody.loops import Baumgarte, Projection
+from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
 from jaxclear.multibody.magnitudes import warn_of_magnitudes
 from jaxclear.multibody.own_numbers import own_numbers
 from jaxclear.multibody.parts import Parts
@@ -73,8 +73,9 @@ class Mechanism(AbstractQuantified):
     the ideal joint that it would be. More than the loops leave free is refused where it does not
     close them already (to 1e-6 of a radian or of the longest arm). `guess`: rough coordinates
     likewise, held only where loops and `start` leave them free; they choose between the ways to
-    assemble (a run warns where a nearer one was passed over). Raises `ValueError` with a sentence
-    naming what is wrong.
+    assemble (a run warns where a nearer one was passed over). `stabilisation`: how closed loops are
+    kept closed; by default as the integrator of a run needs it, by `Projection` where its steps
+    would open them, else by `Baumgarte`. Raises `ValueError` with a sentence naming what is wrong.
 
     What is built stays built: parts are read-only. `with_joint`, `with_body`, `with_load` and
     `with_coupling` give another mechanism.
@@ -89,7 +90,7 @@ class Mechanism(AbstractQuantified):
     start: dict[str, tuple]
     speeds: dict[str, tuple]
     guess: dict[str, tuple]
-    stabilisation: Baumgarte | Projection | None
+    stabilisation: Baumgarte | Projection | AsNeeded | None
     topology: Topology = eqx.field(static=True)
     # Names in `start`, `speeds` and `guess` as they were given: what is given first is held first.
     order: tuple[str, ...] = eqx.field(static=True)
@@ -104,7 +105,7 @@ class Mechanism(AbstractQuantified):
         start: Mapping[str, Any] | None = None,
         speeds: Mapping[str, Any] | None = None,
         guess: Mapping[str, Any] | None = None,
-        stabilisation: Baumgarte | Projection | str | None = "default",
+        stabilisation: Baumgarte | Projection | AsNeeded | str | None = "default",
     ):
         parts = (
             _by_name("bodies", bodies, needed=True),
@@ -122,10 +123,10 @@ class Mechanism(AbstractQuantified):
         self.bodies, self.connections, self.loads, self.couplings = _unshared(parts)
         self.topology = grow(self.bodies, self.connections, tuple(self.couplings))
         usual = isinstance(stabilisation, str) and stabilisation == "default"
-        self.stabilisation = Baumgarte() if usual else stabilisation  # type: ignore[assignment]
+        self.stabilisation = AsNeeded() if usual else stabilisation  # type: ignore[assignment]
         expect(
             self.stabilisation,
-            (Baumgarte, Projection, type(None)),
+            (Baumgarte, Projection, AsNeeded, type(None)),
             "stabilisation",
             "a jaxclear.Baumgarte, a jaxclear.Projection, or None for none",
         )
@@ -156,12 +157,17 @@ class Mechanism(AbstractQuantified):
     @property
     def baumgarte(self) -> Baumgarte | None:
         """What pulls drifting loops back within the equations of motion."""
-        return self.stabilisation if isinstance(self.stabilisation, Baumgarte) else None
+        held = self.stabilisation
+        if isinstance(held, AsNeeded):
+            return None if held.projects else held.baumgarte
+        return held if isinstance(held, Baumgarte) else None
 
     @property
     def projects(self) -> bool:
         """Whether loops are closed anew after every step."""
-        return isinstance(self.stabilisation, Projection) and bool(self.topology.loops)
+        held = self.stabilisation
+        asked = isinstance(held, Projection) or (isinstance(held, AsNeeded) and held.projects)
+        return asked and bool(self.topology.loops)
 
     def with_joint(self, name: str, joint: AbstractJoint | AbstractClearance) -> "Mechanism":
         """The mechanism with another joint in place of one, such as one with clearance in place of
@@ -294,6 +300,17 @@ def with_redundancy(mechanism: Mechanism, redundancy: Redundancy | None) -> Mech
     known = copy.copy(mechanism)
     topology = dataclasses.replace(mechanism.topology, redundancy=redundancy)
     object.__setattr__(known, "topology", topology)
+    return known
+
+
+def held_as_needed(mechanism: Mechanism, projects: bool) -> Mechanism:
+    """The mechanism as an integrator runs it that closes loops anew after every step (`projects`)
+    or not, where nobody has said how its loops are held."""
+    held = mechanism.stabilisation
+    if not isinstance(held, AsNeeded) or held.projects == projects:
+        return mechanism
+    known = copy.copy(mechanism)
+    object.__setattr__(known, "stabilisation", AsNeeded(held.baumgarte, projects))
     return known
 
 

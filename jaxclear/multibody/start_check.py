@@ -82,6 +82,12 @@ def _most(values: Any) -> Any:
     return jnp.max(jnp.abs(values), initial=0.0)
 
 
+def _loop(mechanism: Mechanism, name: str) -> str:
+    """What closes a loop, in words."""
+    kind = "coupling" if name in mechanism.couplings else "loop through joint"
+    return f'{kind} "{name}"'
+
+
 def _open_loop(mechanism: Mechanism, start: Start, name: str) -> str:
     missed = _most(start.residuals[name])
     exactly = (
@@ -91,7 +97,8 @@ def _open_loop(mechanism: Mechanism, start: Start, name: str) -> str:
         else ""
     )
     return (
-        f'the loop through joint "{name}" cannot be closed: {missed:.3g} m '
+        f"the {_loop(mechanism, name)} cannot be closed: "
+        f"{missed:.3g} m "
         "(or rad) remain from the given start. Check the lengths around this loop, or give a "
         f"better start={{...}} or guess={{...}} for the joints in it.{exactly}"
     )
@@ -99,7 +106,7 @@ def _open_loop(mechanism: Mechanism, start: Start, name: str) -> str:
 
 def _dead_point(mechanism: Mechanism, start: Start, name: str) -> str:
     return (
-        f'the mechanism stands at a dead point: the loop through joint "{name}" cannot follow the '
+        f"the mechanism stands at a dead point: the {_loop(mechanism, name)} cannot follow the "
         f"drive of {', '.join(map(repr, mechanism.driven))} from here, "
         f"{_most(start.rates[name]):.3g} m/s (or rad/s) "
         "remain. Drive another joint, or start elsewhere."

@@ -13,12 +13,14 @@ import jax.numpy as jnp
 
 from jaxclear.components.body import GROUND
 from jaxclear.components.clearance import AbstractClearance, ContactLaws
+from jaxclear.components.coupling import AbstractCoordinateCoupling
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint
 from jaxclear.components.load import AbstractBodyLoad, AbstractCoordinateLoad, Gravity
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import REST, Pose
-from jaxclear.multibody.loops import Closure, CoordinateSum, SummedCoordinate
+from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.meshes import markers, mesh
 from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
 from jaxclear.multibody.topology import Topology, coordinate_joint, joint_of
 from jaxclear.multibody.tree import Link
@@ -100,31 +102,44 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     for name in topology.clearances:
         joint = mechanism.connections[name].joint
         bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, fitted_laws(joint))
-    loads, markers, gravity = {}, {}, sp.ZERO
+    loads, load_markers, gravity = {}, {}, sp.ZERO
     for name, load in mechanism.loads.items():
         if isinstance(load, Gravity):
             gravity = sp.vec3(load.acceleration)
         else:
             loads[name] = load
         if isinstance(load, AbstractBodyLoad):
-            markers[name] = tuple(
+            load_markers[name] = tuple(
                 (topology.index(m.body), frames[m.body].after(m.pose())) for m in load.markers()
             )
     closing = tuple(mechanism.connections[name].joint for name in topology.closing)
     places = dict(zip(topology.closing, closures, strict=True))
     places |= {name: bearing.closure for name, bearing in bearings.items()}
-    closures += tuple(_coupled(mechanism, name, places) for name in topology.couplings)
+    closures += tuple(
+        _summed(mechanism, coupling, places)
+        if isinstance(coupling, AbstractCoordinateCoupling)
+        else _meshing(mechanism, coupling, frames)
+        for coupling in mechanism.couplings.values()
+    )
     measured = _measured(mechanism, places)
-    loaded = (loads, measured, markers, gravity)
+    loaded = (loads, measured, load_markers, gravity)
     system = System(tuple(links), closures, closing, bearings, *loaded, None, topology)
     if not topology.depend:
         return system
     return dataclasses.replace(system, arm=longest_arm(system))
 
 
-def _coupled(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Closure:
-    """The row of a coupling; `places`: closures of the joints outside the tree."""
-    coupling: Any = mechanism.couplings[name]
+def _meshing(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Closure:
+    """The row of a coupling of bodies, between the markers that mesh."""
+    topology, connections = mechanism.topology, mechanism.connections
+    ends = markers(coupling, connections)
+    poses = [frames[marker.body].after(marker.pose()) for marker in ends]
+    links = [topology.index(marker.body) for marker in ends]
+    return Closure(*poses, *links, (WAY,), mesh(coupling, topology, mechanism.bodies, connections))
+
+
+def _summed(mechanism: Mechanism, coupling: Any, places: dict[str, Closure]) -> Closure:
+    """The row of a coupling of coordinates; `places`: closures of the joints outside the tree."""
     topology = mechanism.topology
     joints = {
         n: coordinate_joint(n, mechanism.bodies, mechanism.connections) for n in coupling.joints()
@@ -136,7 +151,7 @@ def _coupled(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Clo
         turn = closure is not None and own.units == ("rad",)
         terms.append(SummedCoordinate(factor, CoordinateOf(own), closure, links.get(joint), turn))
     first = joints[coupling.joints()[0]]
-    row = "z" if first.units == ("m",) else "turn z"
+    row = WAY if first.units == ("m",) else TURN
     summed = CoordinateSum(tuple(terms), coupling.total())
     return Closure(REST, REST, None, None, (row,), summed)
 

@@ -17,13 +17,29 @@ from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 
 def while_loop(
-    condition: Callable[[Any], Any], body: Callable[[Any], Any], first: Any, long: Any = False
+    condition: Callable[[Any], Any],
+    body: Callable[[Any], Any],
+    first: Any,
+    long: Any = False,
+    once: bool = False,
 ) -> Any:
     """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over
     batches. `long`: a prefix of the state, true where arrays may be long; such arrays stand in
-    memory, are read and changed by index, and as they were before that can be read no more.
+    memory, are read and changed by index, and as they were before that can be read no more. `once`:
+    a loop of one turn.
     """
-    return _loop(condition, body, first, False, _long_parts(long, first))
+    in_memory = _long_parts(long, first)
+    first = jax.tree.map(jnp.asarray, first)
+    leaves, structure = jax.tree.flatten(first)
+    tests, fixed_tests = _open(jax.make_jaxpr(condition)(first))
+    turns, fixed_turns = _open(jax.make_jaxpr(body)(first))
+    if [(a.shape, a.dtype) for a in turns.out_avals] != [(v.shape, v.dtype) for v in leaves]:
+        raise TypeError(
+            f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
+        )
+    program = Program(tests, turns, len(fixed_tests), len(fixed_turns), once, long=in_memory)
+    out = loop_p.bind(*fixed_tests, *fixed_turns, *leaves, program=program, rank=0)
+    return jax.tree.unflatten(structure, out)
 
 
 def _long_parts(long: Any, first: Any) -> frozenset[int]:
@@ -42,7 +58,8 @@ def once(function: Callable, *numbers: Any) -> Any:
     shapes = jax.eval_shape(traced, *numbers)
     nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shapes)
     turn = lambda carry: (carry[0] + 1, traced(*numbers))
-    return _loop(lambda carry: carry[0] < 1, turn, (jnp.zeros((), int), nothing), True)[1]
+    first = jnp.zeros((), int), nothing
+    return while_loop(lambda carry: carry[0] < 1, turn, first, once=True)[1]
 
 
 class Kept(NamedTuple):
@@ -138,22 +155,6 @@ def _tables(
         out += [Table(height, ahead + k, start + i if own else None) for i in range(count)]
         start += own
     return tuple(out)
-
-
-def _loop(
-    condition: Callable, body: Callable, first: Any, once: bool, long: frozenset[int] = frozenset()
-) -> Any:
-    first = jax.tree.map(jnp.asarray, first)
-    leaves, structure = jax.tree.flatten(first)
-    tests, fixed_tests = _open(jax.make_jaxpr(condition)(first))
-    turns, fixed_turns = _open(jax.make_jaxpr(body)(first))
-    if [(a.shape, a.dtype) for a in turns.out_avals] != [(v.shape, v.dtype) for v in leaves]:
-        raise TypeError(
-            f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
-        )
-    program = Program(tests, turns, len(fixed_tests), len(fixed_turns), once, long=long)
-    out = loop_p.bind(*fixed_tests, *fixed_turns, *leaves, program=program, rank=0)
-    return jax.tree.unflatten(structure, out)
 
 
 def with_fast_loops(function: Callable) -> Callable:

@@ -64,4 +64,4 @@ __all__ = [
     "work_precision",
     "worst_case",
 ]
-__getattr__ = nothing_else("jaxclear.plot", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.plot", __all__)

@@ -27,7 +27,7 @@ from jaxclear.plot.studies import monte_carlo, sensitivity, work_precision
 from jaxclear.results.pointing_error import PointingError
 from jaxclear.results.positions import Positions
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.studies.advice.advice import Advice
+from jaxclear.studies.advice import Advice
 from jaxclear.studies.campaign.result import Campaign
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.fidelity.result import MultiFidelity

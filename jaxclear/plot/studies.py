@@ -7,19 +7,16 @@ import matplotlib.ticker
 import numpy as np
 
 from jaxclear.ground.arguments import expect
+from jaxclear.ground.in_words import as_typed
 from jaxclear.plot.canvas import panels, readable
-from jaxclear.studies.advice.advice import Advice
-from jaxclear.studies.advice.curve import PRESENT, REFERENCE
-from jaxclear.studies.advice.pilot import describe
+from jaxclear.studies.advice import PRESENT, Advice
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.sensitivity.derivative import Sensitivity
 
 __all__ = ["monte_carlo", "sensitivity", "work_precision"]
 
-# Trials of an advice that are no candidates.
-BESIDE = (REFERENCE, PRESENT)
-# An error of ten times the response is drawn no higher.
-LARGEST_ERROR = 10.0
+# An error of ten times the response is drawn no higher, a hundredth of the accuracy no lower.
+LARGEST_ERROR, LEAST_ERROR = 10.0, 0.01
 # Letters in a line of a verdict above an axis.
 VERDICT_WIDTH = 70
 
@@ -104,44 +101,38 @@ def sensitivity(study: Sensitivity, *, ax: Any = None) -> Any:
 
 
 def work_precision(advice: Advice, *, ax: Any = None) -> Any:
-    """Error of every trial against its cost alone, one line a method, with the accuracy asked and
-    the recommended setting.
+    """Error of every setting against its work, one line a method, with the accuracy asked and the
+    recommended setting.
 
-    Lines: the pilot; hollow marks: what was then run over the whole problem. Grey: the reference,
-    and what it cannot tell from no error. Runs that failed are not drawn; errors outside are drawn
-    at the edge, LARGEST_ERROR or the lower end of the grey. `ax`: axes to draw in.
+    Hollow marks: other models of contact, off by what they leave out. Settings that failed are not
+    drawn; errors outside are drawn at the edge, LARGEST_ERROR or LEAST_ERROR of the accuracy. `ax`:
+    axes to draw in.
     """
     expect(advice, Advice, "the advice", "what jaxclear.advise returns")
-    found, first = advice.comparison, advice.stages[0]
     sheet = panels("work_precision", ax, size=(8.0, 5.4))
-    axis = sheet.one
-    known = max(criterion.trust for criterion in found.criteria.values())
-    floor = max(0.3 * min(known, found.accuracy), 1e-12)
-    table = advice.table().rename(columns={"wall s per simulated s": "cost"})
-    table = table[np.isfinite(table["error"]) & np.isfinite(table["cost"])]
-    table = table.assign(error=table["error"].clip(floor, LARGEST_ERROR))
-    short = table["simulated [s]"] == first.pilot.duration
-    tried = ~table["method"].isin(BESIDE)
-    for name, rows in table[tried & short].groupby("method", sort=False):
-        (line,) = axis.plot(rows["cost"], rows["error"], "o-", ms=4, lw=1.2, label=name)
-        rows = table[(table["method"] == name) & ~short]
-        if len(rows):
-            axis.plot(rows["cost"], rows["error"], "o", ms=7, mfc="none", color=line.get_color())
-    for name, marker in zip(BESIDE, "Dx", strict=True):
-        rows = table[(table["method"] == name) & short]
-        axis.plot(rows["cost"], rows["error"], marker, ms=6, color="0.35", label=name)
+    axis, asked = sheet.one, advice.accuracy
+    table = advice.table()
+    table = table[np.isfinite(table["error"])]
+    table = table.assign(error=table["error"].clip(LEAST_ERROR * asked, LARGEST_ERROR))
+    for name, rows in table.groupby("method", sort=False):
+        style: dict[str, Any] = {"ms": 4}
+        if rows["left out by the model"].notna().any():
+            style = {"ms": 6, "mfc": "none"}
+        if name == PRESENT:
+            style = {"ms": 7, "marker": "x", "color": "0.35"}
+        axis.plot(
+            rows["work"], rows["error"], **({"marker": "o", "lw": 1.2, "label": name} | style)
+        )
     best = table[table["recommended"]]
     ring: dict[str, Any] = {"ms": 14, "mfc": "none", "mec": "k", "mew": 1.6}
-    axis.plot(best["cost"], best["error"], "o", label="recommended", **ring)
-    asked = f"accuracy asked, {100 * found.accuracy:g} %"
-    axis.axhline(found.accuracy, color="C3", ls="--", lw=1.0, label=asked)
-    axis.axhspan(floor, known, color="0.9", zorder=0)
+    axis.plot(best["work"], best["error"], "o", label="recommended", **ring)
+    told = f"accuracy asked, {100 * asked:g} %"
+    axis.axhline(asked, color="C3", ls="--", lw=1.0, label=told)
     axis.set_xscale("log")
     axis.set_yscale("log")
-    axis.set_xlabel("computing time per simulated second, one run alone [s]")
-    over = ", means over the copies" if found.means else ""
-    axis.set_ylabel(f"largest error of a response [1]{over}")
-    cheapest = f"cheapest in batches of {found.batch}" if found.batch else "cheapest alone"
-    axis.set_title(f"Recommended, {cheapest}: {describe(advice.recommended)}", fontsize=10)
+    axis.set_xlabel("evaluations of forces in a run [1]")
+    over = ", means over the copies" if advice.wanted.means else ""
+    axis.set_ylabel(f"largest error told of a response [1]{over}")
+    axis.set_title(f"Recommended: {as_typed(advice.recommended)}", fontsize=10)
     sheet.legend(ncols=3)
     return sheet.done(advice.warnings())

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import AbstractClearance
+from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.multibody import constraints, dynamics, energy, kinematics, tree
@@ -173,8 +174,10 @@ def _contact_names(history, name, count):
 
 
 def reaction(history: StateHistory, name: str) -> ReactionHistory:
-    """Force and torque in a connection."""
-    check_known(name, history.mechanism.connections, "joint")
+    """Force and torque in a connection, or of a coupling of bodies."""
+    couplings = history.mechanism.couplings
+    meshing = [n for n, own in couplings.items() if isinstance(own, AbstractBodyCoupling)]
+    check_known(name, [*history.mechanism.connections, *meshing], "joint")
     redundancy = history.mechanism.topology.redundancy
     unique = redundancy is None or name not in redundancy.joints
     if not unique:

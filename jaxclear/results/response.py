@@ -41,7 +41,7 @@ __all__ = [
     "concerned",
     "unit_of",
 ]
-__getattr__ = nothing_else("jaxclear.response", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.response", __all__)
 
 # What a response may need of a run.
 DRAWN = {part for reached in REACHES.values() for part in reached}

@@ -1,103 +1,61 @@
-"""Singular positions: where the rows of closed loops depend on each other at one position, a
-linkage stretched flat, say.
-
-There a linkage may go on in more than one way, reactions are not determined, and steps that come
-near it can fail in any manner. Looked for only where a run has ended early: the motion is carried
-on at its speeds with the loops closed, and the rank of their Jacobian is watched.
-"""
-
-from typing import Any, NamedTuple
+"""What a run tells of a singular position: where rows of closed loops depend on each other, a
+linkage stretched flat, say. There drives do not say which way the linkage goes on, and reactions
+are not determined."""
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
 
-from jaxclear.ground.quantity import constant
-from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.start_equations import (
-    LOOP,
-    ask,
-    position_blocks,
-    retract,
-    settled,
-    speed_scales,
-    stacked,
-)
-from jaxclear.results.state_history import StateHistory
-
-# Instants of the saving intervals around which a run ended; steps to close the loops at each.
-INSTANTS, ITERATIONS = 256, 6
-# Least singular value beside the largest, of rows that count alike, at and below which a position
-# is singular: between two instants a linkage turns by about so much.
-SINGULAR = 1e-2
+__all__ = ["SingularPosition", "in_sentences"]
 
 
-class SingularPosition(NamedTuple):
-    """Where rows depend on each other most: the `joint` that closes their loop, and when [s]."""
+class SingularPosition(eqx.Module):
+    """A singular position of a run, at the `time` [s]: the loop is the one that `joint` closes.
 
-    joint: str
-    time: float
+    `free`: the joint of which drives do not say how it goes on there, with its `speeds` before and
+    after [rad/s, m/s]; `turned`: whether the run left by another way than that by which its inertia
+    leads on (None: not known). `drives`: joints whose drives hold the loop. A run that ended there
+    tells `joint` and `time` alone.
+    """
+
+    joint: str = eqx.field(static=True)
+    time: float = eqx.field(static=True)
+    free: str = eqx.field(static=True, default="")
+    drives: tuple[str, ...] = eqx.field(static=True, default=())
+    turned: bool | None = eqx.field(static=True, default=None)
+    speeds: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
+
+    @property
+    def passed(self) -> bool:
+        """Whether the run went on as its inertia has it."""
+        return self.turned is False
 
     def __str__(self) -> str:
-        return f'The loop is that through joint "{self.joint}", at about {self.time:.4g} s.'
+        if not self.free:
+            return f'The loop is that through joint "{self.joint}", at about {self.time:.4g} s.'
+        drives = " and ".join(f'"{name}"' for name in self.drives)
+        plural = "drives" if len(self.drives) > 1 else "drive"
+        verb = "do" if len(self.drives) > 1 else "does"
+        first = (
+            f'At {self.time:.4g} s the loop through joint "{self.joint}" is at a singular position '
+            f'(a dead centre): {plural} {drives} {verb} not say which way joint "{self.free}" goes '
+            "on there."
+        )
+        before, after = (f"{speed:.3g}" for speed in self.speeds)
+        if self.turned is None:
+            return f"{first} Saved states do not tell which way it went: save more often."
+        if self.turned:
+            turned = f"The run turned it round, its speed from {before} to {after}"
+            return f"{first} {turned}; nothing pushed it."
+        return f"{first} It went on as its inertia has it."
 
 
-def singular_position(history: StateHistory, ended: Any) -> SingularPosition | None:
-    """The singular position at which a run ended; None where there is none, and for linkages whose
-    rows depend on each other everywhere."""
-    topology = history.mechanism.topology
-    if not topology.loops or topology.depend:
-        return None
-    mechanism, states, times = constant((history.mechanism, history.states, history.time))
-    last = int(np.searchsorted(np.asarray(times), float(ended), side="right")) - 1
-    # The state before: a loop that came open was found open at the last.
-    before, after = max(last - 1, 0), min(last + 1, len(times) - 1)
-    count, speeds = topology.coordinate_count, topology.speed_count
-    q, v = states[before, :count], states[before, count : count + speeds]
-    instants = jnp.linspace(times[before], times[after], INSTANTS)
-    rows, closed, closures = _followed(mechanism, q, v, instants)
-    rows = np.asarray(rows)[np.asarray(closed)]
-    if not rows.size or rows.shape[1] > rows.shape[2] or not np.all(np.isfinite(rows)):
-        return None
-    ways, sizes, _ = np.linalg.svd(rows)
-    shares = sizes[:, -1] / sizes[:, 0]
-    place = int(np.argmin(shares))
-    if shares[place] > SINGULAR:
-        return None
-    # The forces that no motion feels: the loop in which they are largest.
-    forces = ways[place][:, -1] ** 2
-    each = [float(forces[np.asarray(closures) == k].sum()) for k in range(len(topology.loops))]
-    time = np.asarray(instants)[np.asarray(closed)][place]
-    return SingularPosition(topology.loops[int(np.argmax(each))], float(time))
-
-
-@eqx.filter_jit
-def _followed(
-    mechanism: Mechanism, q: Float[Array, " q"], v: Float[Array, " v"], times: Float[Array, " n"]
-) -> tuple[Array, Array, Array]:
-    """(at each time the Jacobian of the loops' rows that count alike, whether the loops were
-    closed there; the place of the loop of each row)."""
-    asked = ask(mechanism, False)
-    scales = speed_scales(asked)
-
-    def loops(q, time):
-        return [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
-
-    def follow(q, ahead):
-        time, length = ahead
-        q = retract(asked.system, q, length * v)
-        q = jax.lax.fori_loop(0, ITERATIONS, lambda _, q: settled(asked, q, loops(q, time)), q)
-        blocks = loops(q, time)
-        rows, left = stacked(asked, blocks)
-        measure = jnp.concatenate([block.measure for block in blocks])
-        rows = rows * scales / measure[:, None]
-        # To first order in what is left the position is the same.
-        closed = jnp.max(jnp.abs(left)) <= SINGULAR**2 * asked.arm
-        return q, (rows, closed)
-
-    lengths = jnp.diff(times, prepend=times[:1])
-    rows, closed = jax.lax.scan(follow, q, (times, lengths))[1]
-    sizes = [len(block.left) for block in loops(q, times[0])]
-    return rows, closed, jnp.asarray(np.repeat(np.arange(len(sizes)), sizes))
+def in_sentences(found: tuple[SingularPosition, ...]) -> tuple[str, ...]:
+    """A sentence for the first of each loop and kind, and how many more there are."""
+    kinds: dict[tuple, list[SingularPosition]] = {}
+    for one in found:
+        kinds.setdefault((one.joint, one.free, one.turned), []).append(one)
+    told = []
+    for alike in kinds.values():
+        more = len(alike) - 1
+        again = f" So it did {more} more {'time' if more == 1 else 'times'}." if more else ""
+        told.append(f"{alike[0]}{again}")
+    return tuple(told)

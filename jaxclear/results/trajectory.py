@@ -34,7 +34,7 @@ from jaxclear.results.histories import (
     ReactionHistory,
 )
 from jaxclear.results.saved_state import SavedMotion, State
-from jaxclear.results.singular_position import singular_position
+from jaxclear.results.singular_position import SingularPosition, in_sentences
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.verification import (
     AbstractVerification,
@@ -74,7 +74,8 @@ class Trajectory(AbstractShown):
     at the end, `outcome` tells how the run ended (an `Outcome`), `ended` when [s], `stats` what it
     cost, `invariants` what no finer run would tell of it, `verification` how far its numbers are
     off; `extremes`: of all its steps (None: its integrator follows none); `noted`: touches and
-    releases, where they were asked for.
+    releases, where they were asked for; `singular_positions`: where drives did not say which way
+    its loops go on.
     """
 
     history: StateHistory
@@ -86,6 +87,7 @@ class Trajectory(AbstractShown):
     extremes: Extremes | None = None
     noted: Events | None = None
     verification: AbstractVerification = eqx.field(default_factory=Unverified)
+    singular_positions: tuple[SingularPosition, ...] = ()
 
     @property
     def mechanism(self) -> Mechanism:
@@ -130,7 +132,7 @@ class Trajectory(AbstractShown):
         if not self.succeeded:
             told = f"The run ended early, after {float(self.ended):.6g} s. {sentence}"
             if self.outcome == Outcome.SINGULAR_POSITION:
-                return f"{told} {singular_position(self.history, self.ended)}"
+                return " ".join([told, *in_sentences(self.singular_positions)])
             why = self.invariants.before_the_end if self.outcome == Outcome.NOT_FINITE else ()
             return " ".join([told, *why])
         if not self.warnings:
@@ -150,11 +152,13 @@ class Trajectory(AbstractShown):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence for each of its `invariants` beyond its limit, and one for answers whose
-        numerical error is beyond what the integrator promises; empty for a clean run. Of one that
-        ended early, those of boundless figures only where there is no other."""
+        """A sentence for each of its `invariants` beyond its limit, one for answers whose
+        numerical error is beyond what the integrator promises, and one where a loop left a singular
+        position by another way than its inertia's; empty for a clean run. Of one that ended early,
+        those of boundless figures only where there is no other."""
         if self.succeeded:
-            return self.invariants.warnings + self.verification.warnings
+            turned = in_sentences(tuple(one for one in self.singular_positions if not one.passed))
+            return self.invariants.warnings + turned + self.verification.warnings
         return self.invariants.before_the_end or self.invariants.warnings
 
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
@@ -173,6 +177,8 @@ class Trajectory(AbstractShown):
         lines = [self.result, f"{float(self.ended):.6g} s in {steps}.", str(self.verification)]
         topology = self.mechanism.topology
         known = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
+        if self.succeeded:
+            known += in_sentences(tuple(one for one in self.singular_positions if one.passed))
         return "\n".join([*lines, *known])
 
     def state_names(self) -> list[str]:

@@ -9,4 +9,4 @@ from jaxclear.scenes.parallel_3rsr import parallel_3rsr
 from jaxclear.scenes.slider_crank import slider_crank
 
 __all__ = ["antenna", "flap", "four_bar", "guide", "parallel_3rsr", "slider_crank"]
-__getattr__ = nothing_else("jaxclear.scenes", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.scenes", __all__)

@@ -13,6 +13,7 @@ through the steps, backwards as so many of these as numbers move.
 """
 
 import functools
+import operator
 from collections.abc import Callable
 from typing import Any
 
@@ -38,12 +39,11 @@ COMPUTED = lambda run: (
 )
 
 
-def backwards(function: Callable, integrator: AbstractIntegrator, *arguments: Any) -> Any:
-    """As `function(*arguments)`, runs by an integrator. Backwards a run is as many runs forwards as
-    numbers move where these arguments are handed over, side by side; counted steps are gone through
-    themselves."""
-    counted = integrator.steps_between_saves is not None
-    return function(*arguments) if counted else by_columns(function, *arguments)
+def backwards(integrator: AbstractIntegrator) -> Callable:
+    """How a function of runs by an integrator is called, as (function, *arguments). Backwards a run
+    is as many runs forwards as numbers move where these arguments are handed over, side by side;
+    counted steps are gone through themselves."""
+    return by_columns if integrator.steps_between_saves is None else operator.call
 
 
 def refusal(mechanism: Mechanism, integrator: AbstractIntegrator, discrete: bool = False) -> str:

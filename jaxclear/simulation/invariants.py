@@ -22,6 +22,7 @@ from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent_reactions import touching
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.ground.pose import REST
 from jaxclear.ground.quantity import constant
 from jaxclear.integrators.checks import (
     COLLARS,
@@ -38,7 +39,8 @@ from jaxclear.integrators.checks import (
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import constraints, energy, kinematics, loops, state
-from jaxclear.multibody.reach import shortest_part
+from jaxclear.multibody.contact_point import depths
+from jaxclear.multibody.reach import rooms, shortest_part
 from jaxclear.multibody.system import System, longest_arm, wear_maps
 from jaxclear.native import through_rows
 from jaxclear.results.state_history import StateHistory
@@ -70,8 +72,8 @@ NEGLIGIBLE = 0.01
 # Share of the longest arm by which masses may rise without a cause: rounding and what contacts at
 # rest are moved by stay far below it.
 LEAST_LIFT = 0.01
-# Figures of every look beyond which a run ends.
-ENDING = (Check.INDENTATION, Check.LOOP_DRIFT)
+# Figures of every look.
+OF_LOOKS = (Check.INDENTATION, Check.LOOP_DRIFT, Check.LOOP_DRIFT_IN_GAPS)
 Figures = dict[Check, Float[Array, "*looks places"]]
 
 
@@ -237,7 +239,7 @@ def _of_saved_states(looks: Looks) -> Seen:
     energies = said.get("energies")
     # Without the start.
     told, verdict = jax.tree.map(lambda each: each[1:], (said["told"], said.get("verdict")))
-    figures = {check: told[check] for check in ENDING if check in told}
+    figures = {check: told[check] for check in OF_LOOKS if check in told}
     if energies is not None:
         gains = _gains(_small_energy(system), energies, means)[1:, None]
         figures[Check.ENERGY_GAIN] = gains
@@ -260,14 +262,14 @@ def _judging(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
     """What is worked out at every look."""
     system, formulation = looks.model.system, looks.history.formulation
     driven, mechanism = looks.history.mechanism.driven, looks.history.mechanism
-    others = laws_of_others(looks.model, formulation)
+    others, room = laws_of_others(looks.model, formulation), _smallest_clearance(looks.model)
     collars, free = collared(looks.model), unheld(looks.model)
     gaps, loose = in_gaps(looks.model), sliding(system)
 
     def judged(now: Instant) -> dict[str, Any]:
         told: dict[Check, Array] = {}
-        told |= {Check.LOOP_DRIFT: openings(now)} if system.closures else {}
-        verdict = _ending({check: told[check] for check in ENDING if check in told})
+        told |= _drifts(now, room) if system.closures else {}
+        verdict = _ending({check: told[check] for check in OF_LOOKS if check in told})
         said = {"told": told} | ({} if verdict is None else {"verdict": verdict})
         # Worked out once, for all that ask.
         report = functools.cache(lambda name: formulation.contact(now, name))
@@ -319,6 +321,23 @@ def _gains(small: Any, energies: Float[Array, "looks 3"], moved: bool) -> Float[
     start = kinetic[0] + potential[0] + stored[0]
     scale = start - jnp.min(potential) + jnp.max(kinetic) + small
     return safe_divide(positive_part(kinetic + potential - start), scale)
+
+
+def _smallest_clearance(model: Model) -> Any:
+    """Of joints that may open and of those that always touch [m]; None without clearance."""
+    system = model.system
+    found = [rooms(system)] if system.bearings else []
+    found += [abs(sp.stack(depths(gap, REST, {}))) for gap in in_gaps(model).values()]
+    return jnp.min(jnp.concatenate(found)) if found else None
+
+
+def _drifts(now: Instant, room: Any) -> Figures:
+    """How far each loop is open, beside its shortest part and beside the smallest clearance."""
+    opened, system = openings(now), now.model.system
+    if room is None:
+        return {Check.LOOP_DRIFT: opened}
+    parts = sp.stack([shortest_part(system, closure) for closure in system.closures])
+    return {Check.LOOP_DRIFT: opened, Check.LOOP_DRIFT_IN_GAPS: opened * parts / room}
 
 
 def openings(now: Instant) -> Float[Array, " loops"]:

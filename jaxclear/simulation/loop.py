@@ -25,7 +25,7 @@ from jaxclear.integrators.events import Events, together
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.integrators.peaks import Peaks, newest
 from jaxclear.multibody import closure_coordinates
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.multibody.system import readings, rubbing_joints
 from jaxclear.native import Kept, forwards_only, has_kernels, one_row, scan, verdict, while_loop
 from jaxclear.results.state_history import StateHistory
@@ -119,6 +119,7 @@ def run(
     past, to a trajectory. `updates`: of worn surfaces in a saving interval, where steps are not
     counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
+    mechanism = held_as_needed(mechanism, integrator.opens_loops)
     model = model_of(mechanism, formulation, extras.balance)
     model = dataclasses.replace(model, events=extras.events, discrete=extras.discrete)
     layout = model.layout

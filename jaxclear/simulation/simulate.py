@@ -2,7 +2,6 @@
 saving time to the next (`loop`).
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -12,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxclear.errors.accuracy import Asked, of_run
-from jaxclear.errors.choice import Chosen, Question, chosen
+from jaxclear.errors.choice import Again, Chosen, Question, chosen
 from jaxclear.errors.replicas import Replica
 from jaxclear.errors.rungs import rungs_of
 from jaxclear.errors.told import HALF
@@ -25,7 +24,7 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, held_as_needed
 from jaxclear.native import forwards_only, has_kernels, stoppable
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
@@ -33,11 +32,11 @@ from jaxclear.simulation import progress
 from jaxclear.simulation.beginning import beginning
 from jaxclear.simulation.bristles import told_of_bristles
 from jaxclear.simulation.by_kernels import compiled_for_kernels
-from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import backwards, guarded
 from jaxclear.simulation.load_steps import judged_by, load_steps
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.saving import Saving, as_saving, checked_saving
+from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.step_comparison import (
     compared,
     in_other_steps,
@@ -74,19 +73,15 @@ FEW_COORDINATES = 32
 
 def _both_ways(mechanism, coordinates, speeds, times, integrator, extras, past, updates):
     """A run that can be differentiated forwards and, where it shows no progress, backwards."""
-    given = mechanism, coordinates, speeds, times, past
+    given = mechanism, coordinates, speeds, times, integrator, extras, past, updates
+    whole: Any = run
+    if is_compared(mechanism, integrator):
+        finer = lambda share, *own: (*own[:4], in_other_steps(own[4], share), *own[5:])
+        steps = lambda *own: (own[4].asked_step(), own[3])
+        whole = compared(run, finer, run_where_alike, steps, order_of(integrator))
+    found = backwards(integrator)(whole, *given)
     shown = extras.report and integrator.steps_between_saves is None
-    one_way = functools.partial(forwards_only, NOT_BACKWARDS) if shown else lambda found: found
-    if not is_compared(mechanism, integrator):
-        whole = lambda *moving: run(*moving[:4], integrator, extras, moving[4], updates)
-        return one_way(backwards(whole, integrator, *given))
-
-    def in_steps(share, integrator, *moving):
-        return run(*moving[:4], in_other_steps(integrator, share), extras, moving[4], updates)
-
-    steps = lambda integrator, *moving: (integrator.asked_step(), moving[3])
-    known = compared(in_steps, run_where_alike, steps, order_of(integrator))
-    return one_way(backwards(known, integrator, integrator, *given))
+    return forwards_only(NOT_BACKWARDS, found) if shown else found
 
 
 _run = compiled_quickly(_both_ways, AROUND_A_KERNEL)
@@ -125,7 +120,8 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     wanted = "one of jaxclear.integrator, such as Adaptive()"
     expect(integrator, AbstractIntegrator, "the integrator", wanted)
     name = f"integrator.{type(integrator).__name__}"
-    if mechanism.projects and not integrator.projects:
+    held = held_as_needed(mechanism, integrator.opens_loops)
+    if held.projects and not integrator.projects:
         raise ValueError(
             f'the loop through joint "{mechanism.topology.loops[0]}" is to be closed by '
             f"projection, which {name} "
@@ -296,6 +292,14 @@ def chosen_for(
             "accuracy= chooses an integrator by runs, and numbers of the mechanism are traced (by "
             "jax.jit, vmap or grad): give integrator=, such as one that was chosen before."
         )
+    times = np.asarray(saving_times(duration, as_saving(how.save).at))
+    rungs = rungs_of(mechanism, times, lambda integrator: check_run(mechanism, integrator))
+    return chosen(rungs, repeated(mechanism, duration, how), Question(seen, beside, times))
+
+
+def repeated(mechanism: Mechanism, duration: float, how: How) -> Again:
+    """The same run by any integrator, over any share of the duration, without replicas; however it
+    ends."""
     saving = as_saving(how.save)
     times = np.asarray(saving_times(duration, saving.at))
 
@@ -304,5 +308,4 @@ def chosen_for(
         quiet = how._replace(save=at, progress_bar=False, verify=False)
         return _simulated(mechanism, share * duration, integrator, quiet)
 
-    rungs = rungs_of(mechanism, times, lambda integrator: check_run(mechanism, integrator))
-    return chosen(rungs, again, Question(seen, beside, times))
+    return again

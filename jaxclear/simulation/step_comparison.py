@@ -60,9 +60,11 @@ def order_of(integrator: AbstractIntegrator) -> int:
     return 1 if integrator.first_order_slopes else 2
 
 
-def compared(function: Callable, judged: Callable, steps: Callable, order: int) -> Callable:
-    """As `function(None, *arguments)`, with derivatives `judged(found, ways, ratios, least)` from
-    those of `function(share, *arguments)` in steps that are this share of the usual ones.
+def compared(
+    function: Callable, finer: Callable, judged: Callable, steps: Callable, order: int
+) -> Callable:
+    """As `function(*arguments)`, with derivatives `judged(found, ways, ratios, least)` from those
+    of `function(*finer(share, *arguments))` in steps that are this share of the usual ones.
 
     `judged`: of what was found, its derivatives, of the run itself in front and behind it those in
     other steps, how large errors of this `order` are in these beside its own, and of which share of
@@ -74,16 +76,12 @@ def compared(function: Callable, judged: Callable, steps: Callable, order: int) 
         kept: list[Any] = []
 
         def gone(share: Any, arrays: Any) -> tuple[Any, Any]:
-            found = function(share, *eqx.combine(arrays, rest))
+            found = function(*finer(share, *eqx.combine(arrays, rest)))
             found, others = eqx.partition(found, eqx.is_array)
             kept.append(others)
             return eqx.partition(found, eqx.is_inexact_array)
 
-        @jax.custom_jvp
-        def own(arrays):
-            return gone(None, arrays)
-
-        def moving(numbers, tangents):
+        def moving(_, numbers, tangents):
             shares, ratios = _shares(*steps(*eqx.combine(numbers[0], rest)), order)
 
             def one(share):
@@ -97,8 +95,9 @@ def compared(function: Callable, judged: Callable, steps: Callable, order: int) 
             told = judged(eqx.combine(found, left), ways, ratios, ROUNDING * _least(*both))
             return (found, left), (told, still)
 
+        own = jax.custom_jvp(gone, nondiff_argnums=(0,))
         own.defjvp(moving, symbolic_zeros=True)
-        return eqx.combine(*own(arrays), kept[0])
+        return eqx.combine(*own(None, arrays), kept[0])
 
     return known
 

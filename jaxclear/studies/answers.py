@@ -15,8 +15,8 @@ from jaxclear.ground.quantity import inside, numbers
 from jaxclear.integrators import Outcome
 from jaxclear.multibody.assembly import is_sound
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.simulation.dead_point import diagnosed_outcome
 from jaxclear.simulation.derivatives import backwards, guarded
+from jaxclear.simulation.singular_positions import diagnosed_outcome
 from jaxclear.simulation.step_comparison import (
     compared,
     in_other_steps,
@@ -35,10 +35,10 @@ def answers(problem: Any, values: Float[Array, " variables"], discrete: bool) ->
     own = discrete and integrator.pathwise
     seen = integrator.formulation.seen(problem.mechanism)
     if not own and is_compared(seen, integrator):
-        known = compared(_in_steps, _alike, _steps, order_of(integrator))
-        return backwards(known, integrator, problem, values)
+        known = compared(_answered, _finer, _alike, _steps, order_of(integrator))
+        return backwards(integrator)(known, problem, values)
     started = lambda problem, values: problem.started(values, own)
-    mechanism, start, run = backwards(started, integrator, problem, values)
+    mechanism, start, run = backwards(integrator)(started, problem, values)
     return _taken(problem, mechanism, start, guarded(run, integrator, discrete))
 
 
@@ -54,12 +54,14 @@ def _taken(problem: Any, mechanism: Any, start: Any, run: Trajectory) -> SampleR
     return SampleResult(responses, outcome, run.ended, run.invariants)
 
 
-def _in_steps(share: Any, problem: Any, values: Array) -> SampleResult:
-    """What is answered in other steps."""
+def _answered(problem: Any, values: Array) -> SampleResult:
+    return _taken(problem, *problem.started(values))
+
+
+def _finer(share: Any, problem: Any, values: Array) -> tuple[Any, Array]:
+    """The same in other steps."""
     steps = in_other_steps(problem.integrator, share)
-    own = eqx.tree_at(lambda known: known.integrator, problem, steps)
-    mechanism, start, run = own.started(values)
-    return _taken(own, mechanism, start, run)
+    return eqx.tree_at(lambda known: known.integrator, problem, steps), values
 
 
 def _steps(problem: Any, _: Any) -> tuple[Any, Any]:

@@ -19,7 +19,7 @@ from jaxclear.ground.shown import as_written
 from jaxclear.ground.wording import described, unknown
 
 __all__ = ["Above", "AbstractLimitState", "Below", "Parallel", "Series"]
-__getattr__ = nothing_else("jaxclear.limit_state", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.limit_state", __all__)
 
 UNIT = "(in the response's unit)"
 # More cut sets than this no search goes through.

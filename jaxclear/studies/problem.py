@@ -12,8 +12,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.errors.observables import GAPS
 from jaxclear.errors.replicas import between, replica
 from jaxclear.errors.told import remedy_of_depths
 from jaxclear.ground.arguments import expect
@@ -21,7 +23,7 @@ from jaxclear.ground.in_words import part_in_words
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators import AbstractIntegrator, Outcome
 from jaxclear.integrators.figures import Checks
-from jaxclear.integrators.promise import STUDIES
+from jaxclear.integrators.promise import PART_OF, STUDIES, Promise
 from jaxclear.multibody.assembly import (
     Start,
     assemble_arrays,
@@ -29,7 +31,7 @@ from jaxclear.multibody.assembly import (
     determined,
 )
 from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
-from jaxclear.multibody.reach import narrowest_gap
+from jaxclear.multibody.reach import narrowest_gap, rooms
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
@@ -38,7 +40,6 @@ from jaxclear.results.response import concerned, unit_of
 from jaxclear.results.saved_state import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, past_of
-from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.derivatives import refusal
 from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
 from jaxclear.simulation.loop import Extras
@@ -51,6 +52,7 @@ from jaxclear.simulation.simulate import (
     run,
     saving_times,
 )
+from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.step_lengths import check_steps
 from jaxclear.studies.answers import answers
 from jaxclear.studies.base import AbstractProblem, SampleResult, stacked
@@ -62,7 +64,6 @@ from jaxclear.studies.chosen_integrator import (
     unasked,
 )
 from jaxclear.studies.inputs import correlation_matrix
-from jaxclear.studies.promised import promised_of
 from jaxclear.studies.responses import Thinned, by_name, check_responses
 from jaxclear.studies.variable import (
     AbstractMechanismVariable,
@@ -288,7 +289,7 @@ class Problem(AbstractProblem):
     def promised(self, response, size):
         if self.accuracy is None:
             promise = STUDIES if self.unasked else self.integrator.promise
-            return promised_of(self.mechanism, promise, self.response[response], size)
+            return _promised_of(self.mechanism, promise, self.response[response], size)
         return allowed(self.accuracy, response, size)
 
     def remedy(self, response):
@@ -338,3 +339,27 @@ class Problem(AbstractProblem):
 def _run_chunk(problem: Problem, values: Float[Array, "samples variables"]) -> Trajectory:
     """Runs of a chunk of samples."""
     return jax.vmap(lambda own: problem.started(own)[2])(values)
+
+
+def _promised_of(
+    mechanism: Mechanism, promise: Promise, response: Any, size: float
+) -> float | None:
+    """Largest error of a response of this `size`, in its unit, within a promise; None where that
+    says nothing of what the response is drawn from. Places are promised beside the
+    ways of bodies, of which the response may be a small rest: beside the longest arm of a body and
+    a hundred times the widest gap at least, and angles beside 1 rad."""
+    part = PART_OF.get(needs_of(response))
+    share = None if part is None else promise._asdict()[part]
+    if share is None:
+        return None
+    way = _way(mechanism, unit_of(response, mechanism)) if part == "places" else 0.0
+    return share * max(size, way)
+
+
+def _way(mechanism: Mechanism, unit: str) -> float:
+    """Of what goes by a unit the least way that places are measured beside."""
+    if unit != "m":
+        return 1.0 if unit == "rad" else 0.0
+    system = prepare(mechanism)
+    widest = float(np.max(np.asarray(rooms(system)), initial=0.0)) if system.bearings else 0.0
+    return max(float(longest_arm(system)), GAPS * widest)

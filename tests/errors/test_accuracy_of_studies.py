@@ -56,7 +56,7 @@ def test_a_study_tells_why_its_steps_are_as_they_are(asked):
     assert asked.remark() == asked.why_integrator
     assert len(asked.why_integrator.split()) <= 25
     step = float(asked.integrator.step)
-    assert f"ImplicitStep({step:.9g}, rebound=1.0)" in asked.why_integrator
+    assert f"ImplicitStep(step={step:.9g}, rebound=1)" in asked.why_integrator
 
 
 def test_the_same_integrator_given_is_the_same_problem(asked):

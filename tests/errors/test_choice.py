@@ -10,6 +10,7 @@ import jaxclear as jc
 from jaxclear.errors import rungs
 from jaxclear.errors.choice import Question, chosen
 
+RIG = jc.scenes.slider_crank()
 TIMES = np.linspace(0.0, 1.0, 11)
 
 
@@ -23,8 +24,8 @@ class Run(NamedTuple):
 
 
 def ladder(step, evaluations=1, controlled=False):
-    own = rungs._stepping(jc.integrator.FixedStep(step), "FixedStep({:g})", evaluations)
-    return own._replace(controlled=controlled)
+    own = rungs.halving(jc.integrator.FixedStep(step), RIG)
+    return own._replace(evaluations=evaluations, controlled=controlled)
 
 
 def steps(setting):
@@ -118,5 +119,5 @@ def test_steps_that_follow_the_motion_are_not_run_where_their_first_part_is_too_
         step = setting.asked_step()
         return Run(0.0, int(1e6 * share) if step is None else steps(setting))
 
-    found = choice([rungs._controlled(True), ladder(0.1)], again, 1.0, budget=1e5)
+    found = choice([rungs._controlled(RIG), ladder(0.1)], again, 1.0, budget=1e5)
     assert shares[0] < 0.1 and isinstance(found.integrator, jc.integrator.FixedStep)

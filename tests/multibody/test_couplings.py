@@ -12,6 +12,7 @@ from jaxclear.multibody import dynamics, kinematics
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import prepare
+from tests.extension.test_coupling import PlanetMesh
 
 TURN = jc.joint.Revolute()
 J_PINION, J_WHEEL, R_PINION, R_WHEEL = 1e-4, 2e-3, 0.02, 0.06
@@ -106,29 +107,9 @@ def test_a_planetary_set_turns_as_willis_says():
     sun, planet = 0.03, 0.015
     ring = sun + 2 * planet
     base = planetary(sun, planet)
-    inner, outer = jc.coupling.Ratio("P", "S", -sun / planet), jc.coupling.Ratio("R", "P", 0.2)
-
-    class Mesh(jc.coupling.AbstractCoordinateCoupling):
-        """r_w (w - c) = s r_p p: a wheel w on the carrier's axis and the planet p."""
-
-        wheel: str
-        side: float
-
-        def terms(self):
-            radius = sun if self.wheel == "S" else ring
-            term = jc.coupling.CoordinateTerm
-            return (
-                term(self.wheel, radius),
-                term("C", -radius),
-                term("P", -self.side * planet),
-            )
-
-        def total(self):
-            return None
-
-    assert inner.joints() == ("P", "S") and outer.joints() == ("R", "P")
     rig = base.with_coupling("willis", None)
-    rig = rig.with_coupling("inner", Mesh("S", -1.0)).with_coupling("outer", Mesh("R", 1.0))
+    rig = rig.with_coupling("inner", PlanetMesh("S", "C", "P", sun, planet))
+    rig = rig.with_coupling("outer", PlanetMesh("R", "C", "P", -ring, planet))
     found, eliminated = accelerations(rig, [0.3, 0.1, 0.2, 0.4], [1.0, 2.0, 3.0, 4.0])
     # on the same matrix: rounding
     np.testing.assert_allclose(found, eliminated, rtol=1e-12, atol=1e-9)
@@ -266,7 +247,7 @@ def test_mujoco_couples_alike():
 @pytest.mark.parametrize(
     ("build", "said"),
     [
-        (lambda: jc.coupling.Ratio("A", "A", 1.0), "names twice"),
+        (lambda: gear_pair().with_coupling("x", jc.coupling.Ratio("A", "A", 1.0)), "twice"),
         (lambda: gear_pair().with_coupling("x", jc.coupling.Ratio("A", "Z", 1.0)), '"Z"'),
         (lambda: gear_pair().with_coupling("A", jc.coupling.Ratio("A", "B", 1.0)), "another name"),
         (lambda: gear_pair().with_coupling("x", None), '"x"'),

@@ -206,7 +206,7 @@ def test_a_result_of_runs_is_drawn_and_kept(run, kind, tmp_path):
         "Settled": lambda: jc.settled(asked, cycles=3),
         "WearLife": lambda: jc.wear_life(asked, 1e3, most=3),
         "WearLives": lambda: jc.wear_lives(asked, 2, 1e3, most=3),
-        "Advice": lambda: jc.advise(asked),
+        "Advice": lambda: jc.advise(asked, 0.05, pilot=jc.PilotSettings(copies=2)),
     }[kind]()
     assert type(found).__name__ == kind
     check_figure(found)

@@ -31,15 +31,16 @@ def test_a_torn_loop_ends_the_run(name):
     """The loop was open by 40 mm, and by 2.3 km, under "The run reached its end."."""
     integrator, rpm = TORN[name]
     with pytest.raises(jc.SimulationError, match="A loop came open"):
-        jc.simulate(ideal(rpm), 0.05, save=51, integrator=integrator)
+        jc.simulate(ideal(rpm, jc.Baumgarte()), 0.05, save=51, integrator=integrator)
 
 
 @pytest.mark.slow
 def test_a_drifting_loop_carries_a_sentence_and_a_projected_one_none():
     """The loop was open by 7 mm where projection holds it to 2e-8 m."""
     integrator = jc.integrator.NonColliding(1e-3)
-    drifting = jc.simulate(ideal(2000), 0.02, save=21, integrator=integrator, throw=False)
-    held = jc.simulate(ideal(2000, jc.Projection()), 0.02, save=21, integrator=integrator)
+    pulled = ideal(2000, jc.Baumgarte())
+    drifting = jc.simulate(pulled, 0.02, save=21, integrator=integrator, throw=False)
+    held = jc.simulate(ideal(2000), 0.02, save=21, integrator=integrator)
     said = drifting.result
     assert "with warnings" in said or "A loop came open" in said
     assert Check.LOOP_DRIFT not in {c for c, worst, *_ in held.invariants.rows() if worst > c.limit}
@@ -59,7 +60,7 @@ def test_checks_stand_in_a_table_with_the_joint_and_the_limit():
 @pytest.mark.parametrize("rung", [jc.integrator.ImplicitStep, jc.integrator.NonColliding])
 def test_a_short_crank_that_comes_off_is_said(rung):
     """The loop of a crank of 50 mm was open by 0.08 mm without a word, judged beside the rod."""
-    run = jc.simulate(ideal(2000), 0.02, save=21, integrator=rung(2.5e-4))
+    run = jc.simulate(ideal(2000, jc.Baumgarte()), 0.02, save=21, integrator=rung(2.5e-4))
     opened = float(run.drift()["B"].max())
     assert 0.05 * Check.LOOP_DRIFT.limit < opened < 0.12 * Check.LOOP_DRIFT.limit
     (said,) = run.warnings
@@ -85,7 +86,7 @@ def test_a_batch_keeps_the_figures_of_every_sample():
     start, times = jc.assemble(ideal(1 / RPM)), jnp.linspace(0.0, 0.01, 3)
 
     def one(speed):
-        faster = jc.scenes.slider_crank("ideal", crank_speed=speed)
+        faster = ideal(speed / RPM, jc.Baumgarte())
         return run(faster, start.coordinates, speed * start.speeds, times, integrator)
 
     found = jax.vmap(one)(jnp.array([1.0, 500.0]))

@@ -41,4 +41,4 @@ __all__ = [
     "carried_load",
     "situation",
 ]
-__getattr__ = nothing_else("jaxclear.clearance", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.clearance", __all__)

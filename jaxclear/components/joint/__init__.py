@@ -34,4 +34,4 @@ __all__ = [
     "Spherical",
     "Universal",
 ]
-__getattr__ = nothing_else("jaxclear.joint", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.joint", __all__)

@@ -40,4 +40,4 @@ __all__ = [
     "Spring",
     "Torque",
 ]
-__getattr__ = nothing_else("jaxclear.load", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.load", __all__)

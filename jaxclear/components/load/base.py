@@ -8,15 +8,6 @@ from jaxclear.ground.quantity import AbstractQuantified
 class AbstractLoad(AbstractQuantified):
     """A load on bodies, or on the coordinate of a joint."""
 
-    def sets_in(self) -> bool:
-        """Whether it acts from some place on, as a stop does, which a step may meet midway; it does
-        not unless overridden."""
-        return False
-
-    def springs_back(self) -> bool:
-        """Whether what it acts on may swing by it, as by a spring; it may unless overridden."""
-        return True
-
 
 def check_acts(spring: Any) -> None:
     """Raises `ValueError` for a spring that is neither one nor a damper."""

@@ -40,9 +40,6 @@ class AbstractCoordinateLoad(AbstractLoad):
         """Whether the force depends on the coordinate; it does unless overridden."""
         return True
 
-    def springs_back(self) -> bool:
-        return self.reads_position()
-
     def inertia_along(self) -> Scalar | None:
         """Inertia [kg m^2] that moves with the coordinate and with nothing else; None unless
         overridden. Only a joint that the tree carries can have some."""
@@ -135,9 +132,6 @@ class JointStop(AbstractCoordinateLoad):
             raise ValueError(
                 f"load.JointStop has lower {low:g} and upper {high:g}; lower must be below upper."
             )
-
-    def sets_in(self):
-        return True
 
     def force(self, time, position, speed):
         force, stored, dissipated = 0, 0, 0

@@ -72,4 +72,4 @@ __all__ = [
     "dissipation",
     "elastic",
 ]
-__getattr__ = nothing_else("jaxclear.contact", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.contact", __all__)

@@ -28,7 +28,7 @@ __all__ = [
     "Radzimovsky",
     "TwoSidedJohnson",
 ]
-__getattr__ = nothing_else("jaxclear.contact.cylinder", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.contact.cylinder", __all__)
 
 # In x = -w ln w (w: load, x: indentation) the law turns back at -ln w = 1; it is followed up to -ln
 # w = 2, where the slope dw/dx is 1, and continued with that slope.

@@ -34,7 +34,7 @@ __all__ = [
     "RestitutionMissed",
     "ZhiyingQishao",
 ]
-__getattr__ = nothing_else("jaxclear.contact.dissipation", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.contact.dissipation", __all__)
 
 # Gonthier et al. 2004 solve the relation numerically; steps that carry it to rounding for 0.02 <=
 # e.

@@ -17,7 +17,7 @@ __all__ = [
     "Hertz",
     "Linear",
 ]
-__getattr__ = nothing_else("jaxclear.contact.elastic", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.contact.elastic", __all__)
 
 
 def modulus_field() -> Any:

@@ -40,4 +40,4 @@ __all__ = [
     "ThreeZone",
     "Threlfall",
 ]
-__getattr__ = nothing_else("jaxclear.friction", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.friction", __all__)

@@ -15,7 +15,7 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vecto
 from jaxclear.ground.wording import described
 
 __all__ = ["ISO286", "AbstractCatalogue", "Sizes"]
-__getattr__ = nothing_else("jaxclear.catalogue", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.catalogue", __all__)
 
 MILLI, MICRO = 1e-3, 1e-6
 # Largest size [mm] of each step of nominal sizes, and its standard tolerances IT5 to IT10 [um];

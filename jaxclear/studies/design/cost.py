@@ -24,7 +24,7 @@ __all__ = [
     "ReciprocalSquared",
     "Table",
 ]
-__getattr__ = nothing_else("jaxclear.cost", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.cost", __all__)
 
 MONEY = "(cost)"
 FIXED = "cost that no tolerance changes"

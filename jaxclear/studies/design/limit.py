@@ -21,7 +21,7 @@ __all__ = [
     "Quantile",
     "WorstCase",
 ]
-__getattr__ = nothing_else("jaxclear.limit", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.limit", __all__)
 
 # What a share more is worth is told from shares larger and smaller by this factor.
 NEAR = 1.5

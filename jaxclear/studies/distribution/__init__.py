@@ -29,4 +29,4 @@ __all__ = [
     "TruncatedNormal",
     "Uniform",
 ]
-__getattr__ = nothing_else("jaxclear.distribution", __all__)
+__getattr__, __dir__ = nothing_else("jaxclear.distribution", __all__)

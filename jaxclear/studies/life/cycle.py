@@ -28,8 +28,8 @@ from jaxclear.results import response
 from jaxclear.results.saved_state import SavedMotion, State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.beginning import Past, beginning
-from jaxclear.simulation.dead_point import diagnosed
 from jaxclear.simulation.loop import run
+from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.wear import Worn, unworn, worn_by_some
 from jaxclear.studies.life.periodicity import apart
 from jaxclear.studies.problem import Problem

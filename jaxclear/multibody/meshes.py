@@ -1,0 +1,179 @@
+"""Where couplings of bodies sit: the two markers that mesh, how they stand at home, and whose
+coordinates count the whole turns of what is read off their relative pose.
+
+Angles of a pose are known but for whole turns. One of two wheels is counted by the coordinate of
+its joint, which is its turn against the line of centres where the joint's inner body carries both
+axes; the turns of the other follow, since the residual is nearly zero.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxclear.components.body import GROUND, Body, Connection, Marker
+from jaxclear.components.coupling import AbstractBodyCoupling
+from jaxclear.components.joint import AbstractVectorJoint, Planar
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import REST, Pose
+from jaxclear.multibody.topology import Topology, coordinate_joint
+from jaxclear.multibody.tree import Motion
+
+TURN = 2 * jnp.pi
+
+
+class Count(eqx.Module):
+    """An angle [rad] as a coordinate of the tree counts it: `sign` times what it has gone from
+    `home`."""
+
+    sign: Any
+    home: Any
+    link: int = eqx.field(static=True)
+    coordinate: int = eqx.field(static=True)
+
+    def of(self, motions: tuple[Motion, ...]) -> Any:
+        return self.sign * (motions[self.link].coordinates[self.coordinate] - self.home)
+
+
+class Mesh(eqx.Module):
+    """Reads the residual [m] of a coupling of bodies off the relative pose of its markers, which is
+    `drawn` at home; `counts` of its angles, None where the residual tells whole turns."""
+
+    coupling: AbstractBodyCoupling
+    drawn: Pose
+    counts: tuple[Count | None, ...]
+
+    def residuals(self, pose: Pose) -> tuple:
+        parts = zip(self.coupling.radii(self.drawn), self._turned(pose), strict=True)
+        rest = [self.coupling.rest(at, self.drawn) for at in (pose, self.drawn)]
+        return (sp.add(sp.total(r * x for r, x in parts), sp.sub(*rest)),)
+
+    def _turned(self, pose: Pose) -> list:
+        angles = (self.coupling.angles(at) for at in (pose, self.drawn))
+        return [a - b for a, b in zip(*angles, strict=True)]
+
+    def counted(self, residual: Any, pose: Pose, motions: tuple[Motion, ...]) -> Any:
+        """The residual with whole turns; 0 where nothing tells them, so that speeds alone are
+        tied."""
+        radii, turned = self.coupling.radii(self.drawn), self._turned(pose)
+        if len(radii) > 1 and self.counts == (None,) * len(radii):
+            return jnp.zeros_like(residual)
+        for radius, angle, count in zip(radii, turned, self.counts, strict=True):
+            if count is not None:
+                turns = jnp.round((count.of(motions) - angle) / TURN)
+                residual = residual + radius * TURN * turns
+        for radius, count in zip(radii, self.counts, strict=True):
+            if count is None:
+                residual = residual - radius * TURN * jnp.round(residual / (radius * TURN))
+        return residual
+
+
+class Part(NamedTuple):
+    """What a joint carries: its `marker`, whether that is the child's, and the `inner` body."""
+
+    marker: Marker
+    is_child: bool
+    inner: str
+
+
+def carried(connection: Connection) -> Part:
+    """The child, or the parent where the child is the ground."""
+    parent, child = connection.parent, connection.child
+    if child.body == GROUND:
+        return Part(parent, False, GROUND)
+    return Part(child, True, parent.body)
+
+
+def markers(coupling: AbstractBodyCoupling, connections: dict[str, Connection]) -> tuple:
+    """The two markers that mesh."""
+    own = [connections[name] for name in coupling.joints()]
+    if len(own) == 1:
+        return own[0].parent, own[0].child
+    return tuple(carried(connection).marker for connection in own)
+
+
+def drawn_pose(
+    coupling: AbstractBodyCoupling, bodies: dict[str, Body], connections: dict[str, Connection]
+) -> Pose:
+    """The pose of the second marker in the first where all joints are at home."""
+    first, second = markers(coupling, connections)
+    places = _drawn(bodies, connections)
+    poses = [places[marker.body].after(marker.pose()) for marker in (first, second)]
+    return poses[0].inverse().after(poses[1])
+
+
+def _drawn(bodies: dict[str, Body], connections: dict[str, Connection]) -> dict[str, Pose]:
+    """Poses of the bodies in the ground where all joints are at home, each by the first way that
+    leads there."""
+    places, left = {GROUND: REST}, dict(connections)
+    while len(places) <= len(bodies):
+        name = next(
+            n for n, c in left.items() if (c.parent.body in places) != (c.child.body in places)
+        )
+        connection = left.pop(name)
+        parent, child = connection.parent, connection.child
+        joint = coordinate_joint(name, bodies, connections)
+        across = joint.motion(tuple(jnp.asarray(x, float) for x in joint.home))
+        if parent.body in places:
+            onward = parent.pose().after(across).after(child.pose().inverse())
+            places[child.body] = places[parent.body].after(onward)
+        else:
+            onward = child.pose().after(across.inverse()).after(parent.pose().inverse())
+            places[parent.body] = places[child.body].after(onward)
+    return places
+
+
+def mesh(
+    coupling: AbstractBodyCoupling,
+    topology: Topology,
+    bodies: dict[str, Body],
+    connections: dict[str, Connection],
+) -> Mesh:
+    """The reading of a coupling of bodies."""
+    drawn = drawn_pose(coupling, bodies, connections)
+    count = len(coupling.angles(drawn))
+    if count == 1:
+        return Mesh(coupling, drawn, (None,))
+    parts = [carried(connections[name]) for name in coupling.joints()]
+    depths = [_depth(topology, part.marker.body) for part in parts]
+    deepest = [depth == max(depths) for depth in depths]
+    together = parts[0].inner == parts[1].inner
+    counts = tuple(
+        _count(name, part, topology, bodies, connections) if together or deep else None
+        for name, part, deep in zip(coupling.joints(), parts, deepest, strict=True)
+    )
+    return Mesh(coupling, drawn, counts)
+
+
+def _depth(topology: Topology, body: str) -> int:
+    """How many joints of the tree lead from the ground to a body."""
+    inboard = {branch.body: branch.parent for branch in topology.branches}
+    depth = 0
+    while body != GROUND:
+        body, depth = inboard[body], depth + 1
+    return depth
+
+
+def _count(
+    name: str, part: Part, topology: Topology, bodies: dict, connections: dict
+) -> Count | None:
+    """The coordinate that counts the turns of what a joint carries against its inner body."""
+    joint = coordinate_joint(name, bodies, connections)
+    branch = topology.branch_of(name)
+    if branch is not None:
+        if not isinstance(joint, AbstractVectorJoint) or joint.units.count("rad") != 1:
+            return None
+        place = joint.units.index("rad")
+        sign = 1.0 if part.is_child else -1.0
+        return Count(sign, joint.home[place], topology.branches.index(branch), place)
+    body = part.marker.body
+    link = topology.index(body)
+    afloat = topology.branches[link].connection is None
+    if part.inner != GROUND or not afloat or len(bodies[body].inertia) > 1:
+        return None
+    # A body that floats in the plane turns about the ground's z axis.
+    drawn = _drawn(bodies, connections)[body]
+    home = jnp.arctan2(*(jnp.asarray(drawn.rotation[i][0], float) for i in (1, 0)))
+    upward = drawn.after(part.marker.pose()).rotation[2][2]
+    sign = jnp.where(jnp.asarray(upward, float) < 0, -1.0, 1.0)
+    return Count(sign, home, link, Planar.units.index("rad"))

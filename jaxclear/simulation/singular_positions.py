@@ -1,0 +1,485 @@
+"""Singular positions of closed loops: found in runs that pass them, and where runs end.
+
+There rows of loops depend on each other, a linkage is stretched flat, say, and drives do not say
+which way it goes on. A drive may also ask for what no position of a loop meets, a dead point:
+forces grow without bound there, so a run ends for what seems another reason.
+
+Runs that end early are looked at from their last saved state on: are there positions that close the
+loops with the drives as they move (`_closable`), and does the rank of their Jacobian fall
+(`_where_it_ended`)?
+
+Of runs of one mechanism that reach their end, loops that drives hold are looked at all along
+(`met`): the determinant of their rows is 0 at a singular position. Between saved states the motion
+is followed, its loops closed, in parts so short that the determinant cannot miss a zero; what saved
+states show to be far from one is not followed. So what is told does not hang on saving times.
+Newton's method on [loops, determinant] = 0 confirms what is found, or drops it.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxclear.ground.compiling import compiled_quickly
+from jaxclear.ground.quantity import constant, is_traced
+from jaxclear.integrators.outcome import Outcome
+from jaxclear.multibody import constraints
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.start_equations import (
+    LOOP,
+    Ask,
+    ask,
+    motions_at,
+    nearer,
+    position_blocks,
+    retract,
+    settled,
+    speed_scales,
+    stacked,
+)
+from jaxclear.results.singular_position import SingularPosition
+from jaxclear.results.state_history import StateHistory
+from jaxclear.results.trajectory import Trajectory
+
+# Instants of the saving intervals around which the run ended; steps to close the loops at each,
+# and to follow them.
+INSTANTS, ITERATIONS, FEW_ITERATIONS = 256, 12, 6
+# How runs end that meet a singular position.
+MAY_BE_SINGULAR = (
+    Outcome.STEP_TOO_SMALL,
+    Outcome.TOO_MANY_STEPS,
+    Outcome.NOT_FINITE,
+    Outcome.ENERGY_GAINED,
+    Outcome.LOOP_TORN,
+)
+# What may be left of a closure [rad, longest arms], and of a determinant beside its largest.
+CLOSED = 1e-6
+# Least singular value beside the largest, of rows that count alike, at and below which a position
+# is singular: between two instants a linkage turns by about so much. Of a determinant beside its
+# largest: what may be one.
+NEARLY = 1e-2
+# A loop is followed in parts in which no coordinate moves farther [rad, longest arms]: a zero of
+# its determinant is a share of a radian from the next. Saved states show as much where their
+# motion between is no more than `SHOWN`.
+FOLLOWED, SHOWN = 0.05, 0.5
+# Share of a time over which rates are taken.
+AHEAD = 1e-4
+# Instants within a saving interval at which it is asked how far drives have moved.
+DRIVES_ASKED = 16
+# Parts of a saving interval, steps to close the loops of each, candidates that are kept of it, and
+# steps of Newton's method that confirm one (at a dead centre the drive stands still, and it halves
+# what is left).
+MOST_PARTS, CLOSING, CANDIDATES, NEWTON = 4096, 3, 8, 40
+# Of the square of what is left, and at the least: as of `start_equations.settled`.
+DAMPING, LEAST_DAMPING = 1e-2, 1e-14
+
+
+def diagnosed(trajectory: Trajectory) -> Trajectory:
+    """The run with the singular positions that it met; one that ended early at one, or at a dead
+    point, says so. One that is being traced may be anything and is left alone
+    (`diagnosed_outcome`)."""
+    if is_traced(trajectory.outcome) or np.ndim(trajectory.outcome):
+        return trajectory
+    if trajectory.succeeded:
+        found = met(trajectory)
+        return dataclasses.replace(trajectory, singular_positions=found) if found else trajectory
+    outcome = diagnosed_outcome(trajectory)
+    near = None
+    if int(outcome) in MAY_BE_SINGULAR:
+        near = _where_it_ended(trajectory.history, trajectory.ended)
+    if near is None:
+        return dataclasses.replace(trajectory, outcome=outcome)
+    outcome = jnp.full_like(outcome, int(Outcome.SINGULAR_POSITION))
+    return dataclasses.replace(trajectory, outcome=outcome, singular_positions=(near,))
+
+
+def diagnosed_outcome(trajectory: Trajectory) -> Int[Array, ""]:
+    """How a run ended, dead points told; pure. In a batch the search goes on only while some run of
+    it has ended early."""
+    history, outcome = trajectory.history, trajectory.outcome
+    if not history.mechanism.driven or not history.mechanism.topology.loops:
+        return outcome
+    # Nothing here is to be differentiated.
+    mechanism, states, times = constant((history.mechanism, history.states, history.time))
+    last = jnp.searchsorted(times, jax.lax.stop_gradient(trajectory.ended), side="right") - 1
+    # The state before: a loop that came open was found open at the last.
+    before, after = jnp.maximum(last - 1, 0), jnp.minimum(last + 1, len(times) - 1)
+    q = states[before, : mechanism.topology.coordinate_count]
+    early = outcome != Outcome.REACHED
+    closable = _closable(mechanism, q, times[before], times[after], early)
+    return jnp.where(early & ~closable, Outcome.DEAD_POINT, outcome)
+
+
+@eqx.filter_jit
+def _closable(
+    mechanism: Mechanism, q: Float[Array, " q"], start: Any, stop: Any, asked_for: Bool[Array, ""]
+) -> Bool[Array, ""]:
+    """Whether coordinates that close the loops follow from q at all times from `start` to `stop`
+    [s]; true without a look where that is not asked for."""
+    asked = ask(mechanism, False)
+
+    def loops(q, time):
+        return [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
+
+    def goes_on(carry):
+        done, _, closed = carry
+        return (done < INSTANTS) & closed & asked_for
+
+    def follow(carry):
+        done, q, _ = carry
+        time = start + (stop - start) * done / (INSTANTS - 1)
+        q = jax.lax.fori_loop(0, ITERATIONS, lambda _, q: nearer(asked, q, loops(q, time)), q)
+        left = jnp.max(jnp.abs(stacked(asked, loops(q, time))[1]))
+        return done + 1, q, left <= CLOSED * jnp.minimum(asked.arm, 1.0)
+
+    return jax.lax.while_loop(goes_on, follow, (jnp.asarray(0), q, jnp.asarray(True)))[2]
+
+
+def _where_it_ended(history: StateHistory, ended: Any) -> SingularPosition | None:
+    """The singular position at which a run ended; None where there is none, and for linkages whose
+    rows depend on each other everywhere."""
+    topology = history.mechanism.topology
+    if not topology.loops or topology.depend:
+        return None
+    mechanism, states, times = constant((history.mechanism, history.states, history.time))
+    last = int(np.searchsorted(np.asarray(times), float(ended), side="right")) - 1
+    # The state before: a loop that came open was found open at the last.
+    before, after = max(last - 1, 0), min(last + 1, len(times) - 1)
+    count, speeds = topology.coordinate_count, topology.speed_count
+    q, v = states[before, :count], states[before, count : count + speeds]
+    instants = jnp.linspace(times[before], times[after], INSTANTS)
+    rows, closed, closures = _carried_on(mechanism, q, v, instants)
+    rows = np.asarray(rows)[np.asarray(closed)]
+    if not rows.size or rows.shape[1] > rows.shape[2] or not np.all(np.isfinite(rows)):
+        return None
+    ways, sizes, _ = np.linalg.svd(rows)
+    shares = sizes[:, -1] / sizes[:, 0]
+    place = int(np.argmin(shares))
+    if shares[place] > NEARLY:
+        return None
+    # The forces that no motion feels: the loop in which they are largest.
+    forces = ways[place][:, -1] ** 2
+    each = [float(forces[np.asarray(closures) == k].sum()) for k in range(len(topology.loops))]
+    time = np.asarray(instants)[np.asarray(closed)][place]
+    return SingularPosition(topology.loops[int(np.argmax(each))], float(time))
+
+
+@eqx.filter_jit
+def _carried_on(
+    mechanism: Mechanism, q: Float[Array, " q"], v: Float[Array, " v"], times: Float[Array, " n"]
+) -> tuple[Array, Array, Array]:
+    """(at each time the Jacobian of the loops' rows that count alike, whether the loops were
+    closed there; the place of the loop of each row)."""
+    asked = ask(mechanism, False)
+    scales = speed_scales(asked)
+
+    def loops(q, time):
+        return [block for block in position_blocks(asked, q, time) if block.kind == LOOP]
+
+    def follow(q, ahead):
+        time, length = ahead
+        q = retract(asked.system, q, length * v)
+        q = jax.lax.fori_loop(0, FEW_ITERATIONS, lambda _, q: settled(asked, q, loops(q, time)), q)
+        blocks = loops(q, time)
+        rows, left = stacked(asked, blocks)
+        measure = jnp.concatenate([block.measure for block in blocks])
+        rows = rows * scales / measure[:, None]
+        # To first order in what is left the position is the same.
+        closed = jnp.max(jnp.abs(left)) <= NEARLY**2 * asked.arm
+        return q, (rows, closed)
+
+    lengths = jnp.diff(times, prepend=times[:1])
+    rows, closed = jax.lax.scan(follow, q, (times, lengths))[1]
+    sizes = [len(block.left) for block in loops(q, times[0])]
+    return rows, closed, jnp.asarray(np.repeat(np.arange(len(sizes)), sizes))
+
+
+class _Held(NamedTuple):
+    """A loop that drives hold: its rows among those of all loops, and as many free speeds."""
+
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+
+
+class _Rows(NamedTuple):
+    """Rows of all loops that count alike: entries by free speed, what is left of each, the place of
+    its loop."""
+
+    entries: list[dict[int, Any]]
+    left: Float[Array, " rows"]
+    closures: list[int]
+
+
+def _rows_of(asked: Ask, q: Array, time: Any) -> _Rows:
+    """In radians and longest arms."""
+    system, scales = asked.system, speed_scales(asked)
+    motions = motions_at(asked, q, jnp.zeros(system.topology.speed_count), time)[2]
+    entries, left, closures = [], [], []
+    for k, closure in enumerate(system.closures):
+        found = constraints.constraint_rows(system, motions, closure)
+        for i, row, residual in zip(found.kept, found.jacobian, found.residuals, strict=True):
+            measure = asked.arm if len(closure.rows[i]) == 1 else 1.0
+            entries.append({j: x * scales[j] / measure for j, x in row.items()})
+            left.append(jnp.asarray(residual / measure, float))
+            closures.append(k)
+    return _Rows(entries, jnp.stack(left), closures)
+
+
+def _held(entries: list[dict[int, Any]]) -> list[_Held]:
+    """Loops whose free speeds are no more than their rows: drives alone move them."""
+    groups: list[tuple[set[int], set[int]]] = []
+    for i, row in enumerate(entries):
+        one = ({i}, set(row))
+        apart = [own for own in groups if not own[1] & one[1]]
+        for own in groups:
+            if own[1] & one[1]:
+                one = (one[0] | own[0], one[1] | own[1])
+        groups = [*apart, one]
+    return [
+        _Held(tuple(sorted(rows)), tuple(sorted(columns)))
+        for rows, columns in groups
+        if len(rows) == len(columns)
+    ]
+
+
+def _matrix(rows: _Rows, held: _Held) -> Float[Array, "n n"]:
+    own = [[rows.entries[i].get(j, 0.0) for j in held.columns] for i in held.rows]
+    return jnp.stack([jnp.stack([jnp.asarray(x, float) for x in row]) for row in own])
+
+
+def _determinants(asked: Ask, q: Array, time: Any) -> Float[Array, " held"]:
+    rows = _rows_of(asked, q, time)
+    found = [jnp.linalg.det(_matrix(rows, held)) for held in _held(rows.entries)]
+    return jnp.stack(found) if found else jnp.zeros(0)
+
+
+def _rates(asked: Ask, q: Array, v: Array, time: Any, length: Any) -> tuple[Array, Array]:
+    """Determinants of the loops that drives hold, and their rates along a motion, by a difference
+    over a share of a `length` [s]: a derivative takes twice as long to compile."""
+    ahead = AHEAD * length
+    places = jnp.stack([q, retract(asked.system, q, ahead * v)])
+    now, then = jax.vmap(lambda *at: _determinants(asked, *at))(
+        places, time + ahead * jnp.arange(2)
+    )
+    return now, (then - now) / ahead
+
+
+@compiled_quickly
+def _along(mechanism: Mechanism, q: Array, v: Array, times: Array) -> tuple[Array, ...]:
+    """At each saved state: determinants, their rates, how fast the fastest coordinate is
+    [rad/s, longest arms/s]; and how far the drives move in each saving interval."""
+    asked = ask(mechanism, False)
+    scales = speed_scales(asked)
+    lengths = jnp.diff(times, append=times[-1:] + times[-1:] - times[-2:-1])
+    values, rates = jax.vmap(lambda *state: _rates(asked, *state))(q, v, times, lengths)
+    shares = jnp.linspace(0.0, 1.0, DRIVES_ASKED)
+    instants = times[:-1, None] + jnp.diff(times)[:, None] * shares
+    moved = jnp.zeros(len(times) - 1)
+    for name in mechanism.driven:
+        joint = mechanism.connections[name].joint
+        place = jax.vmap(jax.vmap(lambda time, j=joint: 1.0 * j.drive.motion(time)[0]))(instants)
+        unit = asked.arm if joint.units == ("m",) else 1.0
+        moved = jnp.maximum(moved, jnp.sum(abs(jnp.diff(place, axis=1)), axis=1) / unit)
+    return values, rates, jnp.max(abs(v / scales), axis=1, initial=0.0), moved
+
+
+class _Candidates(NamedTuple):
+    """Where a determinant may be 0, by interval and place: between which instants [s], of which
+    loop, from which coordinates on."""
+
+    count: Int[Array, " intervals"]
+    begins: Float[Array, "intervals most"]
+    ends: Float[Array, "intervals most"]
+    held: Int[Array, "intervals most"]
+    places: Float[Array, "intervals most q"]
+
+
+def _nearly_zero(before: tuple, after: tuple, length: Any, usual: Array) -> Bool[Array, " held"]:
+    """Whether a determinant may be 0 within a time, by its values and rates at both ends; `usual`:
+    its size."""
+    (a, slope_a), (b, slope_b) = before, after
+    toward = (a * slope_a < 0) & (b * slope_b > 0)
+    reach = (abs(a) < 2 * length * abs(slope_a)) & (abs(b) < 2 * length * abs(slope_b))
+    at_an_end = jnp.minimum(abs(a), abs(b)) < NEARLY * usual
+    return (a * b <= 0) | (toward & reach) | at_an_end
+
+
+@compiled_quickly
+def _followed(
+    mechanism: Mechanism, motion: tuple[Array, ...], spans: tuple[Array, ...], usual: Array
+) -> _Candidates:
+    """The candidates of intervals, from the motion (q, v) at their begins; `spans`: when they begin
+    and end [s], and how many of them count."""
+    asked, (q, v), (begins, ends, number) = ask(mechanism, False), motion, spans
+    scales = speed_scales(asked)
+
+    def closer(_, now):
+        place, gone, time = now
+        rows = _rows_of(asked, place, time)
+        matrix = jnp.stack([_dense(row, len(scales)) for row in rows.entries])
+        damping = DAMPING * jnp.sum(rows.left**2) + LEAST_DAMPING
+        shares = jnp.linalg.solve(matrix @ matrix.T + damping * jnp.eye(len(matrix)), rows.left)
+        step = -scales * (matrix.T @ shares)
+        return retract(asked.system, place, step), gone + step, time
+
+    def part(carry):
+        k, parts, time, place, speed, last, found = carry
+        left = ends[k] - time
+        fast = jnp.max(abs(speed / scales))
+        length = jnp.minimum(left, FOLLOWED / jnp.maximum(fast, FOLLOWED / left))
+        there = jnp.where(length < left, time + length, ends[k])
+        ahead = retract(asked.system, place, length * speed), length * speed, there
+        after, gone, _ = jax.lax.fori_loop(0, CLOSING, closer, ahead)
+        now = _rates(asked, after, gone / length, there, length)
+        zero = _nearly_zero(last, now, length, usual)
+        any_zero, at = jnp.any(zero), jnp.minimum(found.count[k], CANDIDATES - 1)
+        keep = lambda array, value: array.at[k, at].set(jnp.where(any_zero, value, array[k, at]))
+        found = _Candidates(
+            found.count.at[k].add(jnp.where(any_zero, 1, 0)),
+            keep(found.begins, time),
+            keep(found.ends, there),
+            keep(found.held, jnp.argmax(zero)),
+            keep(found.places, place),
+        )
+        return k, parts + 1, there, after, gone / length, now, found
+
+    def interval(k, found):
+        first = _rates(asked, q[k], v[k], begins[k], ends[k] - begins[k])
+        begun = k, 0, begins[k], q[k], v[k], first, found
+        goes_on = lambda carry: (carry[2] < ends[k]) & (carry[1] < MOST_PARTS)
+        return jax.lax.while_loop(goes_on, part, begun)[-1]
+
+    many = (len(begins), CANDIDATES)
+    nothing = _Candidates(
+        jnp.zeros(many[0], int),
+        jnp.zeros(many),
+        jnp.zeros(many),
+        jnp.zeros(many, int),
+        jnp.zeros((*many, q.shape[1])),
+    )
+    return jax.lax.fori_loop(0, number, interval, nothing)
+
+
+def _dense(row: dict[int, Any], count: int) -> Array:
+    return jnp.stack([jnp.asarray(row.get(j, 0.0), float) for j in range(count)])
+
+
+@compiled_quickly
+def _confirmed(
+    mechanism: Mechanism, q: Array, begin: Any, end: Any, held: Any, usual: Array
+) -> tuple[Array, ...]:
+    """(when the loops are closed and the determinant is 0, what is left of either, for each free
+    speed how much it moves where nothing moves the loops, for each row its share of the forces
+    that no motion feels), by Newton's method from the middle of a time [s] on."""
+    asked = ask(mechanism, False)
+    scales, span = speed_scales(asked), end - begin
+
+    def missed(moved):
+        place, time = retract(asked.system, q, scales * moved[:-1]), begin + span * moved[-1]
+        rows = _rows_of(asked, place, time)
+        return jnp.append(rows.left, (_determinants(asked, place, time) / usual)[held])
+
+    def nearer_to_it(_, moved):
+        left, slope = missed(moved), jax.jacfwd(missed)(moved)
+        damping = DAMPING * jnp.sum(left**2) + LEAST_DAMPING
+        damped = slope @ slope.T + damping * jnp.eye(len(left))
+        step = -slope.T @ jnp.linalg.solve(damped, left)
+        return moved + step * jnp.minimum(1.0, 0.3 / jnp.max(abs(step)))
+
+    first = jnp.zeros(len(scales) + 1).at[-1].set(0.5)
+    moved = jax.lax.fori_loop(0, NEWTON, nearer_to_it, first)
+    time, place = begin + span * moved[-1], retract(asked.system, q, scales * moved[:-1])
+    rows = _rows_of(asked, place, time)
+    columns, forces = [], []
+    for own in _held(rows.entries):
+        left, _, right = jnp.linalg.svd(_matrix(rows, own))
+        columns.append(jnp.zeros(len(scales)).at[jnp.array(own.columns)].set(abs(right[-1])))
+        forces.append(jnp.zeros(len(rows.left)).at[jnp.array(own.rows)].set(left[:, -1] ** 2))
+    loops = jnp.zeros(len(mechanism.topology.loops)).at[jnp.array(rows.closures)]
+    return (
+        time,
+        jnp.max(abs(missed(moved))),
+        jnp.stack(columns)[held],
+        loops.add(jnp.stack(forces)[held]),
+    )
+
+
+def met(trajectory: Trajectory) -> tuple[SingularPosition, ...]:
+    """The singular positions of loops that drives hold, in a run of one mechanism that has reached
+    its end; nothing is worked out where no drive moves a loop."""
+    history = trajectory.history
+    topology = history.mechanism.topology
+    if not topology.loops or topology.depend or not history.mechanism.driven:
+        return ()
+    mechanism, states, times = constant((history.mechanism, history.states, history.time))
+    count = topology.coordinate_count
+    q, v = states[:, :count], states[:, count : count + topology.speed_count]
+    if not v.shape[1]:
+        return ()
+    values, rates, fast, driven = map(np.asarray, _along(mechanism, q, v, times))
+    if not values.shape[1] or not np.all(np.isfinite(values)):
+        return ()
+    instants, usual = np.asarray(times), np.max(abs(values), axis=0)
+    doubtful = np.flatnonzero(_doubtful(values, rates, fast, driven, np.diff(instants)))
+    if not len(doubtful):
+        return ()
+    places = np.resize(doubtful, 2 ** int(np.ceil(np.log2(max(len(doubtful), 8)))))
+    spans = times[places], times[places + 1], jnp.asarray(len(doubtful))
+    found = _followed(mechanism, (q[places], v[places]), spans, jnp.asarray(usual))
+    sure = []
+    for k in range(len(doubtful)):
+        for at in range(min(int(found.count[k]), CANDIDATES)):
+            begin, end, held = found.begins[k, at], found.ends[k, at], found.held[k, at]
+            one = _confirmed(mechanism, found.places[k, at], begin, end, held, usual)
+            time, left = float(one[0]), float(one[1])
+            near = begin - (end - begin) <= time <= end + (end - begin)
+            if left <= CLOSED and near:
+                sure.append((time, int(held), np.asarray(one[2]), np.asarray(one[3])))
+    return _told(history, sure, instants, values, np.asarray(v))
+
+
+def _doubtful(
+    values: np.ndarray, rates: np.ndarray, fast: np.ndarray, driven: np.ndarray, lengths: np.ndarray
+) -> np.ndarray:
+    """Which saving intervals may hold a zero of a determinant, as far as their ends tell."""
+    steps = lengths[:, None]
+    before, after = abs(values[:-1]), abs(values[1:])
+    reached = before < 2 * steps * abs(rates[:-1])
+    reached |= after < 2 * steps * abs(rates[1:])
+    moved = np.maximum(lengths * np.maximum(fast[:-1], fast[1:]), driven)
+    changed = values[:-1] * values[1:] <= 0
+    return np.any(reached | changed, axis=1) | (moved > SHOWN)
+
+
+def _told(
+    history: StateHistory, sure: list[tuple], times: np.ndarray, values: np.ndarray, v: np.ndarray
+) -> tuple[SingularPosition, ...]:
+    """What is found, each once, with what the run did there."""
+    topology, alone = history.mechanism.topology, []
+    for one in sorted(sure, key=lambda one: one[0]):
+        close = CLOSED * (times[-1] - times[0])
+        if not any(one[1] == known[1] and one[0] - known[0] <= close for known in alone):
+            alone.append(one)
+    speeds = [branch.name for branch in topology.branches for _ in range(branch.speed_count)]
+    found = []
+    for time, held, columns, forces in alone:
+        clear = abs(values[:, held]) > NEARLY * np.max(abs(values[:, held]))
+        before = np.flatnonzero(clear & (times < time))
+        after = np.flatnonzero(clear & (times > time))
+        # Of several that move alike the one nearest to the ground.
+        free = int(np.argmax(columns > 0.5 * np.max(columns)))
+        turned, around = None, (0.0, 0.0)
+        if len(before) and len(after):
+            a, b = before[-1], after[0]
+            between = [x for x in alone if x[1] == held and times[a] < x[0] < times[b]]
+            if len(between) == 1:
+                turned = bool(values[a, held] * values[b, held] > 0)
+                around = float(v[a, free]), float(v[b, free])
+        loop = topology.loops[int(np.argmax(forces))]
+        drives = history.mechanism.driven
+        found.append(SingularPosition(loop, time, speeds[free], drives, turned, around))
+    return tuple(found)

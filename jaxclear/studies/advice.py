@@ -1,0 +1,573 @@
+"""The integrator to take for a problem at an accuracy of its responses, what the others cost, and
+what another model of contact leaves out.
+
+It is the choice that `accuracy=` makes (`errors.choice`), asked of more rungs and of several
+samples, with all that it saw. A setting's error is what finer ones, its replicas, change; what a
+model leaves out is how far it is from the stated one, beside that one's reference.
+"""
+
+import math
+import time
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from tqdm import tqdm
+
+from jaxclear.errors.accuracy import beside
+from jaxclear.errors.choice import Question, Search, Tried, budget_of
+from jaxclear.errors.rungs import Rung, listed_rung, others_of, rungs_of
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_flags, check_known, check_number, expect
+from jaxclear.ground.compiling import AROUND_A_KERNEL, compiled_quickly
+from jaxclear.ground.in_words import as_typed
+from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
+from jaxclear.ground.shown import AbstractShown
+from jaxclear.ground.wording import described
+from jaxclear.integrators import AbstractIntegrator
+from jaxclear.simulation.beginning import beginning
+from jaxclear.simulation.saving import Saving
+from jaxclear.simulation.simulate import How, check_run, repeated
+from jaxclear.studies.datasets import of_rows
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.responses import one_number
+from jaxclear.studies.sampling import draw
+from jaxclear.studies.statistics.scrambled import student
+
+# Integrators by the name of their method, each from coarse to fine.
+Candidates = Mapping[str, Sequence[AbstractIntegrator]]
+# What is tried beside candidates, and what the user had.
+REFERENCE, PRESENT = "reference", "the problem's own"
+# Means over fewer copies have no error worth the name.
+FEWEST = 3
+# Of n copies the worst must keep within n / (n + SPARED) of the accuracy: then another one exceeds
+# it about once in a hundred where errors scatter normally, whatever n.
+SPARED = 3.0
+GONE = ("duration", "reference", "whole", "shorter")
+
+
+class PilotSettings(AbstractQuantified):
+    """Which runs an advice is founded on: so many `copies`, the nominal values and others that
+    `seed` draws from the tolerances. More of them where the answer says that paths part."""
+
+    copies: int = count(8, "nominal and perturbed runs")
+    duration: Any = eqx.field(static=True, default=None)
+    seed: int = count(0, "seed that draws the copies", at_least=0)
+    reference: Any = eqx.field(static=True, default=None)
+    whole: Any = eqx.field(static=True, default=None)
+    shorter: Any = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        for name in GONE:
+            if getattr(self, name) is not None:
+                _warn_of(f"{name} of PilotSettings", "runs are as long as the problem's")
+
+
+class Runs(NamedTuple):
+    """The runs of all copies by one setting: `answers` (copies,) by response; steps accepted and
+    rejected in a run, on the mean; why one failed ("": none did), what they warn of; whether
+    nothing by this kind of steps can be asked (`refused`)."""
+
+    answers: dict[str, np.ndarray]
+    accepted_steps: float
+    rejected_steps: float
+    failure: str
+    warnings: str
+    refused: bool
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether all runs gave numbers."""
+        return not self.failure
+
+    @property
+    def steps(self) -> float:
+        """Steps of a run, on the mean."""
+        return self.accepted_steps + self.rejected_steps
+
+
+class Copies:
+    """A problem and the values (copies, variables) that it is run for, nominal first; by every
+    setting once. `times` [s]: its saving times."""
+
+    def __init__(self, problem: Problem, values: np.ndarray):
+        self.problem, self.values = problem, values
+        self.times = np.asarray(problem.shares * problem.duration)
+        how = How(Saving(self.times, problem.events), problem.state)
+        duration = float(problem.duration)
+        self._runs = [repeated(problem.with_values(row), duration, how) for row in values]
+        self._drawn = compiled_quickly(self._answers, AROUND_A_KERNEL)
+        self._known: dict[tuple, Runs] = {}
+
+    def _answers(self, run: Any) -> dict[str, Any]:
+        return {name: one_number(name, own(run)) for name, own in self.problem.response.items()}
+
+    def run(self, integrator: AbstractIntegrator, share: float = 1.0) -> Runs:
+        """All copies over a share of the duration. What an integrator cannot do is a sentence."""
+        leaves, kind = jax.tree.flatten(integrator)
+        key = kind, share, *(np.asarray(leaf).tobytes() for leaf in leaves)
+        if key not in self._known:
+            self._known[key] = self._run(integrator, share)
+        return self._known[key]
+
+    def _run(self, integrator: AbstractIntegrator, share: float) -> Runs:
+        rows, steps = [], np.zeros(2)
+        warned: list[str] = []
+        failure, refused = "", False
+        for again in self._runs:
+            try:
+                run = again(integrator, share)
+                steps += int(run.accepted_steps), int(run.rejected_steps)
+                failure = "" if run.succeeded else run.result
+                answers = {} if failure else self._drawn(run)
+            except (ValueError, TypeError, NotImplementedError) as error:
+                failure, refused = str(error), True
+            if failure:
+                break
+            warned += run.warnings[:1]
+            rows.append({name: float(x) for name, x in answers.items()})
+        accepted, rejected = steps / max(len(rows), 1)
+        answers = {n: np.array([row[n] for row in rows]) for n in self.problem.response_names}
+        endless = [f'"{n}"' for n, own in answers.items() if not np.all(np.isfinite(own))]
+        if endless and not failure:
+            failure = f"not finite: response {', '.join(endless)}."
+        said = f"{len(warned)} of {len(rows)} runs warn: {warned[0]}" if warned else ""
+        return Runs(answers, accepted, rejected, failure, said, refused)
+
+    def seconds(self, integrator: AbstractIntegrator) -> float:
+        """Computing time of the nominal run [s], compiled before."""
+        begun = time.process_time()
+        self._drawn(self._runs[0](integrator, 1.0))
+        return time.process_time() - begun
+
+
+class Asked(NamedTuple):
+    """The accuracy [1] asked of responses, beside their root mean square over the copies or the
+    `sizes` that are given; of single runs, or of `means` over the copies."""
+
+    accuracy: float
+    sizes: Mapping[str, float]
+    means: bool
+
+    def limit(self, copies: int) -> float:
+        """The largest error told that passes [1]."""
+        return self.accuracy * (1.0 if self.means or copies == 1 else copies / (copies + SPARED))
+
+    def beside(self, one: dict, other: dict) -> dict[str, float]:
+        """By response how far two settings are apart, beside what is allowed."""
+        return {name: beside(*self._apart(name, one[name], other[name])) for name in one}
+
+    def _apart(self, name: str, one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+        size = self.sizes.get(name, float(np.sqrt(np.mean(one**2))))
+        off, copies = one - other, len(one)
+        apart = float(np.max(np.abs(off)))
+        if self.means:
+            width = student(copies) * off.std(ddof=1) / math.sqrt(copies)
+            apart = float(abs(off.mean()) + width)
+        return apart, size * self.limit(copies)
+
+
+class Trial(NamedTuple):
+    """A setting of a `method`: its `work` in a run [evaluations of forces], its `errors` by
+    response as shares [1] of that, as told by finer settings; what its model leaves out
+    (`left_out`, the same, empty where it is the stated one), whether it `meets` the accuracy."""
+
+    method: str
+    integrator: AbstractIntegrator
+    work: int
+    errors: dict[str, float]
+    left_out: dict[str, float]
+    meets: bool
+    remark: str = ""
+
+    @property
+    def total(self) -> dict[str, float]:
+        """Errors with what the model leaves out."""
+        return {n: max(error, self.left_out.get(n, 0.0)) for n, error in self.errors.items()}
+
+    @property
+    def worst(self) -> tuple[str, float]:
+        """The response that is off furthest, and by which share."""
+        total = self.total
+        name = max(total, key=lambda each: total[each], default="")
+        return name, total.get(name, math.nan)
+
+
+class Advice(AbstractShown):
+    """What to take for the problem that was `asked` about. `recommended` is the integrator,
+    `problem` the problem with it, `sentence()` the answer in words, `why_not()` what is wrong with
+    the others, `table()` every trial; `jaxclear.plot.work_precision` draws it.
+
+    `chosen`: the trial that is recommended, `trials` all of them; `cost`: CPU seconds for a
+    simulated second of one run. `at(accuracy)` asks the same at another accuracy, `of_means()` of
+    means over the copies; both run only what is not known yet.
+    """
+
+    copies: Copies = eqx.field(static=True)
+    wanted: Asked
+    rungs: "_Rungs"
+    trials: tuple[Trial, ...]
+    chosen: Trial
+    cost: float
+    if_means: Trial | None = None
+
+    @property
+    def asked(self) -> Problem:
+        """The problem that was asked about."""
+        return self.copies.problem
+
+    @property
+    def accuracy(self) -> float:
+        """The accuracy that was asked for [1]."""
+        return self.wanted.accuracy
+
+    @property
+    def met(self) -> bool:
+        """True where the recommended setting keeps the accuracy, as finer ones tell."""
+        return self.chosen.meets
+
+    @property
+    def recommended(self) -> AbstractIntegrator:
+        """The integrator to take."""
+        return self.chosen.integrator
+
+    @property
+    def problem(self) -> Problem:
+        """The problem with the recommended integrator."""
+        return self.asked.with_integrator(self.recommended)
+
+    def at(self, accuracy: float) -> "Advice":
+        """The same at another accuracy."""
+        return _advised(self.copies, self.wanted._replace(accuracy=_checked(accuracy)), self.rungs)
+
+    def of_means(self) -> "Advice":
+        """The same of means over the copies."""
+        _check_means(len(self.copies.values))
+        return _advised(self.copies, self.wanted._replace(means=True), self.rungs)
+
+    def sentence(self) -> str:
+        """The answer in plain words."""
+        parts = [self._recommended(), *self._models(), self._own(), *self._means()]
+        many = len(self.copies.values)
+        runs = "one run" if many == 1 else f"{many} runs within the tolerances"
+        return " ".join([*parts, *self.warnings(), f"Seen on {runs}."])
+
+    def _recommended(self) -> str:
+        trial, asked = self.chosen, _percent(self.accuracy)
+        text, (which, error) = as_typed(trial.integrator), trial.worst
+        named = f' in "{which}"' if len(trial.errors) > 1 else ""
+        found = f"{text} keeps {asked}:" if self.met else f"Nothing tried keeps {asked}; {text}:"
+        seconds = f"{self.cost * float(self.asked.duration):.2g} s"
+        return (
+            f"{found} error told {_percent(error)}{named}, {trial.work} evaluations of forces a "
+            f"run, {seconds} here."
+        )
+
+    def _models(self) -> Iterator[str]:
+        for name in self.rungs.other:
+            own = [trial for trial in self.trials if trial.method == name and trial.left_out]
+            if own:
+                best = min(own, key=lambda trial: trial.worst[1])
+                which, off = best.worst
+                yield (
+                    f"{as_typed(best.integrator)}, another model of contact, is {_percent(off)} "
+                    f'off in "{which}" with {self._times(best)}.'
+                )
+
+    def _times(self, trial: Trial) -> str:
+        return f"{trial.work / max(self.chosen.work, 1):.2g} times the work"
+
+    def _own(self) -> str:
+        (own,) = (trial for trial in self.trials if trial.method == PRESENT)
+        text = f"The problem's own {as_typed(own.integrator)}"
+        if own.remark:
+            return f"{text} fails: {own.remark}"
+        which, off = own.worst
+        return f'{text} is {_percent(off)} off in "{which}" with {self._times(own)}.'
+
+    def _means(self) -> Iterator[str]:
+        copies = len(self.copies.values)
+        if self.wanted.means:
+            yield "Judged are means over the copies, not single runs."
+            if not self.met:
+                more = math.ceil(copies * (self.chosen.worst[1] / self.accuracy) ** 2)
+                yield f"Some {more} copies would tell them so far."
+        elif self.if_means is not None:
+            text = as_typed(self.if_means.integrator)
+            yield f"If only means over the tolerances count, {text} is enough."
+        elif not self.met:
+            least = f"at least {FEWEST}" if copies < FEWEST else "more"
+            yield f"Where single runs part, as chaotic ones do, ask means over {least} copies."
+
+    def __str__(self) -> str:
+        others = (f"Not {name}: {why}" for name, why in self.why_not().items())
+        return "\n".join([self.sentence(), *others])
+
+    def warnings(self) -> list[str]:
+        """What the runs of the recommended setting warn of, in sentences."""
+        said = self.copies.run(self.recommended).warnings
+        return [said] if said else []
+
+    def why_not(self) -> dict[str, str]:
+        """Why each other method is not the one recommended, in a sentence."""
+        names = [*self.rungs.stated, *self.rungs.other]
+        return {name: self._why_not(name) for name in names if name != self.chosen.method}
+
+    def _why_not(self, name: str) -> str:
+        own = [trial for trial in self.trials if trial.method == name]
+        tried = [trial for trial in own if not trial.remark]
+        if own and not tried:
+            return f"fails: {own[-1].remark}"
+        if not tried:
+            return "dearer: its first setting takes more than what is recommended."
+        best = min(tried, key=lambda trial: trial.worst[1])
+        ratio = self._times(best)
+        if best.meets:
+            return f"dearer: {as_typed(best.integrator)} keeps it with {ratio}."
+        which, off = best.worst
+        text = f'{_percent(off)} in "{which}" with {as_typed(best.integrator)}'
+        if best.left_out:
+            return f"another model of contact: {text}, at {ratio}."
+        if off <= self.accuracy:
+            return f"too near: {text}, at {ratio}, leaves too little to samples not seen."
+        return f"too inaccurate: {text}, at {ratio}."
+
+    def table(self) -> Any:
+        """All trials as a pandas table: work in evaluations of forces in a run, errors as shares of
+        the size of a response."""
+        import pandas
+
+        return pandas.DataFrame([self._row(trial) for trial in self.trials])
+
+    def _row(self, trial: Trial) -> dict[str, Any]:
+        which, error = trial.worst
+        names = self.asked.response_names
+        row: dict[str, Any] = {"method": trial.method, "setting": as_typed(trial.integrator)}
+        row |= {"work": trial.work, "worst response": which, "error": error}
+        row |= {f"error in {name}": trial.errors.get(name, math.nan) for name in names}
+        left_out = max(trial.left_out.values(), default=math.nan)
+        recommended = trial is self.chosen
+        row |= {"left out by the model": left_out, "meets": trial.meets}
+        return row | {"recommended": recommended, "remark": trial.remark}
+
+    def to_dataset(self) -> Any:
+        """The table as an xarray Dataset over the trials, with provenance."""
+        return of_rows("advice", "trial", self.table(), self.asked, result=self.sentence())
+
+
+class _Rungs(NamedTuple):
+    """Rungs by the name of their method: of the model as it is `stated`, or as the user asks, and
+    of `other` models of contact."""
+
+    stated: dict[str, Rung]
+    other: dict[str, Rung]
+
+
+@answering
+def advise(
+    problem: Problem,
+    accuracy: float = 0.01,
+    *,
+    candidates: Candidates | None = None,
+    pilot: PilotSettings | None = None,
+    scales: Mapping[str, float] | None = None,
+    means: bool = False,
+    batch: int | None = None,
+    progress_bar: bool = False,
+) -> Advice:
+    """The integrator that keeps `accuracy` in every response of a problem at the least work; see
+    `Advice`. It is what `Problem(accuracy=)` chooses from the nominal sample, asked of several
+    samples and of more methods; work is counted in evaluations of forces.
+
+    `accuracy` [1]: largest error beside a response's root mean square over the copies, or its size
+    in `scales` (for a response about zero). `candidates`: integrators to try in the place of all
+    that jaxclear has, by method, coarse to fine; those of another model of contact count by how far
+    they are from the stated one. `pilot`: the runs it is founded on. `means`: judge means over the
+    copies instead of single runs. `batch` counts for nothing and goes with the next version. Raises
+    `ValueError` with a sentence for what cannot be asked, and where no run gives numbers.
+    """
+    check_double_precision()
+    expect(problem, Problem, "what advice is given on", "a jaxclear.Problem")
+    pilot = PilotSettings() if pilot is None else pilot
+    expect(pilot, PilotSettings, "the pilot", "a jaxclear.PilotSettings")
+    check_flags("advise", means=means, progress_bar=progress_bar)
+    if batch is not None:
+        _warn_of("batch of advise", "work is counted, alone as in a batch")
+    asked = Asked(_checked(accuracy), _checked_sizes(problem, scales), means)
+    copies = Copies(problem, _values(problem, pilot))
+    if means:
+        _check_means(len(copies.values))
+    return _advised(copies, asked, _rungs(problem, copies.times, candidates), progress_bar)
+
+
+def _searched(
+    copies: Copies, asked: Asked, rungs: _Rungs, bar: Any
+) -> tuple[Search, dict[str, list[Tried]]]:
+    """The search among rungs of the stated model, and by method what was judged, of others too."""
+    apart = lambda _, one, other: asked.beside(one, other)
+    question = Question(lambda runs: runs.answers, apart, copies.times)
+    budget = budget_of(copies.times, len(copies.values))
+    search, tried = Search(copies.run, question, budget), {}
+    for name, rung in rungs.stated.items():
+        known = len(search.judged)
+        search.climb(rung)
+        tried[name] = search.judged[known:]
+        bar.update(1)
+    for name, rung in rungs.other.items():
+        aside = Search(copies.run, question, budget, search.best)
+        if copies.run(rung.first).refused:
+            aside.judged.append(Tried(rung, rung.first, None, None, 0, {}))
+        else:
+            aside.climb(rung)
+        tried[name] = aside.judged
+        bar.update(1)
+    return search, tried
+
+
+def _advised(copies: Copies, asked: Asked, rungs: _Rungs, progress_bar: bool = False) -> Advice:
+    steps = len(rungs.stated) + len(rungs.other)
+    with tqdm(total=steps, desc="advice", disable=not progress_bar) as bar:
+        search, tried = _searched(copies, asked, rungs, bar)
+    found = search.best or search.nearest
+    if found is None:
+        raise ValueError(_why_nothing(copies, rungs))
+    _check_sizes(asked, found)
+    seen, limit = (search.reference or found).seen, asked.limit(len(copies.values))
+    shares = lambda errors: {name: limit * error for name, error in errors.items()}
+    off = lambda answers: shares(asked.beside(answers, seen))
+    kept = lambda errors: all(error <= limit for error in errors.values())
+
+    def trial(name: str, one: Tried) -> Trial:
+        left_out = off(one.seen) if name in rungs.other and one.errors else {}
+        meets = one.told <= 1 and kept(left_out)
+        why = copies.run(one.integrator).failure or ("" if one.errors else "in finer steps.")
+        return Trial(name, one.integrator, one.work, shares(one.errors), left_out, meets, why)
+
+    trials = {id(one): trial(name, one) for name, own in tried.items() for one in own}
+    own = copies.problem.integrator
+    runs, work = copies.run(own), own.evaluations(copies.problem.mechanism)
+    errors = {} if runs.failure else off(runs.answers)
+    meets = not runs.failure and kept(errors)
+    present = Trial(PRESENT, own, round(work * runs.steps), errors, {}, meets, runs.failure)
+    chosen = trials[id(found)]
+    cost = copies.seconds(chosen.integrator) / float(copies.problem.duration)
+    enough = chosen.meets or asked.means or len(copies.values) < FEWEST
+    means = None if enough else _advised(copies, asked._replace(means=True), rungs)
+    told = means.chosen if means is not None and means.met else None
+    return Advice(copies, asked, rungs, (present, *trials.values()), chosen, cost, told)
+
+
+def _rungs(problem: Problem, times: np.ndarray, candidates: Candidates | None) -> _Rungs:
+    """What is tried: the candidates beside a reference, or all that suits the mechanism."""
+    mechanism = problem.mechanism
+    accepts = lambda integrator: check_run(mechanism, integrator)
+    first = rungs_of(mechanism, times, accepts)
+    if candidates is None:
+        more, other = others_of(mechanism, times, accepts)
+        named = lambda rungs: {_method(rung.first): rung for rung in rungs}
+        return _Rungs(named([*first, *more]), named(other))
+    _check_candidates(candidates)
+    own = {name: listed_rung(settings, mechanism) for name, settings in candidates.items()}
+    return _Rungs({REFERENCE: first[0], **own}, {})
+
+
+def _method(integrator: Any) -> str:
+    """What a kind of steps is called."""
+    kind = type(integrator).__name__
+    if kind != "FixedStep":
+        return kind
+    return f"{kind} {integrator.method if integrator.contact_steps is None else 'contact_steps'}"
+
+
+def _values(problem: Problem, pilot: PilotSettings) -> np.ndarray:
+    """Values (copies, variables), nominal first, of mechanisms that can be."""
+    if not problem.names:
+        return np.zeros((1, 0))
+    nominal = np.asarray(problem.nominal())[None]
+    if pilot.copies == 1:
+        return nominal
+    drawn = draw(problem, pilot.copies - 1, pilot.seed)
+    return np.concatenate([nominal, [row for row in drawn if _possible(problem, row)]])
+
+
+def _possible(problem: Problem, values: np.ndarray) -> bool:
+    """Whether there is a mechanism of these values, and it can start."""
+    mechanism = problem.seen(jnp.asarray(values))
+    if not all(bool(np.all(inside(leaf, known))) for _, leaf, known in numbers(mechanism)):
+        return False
+    try:
+        beginning(mechanism, problem.integrator.formulation, problem.state)
+    except ValueError:
+        return False
+    return True
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.3g} %"
+
+
+def _warn_of(what: str, why: str) -> None:
+    said = f"{what} counts for nothing and goes with the next version: {why}."
+    warnings.warn(said, DeprecationWarning, stacklevel=4)
+
+
+def _why_nothing(copies: Copies, rungs: _Rungs) -> str:
+    first = next(iter(rungs.stated.values())).first
+    why = copies.run(first).failure or "no finer steps tell its error within the work allowed."
+    return f"no setting tried gives numbers to compare; with {as_typed(first)}: {why}"
+
+
+def _checked(accuracy: Any) -> float:
+    wanted = "the accuracy (a share of each response, 0.01 for 1 %)"
+    check_number(wanted, accuracy, above=0, below=1)
+    return float(accuracy)
+
+
+def _checked_sizes(problem: Problem, scales: Any) -> dict[str, float]:
+    scales = {} if scales is None else scales
+    expect(scales, Mapping, "scales of advise", "a dictionary: a size by response")
+    for name, size in scales.items():
+        check_known("response", name, problem.response_names, " in this problem")
+        check_number(f'the scale of response "{name}" (in its own unit)', size, above=0)
+    return {name: float(size) for name, size in scales.items()}
+
+
+def _check_sizes(asked: Asked, found: Tried) -> None:
+    """Raises `ValueError` for a response of no size."""
+    for name, answers in found.seen.items():
+        if name not in asked.sizes and not np.any(answers):
+            raise ValueError(
+                f'response "{name}" is 0 in every copy, which gives an error no measure; give its '
+                "size in `scales`."
+            )
+
+
+def _check_means(copies: int) -> None:
+    """Raises `ValueError` with a sentence where copies are too few for means."""
+    if copies < FEWEST:
+        raise ValueError(
+            f"means need at least {FEWEST} copies of a problem with variables; there are {copies}."
+        )
+
+
+def _check_candidates(candidates: Any) -> None:
+    """Raises `ValueError` with a sentence for what cannot be tried."""
+    if not isinstance(candidates, Mapping) or not candidates:
+        raise ValueError(
+            f"candidates is {described(candidates)}; it must name one or more sequences of "
+            "integrators, coarse to fine."
+        )
+    for name, settings in candidates.items():
+        if name in (REFERENCE, PRESENT):
+            raise ValueError(f'no method may be called "{name}"; the advice has one of that name.')
+        known = isinstance(settings, Sequence) and settings
+        if not known or not all(isinstance(each, AbstractIntegrator) for each in settings):
+            raise ValueError(
+                f'candidates["{name}"] is {settings!r}; it must be a sequence of integrators, '
+                "coarse to fine."
+            )

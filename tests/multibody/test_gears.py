@@ -1,0 +1,352 @@
+"""Couplings of bodies against closed forms: gear pairs, planetary sets, racks, belts, screws, and
+what their bearings carry.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.components.coupling import AbstractBodyCoupling
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.pose import Pose
+
+TURN = jc.joint.Revolute()
+J_A, J_B, R_A, R_B = 1e-4, 2e-3, 0.02, 0.06
+DRIVING, LOAD = 0.2, -0.3
+TEETH = np.radians(20.0)
+STEPS = jc.integrator.FixedStep(1e-3)
+
+
+def pair(coupling, distance=R_A + R_B, axes=("z", "z"), joints=(TURN, TURN), turned_round=False):
+    """Two shafts on the ground, under torques, coupled."""
+    places = [
+        jc.Marker("ground", (x, 0.0, 0.0), axis=a)
+        for x, a in zip((0.0, distance), axes, strict=True)
+    ]
+    own = [jc.Marker(body, axis=a) for body, a in zip("ab", axes, strict=True)]
+    ends = list(zip(places, own, strict=True))
+    if turned_round:
+        ends[1] = ends[1][::-1]
+    return jc.Mechanism(
+        {"a": jc.Body(0.3, (J_A,) * 3), "b": jc.Body(1.0, (J_B,) * 3)},
+        {n: jc.Connection(j, *e) for n, j, e in zip("AB", joints, ends, strict=True)},
+        {"m": jc.load.JointTorque("A", DRIVING), "l": jc.load.JointTorque("B", LOAD)},
+        couplings={"mesh": coupling},
+    )
+
+
+RATIO = R_B / R_A
+# (coupling, distance of the axes, turns of b for one of a)
+PAIRS = {
+    "gear": (jc.coupling.Gear("A", "B", RATIO), R_A + R_B, -1 / RATIO),
+    "involutes": (jc.coupling.Gear("A", "B", RATIO, pressure_angle=TEETH), 0.08, -1 / RATIO),
+    "ring": (jc.coupling.Gear("A", "B", RATIO, internal=True), R_B - R_A, 1 / RATIO),
+    "ring first": (jc.coupling.Gear("A", "B", 1 / RATIO, internal=True), R_B - R_A, RATIO),
+    "belt": (jc.coupling.Belt("A", "B", R_A, R_B), 0.3, 1 / RATIO),
+    "crossed": (jc.coupling.Belt("A", "B", R_A, R_B, crossed=True), 0.3, -1 / RATIO),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_wheels_turn_by_their_ratio(name):
+    coupling, distance, share = PAIRS[name]
+    run = jc.simulate(pair(coupling, distance), 0.4, save=5, balance=True, integrator=STEPS)
+    wanted = (DRIVING + LOAD * share) / (J_A + J_B * share**2)
+    angle = 0.5 * wanted * np.asarray(run.time) ** 2
+    # up to 12 turns, a parabola is exact for the integrator: rounding, over angles of 70 rad
+    np.testing.assert_allclose(run.coordinate("A")[:, 0], angle, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(run.coordinate("B")[:, 0], share * angle, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-9)
+    np.testing.assert_allclose(run.drift()["mesh"], 0.0, atol=1e-12)
+    assert run.warnings == ()
+    # the torque on a, by the radius where the force acts
+    torque = J_A * wanted - DRIVING
+    radius = R_A * (np.cos(TEETH) if name == "involutes" else 1.0)
+    if name == "ring first":
+        radius = R_B
+    np.testing.assert_allclose(run.transmitted("mesh"), torque / radius, rtol=1e-11)
+
+
+@pytest.mark.parametrize("turned_round", [False, True])
+def test_axes_that_point_opposite_ways_mesh_alike(turned_round):
+    gear = jc.coupling.Gear("A", "B", RATIO, pressure_angle=TEETH)
+    rig = pair(gear, axes=("z", "-z"), turned_round=turned_round)
+    run = jc.simulate(rig, 0.2, save=3, integrator=STEPS)
+    share = (-1 if turned_round else 1) / RATIO
+    np.testing.assert_allclose(
+        run.coordinate("B")[:, 0], share * run.coordinate("A")[:, 0], rtol=1e-12, atol=1e-12
+    )
+    assert abs(run.coordinate("A")[-1, 0]) > 1.0
+
+
+def test_a_bearing_carries_the_force_of_the_teeth():
+    for sign in (1.0, -1.0):
+        gear = jc.coupling.Gear("A", "B", RATIO, pressure_angle=sign * TEETH)
+        run = jc.simulate(pair(gear), 0.05, save=2, integrator=STEPS)
+        force = float(run.transmitted("mesh")[0])
+        load = np.asarray(run.reaction("A").force)
+        torque = force * R_A * np.cos(TEETH)
+        np.testing.assert_allclose(np.linalg.norm(load, axis=1), abs(force), rtol=1e-9)
+        np.testing.assert_allclose(np.abs(load[:, 1]), abs(torque) / R_A, rtol=1e-9)
+        # wheel b lies at positive x: pressed apart, the bearing holds wheel a towards it
+        apart = force * sign > 0
+        np.testing.assert_allclose(
+            load[:, 0], (1 if apart else -1) * abs(force) * np.sin(TEETH), rtol=1e-9
+        )
+        np.testing.assert_allclose(run.reaction("mesh").force, load, rtol=1e-9, atol=1e-9)
+
+
+def planetary(sun=0.03, planet=0.015, teeth=None):
+    """Sun, ring and carrier on the ground, one planet on the carrier that meshes with both."""
+    ring = sun + 2 * planet
+    gear = jc.coupling.Gear
+    return jc.Mechanism(
+        {
+            "sun": jc.Body(0.2, 1e-4),
+            "ring": jc.Body(0.4, 4e-4),
+            "carrier": jc.Body(0.3, 3e-4),
+            "planet": jc.Body(0.1, 2e-5),
+        },
+        {
+            "S": jc.Connection(TURN, "ground", "sun"),
+            "R": jc.Connection(TURN, "ground", "ring"),
+            "C": jc.Connection(TURN, "ground", "carrier"),
+            "P": jc.Connection(
+                TURN, jc.Marker("carrier", (sun + planet, 0.0)), jc.Marker("planet")
+            ),
+        },
+        {"m": jc.load.JointTorque("S", 1.0), "l": jc.load.JointTorque("C", -0.5)},
+        couplings={
+            "inner": gear("S", "P", planet / sun, pressure_angle=teeth),
+            "outer": gear("P", "R", ring / planet, internal=True, pressure_angle=teeth),
+        },
+    )
+
+
+@pytest.mark.parametrize("teeth", [None, TEETH])
+def test_a_planetary_set_turns_as_willis_says(teeth):
+    sun, planet = 0.03, 0.015
+    ring = sun + 2 * planet
+    run = jc.simulate(planetary(teeth=teeth), 0.3, save=4, balance=True, integrator=STEPS)
+
+    def energy(s, c):
+        p = -sun / planet * (s - c)
+        b = c + planet / ring * p
+        turned = 1e-4 * s**2 + 4e-4 * b**2 + 3e-4 * c**2
+        return 0.5 * (turned + 0.1 * (sun + planet) ** 2 * c**2 + 2e-5 * (c + p) ** 2)
+
+    mixed = energy(1, 1) - energy(1, 0) - energy(0, 1)
+    matrix = np.array([[2 * energy(1, 0), mixed], [mixed, 2 * energy(0, 1)]])
+    wanted = np.linalg.solve(matrix, [1.0, -0.5])
+    turns = 0.5 * wanted[:, None] * np.asarray(run.time) ** 2
+    found = np.array([run.coordinate(n)[:, 0] for n in "SC"])
+    # constant accelerations, over up to 30 turns: rounding and what drift the loops have
+    np.testing.assert_allclose(found, turns, rtol=1e-9, atol=1e-9)
+    s, c, r = (np.asarray(run.coordinate(n))[1:, 0] for n in "SCR")
+    np.testing.assert_allclose((r - c) / (s - c), -sun / ring, rtol=1e-9)
+    np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-9)
+    # power through the carrier: torques of the meshes balance on the planet's axis
+    assert run.warnings == ()
+
+
+def rack_rig(coupling, side=1.0):
+    """A pinion on the ground and a rack that slides along y beside it."""
+    return jc.Mechanism(
+        {"pinion": jc.Body(0.3, (J_A,) * 3), "bar": jc.Body(0.5, (1e-3,) * 3)},
+        {
+            "A": jc.Connection(TURN, "ground", "pinion"),
+            "S": jc.Connection(
+                jc.joint.Prismatic(),
+                jc.Marker("ground", (side * R_A, 0.03, 0.0), axis="y"),
+                jc.Marker("bar", axis="y"),
+            ),
+        },
+        {"m": jc.load.JointTorque("A", DRIVING)},
+        couplings={"teeth": coupling},
+    )
+
+
+@pytest.mark.parametrize("teeth", [None, TEETH, -TEETH])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_rack_goes_as_its_pinion_rolls(teeth, side):
+    rig = rack_rig(jc.coupling.Rack("A", "S", R_A, pressure_angle=teeth), side)
+    run = jc.simulate(rig, 0.2, save=5, balance=True, integrator=STEPS)
+    wanted = DRIVING / (J_A + 0.5 * R_A**2)
+    angle = 0.5 * wanted * np.asarray(run.time) ** 2
+    np.testing.assert_allclose(run.coordinate("A")[:, 0], angle, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        run.coordinate("S")[:, 0], side * R_A * angle, rtol=1e-12, atol=1e-13
+    )
+    np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-9)
+    push = side * 0.5 * R_A * wanted
+    cosine = 1.0 if teeth is None else np.cos(teeth)
+    np.testing.assert_allclose(run.transmitted("teeth"), push / cosine, rtol=1e-11)
+    apart = 0.0 if teeth is None else np.tan(teeth) * push * side
+    # the bearing holds the pinion against what presses it from the rack
+    force = np.asarray(run.reaction("A").force)[0]
+    np.testing.assert_allclose(force, (apart, push, 0.0), atol=1e-10)
+
+
+def press(lead=0.005):
+    """A nut that slides and a spindle that turns, on one thread that a cylindrical joint guides."""
+    return jc.Mechanism(
+        {"spindle": jc.Body(1.0, (2e-4, 2e-4, 3e-4)), "nut": jc.Body(2.0, (1e-3,) * 3)},
+        {
+            "turn": jc.Connection(TURN, "ground", "spindle"),
+            "slide": jc.Connection(jc.joint.Prismatic(), "ground", "nut"),
+            "guide": jc.Connection(jc.joint.Cylindrical(), "spindle", "nut"),
+        },
+        {"g": jc.load.Gravity((0.0, 0.0, -9.81)), "t": jc.load.JointTorque("turn", 0.05)},
+        couplings={"thread": jc.coupling.Screw("guide", lead)},
+    )
+
+
+@pytest.mark.parametrize("lead", [0.005, -0.02])
+def test_a_screw_press_falls_as_its_formula(lead):
+    run = jc.simulate(press(lead), 0.5, save=6, balance=True, integrator=STEPS)
+    # the nut turns by minus the spindle's turn on it
+    pitch = -lead / (2 * np.pi)
+    turned = (0.05 - 2.0 * 9.81 * pitch) / (3e-4 + 2.0 * pitch**2)
+    angle = 0.5 * turned * np.asarray(run.time) ** 2
+    np.testing.assert_allclose(run.coordinate("turn")[:, 0], angle, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(run.coordinate("slide")[:, 0], pitch * angle, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-9)
+    force = 2.0 * (9.81 + pitch * turned)
+    np.testing.assert_allclose(run.transmitted("thread"), force, rtol=1e-9)
+    np.testing.assert_allclose(run.reaction("thread").force[:, 2], force, rtol=1e-9)
+
+
+JOURNAL = jc.clearance.PlanarJournalBearing(
+    jc.contact.LankaraniNikravesh(restitution=0.9, stiffness=1e11), clearance=5e-5
+)
+
+
+@pytest.mark.parametrize("loose", ["B", "AB"])
+def test_a_bearing_with_clearance_feels_the_teeth(loose):
+    """The journal goes to the wall where the force presses it, and wheels roll on the teeth."""
+    gear = jc.coupling.Gear("A", "B", RATIO, pressure_angle=-TEETH)
+    rig = jc.Mechanism(
+        {"a": jc.Body(0.3, J_A), "b": jc.Body(1.0, J_B)},
+        {
+            "A": jc.Connection(JOURNAL if "A" in loose else TURN, "ground", "a"),
+            "B": jc.Connection(JOURNAL, jc.Marker("ground", (R_A + R_B, 0.0)), jc.Marker("b")),
+        },
+        # balanced torques, so that the force is steady
+        {
+            "m": jc.load.JointTorque("A", DRIVING),
+            "l": jc.load.JointTorque("B", DRIVING * RATIO),
+            "da": jc.load.JointSpring("A", damping=1e-3),
+        },
+        speeds={"A": 3.0} if loose == "B" else None,
+        couplings={"mesh": gear},
+    )
+    run = jc.simulate(rig, 1.0, save=101, integrator=jc.integrator.ImplicitStep(1e-4))
+    late = slice(-20, None)
+    offset = np.asarray(run.contact("B").offset)[late]
+    force = np.asarray(run.contact("B").force)[late].mean(axis=0)
+    # what the teeth press is held by the bearing
+    pressed = DRIVING / (R_A * np.cos(TEETH))
+    np.testing.assert_allclose(np.linalg.norm(force), pressed, rtol=0.02)
+    np.testing.assert_allclose(np.linalg.norm(offset, axis=1), 5e-5, rtol=0.05)
+    # offset and force lie along the line of action, against each other
+    along = offset.mean(axis=0)
+    along /= np.linalg.norm(along)
+    np.testing.assert_allclose(along, -force / np.linalg.norm(force), atol=0.02)
+    np.testing.assert_allclose(abs(along[0]), np.sin(TEETH), atol=0.02)
+    assert float(run.drift()["mesh"].max()) < 1e-7
+
+
+def test_derivatives_pass_through_gears_and_screws():
+    def end(ratio):
+        rig = pair(jc.coupling.Gear("A", "B", ratio, pressure_angle=TEETH))
+        return jc.simulate(rig, 0.1, save=2, integrator=STEPS).coordinate("A")[-1, 0]
+
+    share = -1 / RATIO
+    above, below = DRIVING + LOAD * share, J_A + J_B * share**2
+    slope = 0.5 * 0.1**2 * (LOAD * below - above * 2 * J_B * share) / below**2
+    exact = slope / RATIO**2
+    np.testing.assert_allclose(jax.jvp(end, (RATIO,), (1.0,))[1], exact, rtol=1e-9)
+    np.testing.assert_allclose(jax.grad(end)(jnp.asarray(RATIO)), exact, rtol=1e-9)
+
+    def sunk(lead):
+        return jc.simulate(press(lead), 0.1, save=2, integrator=STEPS).coordinate("slide")[-1, 0]
+
+    def closed(lead):
+        pitch = -lead / (2 * jnp.pi)
+        turned = (0.05 - 2.0 * 9.81 * pitch) / (3e-4 + 2.0 * pitch**2)
+        return pitch * 0.5 * turned * 0.1**2
+
+    np.testing.assert_allclose(jax.jvp(sunk, (0.02,), (1.0,))[1], jax.grad(closed)(0.02), rtol=1e-9)
+
+
+MEMBERS = [
+    jc.coupling.Gear("A", "B", 2.5),
+    jc.coupling.Gear("A", "B", 2.5, pressure_angle=-0.3),
+    jc.coupling.Gear("A", "B", 2.5, pressure_angle=0.3, internal=True),
+    jc.coupling.Belt("A", "B", 0.02, 0.05),
+    jc.coupling.Belt("A", "B", 0.02, 0.05, crossed=True),
+    jc.coupling.Rack("A", "B", 0.02),
+    jc.coupling.Rack("A", "B", 0.02, pressure_angle=0.3),
+]
+
+
+@pytest.mark.parametrize("coupling", MEMBERS, ids=str)
+def test_a_frame_that_turns_with_both_parts_feels_nothing(coupling):
+    """Forces of a mesh are in balance on its two parts alone: what is read is their relative pose,
+    and all of it lies on one line of action."""
+    from jaxclear.multibody.meshes import Mesh
+    from jaxclear.multibody.pose_rows import gradients
+
+    rack = isinstance(coupling, jc.coupling.Rack)
+    rotation = jc.pose.AXES["y"] if rack else sp.IDENTITY
+    drawn = sp.dense(Pose(rotation, (0.02 if rack else 0.09, 0.0, 0.0)))
+    reading = Mesh(coupling, drawn, (None,) * len(coupling.angles(drawn)))
+    moved = Pose(jc.pose.rotation_z(0.3), (1e-4, -2e-4, 0.0)).after(drawn)
+    (residual,), (slope,) = gradients(reading, sp.dense(moved))
+    force, torque = (np.array([float(x) for x in part]) for part in slope.wrench(moved))
+    # in the plane of the wheels, and the line of action is as far from a as its rolling radius
+    assert abs(force[2]) < 1e-12
+    centre = np.array([float(x) for x in moved.translation])
+    about_a = torque + np.cross(centre, force)
+    radius = abs(float(coupling.radii(drawn)[0]))
+    np.testing.assert_allclose(abs(about_a[2]), radius, rtol=1e-2)
+    assert np.isfinite(float(residual))
+    if getattr(coupling, "pressure_angle", None) is not None and not rack:
+        # on the common tangent of the base circles: a unit force, whatever the distance
+        np.testing.assert_allclose(np.linalg.norm(force), 1.0, rtol=1e-9)
+        np.testing.assert_allclose(abs(about_a[2]), radius, rtol=1e-9)
+
+
+def test_every_coupling_of_bodies_is_tried():
+    tried = {type(own) for own in MEMBERS} | {jc.coupling.Screw}
+    assert tried == set(AbstractBodyCoupling.__subclasses__())
+
+
+@pytest.mark.parametrize(
+    ("build", "said"),
+    [
+        (lambda: pair(jc.coupling.Gear("A", "A", 2.0)), "twice"),
+        (lambda: jc.coupling.Gear("A", "B", -2.0), "above 0"),
+        (lambda: jc.coupling.Gear("A", "B", 2.0, pressure_angle=0.0), "leave it out"),
+        (lambda: jc.coupling.Screw("A", 0.0), "lead = 0"),
+        (lambda: pair(jc.coupling.Gear("A", "C", 2.0)), '"C"'),
+        (lambda: pair(jc.coupling.Gear("A", "B", 1.0, internal=True)), "one axis"),
+        (lambda: pair(jc.coupling.Gear("A", "B", 2.0), distance=0.0), "wheels on one axis"),
+        (lambda: pair(jc.coupling.Gear("A", "B", 2.0), axes=("z", "y")), "not parallel"),
+        (lambda: pair(jc.coupling.Rack("A", "B", 0.02)), "does not lie across"),
+    ],
+)
+def test_what_does_not_mesh_is_refused(build, said):
+    with pytest.raises(ValueError, match=said):
+        build()
+
+
+def test_couplings_are_written_and_read(tmp_path):
+    rig = planetary(teeth=TEETH)
+    jc.write_scene(rig, tmp_path / "set.json")
+    again = jc.read_scene(tmp_path / "set.json").mechanism
+    assert str(again) == str(rig)
+    assert again.couplings["outer"].internal and not again.couplings["inner"].internal
+    assert "Gear" in str(jc.scene_schema())
