@@ -60,9 +60,9 @@ def read_mjcf(
     - `path`: of the file. `jaxclear[import]` installs MuJoCo, which reads it.
     - `floating`: roots without a joint get a free one.
     - `stops`: what limits, soft constraints in MuJoCo and springs here, have of it. "steady": under
-      weight and springs of the model they give way as far. "impact": they stop what runs into them
-      over the same way and time, and give way 1 / (1 - d) times as far under a steady load, for
-      MuJoCo's impedance d (20 times by default).
+      weight and springs of the model's tree they give way as far. "impact": they stop what runs
+      into them over the same way and time, and give way 1 / (1 - d) times as far under a steady
+      load, for MuJoCo's impedance d (20 times by default).
     - `sticking`: dry friction sticks, as a `PlainBearing` or `Slideway` with `Coulomb`, for
       `MoreauJean` and `NonColliding`; otherwise it creeps, as fast as in MuJoCo.
 

@@ -4,9 +4,9 @@ them at rest, dry friction under what it holds.
 MuJoCo has :math:`a = (1 - d) a_0 - d (b v + k d r)` for the acceleration :math:`a_0` without the
 constraint, the way r beyond the limit and the speed v; :math:`k, b` come from `solref`, the
 impedance :math:`d(r)` from `solimp`. At rest, :math:`a = v = 0`, a force F on the inertia m
-(`dof_invweight0`) gives way by r with :math:`m k d^2 r = (1 - d) F`. Source: MuJoCo documentation,
-"Computation", section "Constraint model", and "Modeling", "Solver parameters"
-(mujoco.readthedocs.io, version 3).
+(`dof_invweight0`) gives way by r with :math:`m k d^2 r = (1 - d) F`. F is that of the tree of
+bodies: what loops add to it is left out. Source: MuJoCo documentation, "Computation", section
+"Constraint model", and "Modeling", "Solver parameters" (mujoco.readthedocs.io, version 3).
 """
 
 from typing import Any, NamedTuple

@@ -198,3 +198,12 @@ def test_mimic_of_a_urdf_is_a_ratio(tmp_path):
         rig = jc.read_urdf(tmp_path / "r.urdf")
     (tie,) = rig.couplings.values()
     assert (tie.follower, tie.leader, float(tie.ratio), tie.offset) == ("other", "one", 2.0, None)
+
+
+@pytest.mark.parametrize(
+    "text", [FOUR_BAR, wheels("0.2 -3 0 0 0"), wheels("0.4 0 0 0 0", 'joint1="b"')]
+)
+def test_what_equalities_become_is_written_to_a_scene_and_read(text, tmp_path):
+    rig, _ = imported(tmp_path, text)
+    jc.write_scene(rig, tmp_path / "rig.yaml")
+    assert str(jc.read_scene(tmp_path / "rig.yaml").mechanism) == str(rig)

@@ -129,3 +129,21 @@ def test_friction_that_sticks_holds_and_slides_as_the_file_has_it(integrator, tm
 def test_what_cannot_be_asked_is_refused_with_a_sentence(asked, sentence, tmp_path):
     with pytest.raises(ValueError, match=sentence):
         imported(tmp_path, SLIDE.format("", 2.0), **asked)
+
+
+def test_an_arm_of_two_links_rests_on_both_limits_as_in_mujoco(tmp_path):
+    """Each limit is as stiff as its own inertia has it there, loads of the other joint included; to
+    5 %, because weights are taken where the other joint stands in the reference configuration."""
+    text = """<mujoco><compiler angle="radian"/><option timestep="1e-3"/><worldbody><body>
+     <joint name="shoulder" axis="0 1 0" range="-1 0.1" limited="true" damping="2"/>
+     <inertial pos="0.2 0 0" mass="1" diaginertia="1e-3 1e-2 1e-2"/>
+     <body pos="0.4 0 0">
+      <joint name="elbow" axis="0 1 0" range="-1 0.2" limited="true" damping="1"/>
+      <inertial pos="0.1 0 0" mass="0.5" diaginertia="1e-4 3e-3 3e-3"/></body></body>
+     </worldbody></mujoco>"""
+    rig, said = imported(tmp_path, text)
+    run, data = jc.simulate(rig, 2.0, save=3), at_rest_in_mujoco(text, 2.0)
+    ours = [float(run.coordinate(name)[-1, 0]) for name in ("shoulder", "elbow")]
+    limits = np.array([0.1, 0.2])
+    np.testing.assert_allclose(np.array(ours) - limits, data.qpos - limits, rtol=0.05)
+    assert np.all(data.qpos > limits) and said == []
