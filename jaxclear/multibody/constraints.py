@@ -15,7 +15,7 @@ from jaxclear.ground.pose import STILL, Pose, Twist
 from jaxclear.multibody import coordinate_sums, kinematics, loops, pose_rows, tree
 from jaxclear.multibody.forces import add_action_and_reaction
 from jaxclear.multibody.kinematics import JacobianRow
-from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum
+from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.meshes import Mesh
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
@@ -199,9 +199,10 @@ def by_closure(
 
 def coupled_wrenches(
     motions: tuple[Motion, ...], every: Iterable[tuple[Closure, dict[int, Any]]]
-) -> Iterator[tuple[Closure, Pose, Wrench]]:
+) -> Iterator[tuple[SummedCoordinate, Pose, Wrench]]:
     """What couplings of coordinates do to joints outside the tree, from the multipliers by closure:
-    (closure, pose, wrench on its child about its marker, in the parent marker's axes)."""
+    (coordinate, pose of the joint, wrench on its child about its marker, in the parent marker's
+    axes)."""
     for closure, own in every:
         if isinstance(closure.reading, CoordinateSum) and own:
             yield from coordinate_sums.outer_wrenches(motions, closure.reading, own[0])
@@ -244,8 +245,8 @@ def wrenches_of_rows(
         pose = kinematics.relative_motion(closure, motions)[1]
         closing.append(Wrench(*wrench_of_rows(closure, pose, multipliers)))
         add_action_and_reaction(acting, closure, pose, *closing[-1])
-    for joint, pose, wrench in coupled_wrenches(motions, zip(system.closures, own, strict=True)):
-        add_action_and_reaction(acting, joint, pose, *wrench)
+    for term, pose, wrench in coupled_wrenches(motions, zip(system.closures, own, strict=True)):
+        add_action_and_reaction(acting, term.closure, pose, *wrench)
     through = list(acting)
     held = tuple(motion._replace(twist=STILL) for motion in motions)
     for subtree in system.topology.subtrees:

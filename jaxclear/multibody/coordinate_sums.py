@@ -15,7 +15,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody import kinematics, pose_rows
 from jaxclear.multibody.kinematics import JacobianRow
-from jaxclear.multibody.loops import Closure, CoordinateSum, SummedCoordinate
+from jaxclear.multibody.loops import CoordinateSum, SummedCoordinate
 from jaxclear.multibody.tree import Motion, Wrench
 
 
@@ -73,15 +73,15 @@ def acceleration(motions: tuple[Motion, ...], row: CoordinateSum, second: Any) -
 
 def outer_wrenches(
     motions: tuple[Motion, ...], row: CoordinateSum, multiplier: Any
-) -> Iterator[tuple[Closure, Pose, Wrench]]:
-    """What a multiplier does to joints outside the tree: (closure, pose, wrench on its child about
-    its marker, in the parent marker's axes)."""
+) -> Iterator[tuple[SummedCoordinate, Pose, Wrench]]:
+    """What a multiplier does to joints outside the tree: (coordinate, pose of the joint, wrench on
+    its child about its marker, in the parent marker's axes)."""
     for term in row.terms:
         if term.closure is not None:
             pose = kinematics.relative_motion(term.closure, motions)[1]
             (slope,) = pose_rows.gradients(term.reading, pose)[1]
             force = sp.mul(multiplier, term.factor)
-            yield term.closure, pose, Wrench(*(sp.scale(force, x) for x in slope.wrench(pose)))
+            yield term, pose, Wrench(*(sp.scale(force, x) for x in slope.wrench(pose)))
 
 
 def driven_power(motions: tuple[Motion, ...], row: CoordinateSum, multiplier: Any) -> Any:

@@ -7,7 +7,7 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.ground.arguments import check_known
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import listed
-from jaxclear.multibody.meshes import drawn_pose
+from jaxclear.multibody.meshes import drawn_pose, markers
 from jaxclear.multibody.topology import Topology, coordinate_joint
 
 __all__ = ["check_couplings"]
@@ -27,7 +27,14 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
             check_known(f'joint of coupling "{name}"', joint, connections)
         if isinstance(coupling, AbstractCoordinateCoupling):
             _check_coordinates(name, coupling, topology, bodies, connections)
-        elif not is_traced((coupling, bodies, connections)):
+            continue
+        first, second = markers(coupling, connections)
+        if first.body == second.body:
+            raise ValueError(
+                f'coupling "{name}" ties body "{first.body}" to itself; its joints '
+                f"{listed(names)} carry one body."
+            )
+        if not is_traced((coupling, bodies, connections)):
             try:
                 coupling.check(drawn_pose(coupling, bodies, connections))
             except ValueError as error:

@@ -146,8 +146,8 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
     ):
         add_action_and_reaction(wrenches, closure, pose, force, torque)
     every = constraints.coupled(system, forces.motions, solution.multipliers)
-    for closure, pose, wrench in constraints.coupled_wrenches(forces.motions, every):
-        add_action_and_reaction(wrenches, closure, pose, *wrench)
+    for term, pose, wrench in constraints.coupled_wrenches(forces.motions, every):
+        add_action_and_reaction(wrenches, term.closure, pose, *wrench)
     accelerations = kinematics.link_accelerations(system, forces.motions, solution.accelerations)
     out: list[Wrench] = []
     for subtree in system.topology.subtrees:

@@ -68,10 +68,11 @@ class Closure(eqx.Module):
 
 
 class SummedCoordinate(eqx.Module):
-    """The coordinate of a joint times a `factor`: that which the tree carries with a `link`, or
+    """The coordinate of a `joint` times a `factor`: that which the tree carries with a `link`, or
     what a `reading` says of the pose in a `closure`; `turn`: an angle whose whole turns are not
     counted there."""
 
+    joint: str = eqx.field(static=True)
     factor: Any
     reading: Any
     closure: Any  # a Closure; None where the tree carries the coordinate

@@ -21,7 +21,7 @@ from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
 from jaxclear.ground.arguments import check_known, expect
-from jaxclear.ground.quantity import AbstractQuantified, as_number
+from jaxclear.ground.quantity import IF_ANY, AbstractQuantified, as_number
 from jaxclear.ground.wording import described
 from jaxclear.multibody import validation
 from jaxclear.multibody.coupled import check_couplings
@@ -86,7 +86,7 @@ class Mechanism(AbstractQuantified):
     bodies: dict[str, Body]
     connections: dict[str, Connection]
     loads: dict[str, AbstractLoad]
-    couplings: dict[str, AbstractCoupling]
+    couplings: dict[str, AbstractCoupling] = eqx.field(metadata={IF_ANY: True})
     start: dict[str, tuple]
     speeds: dict[str, tuple]
     guess: dict[str, tuple]

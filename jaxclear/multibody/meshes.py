@@ -164,10 +164,10 @@ def _count(
         if not isinstance(joint, AbstractVectorJoint) or joint.units.count("rad") != 1:
             return None
         place = joint.units.index("rad")
-        sign = 1.0 if part.is_child else -1.0
-        return Count(sign, joint.home[place], topology.branches.index(branch), place)
+        side = 1.0 if part.is_child else -1.0
+        return Count(side, joint.home[place], topology.branches.index(branch), place)
     body = part.marker.body
-    link = topology.index(body)
+    link: Any = topology.index(body)
     afloat = topology.branches[link].connection is None
     if part.inner != GROUND or not afloat or len(bodies[body].inertia) > 1:
         return None

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from jaxclear.components.coupling import AbstractCoordinateCoupling
 from jaxclear.ground.quantity import numbers
 from jaxclear.multibody.topology import coordinate_joint
 
@@ -36,6 +37,13 @@ def coordinate_units(mechanism: Any, name: str) -> tuple[str, ...]:
 def acted_on(load: Any) -> str:
     """The joint on whose coordinate a load acts; "" for none."""
     return getattr(load, "connection", "")
+
+
+def turns(mechanism: Any, coupling: Any) -> bool:
+    """Whether what a coupling transmits is a torque: its first coordinate turns."""
+    if not isinstance(coupling, AbstractCoordinateCoupling):
+        return False
+    return not slides(mechanism, coupling.joints()[0])
 
 
 def slides(mechanism: Any, name: str) -> bool:

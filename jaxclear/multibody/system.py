@@ -133,9 +133,10 @@ def _meshing(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Cl
     """The row of a coupling of bodies, between the markers that mesh."""
     topology, connections = mechanism.topology, mechanism.connections
     ends = markers(coupling, connections)
-    poses = [frames[marker.body].after(marker.pose()) for marker in ends]
-    links = [topology.index(marker.body) for marker in ends]
-    return Closure(*poses, *links, (WAY,), mesh(coupling, topology, mechanism.bodies, connections))
+    parent, child = (frames[marker.body].after(marker.pose()) for marker in ends)
+    first, second = (topology.index(marker.body) for marker in ends)
+    reading = mesh(coupling, topology, mechanism.bodies, connections)
+    return Closure(parent, child, first, second, (WAY,), reading)
 
 
 def _summed(mechanism: Mechanism, coupling: Any, places: dict[str, Closure]) -> Closure:
@@ -149,7 +150,9 @@ def _summed(mechanism: Mechanism, coupling: Any, places: dict[str, Closure]) -> 
     for joint, factor in coupling.terms():
         own, closure = joints[joint], places.get(joint)
         turn = closure is not None and own.units == ("rad",)
-        terms.append(SummedCoordinate(factor, CoordinateOf(own), closure, links.get(joint), turn))
+        terms.append(
+            SummedCoordinate(joint, factor, CoordinateOf(own), closure, links.get(joint), turn)
+        )
     first = joints[coupling.joints()[0]]
     row = WAY if first.units == ("m",) else TURN
     summed = CoordinateSum(tuple(terms), coupling.total())

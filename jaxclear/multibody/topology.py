@@ -7,12 +7,13 @@ constraint rows. Clearance joints are contacts and never belong to the tree; a b
 hold floats free. All of it is static: names and counts, no numbers.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Free, Planar
 from jaxclear.components.joint.base import drive_of
+from jaxclear.ground.quantity import IF_ANY
 from jaxclear.ground.wording import listed
 
 
@@ -93,7 +94,7 @@ class Topology:
     coordinate_count: int
     speed_count: int
     redundancy: Redundancy | None = None
-    couplings: tuple[str, ...] = ()
+    couplings: tuple[str, ...] = field(default=(), metadata={IF_ANY: True})
 
     @property
     def closing(self) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 
 from jaxclear.ground.datasets import provenance
+from jaxclear.multibody.own_numbers import turns
 from jaxclear.results import histories
 from jaxclear.results.state_history import StateHistory
 
@@ -53,6 +54,10 @@ def to_dataset(history: StateHistory, worn: dict, attributes: dict) -> Any:
         impulse = histories.contact_impulse(history, name)
         put(f"{name}.contact_impulse", ("time",), impulse, "N s", "impulse of the normal forces")
     put_all(mechanism.connections, histories.reaction, REACTION)
+    for name, coupling in mechanism.couplings.items():
+        unit = "N m" if turns(mechanism, coupling) else "N"
+        sent = histories.transmitted(history, name)
+        put(f"{name}.transmitted", ("time",), sent, unit, "what the coupling transmits")
     for joint, surfaces in worn.items():
         for surface, depth in surfaces.items():
             dims = (f"{joint}.{surface}.around", f"{joint}.{surface}.along")

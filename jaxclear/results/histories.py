@@ -82,9 +82,10 @@ class ContactHistory(eqx.Module):
 
 class ReactionHistory(eqx.Module):
     """`force` [N] and `torque` [N m] that the child receives from the parent at the child's marker,
-    in ground axes; those of loads on the joint's own coordinate included. `unique`: False where
-    overconstrained loops leave open how they share what they carry; these reactions then belong to
-    the least multipliers of the joints that close loops, torques measured by the longest arm.
+    in ground axes; those of loads and couplings on the joint's own coordinate included. `unique`:
+    False where overconstrained loops leave open how they share what they carry; these reactions
+    then belong to the least multipliers of the joints that close loops, torques measured by the
+    longest arm.
     """
 
     force: Float[Array, "time 3"]
@@ -232,6 +233,10 @@ def _closure_reaction(now, forces, solution, name):
         closure, force, torque, _ = next(entry for entry in found if entry[0] is wanted)
     loads = forces.on_joints.get(name, NOTHING)
     force, torque = sp.plus(force, loads.force), sp.plus(torque, loads.torque)
+    every = constraints.coupled(system, now.motions, solution.multipliers)
+    for term, _, wrench in constraints.coupled_wrenches(now.motions, every):
+        if term.joint == name:
+            force, torque = sp.plus(force, wrench.force), sp.plus(torque, wrench.torque)
     rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
     return sp.apply(rotation, force), sp.apply(rotation, torque)
 

@@ -22,6 +22,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from jaxclear.ground.quantity import IF_ANY
 from jaxclear.studies.base import AbstractProblem
 
 __all__ = ["in_texts", "parts_of", "texts_of"]
@@ -61,7 +62,10 @@ def texts_of(thing: Any) -> dict[str, str]:
 def parts_of(thing: Any) -> dict[str, Any] | None:
     """What a thing consists of, each by what follows its own name; None for what is one piece."""
     if dataclasses.is_dataclass(thing) and not isinstance(thing, type):
-        return {f".{f.name}": getattr(thing, f.name) for f in dataclasses.fields(thing)}
+        own = {f: getattr(thing, f.name) for f in dataclasses.fields(thing)}
+        # What a folder of an earlier version does not know is told where there is some.
+        told = (f for f, value in own.items() if not f.metadata.get(IF_ANY, False) or value)
+        return {f".{f.name}": own[f] for f in told}
     if isinstance(thing, dict):
         return {f'["{key}"]': value for key, value in thing.items()}
     if isinstance(thing, (tuple, list)):

@@ -206,6 +206,8 @@ def test_a_ratio_reaches_a_joint_outside_the_tree():
     np.testing.assert_allclose(pinion, 0.5 * wanted * np.asarray(run.time) ** 2, atol=1e-9)
     np.testing.assert_allclose(wheel, -pinion, atol=1e-9)
     np.testing.assert_allclose(run.transmitted("mesh")[0], -J_WHEEL * wanted - LOAD, rtol=1e-9)
+    through = run.reaction("B").torque[:, 2]
+    np.testing.assert_allclose(through, run.transmitted("mesh") + LOAD, rtol=1e-9)
     with pytest.raises(ValueError, match="whole turns are not counted"):
         rig.with_joint("A", bearing)
 

@@ -258,7 +258,31 @@ def test_a_bearing_with_clearance_feels_the_teeth(loose):
     assert float(run.drift()["mesh"].max()) < 1e-7
 
 
-def test_derivatives_pass_through_gears_and_screws():
+def test_a_planet_rolls_on_a_wheel_that_is_fixed():
+    """The carrier under a torque: the planet turns once more than on a straight line."""
+    sun, planet = 0.03, 0.015
+    rig = jc.Mechanism(
+        {"sun": jc.Body(1.0, 1e-3), "arm": jc.Body(0.3, 3e-4), "planet": jc.Body(0.1, 2e-5)},
+        {
+            "F": jc.Connection(jc.joint.Fixed(), "ground", "sun"),
+            "C": jc.Connection(TURN, "ground", "arm"),
+            "P": jc.Connection(TURN, jc.Marker("arm", (sun + planet, 0.0)), jc.Marker("planet")),
+        },
+        {"t": jc.load.JointTorque("C", 0.1)},
+        couplings={"mesh": jc.coupling.Gear("F", "P", planet / sun, pressure_angle=TEETH)},
+    )
+    run = jc.simulate(rig, 0.5, save=6, integrator=STEPS)
+    carrier = np.asarray(run.coordinate("C"))[:, 0]
+    np.testing.assert_allclose(
+        run.coordinate("P")[:, 0], carrier * sun / planet, rtol=1e-9, atol=1e-12
+    )
+    inertia = 3e-4 + 0.1 * (sun + planet) ** 2 + 2e-5 * (1 + sun / planet) ** 2
+    wanted = 0.5 * 0.1 / inertia * np.asarray(run.time) ** 2
+    np.testing.assert_allclose(carrier, wanted, rtol=1e-9, atol=1e-12)
+    assert "mesh.transmitted" in run.to_dataset()
+
+
+def test_derivatives_pass_through_gears():
     def end(ratio):
         rig = pair(jc.coupling.Gear("A", "B", ratio, pressure_angle=TEETH))
         return jc.simulate(rig, 0.1, save=2, integrator=STEPS).coordinate("A")[-1, 0]
@@ -268,7 +292,20 @@ def test_derivatives_pass_through_gears_and_screws():
     slope = 0.5 * 0.1**2 * (LOAD * below - above * 2 * J_B * share) / below**2
     exact = slope / RATIO**2
     np.testing.assert_allclose(jax.jvp(end, (RATIO,), (1.0,))[1], exact, rtol=1e-9)
-    np.testing.assert_allclose(jax.grad(end)(jnp.asarray(RATIO)), exact, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_derivatives_go_backwards_through_gears_and_screws():
+    def end(distance):
+        rig = pair(jc.coupling.Gear("A", "B", RATIO, pressure_angle=TEETH), distance)
+        run = jc.simulate(rig, 0.1, save=2, integrator=STEPS)
+        return run.transmitted("mesh")[-1]
+
+    share = -1 / RATIO
+    wanted = (DRIVING + LOAD * share) / (J_A + J_B * share**2)
+    exact = -(J_A * wanted - DRIVING) / (R_A * np.cos(TEETH)) / (R_A + R_B)
+    # the force is as the radius, hence as the distance of the axes
+    np.testing.assert_allclose(jax.grad(end)(jnp.asarray(R_A + R_B)), exact, rtol=1e-9)
 
     def sunk(lead):
         return jc.simulate(press(lead), 0.1, save=2, integrator=STEPS).coordinate("slide")[-1, 0]
@@ -336,6 +373,7 @@ def test_every_coupling_of_bodies_is_tried():
         (lambda: pair(jc.coupling.Gear("A", "B", 2.0), distance=0.0), "wheels on one axis"),
         (lambda: pair(jc.coupling.Gear("A", "B", 2.0), axes=("z", "y")), "not parallel"),
         (lambda: pair(jc.coupling.Rack("A", "B", 0.02)), "does not lie across"),
+        (lambda: press().with_coupling("x", jc.coupling.Gear("slide", "guide", 2.0)), "to itself"),
     ],
 )
 def test_what_does_not_mesh_is_refused(build, said):
