@@ -198,6 +198,18 @@ def test_chaos_is_said():
         assert found.warnings() and found.warnings()[0] in found.sentence()
 
 
+def test_nothing_is_compiled_for_a_copy_or_a_setting():
+    """Of a pendulum's three kinds of steps."""
+    traced = []
+
+    def counted(run):
+        traced.append(1)
+        return last_angle(run)
+
+    found = jc.advise(swings(counted, MASS), 1e-6, pilot=THREE)
+    assert len(found.trials) > 5 and len(traced) <= 3
+
+
 def test_copies_that_cannot_be_are_left_out():
     found = jc.advise(swings(variables=MASS), 0.01)
     assert 1 < len(found.copies.values) < 8 and np.all(found.copies.values > 0)
