@@ -194,7 +194,7 @@ class FixedStep(AbstractIntegrator):
         def alone(arrays, clock, y, last, met):
             _, end, now = plain(arrays, (*clock, None), y, last)
             model = eqx.combine(arrays, rest)[0]
-            end = closed(model, sum(clock), clock[1], end)
+            end = closed(model, sum(clock), end, clock[1])
             return end, now, self._met(model, end, met, (last, now))
 
         beside = beside_steps(self.formulation, rest[0], alone)
@@ -238,7 +238,7 @@ class FixedStep(AbstractIntegrator):
             time = interval.start + index * h
             _, y, now, met = step((time, h, None), y, last, met)
             if not (self._derived(model) and self._beside):
-                y = closed(model, time + h, h, y)
+                y = closed(model, time + h, y, h)
             watch = watched(watch, model, time, h, y)
             return index + 1, y, now, met, watch
 
@@ -267,7 +267,7 @@ class FixedStep(AbstractIntegrator):
             h, y, now, met = step((time, longest, (stop - time, shortest)), y, last, met)
             # The step that was cut to what was left ends exactly at the end.
             begin, time = time, jnp.where(h == stop - time, stop, time + h)
-            y = closed(model, time, h, y)
+            y = closed(model, time, y, h)
             watch = watched(watch, model, begin, h, y)
             return time, steps + 1, y, now, met, watch
 
