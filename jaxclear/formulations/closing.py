@@ -23,9 +23,10 @@ from jaxclear.multibody.state import unpack_motion
 MOST = 0.2
 
 
-def closed(model: Model, time: Any, length: Any, state: State) -> State:
-    """The state at the end of a step of this length [s], its loops closed anew where they are to
-    be: to the square of how far off they were.
+def closed(model: Model, time: Any, state: State, length: Any = None) -> State:
+    """The state at the end of a step at this `time` [s], its loops closed anew where they are to
+    be: to the square of how far off they were. `length` of the step [s]: by it is known what is no
+    error of the step (None: everything is one, also at a singular position).
     """
     if not model.projects:
         return state
@@ -43,11 +44,15 @@ def closed(model: Model, time: Any, length: Any, state: State) -> State:
     depend = constraints.dependence(system, found)
     _, constrain = dynamics.constrained_inverse(masses, rows, alike, depend)
 
-    fast = safe_sqrt(_squared(masses, v))
+    fast = None if length is None else MOST * safe_sqrt(_squared(masses, v))
 
-    def change(residuals, most):
-        """The least that closes them, as far as it is below `most` in the metric of the masses."""
+    def change(residuals, time):
+        """The least that closes them, as far as it is below what is made at the speeds in such a
+        time, in the metric of the masses."""
         moves, multipliers = constrain([0] * len(v), [sp.neg(x) for x in residuals])
+        if fast is None:
+            return moves
+        most = sp.mul(time, fast)
         # Twice the energy of a change is what it closes times its multipliers.
         beside = safe_divide(abs(sp.dot(multipliers, residuals)), most * most)
         share = constant(1.0 / (1.0 + beside * beside))
@@ -56,8 +61,8 @@ def closed(model: Model, time: Any, length: Any, state: State) -> State:
 
     residuals = [x for closure in found for x in closure.residuals]
     rates = [x for closure in found for x in closure.rates]
-    v = [sp.add(x, d) for x, d in zip(v, change(rates, MOST * fast), strict=True)]
-    q = drift(system, q, q, change(residuals, MOST * length * fast), 1.0)
+    v = [sp.add(x, d) for x, d in zip(v, change(rates, 1), strict=True)]
+    q = drift(system, q, q, change(residuals, length), 1.0)
     return sp.stack([*q, *v, *entries[layout.memory_start :]])
 
 

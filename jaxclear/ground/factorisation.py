@@ -26,11 +26,11 @@ LARGEST_WRITTEN_OUT = 18
 Rows = Sequence[Sequence[Any]]
 
 
-def factor(matrix: Rows, least: Sequence[Any] | None = None) -> Any:
+def factor(matrix: Rows, least: Sequence[Any | None] | None = None) -> Any:
     """L D L^T of a symmetric positive definite matrix M [any unit] given as rows of sparse scalars:
     the lower triangle L and the inverse pivots 1 / D_i, which `solve` takes. Where a pivot is
     not above the `least` of its row the unknown is 0, for the row follows from those before (None:
-    nowhere; beyond `LARGEST_WRITTEN_OUT` unknowns neither).
+    nowhere, or not of that row; beyond `LARGEST_WRITTEN_OUT` unknowns neither).
     """
     n = len(matrix)
     if n > LARGEST_WRITTEN_OUT:
@@ -50,10 +50,9 @@ def factor(matrix: Rows, least: Sequence[Any] | None = None) -> Any:
             sp.mul(entry, pivot) for entry, pivot in zip(row, inverse_pivots, strict=True)
         ]
         pivot = sp.sub(matrix[i][i], sp.dot(row, lower[i][:i]))
-        inverse = 1.0 / pivot
-        if least is not None:
-            inverse = jnp.where(pivot > least[i], inverse, 0.0)
-        inverse_pivots.append(inverse)
+        if least is not None and least[i] is not None:
+            pivot = jnp.where(pivot > least[i], pivot, jnp.inf)
+        inverse_pivots.append(1.0 / pivot)
     return lower, inverse_pivots
 
 

@@ -67,7 +67,7 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
         return formulation.remember(model, y, contacts, contacts, length)
 
     def close(arrays, time, length, y):
-        return closing.closed(eqx.combine(arrays, rest), time, length, y)
+        return closing.closed(eqx.combine(arrays, rest), time, y, length)
 
     def step(arrays, clock, y, last, met, beside):
         end, *found = plain(arrays, clock, y, last, met)

@@ -208,7 +208,7 @@ class FixedStep(AbstractIntegrator):
 
         def alone(arrays, clock, y, last, met):
             _, end, now = plain(arrays, (*clock, None), y, last)
-            end = closed(eqx.combine(arrays[0], rest), sum(clock), clock[1], end)
+            end = closed(eqx.combine(arrays[0], rest), sum(clock), end, clock[1])
             return end, now, seen(arrays, end, met, (last, now))
 
         beside = beside_steps(self.formulation, rest, alone)
@@ -242,7 +242,7 @@ class FixedStep(AbstractIntegrator):
             time = interval.start + index * h
             _, y, now, met = step((time, h, None), y, last, met)
             if not (self._derived(model) and self._beside):
-                y = closed(model, time + h, h, y)
+                y = closed(model, time + h, y, h)
             watch = watched(watch, model, time, h, y)
             return index + 1, y, now, met, watch
 
@@ -271,7 +271,7 @@ class FixedStep(AbstractIntegrator):
             h, y, now, met = step((time, longest, (stop - time, shortest)), y, last, met)
             # The step that was cut to what was left ends exactly at the end.
             begin, time = time, jnp.where(h == stop - time, stop, time + h)
-            y = closed(model, time, h, y)
+            y = closed(model, time, y, h)
             watch = watched(watch, model, begin, h, y)
             return time, steps + 1, y, now, met, watch
 

@@ -143,7 +143,7 @@ class ImplicitStep(AbstractIntegrator):
             model, own = eqx.combine(arrays, rest)
             how = own._bias, own._iterations(model.system.bearings.values())
             end, now = own.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
-            end = closed(model, sum(clock), clock[1], end)
+            end = closed(model, sum(clock), end, clock[1])
             if met is None:
                 return end, now, None
             forces = now[-model.layout.contacts :] if damped else None

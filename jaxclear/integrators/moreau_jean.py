@@ -142,7 +142,7 @@ class MoreauJean(AbstractIntegrator):
 
         def step(model, settings, time_step, state, last):
             end, last = self.formulation.step(model, time_step, state, last, settings)
-            return closed(model, time_step.end, time_step.length, end), last
+            return closed(model, time_step.end, end, time_step.length), last
 
         arrays, rest = eqx.partition((model, settings), eqx.is_array)
         known = through_impacts(step, self.formulation, rest)

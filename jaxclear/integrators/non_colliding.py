@@ -93,6 +93,6 @@ class NonColliding(AbstractIntegrator):
 
         def step(time_step, state, last):
             end, last = self.formulation.step(model, time_step, state, last, settings)
-            return closed(model, time_step.end, time_step.length, end), last
+            return closed(model, time_step.end, end, time_step.length), last
 
         return searching_steps(interval, self.step, step, (state, warm_start), LOOSE)

@@ -7,7 +7,7 @@ Baumgarte's (Nikravesh 1988, Computer-Aided Analysis of Mechanical Systems, sect
 `loops`). Reactions are :math:`\Phi_q^T \lambda`.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from jaxclear.ground import sparse as sp
@@ -42,10 +42,19 @@ class Dependence(NamedTuple):
     measures: tuple
 
 
+class HeldLoop(NamedTuple):
+    """A loop, or several that share bodies, whose free speeds are no more than its rows: drives
+    alone move it. Its rows among those of all closures, and these speeds."""
+
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+
+
 class ClosureEquations(NamedTuple):
     """Jacobian rows of all closures (by speed index), what each must give for the free
     accelerations, which of them count `alike` (equal entries: displacements, or angles, of one
-    closure), and how the rows depend on each other; None: not at all."""
+    closure; None: not of a loop that drives hold), and how the rows depend on each other; None:
+    not at all."""
 
     rows: list[JacobianRow]
     wanted: list
@@ -67,13 +76,35 @@ def dependence(system: System, found: list[ConstraintRows]) -> Dependence | None
     return Dependence(redundancy.rank, measures)
 
 
+def held_loops(rows: Sequence[Mapping[int, Any]]) -> list[HeldLoop]:
+    """The loops that drives hold, from the rows of all by free speed."""
+    groups: list[tuple[set[int], set[int]]] = []
+    for i, row in enumerate(rows):
+        one = ({i}, set(row))
+        apart = [own for own in groups if not own[1] & one[1]]
+        for own in groups:
+            if own[1] & one[1]:
+                one = (one[0] | own[0], one[1] | own[1])
+        groups = [*apart, one]
+    return [
+        HeldLoop(tuple(sorted(own)), tuple(sorted(columns)))
+        for own, columns in groups
+        if len(own) == len(columns)
+    ]
+
+
 def rows_alike(system: System, found: list[ConstraintRows]) -> tuple:
-    """Of the rows of all closures which count alike, by equal entries."""
-    return tuple(
-        (k, len(closure.rows[i]) == 1)
+    """Of the rows of all closures that drives hold which count alike, by equal entries; None for
+    the others."""
+    kinds = [
+        (k, loops.is_length(closure.rows[i]))
         for k, (closure, own) in enumerate(zip(system.closures, found, strict=True))
         for i in own.kept
-    )
+    ]
+    held = {
+        i for one in held_loops([row for own in found for row in own.jacobian]) for i in one.rows
+    }
+    return tuple(kind if i in held else None for i, kind in enumerate(kinds))
 
 
 def constraint_rows(

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from jaxclear.ground import factorisation, semidefinite
 from jaxclear.ground import sparse as sp
@@ -25,9 +24,9 @@ from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Wrench
 
 # A row of the loops follows from others, or vanishes, where what is left of its square in the
-# metric of the masses is no more than this share of the largest that counts alike: 1e-5 rad from a
-# singular position, where what closes loops grows without bound. Without it a linkage goes on by
-# its inertia.
+# metric of the masses is no more than this share of the sum of those that count alike: 1e-5 rad
+# from a singular position, where what closes loops grows without bound. Without it a linkage goes
+# on by its inertia.
 SINGULAR = 1e-10
 
 
@@ -117,20 +116,22 @@ def constrained_inverse(
 def _solver(
     schur: list[list], alike: tuple, dependence: Dependence | None
 ) -> Callable[[tuple], tuple]:
-    """From what the rows lack to multipliers; `alike`: of each row which count alike."""
+    """From what the rows lack to multipliers; `alike`: of each row which count alike (None: it is
+    taken as it is)."""
     if dependence is None:
-        largest: dict[Any, Any] = {}
+        whole: dict[Any, Any] = {}
         for i, kind in enumerate(alike):
-            largest[kind] = jnp.maximum(largest.get(kind, 0.0), constant(schur[i][i]))
-        factors = factorisation.factor(schur, [SINGULAR * largest[kind] for kind in alike])
+            whole[kind] = sp.add(whole.get(kind, 0), schur[i][i])
+        least = {kind: constant(SINGULAR * x) for kind, x in whole.items()} | {None: None}
+        factors = factorisation.factor(schur, [least[kind] for kind in alike])
         return lambda lacking: factorisation.solve(factors, lacking)
     measured = dependence.measures
 
     def scaled(values):
         return tuple(sp.mul(x, w) for x, w in zip(values, measured, strict=True))
 
-    alike = [scaled(sp.mul(x, w) for x in row) for row, w in zip(schur, measured, strict=True)]
-    known = semidefinite.factor_of_rank(alike, dependence.rank)
+    lengths = [scaled(sp.mul(x, w) for x in row) for row, w in zip(schur, measured, strict=True)]
+    known = semidefinite.factor_of_rank(lengths, dependence.rank)
     return lambda lacking: scaled(semidefinite.solve_least(known, scaled(lacking)))
 
 

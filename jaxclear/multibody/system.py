@@ -6,6 +6,7 @@ through.
 """
 
 import dataclasses
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -273,4 +274,5 @@ def longest_arm(system: System) -> Any:
     closures = [*system.closures, *(bearing.closure for bearing in system.bearings.values())]
     for closure in closures:
         squares += [sp.dot(x.translation, x.translation) for x in (closure.parent, closure.child)]
-    return jnp.sqrt(jnp.max(sp.stack(squares)))
+    # By pairs: the derivative of `jnp.max` may be 0 / 0, as `start_equations` says of its own.
+    return jnp.sqrt(functools.reduce(jnp.maximum, squares))

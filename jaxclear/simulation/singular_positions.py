@@ -28,6 +28,7 @@ from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.integrators.outcome import Outcome
 from jaxclear.multibody import constraints
+from jaxclear.multibody.constraints import HeldLoop, held_loops
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.start_equations import (
     LOOP,
@@ -198,13 +199,6 @@ def _carried_on(
     return rows, closed, jnp.asarray(np.repeat(np.arange(len(sizes)), sizes))
 
 
-class _Held(NamedTuple):
-    """A loop that drives hold: its rows among those of all loops, and as many free speeds."""
-
-    rows: tuple[int, ...]
-    columns: tuple[int, ...]
-
-
 class _Rows(NamedTuple):
     """Rows of all loops that count alike: entries by free speed, what is left of each, the place of
     its loop."""
@@ -229,31 +223,14 @@ def _rows_of(asked: Ask, q: Array, time: Any) -> _Rows:
     return _Rows(entries, jnp.stack(left), closures)
 
 
-def _held(entries: list[dict[int, Any]]) -> list[_Held]:
-    """Loops whose free speeds are no more than their rows: drives alone move them."""
-    groups: list[tuple[set[int], set[int]]] = []
-    for i, row in enumerate(entries):
-        one = ({i}, set(row))
-        apart = [own for own in groups if not own[1] & one[1]]
-        for own in groups:
-            if own[1] & one[1]:
-                one = (one[0] | own[0], one[1] | own[1])
-        groups = [*apart, one]
-    return [
-        _Held(tuple(sorted(rows)), tuple(sorted(columns)))
-        for rows, columns in groups
-        if len(rows) == len(columns)
-    ]
-
-
-def _matrix(rows: _Rows, held: _Held) -> Float[Array, "n n"]:
+def _matrix(rows: _Rows, held: HeldLoop) -> Float[Array, "n n"]:
     own = [[rows.entries[i].get(j, 0.0) for j in held.columns] for i in held.rows]
     return jnp.stack([jnp.stack([jnp.asarray(x, float) for x in row]) for row in own])
 
 
 def _determinants(asked: Ask, q: Array, time: Any) -> Float[Array, " held"]:
     rows = _rows_of(asked, q, time)
-    found = [jnp.linalg.det(_matrix(rows, held)) for held in _held(rows.entries)]
+    found = [jnp.linalg.det(_matrix(rows, held)) for held in held_loops(rows.entries)]
     return jnp.stack(found) if found else jnp.zeros(0)
 
 
@@ -291,7 +268,7 @@ class _Candidates(NamedTuple):
     """Where a determinant may be 0, by interval and place: between which instants [s], of which
     loop, from which coordinates on."""
 
-    count: Int[Array, " intervals"]
+    number: Int[Array, " intervals"]
     begins: Float[Array, "intervals most"]
     ends: Float[Array, "intervals most"]
     held: Int[Array, "intervals most"]
@@ -336,10 +313,10 @@ def _followed(
         after, gone, _ = jax.lax.fori_loop(0, CLOSING, closer, ahead)
         now = _rates(asked, after, gone / length, there, length)
         zero = _nearly_zero(last, now, length, usual)
-        any_zero, at = jnp.any(zero), jnp.minimum(found.count[k], CANDIDATES - 1)
+        any_zero, at = jnp.any(zero), jnp.minimum(found.number[k], CANDIDATES - 1)
         keep = lambda array, value: array.at[k, at].set(jnp.where(any_zero, value, array[k, at]))
         found = _Candidates(
-            found.count.at[k].add(jnp.where(any_zero, 1, 0)),
+            found.number.at[k].add(jnp.where(any_zero, 1, 0)),
             keep(found.begins, time),
             keep(found.ends, there),
             keep(found.held, jnp.argmax(zero)),
@@ -395,7 +372,7 @@ def _confirmed(
     time, place = begin + span * moved[-1], retract(asked.system, q, scales * moved[:-1])
     rows = _rows_of(asked, place, time)
     columns, forces = [], []
-    for own in _held(rows.entries):
+    for own in held_loops(rows.entries):
         left, _, right = jnp.linalg.svd(_matrix(rows, own))
         columns.append(jnp.zeros(len(scales)).at[jnp.array(own.columns)].set(abs(right[-1])))
         forces.append(jnp.zeros(len(rows.left)).at[jnp.array(own.rows)].set(left[:, -1] ** 2))
@@ -432,7 +409,7 @@ def met(trajectory: Trajectory) -> tuple[SingularPosition, ...]:
     found = _followed(mechanism, (q[places], v[places]), spans, jnp.asarray(usual))
     sure = []
     for k in range(len(doubtful)):
-        for at in range(min(int(found.count[k]), CANDIDATES)):
+        for at in range(min(int(found.number[k]), CANDIDATES)):
             begin, end, held = found.begins[k, at], found.ends[k, at], found.held[k, at]
             one = _confirmed(mechanism, found.places[k, at], begin, end, held, usual)
             time, left = float(one[0]), float(one[1])
@@ -459,7 +436,8 @@ def _told(
     history: StateHistory, sure: list[tuple], times: np.ndarray, values: np.ndarray, v: np.ndarray
 ) -> tuple[SingularPosition, ...]:
     """What is found, each once, with what the run did there."""
-    topology, alone = history.mechanism.topology, []
+    topology = history.mechanism.topology
+    alone: list[tuple] = []
     for one in sorted(sure, key=lambda one: one[0]):
         close = CLOSED * (times[-1] - times[0])
         if not any(one[1] == known[1] and one[0] - known[0] <= close for known in alone):

@@ -28,7 +28,7 @@ def equations(rows, closures, seed=1):
         None,
         [list(map(list, m)) for m in masses],
         tuple(right),
-        ClosureEquations(as_rows(held), list(wanted), (0,) * len(wanted), None),
+        ClosureEquations(as_rows(held), list(wanted), (None,) * len(wanted), None),
         {},
         contacts,
     )
