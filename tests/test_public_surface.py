@@ -104,10 +104,12 @@ def test_public_module_says_what_it_offers(place):
     assert not [name for name in module.__all__ if name.startswith("_")]
 
 
-# A joint with wear, a product of laws, a scene and a solver on groups build these themselves.
+# A joint with wear, a product of laws, a scene, a mechanism and a solver on groups build these
+# themselves.
 INNER = {
     "AbstractLaw",
     "AreaMap",
+    "AsNeeded",
     "CylinderMap",
     "ImpactMemory",
     "PeriodicTorque",
