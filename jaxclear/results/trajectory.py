@@ -74,7 +74,7 @@ class Trajectory(AbstractShown):
     at the end, `outcome` tells how the run ended (an `Outcome`), `ended` when [s], `stats` what it
     cost, `invariants` what no finer run would tell of it, `verification` how far its numbers are
     off; `extremes`: of all its steps (None: its integrator follows none); `noted`: touches and
-    releases, where they were asked for.
+    releases, where they were asked for; `doubts` are sentences on how it was assembled.
     """
 
     history: StateHistory
@@ -86,6 +86,7 @@ class Trajectory(AbstractShown):
     extremes: Extremes | None = None
     noted: Events | None = None
     verification: AbstractVerification = eqx.field(default_factory=Unverified)
+    doubts: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def mechanism(self) -> Mechanism:
@@ -150,12 +151,12 @@ class Trajectory(AbstractShown):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence for each of its `invariants` beyond its limit, and one for answers whose
-        numerical error is beyond what the integrator promises; empty for a clean run. Of one that
-        ended early, those of boundless figures only where there is no other."""
+        """Its `doubts`, a sentence for each of its `invariants` beyond its limit, and one for
+        answers whose numerical error is beyond what the integrator promises; empty for a clean run.
+        Of one that ended early, those of boundless figures only where there is no other."""
         if self.succeeded:
-            return self.invariants.warnings + self.verification.warnings
-        return self.invariants.before_the_end or self.invariants.warnings
+            return self.doubts + self.invariants.warnings + self.verification.warnings
+        return self.doubts + (self.invariants.before_the_end or self.invariants.warnings)
 
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
         """The value of a response, or of any function of a run that returns numbers, and its
