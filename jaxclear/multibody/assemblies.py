@@ -15,13 +15,10 @@ from jaxclear.ground.shown import AbstractShown, in_rows
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import assembly_modes, start_check
 from jaxclear.multibody.assembly import FirstFound, first_found
-from jaxclear.multibody.assembly_modes import Beginning, Mode
+from jaxclear.multibody.assembly_modes import Mode
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.topology import joint_of
 from jaxclear.multibody.turned_round import at_start
-
-# Searches of a list: a mode to which one in sixteen leads is missed by one list in sixty.
-SAMPLES = 64
 
 
 class Assemblies(AbstractShown):
@@ -89,7 +86,7 @@ class Assemblies(AbstractShown):
 
 @answering
 def assemblies(
-    mechanism: Mechanism, samples: int = SAMPLES, *, concentric: bool = True
+    mechanism: Mechanism, samples: int = assembly_modes.SEARCHES, *, concentric: bool = True
 ) -> Assemblies:
     """The ways in which a mechanism can be assembled, as far as searches from beginnings drawn at
     random find them.
@@ -157,7 +154,8 @@ def _modes(mechanism: Mechanism, first: FirstFound, samples: int) -> list[Mode]:
     at_homes = first_found(whole, first.concentric)
     found = at_homes.modes(samples)
     if given["guess"]:
-        found = assembly_modes.carried_on(mechanism, first.search, found)
+        on = [(assembly_modes.at(mode.start.coordinates), mode.found) for mode in found]
+        found = assembly_modes.modes(first.tree, first.search, on)
     kept: list[Mode] = []
     for mode in found:
         for i, known in enumerate(kept):
@@ -177,8 +175,10 @@ def _homes(mechanism: Mechanism) -> np.ndarray:
 
 def _leads_to(mechanism: Mechanism, at_homes: FirstFound, one: Mode, other: Mode) -> bool:
     """Whether a search that begins at one mode and is guessed at the other lands there."""
-    begin = Beginning(jnp.array(True), jnp.array(False), one.start.coordinates)
+    begin = assembly_modes.at(one.start.coordinates)
     there = as_guess(mechanism, other.start.coordinates)
     guess = {name: tuple(jnp.asarray(x) for x in there[name]) for name in at_homes.mechanism.guess}
     start, sound = at_homes.search(begin, guess)
-    return bool(sound) and assembly_modes.distance(start) <= assembly_modes.SAME
+    places = [np.asarray(found.coordinates) for found in (start, other.start)]
+    apart = np.max(np.abs(at_homes.tree.apart(*places)), initial=0.0)
+    return bool(sound) and apart <= assembly_modes.SAME

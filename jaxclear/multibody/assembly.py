@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
 from jaxclear.ground import sparse as sp
@@ -170,8 +171,10 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
 
 def _started(asked: Ask, q: Array, v: Array, time: Any) -> Start:
     """The start with all by which it is judged."""
-    place = place_at(asked, q, time)
+    solved, place = is_solved(asked.mechanism, asked.concentric), place_at(asked, q, time)
     positions, speeds = held_blocks(asked, place), speed_blocks(asked, q, v, time)
+    # How far coordinates of the tree are from a guess is read off them.
+    carried = {branch.name for branch in asked.system.topology.branches}
     closures = [block for block in positions if block.kind in (LOOP, JOURNAL)]
     return Start(
         q,
@@ -182,8 +185,8 @@ def _started(asked: Ask, q: Array, v: Array, time: Any) -> Start:
         {b.name: b.left / b.measure for b in positions if b.kind == GIVEN},
         {b.name: b.left / b.measure for b in speeds if b.kind == GIVEN},
         _depths(asked, q, v, time),
-        {b.name: b.left / b.measure for b in guess_blocks(asked, place)},
-        alike(asked, positions)[0],
+        {b.name: b.left / b.measure for b in guess_blocks(asked, place) if b.name not in carried},
+        alike(asked, [] if solved else positions)[0],
     )
 
 
@@ -215,20 +218,28 @@ def _closest(mechanism: Mechanism, time: Any) -> Start:
     return _started(asked, closest(asked, q, time), v, time)
 
 
+class Judged(NamedTuple):
+    """A start, whether it is sound, where its search began, and the longest arm [m]."""
+
+    start: Start
+    sound: Any
+    seed: Any
+    arm: Any
+
+
 @compiled_quickly
 def _judged(
     mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning | None = None
-) -> tuple[Start, Array]:
-    """A start and whether it is sound."""
+) -> Judged:
     asked = ask(mechanism, concentric, worn)
-    q, v = guess(mechanism)
+    seed, v = guess(mechanism)
     if begin is None:
-        q = _towards_guess(asked, q, 0.0)
+        q = _towards_guess(asked, seed, 0.0)
     else:
-        q = jnp.where(begin.own, begin.coordinates, q)
+        q = jnp.where(begin.own, begin.coordinates, seed)
         q = jnp.where(begin.led, _towards_guess(asked, q, 0.0), q)
     start = _solved(asked, q, v, 0.0)
-    return start, is_sound(mechanism, start)
+    return Judged(start, is_sound(mechanism, start), seed, asked.arm)
 
 
 @compiled_quickly
@@ -255,11 +266,13 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
 class FirstFound(NamedTuple):
     """A mechanism that knows which rows of its loops are redundant, the start to which its guess
     leads and whether that is sound; `sought`: the mechanism that is searched from other beginnings
-    (None: there is nothing to search), `concentric` and `worn` as of `assemble_arrays`."""
+    (None: there is nothing to search), `tree` its coordinates, `concentric` and `worn` as of
+    `assemble_arrays`."""
 
     mechanism: Mechanism
     start: Start
     sound: Any
+    tree: assembly_modes.Coordinates
     sought: Mechanism | None
     concentric: bool
     worn: dict | None
@@ -271,7 +284,7 @@ class FirstFound(NamedTuple):
         if self.sought is None:
             return True
         if self.sound:
-            return assembly_modes.has_landed(self.start)
+            return assembly_modes.has_landed(self.tree, self.start)
         return start_check.is_placed(self.start)
 
     def search(self, begin: Beginning, guess: dict | None = None) -> tuple[Start, Any]:
@@ -280,34 +293,36 @@ class FirstFound(NamedTuple):
         mechanism = self.sought
         if guess is not None:
             mechanism = eqx.tree_at(lambda m: m.guess, mechanism, guess)
-        start, sound = _judged(mechanism, self.concentric, self.worn, begin)
-        if sound:
-            return start, sound
-        # Begun far away it may be on the way still.
-        own, led = jnp.array(True), jnp.array(False)
-        return _judged(
-            mechanism, self.concentric, self.worn, Beginning(own, led, start.coordinates)
-        )
+        found = _judged(mechanism, self.concentric, self.worn, begin)
+        if not found.sound:
+            # Begun far away it may be on the way still.
+            on = assembly_modes.at(found.start.coordinates)
+            found = _judged(mechanism, self.concentric, self.worn, on)
+        return found.start, found.sound
 
     def modes(self, count: int) -> list[Mode]:
-        """The modes to which searches from so many beginnings lead, beside this one."""
-        known = [self.start] if self.sound else []
+        """The modes to which this search and so many others lead."""
+        own = [(at_guess(self.mechanism), 1)]
         if self.sought is None:
-            return [Mode(start, assembly_modes.distance(start), 1) for start in known]
-        return assembly_modes.modes(self.mechanism, self.search, count, known)
+            return assembly_modes.modes(self.tree, lambda _: (self.start, self.sound), own)
+        others = assembly_modes.beginnings(self.mechanism, self.tree, count - 1)
+        found = [*own, *((begin, 1) for begin in others)]
+        search = lambda begin: self[1:3] if begin is own[0][0] else self.search(begin)
+        return assembly_modes.modes(self.tree, search, found)
 
 
 def first_found(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> FirstFound:
     """Where the search for a start leads from what is guessed of a mechanism with numbers."""
     bare = with_redundancy(mechanism, None)
     begin = at_guess(mechanism)
-    judged = lambda m: _judged(m, concentric, worn, begin)
-    known, start, sound = _known(bare, *judged(bare), 0.0, judged)
+    first = _judged(bare, concentric, worn, begin)
+    tree = assembly_modes.Coordinates(bare, first.seed, first.arm)
+    judged = lambda m: _judged(m, concentric, worn, begin)[:2]
+    known, start, sound = _known(bare, *first[:2], 0.0, judged)
     # Redundant rows that motion never changes say nothing new.
-    sought = known if known.topology.searched else bare
-    if is_solved(bare, concentric):
-        sought = None
-    return FirstFound(known, start, sound, sought, concentric, worn)
+    searched = known if known.topology.searched else bare
+    sought = None if is_solved(bare, concentric) else searched
+    return FirstFound(known, start, sound, tree, sought, concentric, worn)
 
 
 class Nearest(NamedTuple):
@@ -327,16 +342,17 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
     beginnings are tried where the first has not landed on it. Warns where another mode is about as
     near. What is being traced is taken as it comes."""
     if is_traced((mechanism, worn, jnp.zeros(()))):
-        return Nearest(mechanism, *_judged(mechanism, concentric, worn))
+        return Nearest(mechanism, *_judged(mechanism, concentric, worn)[:2])
     first = first_found(mechanism, concentric, worn)
-    found = [] if first.is_taken else first.modes(assembly_modes.STEERING)
+    found = [] if first.is_taken else first.modes(assembly_modes.SEARCHES)
     if not found:
         return Nearest(*first[:3])
-    doubt = assembly_modes.doubt(first.mechanism, found)
+    doubt = assembly_modes.doubt(first.mechanism, first.tree, found)
     if doubt:
         warnings.warn(doubt, stacklevel=4)
     start = found[0].start
-    return Nearest(first.mechanism, start, True, doubt, start is not first.start)
+    elsewhere = not np.array_equal(start.coordinates, first.start.coordinates)
+    return Nearest(first.mechanism, start, True, doubt, elsewhere)
 
 
 def ready(mechanism: Mechanism, concentric: bool = True, worn: dict | None = None) -> Nearest:
@@ -419,7 +435,7 @@ def sampled(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Sample
         return Sampled(names, known.topology.redundancy, None)
     if names:
         # Their rows are held no more.
-        begin = Beginning(jnp.array(True), jnp.array(False), start.coordinates)
-        start = _judged(loosened(known, names), concentric, worn, begin)[0]
+        begin = assembly_modes.at(start.coordinates)
+        start = _judged(loosened(known, names), concentric, worn, begin).start
     mode = assembly_modes.nominal(known, start, found.searched)
     return Sampled(names, known.topology.redundancy, mode)

@@ -16,16 +16,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxclear.ground import factorisation
-from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import start_check
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.start_equations import Start, ask, guess
+from jaxclear.multibody.start_equations import Start
 from jaxclear.multibody.topology import joint_of
 
-# Beginnings from which the nearest mode is sought: one that a tenth of them lead to is missed by
-# one search in thirty.
-STEERING = 32
+# Beginnings from which the nearest mode is sought, or all are: one to which one in sixteen leads is
+# missed by one list in sixty.
+SEARCHES = 64
 # Two starts of which no coordinate differs by more are one [rad, longest arms].
 SAME = 1e-4
 # Beginnings lie within so many longest arms of the guess: as far as two links reach.
@@ -98,29 +97,25 @@ def nominal(mechanism: Mechanism, start: Start, searched: bool) -> Nominal:
 Search = Callable[[Beginning], tuple[Start, Any]]
 
 
+def at(coordinates: Any) -> Beginning:
+    """A beginning at coordinates, led nowhere else."""
+    return Beginning(jnp.array(True), jnp.array(False), jnp.asarray(coordinates))
+
+
 def at_guess(mechanism: Mechanism) -> Beginning:
     """The mechanism's own beginning."""
     own, led = jnp.array(False), jnp.array(True)
     return Beginning(own, led, jnp.zeros(mechanism.topology.coordinate_count))
 
 
-def distance(start: Start) -> float:
-    """How far a start is from all that is guessed [rad, longest arms]."""
-    return float(np.linalg.norm(_away(start)))
-
-
-def _away(start: Start) -> np.ndarray:
-    return np.concatenate([np.zeros(0), *(np.ravel(x) for x in start.away.values())])
-
-
-def has_landed(start: Start) -> bool:
+def has_landed(tree: "Coordinates", start: Start) -> bool:
     """Whether a start is so near to what is guessed that no other mode can be nearer, or about as
     near: another one is at least 2 s/L away, s the smallest singular value of the rows that are
     held and L a bound of their change with the coordinates (from 0 = J d + (L/2) d^2). The second
     derivative of a chain's end by two of its turns is as long as the first by one of them, so L is
     taken as the norm of J times the root of the number of turns.
     """
-    apart = distance(start)
+    apart = tree.distance(start)
     if apart <= start_check.HELD:
         return True
     rows = np.asarray(start.rows)
@@ -158,55 +153,46 @@ def leaves_free(start: Start) -> bool:
     return rank < rows.shape[1]
 
 
-def modes(mechanism: Mechanism, search: Search, count: int, known: Iterable[Start]) -> list[Mode]:
-    """The modes that are `known` and those to which searches from so many beginnings lead: the
-    nearest to what is guessed first, of those as near the one that is nearest to the mechanism's
-    own beginning, which is its joints' homes where nothing is guessed."""
-    told = _Coordinates(mechanism)
-    found = [Mode(start, distance(start), 1) for start in known]
-    for begin in _beginnings(mechanism, told, count):
-        found = _with(told, found, *search(begin), 1)
-    return sorted(found, key=lambda mode: _rank_of(told, mode))
-
-
-def carried_on(mechanism: Mechanism, search: Search, found: Iterable[Mode]) -> list[Mode]:
-    """The modes to which searches lead that begin at those `found` of another guess."""
-    told, on = _Coordinates(mechanism), list[Mode]()
-    for mode in found:
-        begin = Beginning(jnp.array(True), jnp.array(False), mode.start.coordinates)
-        on = _with(told, on, *search(begin), mode.found)
-    return sorted(on, key=lambda mode: _rank_of(told, mode))
-
-
-def _with(
-    told: "_Coordinates", found: list[Mode], start: Start, sound: Any, count: int
+def modes(
+    tree: "Coordinates", search: Search, beginnings: Iterable[tuple[Beginning, int]]
 ) -> list[Mode]:
-    """Modes with one to which so many searches have led, if it is sound."""
-    if not sound:
-        return found
-    start = start._replace(coordinates=jnp.asarray(told.unwound(np.asarray(start.coordinates))))
+    """The modes to which searches from beginnings lead, each counted so often: the nearest to what
+    is guessed first, of those as near the one that is nearest to the mechanism's own beginning,
+    which is its joints' homes where nothing is guessed."""
+    found: list[Mode] = []
+    for begin, count in beginnings:
+        start, sound = search(begin)
+        if sound:
+            found = _with(tree, found, start, count)
+
+    def rank(mode):
+        near = round(mode.distance / start_check.HELD)
+        apart = tree.apart(np.asarray(mode.start.coordinates), tree.seed)
+        return near, float(np.linalg.norm(apart))
+
+    return sorted(found, key=rank)
+
+
+def _with(tree: "Coordinates", found: list[Mode], start: Start, count: int) -> list[Mode]:
+    """Modes with one to which so many searches have led."""
+    own = Mode(tree.unwound(start), tree.distance(start), count)
     for i, mode in enumerate(found):
-        if _is_one(told, mode.start, start):
+        if _is_one(tree, mode.start, own.start):
             return [*found[:i], mode._replace(found=mode.found + count), *found[i + 1 :]]
-    return [*found, Mode(start, distance(start), count)]
+    return [*found, own]
 
 
-def _rank_of(told: "_Coordinates", mode: Mode) -> tuple[int, float]:
-    near = round(mode.distance / start_check.HELD)
-    return near, float(np.linalg.norm(told.apart(np.asarray(mode.start.coordinates), told.seed)))
-
-
-def _is_one(told: "_Coordinates", a: Start, b: Start) -> bool:
+def _is_one(tree: "Coordinates", a: Start, b: Start) -> bool:
     """Whether two starts are of one mode. Of one that leaves freedoms those are told that meet what
     is guessed alike."""
-    apart = told.apart(np.asarray(a.coordinates), np.asarray(b.coordinates))
+    apart = tree.apart(np.asarray(a.coordinates), np.asarray(b.coordinates))
     if np.max(np.abs(apart), initial=0.0) <= SAME:
         return True
-    free = len(_away(a)) > 0 and leaves_free(a)
-    return free and bool(np.max(np.abs(_away(a) - _away(b))) <= SAME)
+    away = tree.away(a) - tree.away(b)
+    return len(away) > 0 and leaves_free(a) and bool(np.max(np.abs(away)) <= SAME)
 
 
-def doubt(mechanism: Mechanism, found: list[Mode]) -> str:
+def doubt(mechanism: Mechanism, tree: "Coordinates", found: list[Mode]) -> str:
     """A sentence where the second of modes is about as near to what is guessed as the first, with
     both distances; "" where it is not."""
     if len(found) < 2 or not mechanism.guess:
@@ -214,10 +200,9 @@ def doubt(mechanism: Mechanism, found: list[Mode]) -> str:
     first, second = found[:2]
     if second.distance >= max(ABOUT * first.distance, start_check.HELD):
         return ""
-    told = _Coordinates(mechanism)
     places = [np.asarray(mode.start.coordinates) for mode in (first, second)]
-    name = told.most_apart(*places)
-    here, there = (told.in_words(place, name) for place in places)
+    name = tree.most_apart(*places)
+    here, there = (tree.in_words(place, name) for place in places)
     more = (
         f"Guess {name} nearer to what is meant"
         if name.strip('"') in mechanism.guess
@@ -231,31 +216,41 @@ def doubt(mechanism: Mechanism, found: list[Mode]) -> str:
     )
 
 
-@compiled_quickly
-def _seed(mechanism: Mechanism) -> Array:
-    return guess(mechanism)[0]
+class Coordinates:
+    """The coordinates of the tree of a mechanism with numbers, by branch: where they begin
+    (`seed`), and by how much one is as far as a radian (`arm` [m] for lengths)."""
 
-
-@compiled_quickly
-def _arm(mechanism: Mechanism) -> Array:
-    return ask(mechanism, False).arm
-
-
-class _Coordinates:
-    """The coordinates of the tree of a mechanism with numbers: where they begin (`seed`), by branch
-    its joint, and which of them repeat after a turn."""
-
-    def __init__(self, mechanism: Mechanism):
+    def __init__(self, mechanism: Mechanism, seed: Any, arm: Any):
         parts = mechanism.bodies, mechanism.connections
         self.branches = [b for b in mechanism.topology.branches if b.coordinate_count]
         self.joints = [joint_of(branch, *parts) for branch in self.branches]
         self.units = np.array([unit for joint in self.joints for unit in joint.units], dtype=str)
-        self.turns = np.concatenate([np.zeros(0, bool), *map(_repeats, self.joints)])
-        self.arm, self.seed = float(_arm(mechanism)), np.asarray(_seed(mechanism))
+        self.arm, self.seed = float(arm), np.asarray(seed)
+        # Which coordinates are guessed: of a body in space, of which 3 numbers are, its place only.
+        self.guessed = np.zeros(len(self.units), bool)
+        for branch, joint in zip(self.branches, self.joints, strict=True):
+            values = mechanism.guess.get(branch.name)
+            if values is not None:
+                whole = all(joint.told(values))
+                self.guessed[branch.coordinates] = [whole or unit != "1" for unit in joint.units]
 
-    def unwound(self, q: np.ndarray) -> np.ndarray:
-        """Coordinates less the whole turns by which they are further from the seed."""
-        return q - np.where(self.turns, 2 * np.pi * np.round((q - self.seed) / (2 * np.pi)), 0.0)
+    def away(self, start: Start) -> np.ndarray:
+        """From all that is guessed to a start [rad, longest arms]."""
+        own = self.apart(np.asarray(start.coordinates), self.seed)[self.guessed]
+        return np.concatenate([own, *(np.ravel(x) for x in start.away.values())])
+
+    def distance(self, start: Start) -> float:
+        """How far a start is from all that is guessed [rad, longest arms]."""
+        return float(np.linalg.norm(self.away(start)))
+
+    def unwound(self, start: Start) -> Start:
+        """A start whose angles are less the whole turns by which they are further from the seed."""
+        q = np.asarray(start.coordinates)
+        turns = np.round((q - self.seed) / (2 * np.pi)) * (self.units == "rad")
+        if np.any(turns):
+            repeats = np.concatenate([np.zeros(0, bool), *map(_repeats, self.joints)])
+            q = q - np.where(repeats, 2 * np.pi * turns, 0.0)
+        return start._replace(coordinates=jnp.asarray(q))
 
     def most_apart(self, q: np.ndarray, other: np.ndarray) -> str:
         """The joint or body, in quotes, whose coordinates tell two places apart most."""
@@ -279,7 +274,7 @@ class _Coordinates:
             side = np.where(four & (np.sum(own[four] * far[four]) < 0), -1.0, 1.0)
             parts.append(np.where(four, 2.0, 1.0) * (own - side * far))
         apart = np.concatenate([np.zeros(0), *parts])
-        apart = np.where(self.turns, np.angle(np.exp(1j * apart)), apart)
+        apart = np.where(self.units == "rad", np.angle(np.exp(1j * apart)), apart)
         return np.where(self.units == "m", apart / self.arm, apart)
 
 
@@ -299,17 +294,18 @@ def _repeats(joint: Any) -> np.ndarray:
     return np.array(out, dtype=bool)
 
 
-def _beginnings(mechanism: Mechanism, told: _Coordinates, count: int) -> Iterator[Beginning]:
-    """Beginnings drawn around the mechanism's own. What `start` gives stays; every other one heeds
-    what is guessed."""
+def beginnings(mechanism: Mechanism, tree: Coordinates, count: int) -> Iterator[Beginning]:
+    """So many beginnings around the mechanism's own. What `start` gives stays; every other one
+    heeds what is guessed, a half of it that is drawn."""
     random = np.random.default_rng(0)
     for k in range(count):
         led = k % 2 == 0
-        kept = {*mechanism.start, *(mechanism.guess if led else ())}
-        q = told.seed.copy()
-        for branch, joint in zip(told.branches, told.joints, strict=True):
+        heeded = [name for name in mechanism.guess if random.random() < 0.5]
+        kept = {*mechanism.start, *(heeded if led else ())}
+        q = tree.seed.copy()
+        for branch, joint in zip(tree.branches, tree.joints, strict=True):
             own = np.array(
-                [_drawn(random, unit, told.arm) for unit in joint.units[: branch.coordinate_count]]
+                [_drawn(random, unit, tree.arm) for unit in joint.units[: branch.coordinate_count]]
             )
             four = np.array([unit == "1" for unit in joint.units])
             if four.any():

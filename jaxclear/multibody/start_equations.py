@@ -201,11 +201,11 @@ def position_blocks(asked: Ask, q: Array, time: Any) -> list[Block]:
 
 def held_blocks(asked: Ask, place: Place) -> list[Block]:
     """The same at a place."""
-    closure = lambda kind, own: _closure_block(asked, place.motions, *own, kind, False)
+    motions = place.motions
     return [
-        *(closure(LOOP, own) for own in _loops(asked)),
+        *(_closure_block(asked, motions, n, c, LOOP, False) for n, c in _loops(asked)),
         *_coordinate_blocks(asked, place, GIVEN),
-        *(closure(JOURNAL, own) for own in _journals(asked)),
+        *(_closure_block(asked, motions, n, c, JOURNAL, False) for n, c in _journals(asked)),
     ]
 
 

@@ -23,6 +23,7 @@ from jaxclear.integrators import AbstractIntegrator, Outcome
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.promise import STUDIES
 from jaxclear.multibody.assembly import (
+    Sampled,
     Start,
     assemble_arrays,
     carried_on,
@@ -172,9 +173,10 @@ class Problem(AbstractProblem):
         self.updates = jnp.asarray(1)
         self.integrator = self._load_steps().integrator
         motion = self.state.motion
-        known = ((), None if motion is None else motion.redundancy, None)
         if motion is None:
             known = sampled(seen, self.state.concentric, self.past.worn)
+        else:
+            known = Sampled((), motion.redundancy, None)
         self.determined, self.redundancy, self.mode = known
         check_variables(self.variables, mechanism)
         self.variable_units = units_of_variables(mechanism, self.variables.values())
