@@ -3,7 +3,7 @@
 What is given (`Mechanism.start`, `speeds`) is held, the rest is solved: Gauss-Newton steps in the
 joints' own speeds, so rotations never leave their group, each the least one that meets the
 equations of `start_equations`, metres measured by the longest arm. What cannot be met is refused by
-name (`start_check`).
+name (`start_check`). Where the guess is not met other beginnings are tried (`assembly_modes`).
 """
 
 import warnings
@@ -318,7 +318,7 @@ def first_found(mechanism: Mechanism, concentric: bool, worn: dict | None = None
     first = _judged(bare, concentric, worn, begin)
     tree = assembly_modes.Coordinates(bare, first.seed, first.arm)
     judged = lambda m: _judged(m, concentric, worn, begin)[:2]
-    known, start, sound = _known(bare, *first[:2], 0.0, judged)
+    known, start, sound = _known(bare, first.start, first.sound, 0.0, judged)
     # Redundant rows that motion never changes say nothing new.
     searched = known if known.topology.searched else bare
     sought = None if is_solved(bare, concentric) else searched
