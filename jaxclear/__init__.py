@@ -56,6 +56,7 @@ from jaxclear.ground.unknown import why_unknown
 from jaxclear.ground.versions import installed
 from jaxclear.laws import contact, friction, material, stiffness, wear
 from jaxclear.laws.material import Material
+from jaxclear.multibody.assemblies import assemblies
 from jaxclear.multibody.assembly import assemble
 from jaxclear.multibody.heated import heated
 from jaxclear.multibody.loops import Baumgarte, Projection
@@ -144,6 +145,7 @@ __all__ = [
     "Wearing",
     "advise",
     "assemble",
+    "assemblies",
     "campaign",
     "catalogue",
     "clearance",

@@ -66,7 +66,7 @@ def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[st
     # A drive takes its link to where the others, which stay at their start, cannot follow.
     times = jnp.zeros(1) if mechanism.driven else jnp.linspace(0.0, duration, INSTANTS)
     bearings, found = prepare(mechanism).bearings, {}
-    for name, at_times in _pressed(*ready(mechanism), times).items():
+    for name, at_times in _pressed(*ready(mechanism)[:2], times).items():
         loads = np.asarray(at_times.acceleration / jnp.maximum(at_times.lightness, LEAST_LIGHTNESS))
         worst = int(np.argmax(np.max(loads, axis=1)))
         pressed = _Pressed(*(np.asarray(part)[worst] for part in at_times))

@@ -12,14 +12,23 @@ without pivots: `eliminate`. Source: Golub & Van Loan 2013, Matrix Computations,
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import jax.scipy.linalg as jsl
 import numpy as np
 
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import OFF_THE_TIES
+from jaxclear.ground.numerics import OFF_THE_TIES, safe_divide
 
-__all__ = ["LARGEST_WRITTEN_OUT", "Rows", "eliminate", "factor", "solve", "to_array"]
+__all__ = [
+    "LARGEST_WRITTEN_OUT",
+    "Rows",
+    "eliminate",
+    "factor",
+    "sign_of_determinant",
+    "solve",
+    "to_array",
+]
 
 LARGEST_WRITTEN_OUT = 18
 
@@ -124,6 +133,23 @@ def orientation(matrix: list[list]) -> Any:
         own = lines[k] / lines[k][k]
         lines[k + 1 :] = [line - line[k] * own for line in lines[k + 1 :]]
     return sign
+
+
+def sign_of_determinant(matrix: Any) -> Any:
+    """The same of an array, in a loop: for matrices of any size that are looked at once."""
+    count = matrix.shape[0]
+
+    def cleared(k, carry):
+        rows, sign = carry
+        left = jnp.arange(count) >= k
+        pivot = jnp.argmax(jnp.where(left, jnp.abs(rows[:, k]), -1.0))
+        first, own = rows[k], rows[pivot]
+        rows = rows.at[pivot].set(first).at[k].set(own)
+        sign = jnp.where(pivot == k, sign, -sign) * jnp.sign(own[k])
+        shares = jnp.where(jnp.arange(count) > k, rows[:, k] * safe_divide(1.0, own[k]), 0.0)
+        return rows - shares[:, None] * own, sign
+
+    return jax.lax.fori_loop(0, count, cleared, (matrix, jnp.ones(())))[1]
 
 
 def to_array(rows: Rows) -> jnp.ndarray:

@@ -6,8 +6,8 @@ from jaxclear.ground.outcome import AbstractOutcome
 class Outcome(AbstractOutcome):
     """How a run ended. `Outcome(code).sentence` says it; only `REACHED` (0) is a success.
 
-    `UNASSEMBLED` and `OUT_OF_RANGE` are those of samples of a study, whose numbers do not make a
-    mechanism.
+    `UNASSEMBLED`, `OUT_OF_RANGE` and `OTHER_MODE` are those of samples of a study, whose numbers do
+    not make a mechanism, or not the nominal one.
     """
 
     REACHED = 0, "The run reached its end."
@@ -66,7 +66,14 @@ class Outcome(AbstractOutcome):
         "guide_length about guide_middle. Give the SliderGuide longer walls, or another middle.",
     )
 
+    OTHER_MODE = (
+        13,
+        "The mechanism was assembled in another mode than the nominal one: a position in which two "
+        "of its ways to assemble meet lies between the two. Vary its numbers less, or give start= "
+        "or guess= for more joints.",
+    )
+
     @property
     def began(self) -> bool:
         """Whether there was a run at all."""
-        return self not in (Outcome.UNASSEMBLED, Outcome.OUT_OF_RANGE)
+        return self not in (Outcome.UNASSEMBLED, Outcome.OUT_OF_RANGE, Outcome.OTHER_MODE)

@@ -3,15 +3,17 @@
 What is given (`Mechanism.start`, `speeds`) is held, the rest is solved: Gauss-Newton steps in the
 joints' own speeds, so rotations never leave their group, each the least one that meets the
 equations of `start_equations`, metres measured by the longest arm. What cannot be met is refused by
-name (`start_check`).
+name (`start_check`). Where the guess is not met other beginnings are tried (`assembly_modes`).
 """
 
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
 from jaxclear.ground import sparse as sp
@@ -20,44 +22,58 @@ from jaxclear.ground.arguments import check_flags, expect
 from jaxclear.ground.compiling import compiled_quickly
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced
-from jaxclear.multibody import contact_point, kinematics, redundancy, start_check
-from jaxclear.multibody.mechanism import Mechanism, ungiven, with_redundancy
-from jaxclear.multibody.side_of_guess import warn_of_nearer_assembly
+from jaxclear.multibody import (
+    assembly_modes,
+    contact_point,
+    kinematics,
+    redundancy,
+    start_check,
+)
+from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, at_guess
+from jaxclear.multibody.mechanism import Mechanism, loosened, ungiven, with_redundancy
 from jaxclear.multibody.start_equations import (
     GIVEN,
-    GUESS,
     JOURNAL,
     LOOP,
     Ask,
+    Near,
     Start,
+    alike,
     ask,
     guess,
+    guess_blocks,
+    held_blocks,
     is_solved,
     least,
+    leaves_free,
     motions_at,
     nearer,
     outside_tree,
+    place_at,
     position_blocks,
     settled,
     speed_blocks,
     stacked,
 )
 from jaxclear.multibody.system import readings
+from jaxclear.multibody.topology import Redundancy
 
 __all__ = [
     "Start",
     "assemble",
     "assemble_arrays",
-    "assembled",
     "carried_on",
-    "determined",
     "guess",
     "is_sound",
+    "nearest",
     "ready",
     "ready_from",
+    "sampled",
 ]
 
 ITERATIONS = 30
+# The last of them.
+CLOSING = 5
 # The same where rows are redundant and steps are damped.
 SETTLING = 200
 # A part may start this deep in another, as a share of the smaller radius in contact [1]: as deep as
@@ -72,29 +88,53 @@ def assemble_arrays(
     rough: tuple[Array, Array] | None = None,
     worn: dict | None = None,
 ) -> Start:
-    """The consistent start nearest `rough` coordinates and speeds, by default the mechanism's
-    guess; of surfaces `worn` so deep [m]; pure, so it maps and differentiates."""
+    """The consistent start nearest to what is guessed, in the mode to which a search from `rough`
+    coordinates and speeds leads, by default the mechanism's guess; of surfaces `worn` so deep [m];
+    pure, so it maps and differentiates."""
     asked = ask(mechanism, concentric, worn)
-    q, v = guess(mechanism) if rough is None else rough
-    start_check.check_flat_bodies(mechanism, asked.system, motions_at(asked, q, v, time)[2])
-    if is_solved(asked):
-        return _started(asked, q, v, time)
+    if rough is None:
+        q, v = guess(mechanism)
+        return _solved(asked, _towards_guess(asked, q, time), v, time)
+    return _solved(asked, *rough, time)
+
+
+def _towards_guess(asked: Ask, q: Array, time: Any) -> Array:
+    """Rough coordinates led to what is told of other joints than those of the tree, so
+    that the search for closed loops begins where it was told: loops and guesses share what
+    contradicts."""
+    if is_solved(asked.mechanism, asked.concentric) or not outside_tree(asked.mechanism):
+        return q
 
     def approach(q, _):
-        asked_for = [b for b in position_blocks(asked, q, time) if b.kind in (GIVEN, GUESS)]
-        return nearer(asked, q, asked_for), None
+        place = place_at(asked, q, time)
+        blocks = held_blocks(asked, place)
+        held = [block for block in blocks if block.kind == GIVEN]
+        rest = [block for block in blocks if block.kind != GIVEN]
+        return nearer(asked, q, held, Near(rest + guess_blocks(asked, place), 1.0)), None
 
-    def improve(q, _):
-        return nearer(asked, q, position_blocks(asked, q, time)), None
+    return jax.lax.scan(approach, q, length=ITERATIONS)[0]
 
-    if outside_tree(asked):
-        # What is told of other joints than those of the tree first, so that the search for closed
-        # loops begins where it was told.
-        q, _ = jax.lax.scan(approach, q, length=ITERATIONS)
+
+def _solved(asked: Ask, q: Array, v: Array, time: Any) -> Start:
+    """The consistent start to which a search leads from rough coordinates and speeds."""
+    mechanism = asked.mechanism
+    start_check.check_flat_bodies(mechanism, asked.system, motions_at(asked, q, v, time)[2])
+    if is_solved(mechanism, asked.concentric):
+        return _started(asked, q, v, time)
+
+    def improve(q, weight):
+        place = place_at(asked, q, time)
+        held = held_blocks(asked, place)
+        if not mechanism.guess or not leaves_free(asked, held):
+            return nearer(asked, q, held), None
+        return nearer(asked, q, held, Near(guess_blocks(asked, place), weight)), None
+
     if asked.system.topology.searched:
         # Far from closed, redundant rows contradict each other, and others may lead astray.
         q = closest(asked, q, time)
-    q, _ = jax.lax.scan(improve, q, length=ITERATIONS)
+    # At last loops alone: what is not the least yet leaves them open by its square.
+    weights = jnp.where(jnp.arange(ITERATIONS) < ITERATIONS - CLOSING, 1.0, 0.0)
+    q, _ = jax.lax.scan(improve, q, weights)
     # The second time for rounding only: rates are linear in the speeds.
     for _ in range(2):
         v = v - least(asked, speed_blocks(asked, q, v, time)).change
@@ -131,7 +171,10 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
 
 def _started(asked: Ask, q: Array, v: Array, time: Any) -> Start:
     """The start with all by which it is judged."""
-    positions, speeds = position_blocks(asked, q, time), speed_blocks(asked, q, v, time)
+    solved, place = is_solved(asked.mechanism, asked.concentric), place_at(asked, q, time)
+    positions, speeds = held_blocks(asked, place), speed_blocks(asked, q, v, time)
+    # How far coordinates of the tree are from a guess is read off them.
+    carried = {branch.name for branch in asked.system.topology.branches}
     closures = [block for block in positions if block.kind in (LOOP, JOURNAL)]
     return Start(
         q,
@@ -142,6 +185,8 @@ def _started(asked: Ask, q: Array, v: Array, time: Any) -> Start:
         {b.name: b.left / b.measure for b in positions if b.kind == GIVEN},
         {b.name: b.left / b.measure for b in speeds if b.kind == GIVEN},
         _depths(asked, q, v, time),
+        {b.name: b.left / b.measure for b in guess_blocks(asked, place) if b.name not in carried},
+        alike(asked, [] if solved else positions)[0],
     )
 
 
@@ -173,13 +218,28 @@ def _closest(mechanism: Mechanism, time: Any) -> Start:
     return _started(asked, closest(asked, q, time), v, time)
 
 
-assembled = compiled_quickly(assemble_arrays)
+class Judged(NamedTuple):
+    """A start, whether it is sound, where its search began, and the longest arm [m]."""
+
+    start: Start
+    sound: Any
+    seed: Any
+    arm: Any
 
 
 @compiled_quickly
-def _judged(mechanism: Mechanism, concentric: bool, worn: dict | None) -> tuple[Start, Array]:
-    start = assemble_arrays(mechanism, concentric, worn=worn)
-    return start, is_sound(mechanism, start)
+def _judged(
+    mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning | None = None
+) -> Judged:
+    asked = ask(mechanism, concentric, worn)
+    seed, v = guess(mechanism)
+    if begin is None:
+        q = _towards_guess(asked, seed, 0.0)
+    else:
+        q = jnp.where(begin.own, begin.coordinates, seed)
+        q = jnp.where(begin.led, _towards_guess(asked, q, 0.0), q)
+    start = _solved(asked, q, v, 0.0)
+    return Judged(start, is_sound(mechanism, start), seed, asked.arm)
 
 
 @compiled_quickly
@@ -200,24 +260,108 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     check_double_precision()
     expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")
     check_flags("assemble", concentric=concentric)
-    return ready(mechanism, concentric)[1]
+    return ready(mechanism, concentric).start
 
 
-def ready(
-    mechanism: Mechanism, concentric: bool = True, worn: dict | None = None
-) -> tuple[Mechanism, Start]:
+class FirstFound(NamedTuple):
+    """A mechanism that knows which rows of its loops are redundant, the start to which its guess
+    leads and whether that is sound; `sought`: the mechanism that is searched from other beginnings
+    (None: there is nothing to search), `tree` its coordinates, `concentric` and `worn` as of
+    `assemble_arrays`."""
+
+    mechanism: Mechanism
+    start: Start
+    sound: Any
+    tree: assembly_modes.Coordinates
+    sought: Mechanism | None
+    concentric: bool
+    worn: dict | None
+
+    @property
+    def is_taken(self) -> bool:
+        """Whether no other beginning is tried: the start is where it was guessed, or what is wrong
+        with it is not where it stands."""
+        if self.sought is None:
+            return True
+        if self.sound:
+            return assembly_modes.has_landed(self.tree, self.start)
+        return start_check.is_placed(self.start)
+
+    def search(self, begin: Beginning, guess: dict | None = None) -> tuple[Start, Any]:
+        """The start to which another beginning leads, of another guess for the same names (None:
+        its own), and whether it is sound."""
+        mechanism = self.sought
+        if guess is not None:
+            mechanism = eqx.tree_at(lambda m: m.guess, mechanism, guess)
+        found = _judged(mechanism, self.concentric, self.worn, begin)
+        if not found.sound:
+            # Begun far away it may be on the way still.
+            on = assembly_modes.at(found.start.coordinates)
+            found = _judged(mechanism, self.concentric, self.worn, on)
+        return found.start, found.sound
+
+    def modes(self, count: int) -> list[Mode]:
+        """The modes to which this search and so many others lead."""
+        own = [(at_guess(self.mechanism), 1)]
+        if self.sought is None:
+            return assembly_modes.modes(self.tree, lambda _: (self.start, self.sound), own)
+        others = assembly_modes.beginnings(self.mechanism, self.tree, count - 1)
+        found = [*own, *((begin, 1) for begin in others)]
+        search = lambda begin: self[1:3] if begin is own[0][0] else self.search(begin)
+        return assembly_modes.modes(self.tree, search, found)
+
+
+def first_found(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> FirstFound:
+    """Where the search for a start leads from what is guessed of a mechanism with numbers."""
+    bare = with_redundancy(mechanism, None)
+    begin = at_guess(mechanism)
+    first = _judged(bare, concentric, worn, begin)
+    tree = assembly_modes.Coordinates(bare, first.seed, first.arm)
+    judged = lambda m: _judged(m, concentric, worn, begin)[:2]
+    known, start, sound = _known(bare, first.start, first.sound, 0.0, judged)
+    # Redundant rows that motion never changes say nothing new.
+    searched = known if known.topology.searched else bare
+    sought = None if is_solved(bare, concentric) else searched
+    return FirstFound(known, start, sound, tree, sought, concentric, worn)
+
+
+class Nearest(NamedTuple):
+    """A mechanism that knows its redundant rows, its start nearest to what is guessed, whether that
+    is sound, a sentence where another mode is about as near, and whether other beginnings than the
+    guess have led to it."""
+
+    mechanism: Mechanism
+    start: Start
+    sound: Any
+    doubt: str = ""
+    searched: bool = False
+
+
+def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = None) -> Nearest:
+    """The start nearest to what is guessed, of surfaces `worn` so deep [m] (None: new ones): other
+    beginnings are tried where the first has not landed on it. Warns where another mode is about as
+    near. What is being traced is taken as it comes."""
+    if is_traced((mechanism, worn, jnp.zeros(()))):
+        return Nearest(mechanism, *_judged(mechanism, concentric, worn)[:2])
+    first = first_found(mechanism, concentric, worn)
+    found = [] if first.is_taken else first.modes(assembly_modes.SEARCHES)
+    if not found:
+        return Nearest(*first[:3])
+    doubt = assembly_modes.doubt(first.mechanism, first.tree, found)
+    if doubt:
+        warnings.warn(doubt, stacklevel=4)
+    start = found[0].start
+    elsewhere = not np.array_equal(start.coordinates, first.start.coordinates)
+    return Nearest(first.mechanism, start, True, doubt, elsewhere)
+
+
+def ready(mechanism: Mechanism, concentric: bool = True, worn: dict | None = None) -> Nearest:
     """A mechanism that knows which rows of its loops are redundant, and its start, both as
-    `assemble` wants them, of surfaces `worn` so deep [m] (None: new ones). What is being traced is
-    taken as it comes."""
-    bare, judged = with_redundancy(mechanism, None), lambda m: _judged(m, concentric, worn)
-    start, sound = judged(bare)
-    if is_traced(start):
-        return mechanism, judged(mechanism)[0]
-    known, start, sound = _known(bare, start, sound, 0.0, judged)
-    if not sound:
-        start_check.refuse(known, start)
-    warn_of_nearer_assembly(known if known.topology.searched else bare, start, judged)
-    return known, start
+    `assemble` wants them. Raises `ValueError` for a start that is not sound."""
+    found = nearest(mechanism, concentric, worn)
+    if not is_traced(found.start) and not found.sound:
+        start_check.refuse(found.mechanism, found.start)
+    return found
 
 
 def ready_from(
@@ -269,12 +413,29 @@ def _known(
     return known, min(start, place, key=start_check.open_by), sound
 
 
-def determined(
-    mechanism: Mechanism, concentric: bool = True, worn: dict | None = None
-) -> tuple[tuple[str, ...], Mechanism]:
-    """Names of coordinates that `start` gives although loops, drives, concentric journals and what
-    is given before determine them, and the mechanism that knows its redundant rows. Raises
-    `ValueError` for a start that is refused."""
-    known, start = ready(mechanism, concentric, worn)
-    told = mechanism.start and not is_traced(start)
-    return start_check.determined(known, start) if told else (), known
+class Sampled(NamedTuple):
+    """What samples of a mechanism share: names of coordinates that `start` gives although loops,
+    drives, concentric journals and what is given before determine them (they move with the numbers
+    that vary), which rows of loops are redundant, and the mode."""
+
+    determined: tuple[str, ...]
+    redundancy: Redundancy | None
+    nominal: Nominal | None
+
+
+def sampled(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Sampled:
+    """What samples share with a nominal mechanism. Raises `ValueError` for a start that is
+    refused."""
+    found = ready(mechanism, concentric, worn)
+    known, start = found.mechanism, found.start
+    if is_traced(start):
+        return Sampled((), known.topology.redundancy, None)
+    names = start_check.determined(known, start) if mechanism.start else ()
+    if is_solved(mechanism, concentric):
+        return Sampled(names, known.topology.redundancy, None)
+    if names:
+        # Their rows are held no more.
+        begin = assembly_modes.at(start.coordinates)
+        start = _judged(loosened(known, names), concentric, worn, begin).start
+    mode = assembly_modes.nominal(known, start, found.searched)
+    return Sampled(names, known.topology.redundancy, mode)

@@ -53,13 +53,19 @@ def source(mechanism: Mechanism, system: System, name: str) -> Source:
 
 
 def coordinate_equations(
-    system: System, motions: tuple[Motion, ...], q: tuple, where: Source, given: tuple
+    system: System,
+    motions: tuple[Motion, ...],
+    q: tuple,
+    where: Source,
+    given: tuple,
+    nearly: bool = False,
 ) -> Equations:
-    """Coordinates that are to be `given`; `q` are those of the tree, by branch."""
+    """Coordinates that are to be `given`, or `nearly`, angles by the shorter way; `q` are those of
+    the tree, by branch."""
     joint = where.joint
     wanted = joint.start(given)
     if where.branch is not None:
-        own, turns = q[where.branch], False
+        own, turns = q[where.branch], nearly
         branch, still = system.topology.branches[where.branch], (0.0,) * len(joint.told(given))
         wanted = at_start(branch, joint, wanted, still)[0]
     else:

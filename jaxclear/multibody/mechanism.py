@@ -72,9 +72,11 @@ class Mechanism(AbstractQuantified):
     name any joint: one that closes a loop, or one with clearance, whose turn and slide are those of
     the ideal joint that it would be. More than the loops leave free is refused where it does not
     close them already (to 1e-6 of a radian or of the longest arm). `guess`: rough coordinates
-    likewise, held only where loops and `start` leave them free; they choose between the ways to
-    assemble (a run warns where a nearer one was passed over). `stabilisation`: how closed loops are
-    kept closed; by default as the integrator of a run needs it, by `Projection` where its steps
+    likewise; of the ways to assemble, and in what loops and `start` leave free, the nearest to all
+    of them together is taken, in radians and shares of the longest arm (a warning tells where a
+    second is about as near; `jaxclear.assemblies` lists them). In what is traced the first search
+    counts: guess the whole tree there, as its `.guess(i)` does. `stabilisation`: how closed loops
+    are kept closed; by default as the integrator of a run needs it, by `Projection` where its steps
     would open them, else by `Baumgarte`. Raises `ValueError` with a sentence naming what is wrong.
 
     What is built stays built: parts are read-only. `with_joint`, `with_body`, `with_load` and

@@ -70,6 +70,13 @@ def open_by(start: Start) -> float:
     return most if not most <= CLOSED else 0.0
 
 
+def is_placed(start: Start) -> bool:
+    """Whether loops are closed and coordinates as they are given: what is wrong, if anything, is
+    none of the place."""
+    missed = max((float(_most(left)) for left in start.missed.values()), default=0.0)
+    return open_by(start) == 0.0 and missed <= HELD
+
+
 def refuse(mechanism: Mechanism, start: Start) -> None:
     """Raises `ValueError` for a start, of a mechanism with numbers, that is not what was asked
     for."""

@@ -1,5 +1,7 @@
 """The equations that a start satisfies, in the order in which they count: loops are closed, what is
-given is held in the order given, journals lie in the middle of their bearings, guesses are met.
+given is held in the order given, journals lie in the middle of their bearings. What these leave
+free is as near to all that is guessed as it can be, in radians and shares of the longest arm
+together.
 """
 
 from typing import Any, NamedTuple
@@ -33,8 +35,10 @@ LEAST_DAMPING = 1e-12
 class Start(NamedTuple):
     """Consistent coordinates and speeds, and by name how they meet what is asked of them: what is
     left of each closure [m, 1], its Jacobian, what is left of the loops' rates [m/s, 1/s], by how
-    much coordinates [rad, longest arms] and speeds given are missed, and for each clearance joint
-    (deepest overlap, overlap allowed at a start) [m].
+    much coordinates [rad, longest arms] and speeds given are missed, for each clearance joint
+    (deepest overlap, overlap allowed at a start) [m], and how far each guess is away [rad, longest
+    arms]. `rows`: the Jacobian of all that is held, in radians and longest arms, by which two ways
+    to assemble are told apart.
     """
 
     coordinates: Float[Array, " q"]
@@ -45,6 +49,8 @@ class Start(NamedTuple):
     missed: dict[str, Float[Array, " numbers"]]
     missed_speeds: dict[str, Float[Array, " numbers"]]
     depths: dict[str, Float[Array, " 2"]]
+    away: dict[str, Float[Array, " numbers"]]
+    rows: Float[Array, "rows v"]
 
 
 class Ask(NamedTuple):
@@ -68,6 +74,14 @@ class Block(NamedTuple):
     jacobian: Float[Array, "rows v"]
     measure: Float[Array, " rows"]
     fixed: Float[Array, " fixed"]
+
+
+class Near(NamedTuple):
+    """Equations that are met as nearly as others let them: least squares of all, each divided by
+    its measure and counted by its `weight` [1]."""
+
+    blocks: list[Block]
+    weight: Any
 
 
 def ask(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask:
@@ -105,10 +119,11 @@ def retract(system: System, q: Array, step: Array) -> Array:
     return sp.stack(parts)
 
 
-def nearer(asked: Ask, q: Array, blocks: list[Block]) -> Array:
+def nearer(asked: Ask, q: Array, blocks: list[Block], near: Near | None = None) -> Array:
     """Coordinates after one Gauss-Newton step that changes what is left of the blocks' equations to
-    0: the least, and `LONGEST_STEP` at most."""
-    return _moved(asked, q, -least(asked, blocks).change)
+    0, and in what these leave free lessens what is left of those that are `near`: the least such
+    step, and `LONGEST_STEP` at most."""
+    return _moved(asked, q, -least(asked, blocks, near).change)
 
 
 def settled(asked: Ask, q: Array, blocks: list[Block]) -> Array:
@@ -117,9 +132,7 @@ def settled(asked: Ask, q: Array, blocks: list[Block]) -> Array:
     in quadratically also where the rank falls (Yamashita & Fukushima 2001, Computing Suppl. 15,
     239, doi:10.1007/978-3-7091-6217-0_18)."""
     scales = speed_scales(asked)
-    rows, left = stacked(asked, blocks)
-    measure = jnp.concatenate([block.measure for block in blocks])
-    rows, left = rows * scales / measure[:, None], left / measure
+    rows, left = alike(asked, blocks)
     damping = DAMPING * jnp.sum(left * left) + LEAST_DAMPING
     damped = rows @ rows.T + damping * jnp.eye(len(left))
     factors = factorisation.factor([list(row) for row in damped])
@@ -135,16 +148,28 @@ def _moved(asked: Ask, q: Array, step: Array) -> Array:
     return retract(asked.system, q, step * jax.lax.stop_gradient(LONGEST_STEP / longest))
 
 
-def least(asked: Ask, blocks: list[Block]) -> Change:
-    """The least change of the free speeds that meets the equations of the blocks, loops first."""
+def least(asked: Ask, blocks: list[Block], near: Near | None = None) -> Change:
+    """The least change of the free speeds that meets the equations of the blocks, loops first, and
+    then nearly those that are `near`."""
     scales, redundancy = speed_scales(asked), asked.system.topology.redundancy
     loops = [block for block in blocks if block.kind == LOOP]
     rest = [block for block in blocks if block.kind != LOOP]
     first = stacked(asked, loops)
     if redundancy is not None and len(first[0]) > redundancy.rank:
         first = of_rank(*first, scales, redundancy.rank)
-    rows, left = zip(first, stacked(asked, rest), strict=True)
-    return least_change(jnp.concatenate(rows), jnp.concatenate(left), scales)
+    rows, left = (jnp.concatenate(parts) for parts in zip(first, stacked(asked, rest), strict=True))
+    if near is None:
+        return least_change(rows, left, scales)
+    # Each has an unknown of its own, by which it is missed: with the damping of Levenberg, the
+    # least of all together is the least square of what is missed.
+    close, missed = (near.weight * part for part in alike(asked, near.blocks))
+    damping = jnp.sqrt(DAMPING * jnp.sum(missed * missed) + LEAST_DAMPING)
+    count, free = len(missed), len(scales)
+    own = jnp.concatenate([jnp.zeros((len(left), count)), damping * jnp.eye(count)])
+    rows = jnp.concatenate([jnp.concatenate([rows, close / scales]), own], axis=1)
+    sizes = jnp.concatenate([scales, jnp.ones(count)])
+    found = least_change(rows, jnp.concatenate([left, missed]), sizes)
+    return Change(found.change[:free], found.met[: len(left)])
 
 
 def motions_at(asked: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple, tuple]:
@@ -158,24 +183,50 @@ def speed_scales(asked: Ask) -> Float[Array, " v"]:
     return given.speed_scales(asked.system, asked.arm)
 
 
+class Place(NamedTuple):
+    """A mechanism at rest: coordinates by branch, and the motions of all links."""
+
+    own: tuple
+    motions: tuple[Motion, ...]
+
+
+def place_at(asked: Ask, q: Array, time: Any) -> Place:
+    """The mechanism at rest at coordinates of the tree."""
+    own_q, _, motions = motions_at(asked, q, jnp.zeros(asked.system.topology.speed_count), time)
+    return Place(own_q, motions)
+
+
 def position_blocks(asked: Ask, q: Array, time: Any) -> list[Block]:
-    """What is left to change in the coordinates, in order."""
-    still = jnp.zeros(asked.system.topology.speed_count)
-    own_q, _, motions = motions_at(asked, q, still, time)
-    wanted = asked.mechanism.given
+    """What is left to change in the coordinates for all that is held, in order."""
+    return held_blocks(asked, place_at(asked, q, time))
 
-    def coordinates(kind, name, values):
+
+def held_blocks(asked: Ask, place: Place) -> list[Block]:
+    """The same at a place."""
+    motions = place.motions
+    return [
+        *(_closure_block(asked, motions, n, c, LOOP, False) for n, c in _loops(asked)),
+        *_coordinate_blocks(asked, place, GIVEN),
+        *(_closure_block(asked, motions, n, c, JOURNAL, False) for n, c in _journals(asked)),
+    ]
+
+
+def guess_blocks(asked: Ask, place: Place) -> list[Block]:
+    """How far coordinates are from all that is guessed, angles by the shorter way."""
+    return _coordinate_blocks(asked, place, GUESS)
+
+
+def _coordinate_blocks(asked: Ask, place: Place, kind: str) -> list[Block]:
+    """Coordinates that are given, or guessed."""
+    blocks, part = [], "start" if kind == GIVEN else "guess"
+    for name, values in asked.mechanism.given[part].items():
         where = given.source(asked.mechanism, asked.system, name)
-        found = given.coordinate_equations(asked.system, motions, own_q, where, values)
+        found = given.coordinate_equations(
+            asked.system, place.motions, place.own, where, values, kind == GUESS
+        )
         told = where.joint.told(values)
-        return _given_block(asked, kind, name, where, found, told)
-
-    blocks = [_closure_block(asked, motions, n, c, LOOP, False) for n, c in _loops(asked)]
-    blocks += [coordinates(GIVEN, name, values) for name, values in wanted["start"].items()]
-    blocks += [_closure_block(asked, motions, n, c, JOURNAL, False) for n, c in _journals(asked)]
-    carried = {branch.name for branch in asked.system.topology.branches}
-    rough = {n: x for n, x in wanted["guess"].items() if n not in carried}
-    return blocks + [coordinates(GUESS, name, values) for name, values in rough.items()]
+        blocks.append(_given_block(asked, kind, name, where, found, told))
+    return blocks
 
 
 def speed_blocks(asked: Ask, q: Array, v: Array, time: Any) -> list[Block]:
@@ -206,18 +257,19 @@ def independent(asked: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
     }
 
 
-def outside_tree(asked: Ask) -> bool:
+def outside_tree(mechanism: Mechanism) -> bool:
     """Whether coordinates of a joint outside the tree are given or guessed."""
-    carried = {branch.name for branch in asked.system.topology.branches}
-    return not {*asked.mechanism.start, *asked.mechanism.guess} <= carried
+    carried = {branch.name for branch in mechanism.topology.branches}
+    return not {*mechanism.start, *mechanism.guess} <= carried
 
 
-def is_solved(asked: Ask) -> bool:
+def is_solved(mechanism: Mechanism, concentric: bool) -> bool:
     """Whether the rough start is the start: nothing but coordinates of the tree is asked for."""
-    carried = {branch.name for branch in asked.system.topology.branches}
-    closed = not _loops(asked) and not _journals(asked)
-    told = not outside_tree(asked) and {*asked.mechanism.speeds} <= carried
-    return asked.system.topology.speed_count == 0 or (closed and told)
+    topology = mechanism.topology
+    carried = {branch.name for branch in topology.branches}
+    closed = not topology.loops and not (concentric and topology.clearances)
+    told = not outside_tree(mechanism) and {*mechanism.speeds} <= carried
+    return topology.speed_count == 0 or (closed and told)
 
 
 def stacked(asked: Ask, blocks: list[Block]) -> tuple[Array, Array]:
@@ -227,6 +279,25 @@ def stacked(asked: Ask, blocks: list[Block]) -> tuple[Array, Array]:
         jnp.concatenate([none, *(block.jacobian for block in blocks)]),
         jnp.concatenate([none.ravel(), *(block.left for block in blocks)]),
     )
+
+
+def alike(asked: Ask, blocks: list[Block]) -> tuple[Array, Array]:
+    """The same by radians and longest arms, of speeds too."""
+    rows, left = stacked(asked, blocks)
+    measure = jnp.concatenate([jnp.zeros(0), *(block.measure for block in blocks)])
+    return rows * speed_scales(asked) / measure[:, None], left / measure
+
+
+def leaves_free(asked: Ask, blocks: list[Block]) -> bool:
+    """Whether equations are fewer than the free speeds; of loops only those count that are known to
+    be independent."""
+    topology = asked.system.topology
+    counts = dict.fromkeys((LOOP, GIVEN, JOURNAL), 0)
+    for block in blocks:
+        counts[block.kind] += len(block.left)
+    if topology.redundancy is not None:
+        counts[LOOP] = min(counts[LOOP], topology.redundancy.rank)
+    return sum(counts.values()) < topology.speed_count
 
 
 def _loops(asked: Ask) -> list[tuple[str, Closure]]:

@@ -74,8 +74,8 @@ class Trajectory(AbstractShown):
     at the end, `outcome` tells how the run ended (an `Outcome`), `ended` when [s], `stats` what it
     cost, `invariants` what no finer run would tell of it, `verification` how far its numbers are
     off; `extremes`: of all its steps (None: its integrator follows none); `noted`: touches and
-    releases, where they were asked for; `singular_positions`: where drives did not say which way
-    its loops go on.
+    releases, where they were asked for; `doubts` are sentences on how it was assembled,
+    `singular_positions` where drives did not say which way its loops go on.
     """
 
     history: StateHistory
@@ -87,6 +87,7 @@ class Trajectory(AbstractShown):
     extremes: Extremes | None = None
     noted: Events | None = None
     verification: AbstractVerification = eqx.field(default_factory=Unverified)
+    doubts: tuple[str, ...] = eqx.field(static=True, default=())
     singular_positions: tuple[SingularPosition, ...] = ()
 
     @property
@@ -152,14 +153,14 @@ class Trajectory(AbstractShown):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence for each of its `invariants` beyond its limit, one for answers whose
-        numerical error is beyond what the integrator promises, and one where a loop left a singular
-        position by another way than its inertia's; empty for a clean run. Of one that ended early,
-        those of boundless figures only where there is no other."""
+        """Its `doubts`, a sentence for each of its `invariants` beyond its limit, one for answers
+        whose numerical error is beyond what the integrator promises, and one where a loop left a
+        singular position by another way than its inertia's; empty for a clean run. Of one that
+        ended early, those of boundless figures only where there is no other."""
         if self.succeeded:
             turned = in_sentences(tuple(one for one in self.singular_positions if not one.passed))
-            return self.invariants.warnings + turned + self.verification.warnings
-        return self.invariants.before_the_end or self.invariants.warnings
+            return self.doubts + self.invariants.warnings + turned + self.verification.warnings
+        return self.doubts + (self.invariants.before_the_end or self.invariants.warnings)
 
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
         """The value of a response, or of any function of a run that returns numbers, and its

@@ -1,6 +1,6 @@
 """Where a run begins, and what it takes over from one before."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -25,17 +25,28 @@ class Past(eqx.Module):
     remembered: Float[Array, " m"] | None = None
 
 
+class Beginning(NamedTuple):
+    """A mechanism that knows its redundant rows, its consistent start, its time [s], what is taken
+    over, and a sentence where another way to assemble is about as near to what is guessed."""
+
+    mechanism: Mechanism
+    start: Start
+    time: Any
+    past: Past
+    doubt: str = ""
+
+
 def beginning(
     mechanism: Mechanism, formulation: AbstractFormulation, state: State | None
-) -> tuple[Mechanism, Start, Any, Past]:
-    """A mechanism with numbers that knows its redundant rows, its consistent start, its time [s],
-    and what is taken over. `state`: None for the mechanism's own start.
+) -> Beginning:
+    """Where a run of a mechanism with numbers begins. `state`: None for its own start.
     Raises `ValueError` with a sentence for what cannot be."""
     state = State() if state is None else state
     past = past_of(mechanism, formulation, state)
     if state.motion is None:
-        return *ready(mechanism, state.concentric, past.worn), state.begins, past
-    return *ready_from(mechanism, *state.motion.moving), state.begins, past
+        found = ready(mechanism, state.concentric, past.worn)
+        return Beginning(found.mechanism, found.start, state.begins, past, found.doubt)
+    return Beginning(*ready_from(mechanism, *state.motion.moving), state.begins, past)
 
 
 def past_of(mechanism: Mechanism, formulation: AbstractFormulation, begun: State) -> Past:

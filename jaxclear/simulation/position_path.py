@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxclear.formulations.quasi_static import Posed
-from jaxclear.multibody.assembly import assemble_arrays, is_sound
+from jaxclear.multibody.assembly import nearest
 from jaxclear.multibody.system import longest_arm, prepare
 from jaxclear.simulation.spot import SETTLED, Spot, Way, settle
 
@@ -29,12 +29,10 @@ def _settled(scene: Posed, start: Spot, way: Way) -> Spot:
     return settle(scene, start, way)
 
 
-@eqx.filter_jit
 def _assembled(scene: Posed, way: Way) -> tuple[Spot, Array]:
-    start = assemble_arrays(scene.mechanism)
+    found = nearest(scene.mechanism)
     seats = {name: jnp.zeros(len(own)) for name, own in way.moving.items()}
-    spot = Spot(start.coordinates, seats, jnp.zeros(()), jnp.zeros(()))
-    return spot, is_sound(scene.mechanism, start)
+    return Spot(found.start.coordinates, seats, jnp.zeros(()), jnp.zeros(())), found.sound
 
 
 def _led(scene: Posed, start: Spot, before: np.ndarray, now: np.ndarray, way: Way) -> Spot:

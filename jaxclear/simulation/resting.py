@@ -64,7 +64,7 @@ class Ground(NamedTuple):
 def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Array | None:
     """Coordinates at which the journals rest under these reactions; None where none were found.
     `worn`: readings of worn surfaces, by joint."""
-    known, start = ready(mechanism)
+    known, start = ready(mechanism)[:2]
     asked = ask(known, False)
     arm = float(asked.arm)
     largest = max(float(np.linalg.norm(own.force)) for own in pressed.values())

@@ -137,7 +137,7 @@ def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
             stabilisation=mechanism.stabilisation,
         )
     try:
-        known, start = ready(put)
+        known, start = ready(put)[:2]
     except ValueError:
         # The loops do not let every journal lie as its own reaction presses it.
         return _at_rest_together(first, mechanism, read)
@@ -159,7 +159,7 @@ def _at_rest_together(first: Trajectory, mechanism: Mechanism, read: dict) -> tu
             "the journals of this mechanism find no rest under their reactions without friction: "
             "something that loads hold in no direction moves away. Begin with a state of a run."
         )
-    return ready_from(mechanism, found, ready(mechanism)[1].speeds, 0.0)
+    return ready_from(mechanism, found, ready(mechanism).start.speeds, 0.0)
 
 
 def _reaction(first: Trajectory, mechanism: Mechanism, name: str) -> Pressed:

@@ -2,6 +2,7 @@
 saving time to the next (`loop`).
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -246,7 +247,8 @@ def _simulated(
     times = saving_times(duration, saving.at)
     check_steps(integrator, times)
     mechanism = integrator.formulation.seen(mechanism)
-    mechanism, start, begins, past = beginning(mechanism, integrator.formulation, how.state)
+    begun = beginning(mechanism, integrator.formulation, how.state)
+    mechanism, start, begins, past, doubt = begun
     saved = begins + times
     integrator, passed = load_steps(mechanism, integrator, saved)
     whole = 1.0 if how.verify is False else 1.0 + 1 / HALF
@@ -265,7 +267,8 @@ def _simulated(
         with stoppable():
             found = again(Replica(integrator, saved))
             found = judged_by(passed, diagnosed(guarded(found, integrator)))
-        return verified(found, integrator, again, how.verify, asked)
+        found = verified(found, integrator, again, how.verify, asked)
+    return dataclasses.replace(found, doubts=(doubt,)) if doubt else found
 
 
 def check_one_of_two(owner: str, integrator: Any) -> None:

@@ -46,10 +46,12 @@ def _taken(problem: Any, mechanism: Any, start: Any, run: Trajectory) -> SampleR
     responses = {
         name: one_number(name, response(run)) for name, response in problem.response.items()
     }
-    kept = [jnp.all(inside(leaf, known)) for _, leaf, known in numbers(mechanism)]
-    possible = jnp.all(jnp.stack(kept))
+    ranges = [jnp.all(inside(leaf, known)) for _, leaf, known in numbers(mechanism)]
+    possible = jnp.all(jnp.stack(ranges))
     sound = is_sound(mechanism, start)
-    outcome = jnp.where(sound, diagnosed_outcome(run), Outcome.UNASSEMBLED)
+    kept = problem.keeps_mode(mechanism, start)
+    outcome = jnp.where(kept, diagnosed_outcome(run), Outcome.OTHER_MODE)
+    outcome = jnp.where(sound, outcome, Outcome.UNASSEMBLED)
     outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
     return SampleResult(responses, outcome, run.ended, run.invariants)
 

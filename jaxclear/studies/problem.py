@@ -25,11 +25,14 @@ from jaxclear.integrators import AbstractIntegrator, Outcome
 from jaxclear.integrators.figures import Checks
 from jaxclear.integrators.promise import PART_OF, STUDIES, Promise
 from jaxclear.multibody.assembly import (
+    Sampled,
     Start,
     assemble_arrays,
     carried_on,
-    determined,
+    guess,
+    sampled,
 )
+from jaxclear.multibody.assembly_modes import Nominal
 from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
 from jaxclear.multibody.reach import narrowest_gap, rooms
 from jaxclear.multibody.state import lay_out
@@ -122,6 +125,8 @@ class Problem(AbstractProblem):
     unasked: bool = eqx.field(static=True)
     # Redundant rows of loops, which all samples share.
     redundancy: Redundancy | None = eqx.field(static=True)
+    # The mode of the nominal mechanism, which samples keep.
+    mode: Nominal | None
     # Touches and releases of each contact that are kept between two saving times.
     events: int = eqx.field(static=True)
 
@@ -168,10 +173,12 @@ class Problem(AbstractProblem):
         self.past = past_of(seen, self.integrator.formulation, self.state)
         self.updates = jnp.asarray(1)
         self.integrator = self._load_steps().integrator
-        self.determined, motion = (), self.state.motion
+        motion = self.state.motion
         if motion is None:
-            self.determined, seen = determined(seen, self.state.concentric, self.past.worn)
-        self.redundancy = seen.topology.redundancy if motion is None else motion.redundancy
+            known = sampled(seen, self.state.concentric, self.past.worn)
+        else:
+            known = Sampled((), motion.redundancy, None)
+        self.determined, self.redundancy, self.mode = known
         check_variables(self.variables, mechanism)
         self.variable_units = units_of_variables(mechanism, self.variables.values())
 
@@ -218,13 +225,28 @@ class Problem(AbstractProblem):
         mechanism = self.seen(values)
         times, motion = self.state.begins + self.shares * self.duration, self.state.motion
         if motion is None:
-            start = assemble_arrays(mechanism, self.state.concentric, worn=self.past.worn)
+            rough = self._beginning(mechanism)
+            start = assemble_arrays(
+                mechanism, self.state.concentric, rough=rough, worn=self.past.worn
+            )
         else:
             start = carried_on(mechanism, *motion.moving)
         extras = Extras(events=self.events, discrete=discrete)
         given = mechanism, *start[:2], times, self.integrator, extras, self.past
         found = run(*given, self.updates)
         return mechanism, start, found
+
+    def _beginning(self, mechanism: Mechanism) -> tuple[Array, Array] | None:
+        """Coordinates and speeds from which the start of a sample is sought; None for its own
+        guess."""
+        known = self.mode
+        if known is None or known.coordinates is None or not known.fits(mechanism):
+            return None
+        return known.coordinates, guess(mechanism)[1]
+
+    def keeps_mode(self, mechanism: Mechanism, start: Start) -> Any:
+        """Whether a sample is assembled in the nominal mode, as far as it is known; pure."""
+        return True if self.mode is None else self.mode.keeps(mechanism, start)
 
     def evaluate(
         self, values: Float[Array, " variables"], *, discrete_derivatives: bool = False

@@ -171,7 +171,9 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     mechanism = problem.with_values(values)
     check_values("this mechanism", mechanism)
     mechanism = formulation.seen(mechanism)
-    mechanism, start, time, past = beginning(mechanism, formulation, problem.state)
+    mechanism, start, time, past, _ = beginning(mechanism, formulation, problem.state)
+    if not problem.keeps_mode(mechanism, start):
+        raise ValueError(Outcome.OTHER_MODE.sentence)
     model = model_of(mechanism, formulation)
     layout = model.layout
     rest = jnp.zeros(layout.size - layout.memory_start)

@@ -1,0 +1,184 @@
+"""A list of the ways in which a mechanism can be assembled: `assemblies`."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxclear.ground.answering import answering
+from jaxclear.ground.arguments import check_count, check_flags, expect
+from jaxclear.ground.precision import check_double_precision
+from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.shown import AbstractShown, in_rows
+from jaxclear.ground.wording import listed
+from jaxclear.multibody import assembly_modes, start_check
+from jaxclear.multibody.assembly import FirstFound, first_found
+from jaxclear.multibody.assembly_modes import Mode
+from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.topology import joint_of
+from jaxclear.multibody.turned_round import at_start
+
+
+class Assemblies(AbstractShown):
+    """The modes of a mechanism that searches have found, the nearest to what is guessed first.
+
+    `coordinates` of the tree (`names` its columns), the `distance` from all that is guessed
+    [radians and longest arms together; 0 where nothing is], the `sign` of the determinant of the
+    rows that are held (0 where freedoms are left), their `smallest` singular value beside radians
+    and longest arms (near 0: two modes meet close by), and by how many of `samples` searches each
+    was `found`.
+    """
+
+    mechanism: Mechanism
+    coordinates: Float[np.ndarray, "modes q"]
+    distance: Float[np.ndarray, " modes"]
+    sign: Int[np.ndarray, " modes"]
+    smallest: Float[np.ndarray, " modes"]
+    found: Int[np.ndarray, " modes"]
+    samples: int = eqx.field(static=True)
+
+    def __len__(self) -> int:
+        return len(self.distance)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the columns of `coordinates` are: a joint or floating body, and which of its
+        coordinates where it has several."""
+        out = []
+        for branch in self.mechanism.topology.branches:
+            count = branch.coordinate_count
+            out += [branch.name if count == 1 else f"{branch.name} {i}" for i in range(count)]
+        return tuple(out)
+
+    def guess(self, index: int) -> dict[str, tuple[float, ...]]:
+        """What to give as `Mechanism(guess=)` for a mode: all coordinates of the tree that `start`
+        does not give, by joint or floating body [rad, m, parts of a quaternion]. Raises
+        `ValueError` for an index that there is not."""
+        check_count("index of an assembly", index, at_least=0)
+        if index >= len(self):
+            raise ValueError(f"assembly {index} was asked for; {len(self)} were found.")
+        return as_guess(self.mechanism, self.coordinates[index])
+
+    def table(self) -> Any:
+        """A pandas table: distance, sign, smallest singular value, how often found, coordinates."""
+        import pandas
+
+        columns: dict[str, Any] = {
+            "distance": self.distance,
+            "sign": self.sign,
+            "smallest singular value": self.smallest,
+            "found": self.found,
+        }
+        return pandas.DataFrame(columns | dict(zip(self.names, self.coordinates.T, strict=True)))
+
+    def __str__(self) -> str:
+        many = f"{len(self)} way{'s' * (len(self) != 1)} to assemble"
+        said = f"{many}, found by {self.samples} searches; there may be more."
+        if not len(self):
+            return said
+        if self.mechanism.guess:
+            guessed = listed(self.mechanism.guess)
+            said += f" Distance from the guess of {guessed} in radians and longest arms."
+        return f"{said}\n{in_rows(self.table())}"
+
+
+@answering
+def assemblies(
+    mechanism: Mechanism, samples: int = assembly_modes.SEARCHES, *, concentric: bool = True
+) -> Assemblies:
+    """The ways in which a mechanism can be assembled, as far as searches from beginnings drawn at
+    random find them.
+
+    `samples`: how many searches, at least 1. `concentric`: whether journals lie in the middle of
+    their bearings. What `start` gives is held. It is sampling: a mode to which few beginnings lead
+    may be missed, and `found` tells how often each was met. Where freedoms are left a mode is
+    whatever hangs together, of which the place nearest to what is guessed is listed, and to the
+    joints' homes where nothing is. Takes seconds. Returns `Assemblies`, a table to print;
+    `.guess(i)` is what to write as `Mechanism(guess=)`. Raises `ValueError` with a sentence for
+    what cannot be asked, and where no way to assemble was found.
+    """
+    check_double_precision()
+    expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")
+    check_count("samples of assemblies", samples, at_least=1)
+    check_flags("assemblies", concentric=concentric)
+    if is_traced(mechanism):
+        raise ValueError(
+            "assemblies are listed of a mechanism with numbers; some are traced (by jax.jit, vmap "
+            "or grad)."
+        )
+    first = first_found(mechanism, concentric)
+    modes = _modes(mechanism, first, samples)
+    if not modes:
+        start_check.refuse(first.mechanism, first.start)
+    starts = [mode.start for mode in modes]
+    return Assemblies(
+        mechanism,
+        np.array([np.asarray(start.coordinates) for start in starts]),
+        np.array([mode.distance if mechanism.guess else 0.0 for mode in modes]),
+        np.array([assembly_modes.sign(start) for start in starts]),
+        np.array([assembly_modes.smallest_singular_value(start) for start in starts]),
+        np.array([mode.found for mode in modes]),
+        int(samples),
+    )
+
+
+def as_guess(mechanism: Mechanism, coordinates: Any) -> dict[str, tuple[float, ...]]:
+    """All coordinates of the tree that `start` does not give, by joint or floating body."""
+    out, parts = {}, (mechanism.bodies, mechanism.connections)
+    for branch in mechanism.topology.branches:
+        own = tuple(map(float, coordinates[branch.coordinates]))
+        if own and branch.name not in mechanism.start:
+            still = (0.0,) * branch.speed_count
+            own = at_start(branch, joint_of(branch, *parts), own, still)[0]
+            out[branch.name] = tuple(map(float, own))
+    return out
+
+
+def _modes(mechanism: Mechanism, first: FirstFound, samples: int) -> list[Mode]:
+    """The modes that searches find. Where freedoms are left each search goes to what is guessed and
+    to homes first, and from there to what is guessed; of two places that small steps lead from one
+    to the other the nearer is listed."""
+    if first.sought is None or not assembly_modes.leaves_free(first.start):
+        return first.modes(samples)
+    given = mechanism.given
+    homes = as_guess(mechanism, _homes(mechanism))
+    whole = Mechanism(
+        mechanism.bodies,
+        mechanism.connections,
+        mechanism.loads,
+        **given | {"guess": homes | {n: x for n, x in given["guess"].items() if n in homes}},
+        stabilisation=mechanism.stabilisation,
+    )
+    at_homes = first_found(whole, first.concentric)
+    found = at_homes.modes(samples)
+    if given["guess"]:
+        on = [(assembly_modes.at(mode.start.coordinates), mode.found) for mode in found]
+        found = assembly_modes.modes(first.tree, first.search, on)
+    kept: list[Mode] = []
+    for mode in found:
+        for i, known in enumerate(kept):
+            if _leads_to(mechanism, at_homes, known, mode):
+                kept[i] = known._replace(found=known.found + mode.found)
+                break
+        else:
+            kept.append(mode)
+    return kept
+
+
+def _homes(mechanism: Mechanism) -> np.ndarray:
+    parts = mechanism.bodies, mechanism.connections
+    branches = [b for b in mechanism.topology.branches if b.coordinate_count]
+    return np.array([x for branch in branches for x in joint_of(branch, *parts).home])
+
+
+def _leads_to(mechanism: Mechanism, at_homes: FirstFound, one: Mode, other: Mode) -> bool:
+    """Whether a search that begins at one mode and is guessed at the other lands there."""
+    begin = assembly_modes.at(one.start.coordinates)
+    there = as_guess(mechanism, other.start.coordinates)
+    guess = {name: tuple(jnp.asarray(x) for x in there[name]) for name in at_homes.mechanism.guess}
+    start, sound = at_homes.search(begin, guess)
+    places = [np.asarray(found.coordinates) for found in (start, other.start)]
+    apart = np.max(np.abs(at_homes.tree.apart(*places)), initial=0.0)
+    return bool(sound) and apart <= assembly_modes.SAME
